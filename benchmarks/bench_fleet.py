@@ -25,7 +25,7 @@ from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.audit import audit_episodes
 from manip_learn.learning.cluster import dask_client
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.trajectory_source import RecordingSource
+from manip_learn.recordings.load import RecordingSource
 from manip_learn.robot import load_robot
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(1800)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 
 DT = 0.02

@@ -16,8 +16,8 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import choosing
 from manip_learn.linalg import orthonormal_rows, row_space_angle
-from manip_learn.recordings import trajectory_source
-from manip_learn.recordings.trajectory_source import TrajectorySource
+from manip_learn.recordings import load as trajectory_source
+from manip_learn.recordings.load import TrajectorySource
 
 ONE = orthonormal_rows(np.array([[0.5, 1.0, -0.4]]))
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))

@@ -19,8 +19,8 @@ from manip_learn.errors import ManipLearnError, MissingExtraError, RecordingErro
 from manip_learn.learning import cluster
 from manip_learn.learning.cluster import dask_client
 from manip_learn.linalg import orthonormal_rows
-from manip_learn.recordings import trajectory_source
-from manip_learn.recordings.trajectory_source import TrajectorySource
+from manip_learn.recordings import load as trajectory_source
+from manip_learn.recordings.load import TrajectorySource
 
 pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
 from distributed import Client

@@ -11,7 +11,7 @@ from case import case
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 
 NAMES = ("a", "b")

@@ -11,7 +11,7 @@ from case import case
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.trajectory import Trajectory, subsample
 from manip_learn.recordings.velocities import derive_velocities

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.readers.rosbag_reader import JointStates, joint_groups, merge, topics_of_joints
+from manip_learn.recordings.streams import JointStates, joint_groups, merge, topics_of_joints
 
 MS = 1_000_000  # [ns]
 START = 1_700_000_000_123_456_789  # [ns] an integer that float64 cannot hold

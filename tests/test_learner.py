@@ -23,7 +23,7 @@ from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableErro
 from manip_learn.experiments.metrics import manipulability_along, nmie
 from manip_learn.learning import ConstraintLearner
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.robot.loading import load_robot
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "examples" / "data"

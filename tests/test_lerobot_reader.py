@@ -12,7 +12,7 @@ from case import case
 from recording_corpus import refusal
 
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.readers.lerobot_reader import entry_names
+from manip_learn.recordings.readers.lerobot import entry_names
 from manip_learn.robot import Robot, load_robot
 
 pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")

@@ -13,7 +13,7 @@ from recording_corpus import JOINTS, TABLE, TIME, Q, csv, refusal
 
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings import RecordingSource, load_demonstrations
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.robot import Robot, load_robot
 
 

@@ -19,7 +19,7 @@ from manip_learn.cli import main
 from manip_learn.drivers.record import RESTS, record
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.recordings.trajectory import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.robot import load_robot
 
 NAMES = ("joint1", "joint2", "joint3")

@@ -17,7 +17,7 @@ from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, Part
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import advise
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Demonstrations
 
 Motion = tuple[np.ndarray, np.ndarray]
 

@@ -15,7 +15,7 @@ from generated_motions import angle_deg, arm_features, guided_motions, oblique, 
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.recordings.trajectory_source import recordings_given
+from manip_learn.recordings.given import recordings_given
 
 DT, SAMPLES = 0.01, 300  # [s]
 NOISE = 1e-4  # [rad] of the encoders

@@ -10,7 +10,7 @@ from manip_learn.commands.loading import cluster_client, robot_of_constraint
 from manip_learn.commands.options import AuditOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.learning.audit import AuditReport, audit_episodes
-from manip_learn.recordings.trajectory_source import Progress, RecordingSource
+from manip_learn.recordings.load import Progress, RecordingSource
 
 
 @final

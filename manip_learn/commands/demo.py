@@ -20,8 +20,8 @@ from manip_learn.control.way import WayDone, simulate_way
 from manip_learn.errors import UnknownNameError
 from manip_learn.planning.plan import Plan
 from manip_learn.playback import ReplayResult, replay
-from manip_learn.recordings.readers.recording_files import shipped_recordings
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.files import shipped_recordings
+from manip_learn.recordings.load import Progress
 from manip_learn.robot import load_robot
 
 DT, _TOLERANCE = 0.01, 0.01  # [s], as the shipped recordings; [m or rad] of a target that counts as reached

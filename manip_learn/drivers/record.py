@@ -20,7 +20,7 @@ from manip_learn.control.cycle import Clock, ComputerClock, OrderlyEnd, quiet_co
 from manip_learn.control.driver import Driver
 from manip_learn.errors import ConfigurationError, OutputError, counted
 from manip_learn.linalg import finite
-from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.recordings.trajectory import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.recordings.saved_motion import column_line
 
 LOOK = 0.5  # [s] before a motion begins that are recorded too: derivatives need samples on both sides

@@ -46,7 +46,7 @@ from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.separate import estimate_separate, separate_null_motion
 from manip_learn.linalg import batch_row_spaces, complement_rows, orthonormal_rows, row_space_angle
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Demonstrations
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

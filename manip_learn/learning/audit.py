@@ -21,13 +21,14 @@ from manip_learn.errors import RecordingError, counted
 from manip_learn.learning.checks import REST_SPEED
 from manip_learn.learning.cluster import each_part
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import Velocities, used_and_derived
-from manip_learn.recordings.local_fit import jerk
-from manip_learn.recordings.readers.read_request import refuse_unmatched
+from manip_learn.recordings.trajectory import Demonstrations
+from manip_learn.recordings.options import Velocities
+from manip_learn.recordings.velocities import jerk
+from manip_learn.recordings.options import refuse_unmatched
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.trajectory_source import CheckedSource, Given, Progress, TrajectorySource, recordings_given
-from manip_learn.recordings.velocities import VelocityMethod, derive_velocities
+from manip_learn.recordings.given import CheckedSource, Given, recordings_given
+from manip_learn.recordings.load import Progress, TrajectorySource
+from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.robot import Robot
 
 # chance that an audit of equally good episodes leaves any of them out. Convention
@@ -124,7 +125,7 @@ class EpisodeAudit:
 
 
 def measure(
-    constraint: Constraint, trajectory: Trajectory, number: int, velocities: VelocityMethod = "auto"
+    constraint: Constraint, trajectory: Trajectory, number: int, velocities: Velocities = "auto"
 ) -> EpisodeAudit:
     """The measures of one episode, without its score, which depends on the others.
 
@@ -134,7 +135,7 @@ def measure(
     """
     robot: Robot | None = getattr(constraint.features, "robot", None)
     moving = (
-        trajectory if trajectory.u is not None or robot is None else derive_velocities(trajectory, robot, velocities)
+        trajectory if robot is None else with_velocities(Demonstrations([trajectory]), robot, velocities)[0]
     )
     u = np.zeros((len(moving), constraint.nv)) if moving.u is None else moving.u
     sigma, mu, broken, held = _along(constraint, moving.q, u)
@@ -339,7 +340,7 @@ def audit_episodes(
     constraint: Constraint,
     demonstrations: Given,
     *,
-    velocities: VelocityMethod | Velocities = "auto",
+    velocities: Velocities = "auto",
     false_alarms: float = FALSE_ALARMS,
     client: Any = None,
     progress: Progress | None = None,
@@ -362,7 +363,7 @@ def audit_episodes(
     if not 0.0 < false_alarms < 1.0:
         raise RecordingError(f"false_alarms must be a chance between 0 and 1, got {false_alarms!r}", code="option")
     robot = getattr(constraint.features, "robot", None)
-    given = recordings_given(demonstrations, robot, constraint.nv, used_and_derived(velocities)[0])
+    given = recordings_given(demonstrations, robot, constraint.nv, velocities)
     rows: list[EpisodeAudit] = []
     notes: list[str] = []
     if isinstance(given, Demonstrations):
@@ -405,7 +406,7 @@ def audit_episodes(
 
 
 def measured(
-    number: int, source: TrajectorySource, constraint: Constraint, velocities: VelocityMethod | Velocities
+    number: int, source: TrajectorySource, constraint: Constraint, velocities: Velocities
 ) -> tuple[list[EpisodeAudit], list[str]]:
     """The episodes of a part of a source, and notes of its reader: what a worker does.
 
@@ -415,7 +416,7 @@ def measured(
     notes: list[str] = []
     with one_thread():
         episodes = source.part(number, notes)
-        how = used_and_derived(velocities)[1]
+        how = velocities
         return [measure(constraint, episode, i, how) for i, episode in enumerate(episodes)], notes
 
 

@@ -13,11 +13,13 @@ from typing import Any, final
 from manip_learn.errors import RecordingError, counted
 from manip_learn.learning.cluster import each_part
 from manip_learn.learning.explanation.row_motion import SCAN_RATE
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.readers.read_request import refuse_unmatched
+from manip_learn.recordings.trajectory import Demonstrations
+from manip_learn.recordings.options import refuse_unmatched
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.trajectory_source import Progress, TrajectorySource
-from manip_learn.recordings.velocities import VelocityMethod, derive_together
+from manip_learn.recordings.load import Progress, TrajectorySource
+
+from manip_learn.recordings.options import Velocities
+from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.robot import Robot
 
 MOST_SAMPLES = 16_384  # that are learnt from; Phi of these, with 6 rows and 7 joints, takes 5.5 MB
@@ -40,9 +42,9 @@ class Choice:
         notes: Sentences of their readers.
     """
 
-    def __init__(self, robot: Robot | None, velocities: VelocityMethod, most: int = MOST_SAMPLES):
+    def __init__(self, robot: Robot | None, velocities: Velocities, most: int = MOST_SAMPLES):
         self._robot, self._most = robot, most
-        self._velocities: VelocityMethod = velocities
+        self._velocities: Velocities = velocities
         self.n_recordings = self.n_samples = 0
         self.every = self.step = 1
         self.notes: list[str] = []
@@ -148,20 +150,17 @@ class Choice:
                 self._kept, self.step = [t.part(slice(None, None, 2)) for t in self._kept], 2 * self.step
 
     def _with_velocities(self, recordings: list[Trajectory]) -> list[Trajectory]:
-        missing = [i for i, t in enumerate(recordings) if t.u is None]
-        if not missing:
-            return list(recordings)
-        if self._robot is None:
-            name = recordings[missing[0]].name
+        missing = [t.name for t in recordings if t.u is None]
+        if not recordings:
+            return []
+        if self._robot is None and missing:
+            name = missing[0]
             raise RecordingError(
                 f"{name} has no velocities: give features of a robot to derive them with", code="no-velocities"
             )
-        self._derived, out = True, list(recordings)
-        for i, derived in zip(
-            missing, derive_together([out[i] for i in missing], self._robot, self._velocities), strict=True
-        ):
-            out[i] = derived
-        return out
+        moved = with_velocities(Demonstrations(recordings), self._robot, self._velocities)
+        self._derived |= any(a is not b for a, b in zip(moved, recordings, strict=True))
+        return list(moved)
 
 
 def few_of(demonstrations: Demonstrations, most: int) -> tuple[Demonstrations, int]:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from manip_learn.errors import ManipLearnError, MissingExtraError
-from manip_learn.recordings.trajectory_source import Progress, TrajectorySource
+from manip_learn.recordings.load import Progress, TrajectorySource
 
 _Result = TypeVar("_Result")
 

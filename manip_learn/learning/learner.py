@@ -37,10 +37,11 @@ from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
 from manip_learn.learning.skill import skill_of
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import Velocities, used_and_derived
-from manip_learn.recordings.trajectory_source import CheckedSource, Given, Progress, check_joints, recordings_given
-from manip_learn.recordings.velocities import VelocityMethod, with_velocities
+from manip_learn.recordings.trajectory import Demonstrations
+from manip_learn.recordings.options import Velocities
+from manip_learn.recordings.given import CheckedSource, Given, check_joints, recordings_given
+from manip_learn.recordings.load import Progress
+from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
@@ -121,7 +122,7 @@ class ConstraintLearner:
         estimator: EstimatorName = "auto",
         *,
         policy_model: str = "auto",
-        velocities: VelocityMethod | Velocities = "auto",
+        velocities: Velocities = "auto",
         phases: Switch = "auto",
         mechanism: Switch = "auto",
         strength: float = BELIEVED_STRENGTH,
@@ -143,9 +144,9 @@ class ConstraintLearner:
         self.n_constraints = n_constraints
         self.estimator: EstimatorName = estimator
         self.policy_model = policy_model
-        if velocities not in (choices := (*get_args(Velocities), *get_args(VelocityMethod)[1:])):
+        if velocities not in (choices := get_args(Velocities)):
             raise FeatureError(f"velocities must be one of {', '.join(choices)}, not {velocities!r}")
-        self.velocities: VelocityMethod | Velocities = velocities
+        self.velocities: Velocities = velocities
         self.phases: Switch = phases
         self.mechanism: Switch = mechanism
         for name, number, what, least in (
@@ -252,7 +253,7 @@ class ConstraintLearner:
             if robot is not None and self._robot is not None:
                 check_joints(self._robot.joint_names, robot)
         return recordings_given(
-            demonstrations, self._robot, self._feature_maps[0].nv, used_and_derived(self.velocities)[0]
+            demonstrations, self._robot, self._feature_maps[0].nv, self.velocities
         )
 
     def _learn(self, given: Demonstrations) -> None:
@@ -261,7 +262,7 @@ class ConstraintLearner:
             started = time.perf_counter()
             recordings = IndependentRecordings.of(given)
             demonstrations = with_velocities(
-                recordings.demonstrations, self._robot, used_and_derived(self.velocities)[1]
+                recordings.demonstrations, self._robot, self.velocities
             )
             refuse_noise(recordings.demonstrations)
             check_fastest(demonstrations)
@@ -324,7 +325,7 @@ class ConstraintLearner:
 
     @property
     def _empty(self) -> Choice:
-        return Choice(self._robot, used_and_derived(self.velocities)[1], self.most_samples)
+        return Choice(self._robot, self.velocities, self.most_samples)
 
     @property
     def _robot(self) -> Robot | None:

@@ -35,8 +35,8 @@ from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPat
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
 from manip_learn.learning.samples import BEYOND_CHANCE, STANDARD_ERRORS
 from manip_learn.linalg import null_basis
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import earned
+from manip_learn.recordings.trajectory import Demonstrations
+
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.batch.batch_kinematics import link_twists
@@ -150,7 +150,7 @@ def find_mechanism(
     numbers = [i for i, t in enumerate(trajectories) if len(t) >= 10]
     if not numbers:
         raise NotIdentifiableError("no trajectory has ten samples: there is no path to look at", code="too-short")
-    chosen, _ = earned([trajectories[i] for i in numbers], robot)
+    chosen = [trajectories[i] for i in numbers]
     paths = TipPaths.of(robot, tip, [thinned(_postures(robot, t), _SAMPLES) for t in chosen])
     if max(np.ptp(paths.p, axis=0).max(), np.abs(paths.turns).max()) < 1e-3:
         raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
