@@ -26,8 +26,7 @@ import numpy as np
 
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot import load_robot
 
 PLANAR_ROWS = ([0, 1], [0, 2], [1, 2])

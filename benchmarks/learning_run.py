@@ -19,8 +19,7 @@ from scale_motions import motions
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner
 from manip_learn.linalg import row_space_angle
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot import load_robot
 
 BASE = 500  # trajectories of 100 samples that are made; more are the same with other noise

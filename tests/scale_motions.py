@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 
 DT = 0.02
 

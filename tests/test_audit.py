@@ -17,9 +17,10 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import OutputError, RecordingError
 from manip_learn.learning.audit import AuditReport, audit_episodes, measure, outlier_threshold, robust_z
 from manip_learn.linalg import orthonormal_rows
-from manip_learn.recordings import RecordingSource, load as trajectory_source
-from manip_learn.recordings.velocities import jerk
+from manip_learn.recordings import RecordingSource
+from manip_learn.recordings import load as trajectory_source
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.velocities import jerk
 
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
 DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_drawer"

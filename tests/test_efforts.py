@@ -11,9 +11,8 @@ from case import case
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
-from manip_learn.recordings.trajectory import Trajectory, subsample
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, subsample
 from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, mcap_bytes, npz_bytes
 from manip_learn.robot import load_robot

@@ -15,9 +15,9 @@ from jaxtyping import Float
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.recordings.readers.text import sniff_dialect
 from manip_learn.recordings.checks import alternation
+from manip_learn.recordings.readers.text import sniff_dialect
+from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.robot import Robot, load_robot
 
 

@@ -18,7 +18,8 @@ from manip_learn.control.simulation import simulate
 from manip_learn.errors import RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.audit import audit_episodes
-from manip_learn.recordings import load_demonstrations, load as trajectory_source
+from manip_learn.recordings import load as trajectory_source
+from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load import RecordingSource
 from manip_learn.robot import Robot, load_robot
 

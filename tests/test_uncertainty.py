@@ -28,8 +28,7 @@ from manip_learn.learning.uncertainty import (
     parts_in_words,
     uncertainty_of,
 )
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot.robot import Robot
 
 

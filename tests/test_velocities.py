@@ -8,11 +8,9 @@ from case import case
 from generated_motions import arm_features, guided_motions, oblique
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.recordings.local_fit import HALF_WIDTHS, best_windows, half_widths_of, local_fit
-from manip_learn.recordings.velocities import jerk, noise_variance
-from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.velocities import derive_velocities, is_clean, with_velocities
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
+from manip_learn.recordings.velocities import derive_velocities, is_clean, jerk, noise_variance, with_velocities
 from manip_learn.robot import load_robot
 
 FEATURES = arm_features()

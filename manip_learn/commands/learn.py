@@ -20,8 +20,8 @@ from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.trajectory import Demonstrations, distinct_names
 from manip_learn.recordings.load import Progress, RecordingSource
+from manip_learn.recordings.trajectory import Demonstrations, distinct_names
 from manip_learn.robot.robot import Reference, Robot
 
 if TYPE_CHECKING:

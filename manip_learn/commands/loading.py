@@ -13,10 +13,9 @@ from manip_learn.commands.options import RobotOptions
 from manip_learn.constraint.constraint import Constraint, locks_in_words, read_constraint_file
 from manip_learn.control.limits import check_inside
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, RecordingError, UnknownNameError, named
-from manip_learn.recordings.options import unmoved_joint_names
 from manip_learn.recordings.files import recording_files
-from manip_learn.recordings.saved_motion import file_header
-from manip_learn.recordings.saved_motion import FileHeader
+from manip_learn.recordings.options import unmoved_joint_names
+from manip_learn.recordings.saved_motion import FileHeader, file_header
 from manip_learn.robot import Robot
 
 if TYPE_CHECKING:

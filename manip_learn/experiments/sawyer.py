@@ -47,9 +47,8 @@ from manip_learn.experiments.rmse import climb_along
 from manip_learn.experiments.trial_runner import of_trials
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.linalg import row_space_angle
-from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.recordings.load import load_demonstrations
-from manip_learn.recordings.trajectory import Trajectory, subsample
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, subsample
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.loading import load_robot

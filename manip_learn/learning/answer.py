@@ -43,8 +43,7 @@ from manip_learn.learning.repeats import once_each
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.separate import estimate_separate
 from manip_learn.linalg import row_space_angle
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.recordings.trajectory import evenly
+from manip_learn.recordings.trajectory import Demonstrations, evenly
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
 # ratio of gaps from which on another number of rows contradicts the one that is answered. Of guided hands

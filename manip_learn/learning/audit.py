@@ -21,14 +21,11 @@ from manip_learn.errors import RecordingError, counted
 from manip_learn.learning.checks import REST_SPEED
 from manip_learn.learning.cluster import each_part
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.recordings.options import Velocities
-from manip_learn.recordings.velocities import jerk
-from manip_learn.recordings.options import refuse_unmatched
-from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.given import CheckedSource, Given, recordings_given
 from manip_learn.recordings.load import Progress, TrajectorySource
-from manip_learn.recordings.velocities import with_velocities
+from manip_learn.recordings.options import Velocities, refuse_unmatched
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
+from manip_learn.recordings.velocities import jerk, with_velocities
 from manip_learn.robot.robot import Robot
 
 # chance that an audit of equally good episodes leaves any of them out. Convention
@@ -134,9 +131,7 @@ def measure(
         ConfigurationError: Postures of another robot.
     """
     robot: Robot | None = getattr(constraint.features, "robot", None)
-    moving = (
-        trajectory if robot is None else with_velocities(Demonstrations([trajectory]), robot, velocities)[0]
-    )
+    moving = trajectory if robot is None else with_velocities(Demonstrations([trajectory]), robot, velocities)[0]
     u = np.zeros((len(moving), constraint.nv)) if moving.u is None else moving.u
     sigma, mu, broken, held = _along(constraint, moving.q, u)
     total = float(np.sum(u * u))

@@ -11,9 +11,9 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named
 from manip_learn.learning.samples import STILL_ENERGY, Samples
+from manip_learn.recordings.clock import MOVED
 from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.recordings.velocities import FEWEST_JUDGED, position_noise
-from manip_learn.recordings.clock import MOVED
 from manip_learn.robot.tips import likely_tips
 
 # ratio to the usual speed, or distance from the middle, beyond which a sample is a fault of the recording. Set by hand

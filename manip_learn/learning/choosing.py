@@ -13,12 +13,9 @@ from typing import Any, final
 from manip_learn.errors import RecordingError, counted
 from manip_learn.learning.cluster import each_part
 from manip_learn.learning.explanation.row_motion import SCAN_RATE
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.recordings.options import refuse_unmatched
-from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.load import Progress, TrajectorySource
-
-from manip_learn.recordings.options import Velocities
+from manip_learn.recordings.options import Velocities, refuse_unmatched
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.robot import Robot
 

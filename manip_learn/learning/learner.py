@@ -37,10 +37,10 @@ from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
 from manip_learn.learning.skill import skill_of
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.recordings.options import Velocities
 from manip_learn.recordings.given import CheckedSource, Given, check_joints, recordings_given
 from manip_learn.recordings.load import Progress
+from manip_learn.recordings.options import Velocities
+from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
@@ -252,18 +252,14 @@ class ConstraintLearner:
             robot = getattr(features, "robot", None)
             if robot is not None and self._robot is not None:
                 check_joints(self._robot.joint_names, robot)
-        return recordings_given(
-            demonstrations, self._robot, self._feature_maps[0].nv, self.velocities
-        )
+        return recordings_given(demonstrations, self._robot, self._feature_maps[0].nv, self.velocities)
 
     def _learn(self, given: Demonstrations) -> None:
         """What repeats counts once -> one table -> what explains it -> a constraint for each part -> reports."""
         with one_thread():
             started = time.perf_counter()
             recordings = IndependentRecordings.of(given)
-            demonstrations = with_velocities(
-                recordings.demonstrations, self._robot, self.velocities
-            )
+            demonstrations = with_velocities(recordings.demonstrations, self._robot, self.velocities)
             refuse_noise(recordings.demonstrations)
             check_fastest(demonstrations)
             refuse_still_hand(self._feature_maps[0], demonstrations)

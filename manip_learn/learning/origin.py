@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_learn.recordings.trajectory import Demonstrations, distinct_names
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names
 
 PACKAGE = "manip-learn"
 

@@ -28,9 +28,8 @@ from scipy.spatial import cKDTree
 
 from manip_learn.errors import listed
 from manip_learn.learning.explanation.evidence import Stretch
-from manip_learn.recordings.trajectory import Demonstrations, distinct_names
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names
 from manip_learn.recordings.velocities import noise_variance
-from manip_learn.recordings.trajectory import Trajectory
 
 # [rad] two passes of one path are as near as this to each other: arms repeat a posture to 0.1 mm at half a metre
 REPEATED_RAD = 2e-4

@@ -46,8 +46,7 @@ from manip_learn.learning.uncertainty import (
     total_deg,
     uncertainty_of,
 )
-from manip_learn.recordings.trajectory import Demonstrations, distinct_names
-from manip_learn.recordings.trajectory import evenly
+from manip_learn.recordings.trajectory import Demonstrations, distinct_names, evenly
 from manip_learn.robot import html_card
 
 # recordings from which on nothing is said of their number: what several do by chance, five hardly do

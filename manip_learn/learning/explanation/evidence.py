@@ -15,8 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.learning.explanation.row_motion import RowMotion
 from manip_learn.learning.samples import Table
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 
 # [s] samples closer together than this tell the same story, and a change of what is held takes as long, over which
 # velocities are smoothed: a person's motion does not change faster. Set by hand

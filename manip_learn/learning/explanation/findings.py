@@ -52,8 +52,7 @@ from manip_learn.learning.explanation.row_motion import (
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, FEWEST_TRAJECTORIES, recombination_test
 from manip_learn.learning.repeats import once_each
 from manip_learn.learning.samples import Table
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot.robot import Reference
 
 # [joints] a joint that moves alone goes where it must: only joints that move at the same time show what coordinates

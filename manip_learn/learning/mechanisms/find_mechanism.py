@@ -35,9 +35,7 @@ from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPat
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
 from manip_learn.learning.samples import BEYOND_CHANCE, STANDARD_ERRORS
 from manip_learn.linalg import null_basis
-from manip_learn.recordings.trajectory import Demonstrations
-
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.batch.batch_kinematics import link_twists
 from manip_learn.robot.joints import Frame
