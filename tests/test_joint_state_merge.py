@@ -36,7 +36,7 @@ def test_gaps_of_a_publisher_are_not_bridged():
     merged, notes = merge([arm, group("/hand", "c", stamps)], frozenset())
     kept = np.array(milliseconds(merged))
     np.testing.assert_array_equal(kept, [*range(10, 801, 10), *range(1510, 2001, 10)])
-    assert "71 samples left out" in " ".join(notes)
+    assert "71 samples left out" in " ".join(map(str, notes))
     np.testing.assert_allclose(merged.q, np.outer(kept, [1e-3, 2e-3, 1e-3]), rtol=0, atol=1e-12)
 
 
@@ -57,7 +57,7 @@ def test_velocities_are_interpolated_too_or_all_left_out():
     np.testing.assert_allclose(merged.u[:, 2], 0.5 * (squares[1:] + squares[:-1]), atol=1e-9)
     np.testing.assert_array_equal(merged.u[:, :2], [[1.0, 2.0]] * 9)
     without, notes = merge([arm, group("/hand", "c", late, u=False)], frozenset())
-    assert without.u is None and "/hand has none" in " ".join(notes)
+    assert without.u is None and "/hand has none" in " ".join(map(str, notes))
 
 
 def test_angles_that_wrap_are_interpolated_the_short_way():
@@ -88,7 +88,7 @@ def test_the_last_message_of_equal_stamps_is_kept_with_its_velocity():
     np.testing.assert_array_equal(one.q, [[0, 1], [7, 8], [4, 5]])
     assert one.u is not None
     np.testing.assert_array_equal(one.u, [[0, 0], [6, 9], [2, -2]])
-    assert notes == ["/arm: 1 message left out for a repeated stamp, the last is kept"]
+    assert [*map(str, notes)] == ["/arm: 1 message left out for a repeated stamp, the last is kept"]
 
 
 def test_columns_follow_their_joints():
@@ -111,11 +111,11 @@ def test_a_late_message_is_told_from_a_clock_that_was_set_back():
     (one,), notes = stream(START + late * 10 * MS, arrival, q=q[late]).in_order()
     np.testing.assert_array_equal(one.stamps, arrival)
     np.testing.assert_array_equal(one.q, q)
-    assert notes == ["/arm: 1 sample came late: sorted by their stamps"]
+    assert [*map(str, notes)] == ["/arm: 1 sample came late: sorted by their stamps"]
     (one,), notes = stream(arrival - 300 * MS * (np.arange(40) >= 20), arrival, q=q).in_order()
     np.testing.assert_array_equal(one.stamps, arrival)
     np.testing.assert_array_equal(one.q, q)
-    assert "set back by 0.3 s" in notes[0]
+    assert "set back by 0.3 s" in str(notes[0])
     with pytest.raises(RecordingError, match="the stamps of /arm are in no order; pass rate=") as caught:
         stream(np.random.default_rng(0).permutation(every(10, 0, 1990)), every(10, 0, 1990)).in_order()
     assert caught.value.code == "time-order"
@@ -126,7 +126,7 @@ def test_a_joint_is_read_from_one_topic():
     stamps = every(10, 0, 100)
     arm, part = stream(stamps), stream(stamps, names="a", topic="/part")
     chosen, notes = topics_of_joints([part, arm], ("a", "b"))
-    assert chosen == CHOSEN and notes[0] == "joint states read from /arm" and "/part" in notes[1]
+    assert chosen == CHOSEN and str(notes[0]) == "joint states read from /arm" and "/part" in str(notes[1])
     assert topics_of_joints([arm], ("a", "b")) == (CHOSEN, [])
     usual = stream(stamps, topic="/joint_states")
     assert topics_of_joints([arm, usual], ("a", "b"))[0] == {"a": "/joint_states", "b": "/joint_states"}

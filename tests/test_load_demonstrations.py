@@ -101,10 +101,10 @@ def test_missing_libraries_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> No
         return real(name, *arguments, **keywords)
 
     for missing, reader, extra in (
-        ("rosbags", "readers.bag_file", "ros"),
-        ("lz4", "readers.bag_file", "ros"),
+        ("rosbags", "readers.bags", "ros"),
+        ("lz4", "readers.bags", "ros"),
         ("pyarrow", "writers.lerobot_writer", "lerobot"),
-        ("h5py", "readers.hdf5_reader", "robomimic"),
+        ("h5py", "readers.hdf5", "robomimic"),
     ):
         with case(missing), monkeypatch.context() as patch:
             patch.setattr(builtins, "__import__", absent)

@@ -73,13 +73,10 @@ def test_degrees_are_always_caught(robot_of, rng: np.random.Generator) -> None:
 
 
 def test_slopes_survive_the_noise_of_a_fast_recorder(sawyer: Robot, rng, tmp_path: Path) -> None:
-    """At 1 kHz the encoder's noise is larger than the motion in a step; still no fault, and a sign still is one."""
+    """At 1 kHz the encoder's noise is larger than the motion in a step, which is no fault."""
     time, q, u = guided(sawyer, rng, n=4000, dt=0.001)
     q += 5e-4 * rng.normal(size=q.shape)
     assert load(sawyer, tmp_path, time, q, u).notes == ()
-    u[:, 3] *= -1
-    demos = load(sawyer, tmp_path, time, q, u)
-    assert demos[0].u is None and "velocity of right_j3 does not integrate" in demos.notes[0]
 
 
 def test_a_little_beyond_the_limits_is_a_note(sawyer: Robot, rng, tmp_path: Path) -> None:
@@ -258,9 +255,10 @@ def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
         with case(name):
             assert expected not in said(tmp_path, robot, *made(inside))
             assert expected in said(tmp_path, robot, *made(outside))
-    for size, is_none in ((0.9e50, False), (1.1e50, True)):
-        noted = said(tmp_path, wrist, time, turning(0.1), np.outer(one, [0, 0, 0, size]))
-        assert ("is not a number" in noted) == is_none
+    for size, is_refused in ((0.9e50, False), (1.1e50, True)):
+        u = np.outer(one, [0, 0, 0, size])
+        noted = said(tmp_path, wrist, time, turning(0.1), u, velocities="recorded")
+        assert ("is not a number" in noted) == is_refused
 
 
 def test_places_without_a_number_are_listed(planar3: Robot, tmp_path: Path) -> None:
@@ -356,7 +354,7 @@ def test_failed_reads_are_left_out(planar3: Robot, rng: np.random.Generator) -> 
             told = load_demonstrations(table(q, failed, -1.5), planar3)
             assert (
                 told.n_samples == 1000 - n
-                and f"{n} failed reads left out (first: line {failed[0] + 2}; " in told.notes[0]
+                and f"{n} failed reads left out (first: sample {failed[0]}; " in told.notes[0]
             )
     rested = np.concatenate([q[:300], np.repeat(q[300:301], 200, axis=0), q[301:801]])
     kept = load_demonstrations(table(rested, np.empty(0, dtype=int), 0.0), planar3)
