@@ -354,7 +354,7 @@ def test_a_recorded_tool_tells_an_order_of_joints(tmp_path: Path) -> None:
     said = " ".join(ml.load_demonstrations(path, ROBOT, joint_names=N).notes)
     assert f"joint_names={right}" in said and " mm rms " in said
     demos = ml.load_demonstrations(path, ROBOT, joint_names=right)
-    assert "tool" not in " ".join(demos.notes)
+    assert "mm rms" not in " ".join(demos.notes)
     np.testing.assert_allclose(demos[0].q, WIDE, atol=1e-12)
 
 
