@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,15 +19,6 @@ from manip_learn.robot import Robot
 
 if TYPE_CHECKING:
     from manip_learn.planning.plan import Around
-
-
-def cluster_client(dask: str | None) -> AbstractContextManager[Any]:
-    """A client of the scheduler at an address, or of a cluster on this machine (`local`); None without one."""
-    if dask is None:
-        return nullcontext()
-    from manip_learn.learning.cluster import dask_client
-
-    return dask_client(dask)
 
 
 def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Robot:
