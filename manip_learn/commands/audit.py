@@ -31,7 +31,7 @@ def audit(options: AuditOptions, progress: Progress | None = None) -> Audited:
     """Measure and rank the episodes in some recordings; write them as CSV if a file is named."""
     robot = robot_of_constraint(options.robot, options.constraint, options.loading)
     constraint = Constraint.load(options.constraint, robot)
-    source = RecordingSource(options.recordings, robot, **options.reading.keywords())
+    source = RecordingSource(options.recordings, robot, progress=progress, **options.reading.keywords())
     with dask_client(options.dask) as client:
         report = audit_episodes(constraint, source, client=client, progress=progress)
     return Audited(report, None if options.csv is None else report.save_csv(options.csv))

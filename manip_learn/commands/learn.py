@@ -182,7 +182,7 @@ def load_to_learn(
             if options.dask is None:
                 demos = load_demonstrations(options.recordings, robot, progress=progress, **keywords)
                 return robot, demos, chosen, notes
-            source = RecordingSource(options.recordings, robot, **keywords)
+            source = RecordingSource(options.recordings, robot, progress=progress, **keywords)
             next(source.part(0))
             return robot, source, chosen, notes
         except RecordingError as error:
