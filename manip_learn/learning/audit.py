@@ -7,6 +7,7 @@ import dataclasses
 import io
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import NormalDist
 from typing import Any, Literal, NamedTuple, final
@@ -19,10 +20,10 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import RecordingError, counted
 from manip_learn.learning.checks import REST_SPEED
-from manip_learn.learning.cluster import each_part
+from manip_learn.learning.thinning import each_part
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.given import CheckedSource, Given, recordings_given
-from manip_learn.recordings.load import Progress, TrajectorySource
+from manip_learn.recordings.given import Given, parts_of, recordings_given
+from manip_learn.recordings.load import Progress, Reader
 from manip_learn.recordings.options import Velocities, refuse_unmatched
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.recordings.velocities import jerk, with_velocities
@@ -358,18 +359,13 @@ def audit_episodes(
     if not 0.0 < false_alarms < 1.0:
         raise RecordingError(f"false_alarms must be a chance between 0 and 1, got {false_alarms!r}", code="option")
     robot = getattr(constraint.features, "robot", None)
-    given = recordings_given(demonstrations, robot, constraint.nv, velocities)
+    parts = parts_of(recordings_given(demonstrations, robot, constraint.nv, velocities))
     rows: list[EpisodeAudit] = []
     notes: list[str] = []
-    if isinstance(given, Demonstrations):
-        notes += given.notes
-        given = CheckedSource(given, robot, constraint.nv)
-    for part, said in each_part(
-        measured, given, client, progress, "auditing", constraint=constraint, velocities=velocities
-    ):
+    for part, said in each_part(partial(measured, constraint, velocities), parts, client, progress, "auditing"):
         rows += [dataclasses.replace(row, number=len(rows) + i) for i, row in enumerate(part)]
         notes += said
-    notes = refuse_unmatched(notes, given.n_parts)
+    notes = refuse_unmatched(notes, len(parts))
     if not rows:
         raise RecordingError("there are no demonstrations: give at least one trajectory", code="empty")
     imposed = constraint.provenance.get("kind") == "self-imposed"
@@ -400,19 +396,15 @@ def audit_episodes(
     return AuditReport(tuple(judged), tuple(c.name for c in criteria), threshold, tuple(dict.fromkeys(notes)))
 
 
-def measured(
-    number: int, source: TrajectorySource, constraint: Constraint, velocities: Velocities
-) -> tuple[list[EpisodeAudit], list[str]]:
-    """The episodes of a part of a source, and notes of its reader: what a worker does.
+def measured(constraint: Constraint, velocities: Velocities, part: Reader) -> tuple[list[EpisodeAudit], list[str]]:
+    """The episodes of a part, and notes of its reader: what a worker does.
 
     Raises:
         RecordingError: Another robot's joints, or velocities that cannot be derived.
     """
     notes: list[str] = []
     with one_thread():
-        episodes = source.part(number, notes)
-        how = velocities
-        return [measure(constraint, episode, i, how) for i, episode in enumerate(episodes)], notes
+        return [measure(constraint, episode, i, velocities) for i, episode in enumerate(part(notes))], notes
 
 
 def robust_z(values: Float[np.ndarray, "n k"], least_spread: Float[np.ndarray, " k"]) -> Float[np.ndarray, "n k"]:

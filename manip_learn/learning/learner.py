@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
 import numpy as np
@@ -28,7 +29,6 @@ from manip_learn.errors import (
 from manip_learn.learning.answer import EstimatorName, LearnerSettings, find_answers
 from manip_learn.learning.arm_errors import ArmErrors
 from manip_learn.learning.checks import check_fastest, refuse_noise, refuse_still_hand
-from manip_learn.learning.choosing import MOST_SAMPLES, Choice, choose_from, few_of
 from manip_learn.learning.explanation.evidence import SWITCH_NATS, BeforeSmoothing
 from manip_learn.learning.explanation.findings import Findings, Part, find
 from manip_learn.learning.origin import made
@@ -36,9 +36,10 @@ from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
 from manip_learn.learning.skill import skill_of
+from manip_learn.learning.thinning import MOST_SAMPLES, EvenChoice, read_evenly
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.given import CheckedSource, Given, check_joints, recordings_given
-from manip_learn.recordings.load import Progress
+from manip_learn.recordings.given import Given, check_joints, parts_of, recordings_given
+from manip_learn.recordings.load import Progress, Reader
 from manip_learn.recordings.options import Velocities
 from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.recordings.velocities import with_velocities
@@ -178,7 +179,7 @@ class ConstraintLearner:
             if n_constraints is not None and not 1 <= n_constraints <= most:
                 raise NumberOfConstraintsError(n_constraints, most, repr(candidate))
         self._feature_maps = candidates
-        self._kept: Choice | None = None
+        self._kept: EvenChoice | None = None
 
     def fit(
         self, demonstrations: Given, *others: object, client: Any = None, progress: Progress | None = None
@@ -191,8 +192,7 @@ class ConstraintLearner:
         Args:
             demonstrations: `Demonstrations`; or a trajectory; or arrays `(time, q)` or `(time, q, u)`, one column per
                 joint in the robot's order [s, rad or m]; or a data frame of pandas; or a list of these; or an iterable
-                of motions, which is read once; or a `TrajectorySource`, e.g. `manip_learn.RecordingSource` for files
-                larger than memory.
+                of motions, which is read once; or a `manip_learn.RecordingSource`, for files larger than memory.
             others: Nothing: `fit(q, u)`, as other libraries have it, is answered with what to write.
             client: A `dask.distributed.Client` whose workers read the parts of a source and choose from them; the
                 answer does not depend on their number. What is in memory needs none.
@@ -214,7 +214,7 @@ class ConstraintLearner:
             )
         given = self._given(demonstrations)
         if not isinstance(given, Demonstrations):
-            given = choose_from(given, self._empty, client, progress).demonstrations()
+            given = read_evenly(self._choose, given, client, progress).demonstrations
         self._learn(given)
         if progress is not None:
             progress("learning", 1.0)
@@ -231,22 +231,19 @@ class ConstraintLearner:
         """
         self._forget()
         before = self._kept
-        kept = self._empty if before is None else before.copy()
-        given = self._given(demonstrations)
-        if isinstance(given, Demonstrations):
-            kept.add_all(given, given.notes)
-        else:
-            for part in range(given.n_parts):
-                kept.add_all(given.part(part, kept.notes))
+        kept = self._choose()
+        if before is not None:
+            kept.merge(before)
+        kept.merge(read_evenly(self._choose, parts_of(self._given(demonstrations))))
         try:
             self._kept = kept
-            self._learn(kept.demonstrations())
+            self._learn(kept.demonstrations)
         except RecordingError:
             self._kept = before
             raise
         return self
 
-    def _given(self, demonstrations: Given) -> Demonstrations | CheckedSource:
+    def _given(self, demonstrations: Given) -> Demonstrations | list[Reader]:
         """What was given, with the joints of the features."""
         for features in self._feature_maps:
             robot = getattr(features, "robot", None)
@@ -263,8 +260,8 @@ class ConstraintLearner:
             refuse_noise(recordings.demonstrations)
             check_fastest(demonstrations)
             refuse_still_hand(self._feature_maps[0], demonstrations)
-            demonstrations, every = few_of(demonstrations, self.most_samples)
-            recordings = recordings.every(every)
+            few = EvenChoice(None, "recorded", self.most_samples, *parts_of(demonstrations))
+            demonstrations, recordings = few.demonstrations, recordings.only([k.number for k in few.kept])
             source = BeforeSmoothing(demonstrations, recordings.demonstrations)
             everything = Part.of_all(demonstrations, self._feature_maps, source)
             arm = ArmErrors(math.radians(self.zeros), 1e-3 * self.links)
@@ -320,8 +317,8 @@ class ConstraintLearner:
         return {name: getattr(self, name) for name in names}
 
     @property
-    def _empty(self) -> Choice:
-        return Choice(self._robot, self.velocities, self.most_samples)
+    def _choose(self) -> partial[EvenChoice]:
+        return partial(EvenChoice, self._robot, self.velocities, self.most_samples)
 
     @property
     def _robot(self) -> Robot | None:

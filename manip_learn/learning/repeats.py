@@ -122,11 +122,10 @@ class IndependentRecordings:
         demonstrations = Demonstrations([dataclasses.replace(whole[i], name=said[i]) for i in kept], given.notes)
         return IndependentRecordings(demonstrations, tuple(chains[i] for i in kept), given, tuple(warnings))
 
-    def every(self, step: int) -> IndependentRecordings:
-        """The first of them, and every so many after it."""
-        if step == 1:
-            return self
-        return dataclasses.replace(self, demonstrations=self.demonstrations[::step], origins=self.origins[::step])
+    def only(self, numbers: Sequence[int]) -> IndependentRecordings:
+        """Some of them."""
+        demonstrations = Demonstrations([self.demonstrations[i] for i in numbers], self.demonstrations.notes)
+        return dataclasses.replace(self, demonstrations=demonstrations, origins=tuple(self.origins[i] for i in numbers))
 
     def places(self, stretch: Stretch) -> tuple[Stretch, ...]:
         """Where a stretch of `demonstrations` lies in the given recordings, on their own clocks."""
