@@ -58,11 +58,9 @@ def order_notes(
     names, other = orders[int(np.argmin(errors))], min(errors)
     if own < CLEAR * other:
         return []
-    text = "the recorded positions of the tool are {stated:.1f} mm rms from where the joints put it in the order that "
-    text += "was given, {other:.1f} mm in another{how}"
     words = (f"joint_names={names}", f"--joint-names {','.join(names)}")
     how = advice(": pass {}", *(rename_words(dict(zip(columns, names, strict=True))) if columns else words))
-    return [note("joint-order", text, stated=1e3 * own, other=1e3 * other, how=how)]
+    return [note("joint-order", stated=1e3 * own, other=1e3 * other, how=how)]
 
 
 def _error(poses: Float[np.ndarray, "n 4 4"], tool: Float[np.ndarray, "n 3"]) -> float:
