@@ -17,6 +17,7 @@ from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning.thinning import EvenChoice, read_evenly
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings import load as trajectory_source
+from manip_learn.recordings.velocities import with_velocities
 
 ONE = orthonormal_rows(np.array([[0.5, 1.0, -0.4]]))
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
@@ -50,7 +51,7 @@ class Yielded:
 def chosen(recordings, each: int, robot, most: int) -> EvenChoice:
     """The choice from recordings that are read so many at a time."""
     parts = [partial(lambda k, _notes: iter(recordings[k : k + each]), k) for k in range(0, len(recordings), each)]
-    return read_evenly(partial(EvenChoice, robot, "auto", most), parts)
+    return read_evenly(partial(EvenChoice, most, partial(with_velocities, robot=robot)), parts, None, None)
 
 
 # ---- all fit ---------------------------------------------------------------------------------------------------------

@@ -354,7 +354,7 @@ def audit_episodes(
 
     Raises:
         RecordingError: No demonstrations, another robot's joints, velocities that cannot be derived, or no chance.
-        MissingExtraError: A client without the extra `dask`.
+        ManipLearnError: Workers of the client die again and again, or their scheduler does.
     """
     if not 0.0 < false_alarms < 1.0:
         raise RecordingError(f"false_alarms must be a chance between 0 and 1, got {false_alarms!r}", code="option")
@@ -362,7 +362,7 @@ def audit_episodes(
     parts = parts_of(recordings_given(demonstrations, robot, constraint.nv, velocities))
     rows: list[EpisodeAudit] = []
     notes: list[str] = []
-    for part, said in each_part(partial(measured, constraint, velocities), parts, client, progress, "auditing"):
+    for part, said in each_part(partial(measured, constraint, velocities), parts, client, progress):
         rows += [dataclasses.replace(row, number=len(rows) + i) for i, row in enumerate(part)]
         notes += said
     notes = refuse_unmatched(notes, len(parts))

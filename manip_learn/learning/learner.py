@@ -201,7 +201,7 @@ class ConstraintLearner:
         Raises:
             NotIdentifiableError: The demonstrations do not determine a constraint; says why.
             RecordingError: They cannot be used (no velocities to be had, outliers, another robot's joints).
-            MissingExtraError: A client without the extra `dask`.
+            ManipLearnError: Workers of the client die again and again, or their scheduler does.
         """
         self._forget()
         self._kept = None
@@ -234,7 +234,7 @@ class ConstraintLearner:
         kept = self._choose()
         if before is not None:
             kept.merge(before)
-        kept.merge(read_evenly(self._choose, parts_of(self._given(demonstrations))))
+        kept.merge(read_evenly(self._choose, parts_of(self._given(demonstrations)), None, None))
         try:
             self._kept = kept
             self._learn(kept.demonstrations)
@@ -260,7 +260,7 @@ class ConstraintLearner:
             refuse_noise(recordings.demonstrations)
             check_fastest(demonstrations)
             refuse_still_hand(self._feature_maps[0], demonstrations)
-            few = EvenChoice(None, "recorded", self.most_samples, *parts_of(demonstrations))
+            few = self._choose(*parts_of(demonstrations))
             demonstrations, recordings = few.demonstrations, recordings.only([k.number for k in few.kept])
             source = BeforeSmoothing(demonstrations, recordings.demonstrations)
             everything = Part.of_all(demonstrations, self._feature_maps, source)
@@ -318,7 +318,8 @@ class ConstraintLearner:
 
     @property
     def _choose(self) -> partial[EvenChoice]:
-        return partial(EvenChoice, self._robot, self.velocities, self.most_samples)
+        derive = partial(with_velocities, robot=self._robot, velocities=self.velocities)
+        return partial(EvenChoice, self.most_samples, derive)
 
     @property
     def _robot(self) -> Robot | None:

@@ -8,11 +8,9 @@ Of 16,361 evenly chosen samples of fifty drawers half turn the answer by 0.0005 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, nullcontext
-from functools import partial
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple, final
 from zlib import crc32
 
@@ -21,10 +19,8 @@ import numpy as np
 from manip_learn.errors import ManipLearnError, MissingExtraError, counted
 from manip_learn.learning.explanation.row_motion import SCAN_RATE
 from manip_learn.recordings.load import Progress, Reader
-from manip_learn.recordings.options import Velocities, refuse_unmatched
+from manip_learn.recordings.options import refuse_unmatched
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
-from manip_learn.recordings.velocities import with_velocities
-from manip_learn.robot.robot import Robot
 
 MOST_SAMPLES = 16_384  # that are learnt from; Phi of these, with 6 rows and 7 joints, takes 5.5 MB
 FEWEST_RECORDINGS = 20  # that are kept of more, however long they are: evidence from fewer is thin
@@ -33,12 +29,12 @@ PATIENCE = "10s"  # for a scheduler that is elsewhere
 
 
 class Kept(NamedTuple):
-    """A recording of which every `step`-th sample is left, and at its coarsest every `coarsest`-th of n."""
+    """A recording of which every `step`-th sample is left; at its coarsest every `coarsest`-th, `least` samples."""
 
     motion: Trajectory
     number: int
-    n: int
     coarsest: int
+    least: int
     rank: int  # recordings of the lowest are kept: a hash of the postures, as good as drawn by lot
     step: int = 1
 
@@ -48,10 +44,9 @@ class EvenChoice:
     """An even choice of the samples of some files, which grows by `merge`; as they were recorded while all fit.
 
     Args:
-        robot: Derives velocities, before samples are left out; None if there is none.
-        velocities: How.
         most: Number of samples that are chosen at most.
-        part: Reads recordings; nothing without.
+        derive: Gives recordings velocities, before samples are left out.
+        part: Reads recordings; none without.
 
     Attributes:
         kept: Recordings, and how many samples are left of each.
@@ -62,21 +57,20 @@ class EvenChoice:
         RecordingError: Recordings that cannot be used, velocities that cannot be derived.
     """
 
-    def __init__(self, robot: Robot | None, velocities: Velocities, most: int, part: Reader | None = None):
-        self._with_velocities = partial(with_velocities, robot=robot, velocities=velocities)
-        self._most, self._held, self.kept = most, 0, list[Kept]()
+    def __init__(self, most: int, derive: Callable[[Demonstrations], Demonstrations], part: Reader | None = None):
+        self._most, self._derive, self._held = most, derive, 0
+        self.kept, self.notes, self.n_recordings = list[Kept](), list[str](), 0
         self._totals = np.zeros(len(STEPS), dtype=np.int64)  # samples that each step would leave of all recordings
-        self.n_recordings, self.notes = 0, list[str]()
         for t in () if part is None else part(self.notes):
-            n = len(t)
             # stamps are rounded; a recording keeps enough samples for phases, but no more than its share
-            fast, long = (n - 1) / max(t.duration, 1e-9) / SCAN_RATE * (1.0 + 1e-6), n * FEWEST_RECORDINGS / self._most
-            coarsest = 2 ** max(int(math.log2(max(fast, 1.0))), math.ceil(math.log2(max(long, 1.0))))
-            self._totals += -(-n // np.minimum(STEPS, coarsest))
-            self.kept.append(Kept(t, self.n_recordings, n, coarsest, crc32(t.q)))
+            rate, share = (len(t) - 1) / max(t.duration, 1e-9) * (1.0 + 1e-6), self._most / FEWEST_RECORDINGS
+            coarsest = int(STEPS[(rate / STEPS >= SCAN_RATE) | (2 * len(t) / STEPS > share)].max(initial=1))
+            left = -(-len(t) // np.minimum(STEPS, coarsest))
+            self.kept.append(Kept(t, self.n_recordings, coarsest, int(left[-1]), crc32(t.q.data)))
+            self._totals += left
+            self._held += len(t)
             self.n_recordings += 1
-            self._held += n
-            if self._held > 2 * self._most:
+            if self._held > 2 * most:
                 self._thin()
         self._thin()
 
@@ -93,15 +87,15 @@ class EvenChoice:
         steps, kept = STEPS[self._totals <= self._most], self.kept
         if not steps.size:
             order = np.argsort([k.rank for k in kept], kind="stable")
-            n = np.cumsum([-(-kept[i].n // kept[i].coarsest) for i in order])
-            kept = [kept[i] for i in np.sort(order[n <= self._most])]
-        self.kept = [self._coarser(k, min(k.coarsest, int(min(steps, default=STEPS[-1])))) for k in kept]
+            fit = np.cumsum([kept[i].least for i in order]) <= self._most
+            kept = [kept[i] for i in np.sort(order[fit])]
+        self.kept = [self._coarser(k, min(k.coarsest, int(steps.min(initial=STEPS[-1])))) for k in kept]
         self._held = sum(len(k.motion) for k in self.kept)
 
     def _coarser(self, kept: Kept, step: int) -> Kept:
         if step == kept.step:
             return kept
-        motion = kept.motion if kept.step > 1 else self._with_velocities(Demonstrations([kept.motion]))[0]
+        motion = kept.motion if kept.step > 1 else self._derive(Demonstrations([kept.motion]))[0]
         return kept._replace(motion=motion.part(slice(None, None, step // kept.step)), step=step)
 
     @property
@@ -118,37 +112,46 @@ class EvenChoice:
         return Demonstrations(chosen, notes)
 
 
-def read_evenly(
-    choose: Callable[..., EvenChoice], parts: list[Reader], client: Any = None, progress: Progress | None = None
-) -> EvenChoice:
+def read_evenly(choose: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None) -> EvenChoice:
     """Return the choice from parts that are read once; the same for any number of workers, and for none.
 
     Raises:
         RecordingError: Recordings that cannot be used; or a setting that no part has a use for.
+        ManipLearnError: Workers die again and again, or their scheduler does.
     """
-    whole = choose()
-    for choice in each_part(choose, parts, client, progress, "reading"):
+    whole: EvenChoice = choose()
+    for choice in each_part(choose, parts, client, progress):
         whole.merge(choice)
     whole.notes = refuse_unmatched(whole.notes, len(parts))
     return whole
 
 
-def each_part(
-    work: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None, title: str
-) -> Iterator[Any]:
-    """Yield work(part) of each part, in their order; the workers of a client do it where there are several."""
+def each_part(work: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None) -> Iterator[Any]:
+    """Yield work(part) of each part, in their order; the workers of a client do it where there are several.
+
+    Raises:
+        ManipLearnError: Workers die again and again, or their scheduler does.
+    """
     results: Iterator[Any] = map(work, parts)
     if client is not None and len(parts) > 1:
         futures = client.map(work, parts, pure=False)
-        results = (futures.pop(0).result() for _ in parts)  # what was fetched is held by no worker
+        results = (_fetched(futures.pop(0)) for _ in parts)  # what was fetched is held by no worker
     for done, result in enumerate(results, 1):
         yield result
         if progress is not None:
-            progress(title, done / len(parts))
+            progress("reading", done / len(parts))
 
 
-@contextmanager
-def dask_client(address: str | None, n_workers: int | None = None) -> Iterator[Any]:
+def _fetched(future: Any) -> Any:
+    from dask.distributed import KilledWorker
+
+    try:
+        return future.result()
+    except (KilledWorker, CancelledError) as error:
+        raise ManipLearnError(f"dask's workers died ({error}): is there enough memory for each?") from error
+
+
+def dask_client(address: str | None, n_workers: int | None = None) -> AbstractContextManager[Any]:
     """Connect to a scheduler, or start a cluster on this machine that nobody else can reach.
 
     Args:
@@ -156,27 +159,19 @@ def dask_client(address: str | None, n_workers: int | None = None) -> Iterator[A
         n_workers: Of a local cluster; one per processor by default, each a process with one thread.
 
     Raises:
-        ManipLearnError: Nobody answers at the address, or workers or scheduler die.
+        ManipLearnError: Nobody answers at the address.
         MissingExtraError: dask is not installed.
     """
     if address is None:
-        yield None
-        return
+        return nullcontext()
     try:
-        from dask.distributed import Client, KilledWorker, LocalCluster
+        from dask.distributed import Client
     except ImportError as error:
         raise MissingExtraError("learning on a dask cluster", "dask") from error
-    here = {"dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}  # by default all networks see the dashboard
-    with LocalCluster(n_workers, **here) if address == "local" else nullcontext(address) as where:
-        try:
-            client = Client(where, timeout=PATIENCE)
-        except (OSError, ValueError, TypeError, AssertionError, ImportError, RuntimeError) as error:
-            text = (
-                f"there is no dask scheduler at {address!r} ({error}): start one with `dask scheduler`, or use 'local'"
-            )
-            raise ManipLearnError(text) from error
-        try:
-            with client:
-                yield client
-        except (KilledWorker, CancelledError) as error:
-            raise ManipLearnError(f"dask's workers died ({error}): is there enough memory for each?") from error
+    # by default all networks see the dashboard
+    here: dict[str, Any] = {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+    try:
+        return Client(timeout=PATIENCE, **(here if address == "local" else dict[str, Any](address=address)))
+    except (OSError, ValueError, TypeError, AssertionError, ImportError, RuntimeError) as error:
+        text = f"there is no dask scheduler at {address!r} ({error}): start one with `dask scheduler`, or use 'local'"
+        raise ManipLearnError(text) from error
