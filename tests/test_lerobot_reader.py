@@ -12,11 +12,12 @@ from case import case
 from recording_corpus import refusal
 
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.readers.lerobot import entry_names
 from manip_learn.robot import Robot, load_robot
 
 pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
 import pyarrow.parquet as pq  # noqa: E402
+
+from manip_learn.recordings.readers.lerobot import entry_names  # noqa: E402
 
 JOINTS = ["joint1", "joint2", "joint3"]
 FPS = 50
