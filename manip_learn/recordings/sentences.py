@@ -7,6 +7,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from manip_learn.errors import RecordingError
+
 
 @functools.cache
 def _templates() -> dict[str, str | dict[str, str]]:
@@ -22,6 +24,11 @@ def template(key: str) -> str:
     code, _, variant = key.partition(".")
     found = _templates()[code]
     return found if isinstance(found, str) else found[variant]
+
+
+def refused(key: str, **figures: Any) -> RecordingError:
+    """Return the error that refuses what was given in memory."""
+    return RecordingError(sentence(key, **figures), code=key.partition(".")[0])
 
 
 def sentence(key: str, **figures: Any) -> str:
