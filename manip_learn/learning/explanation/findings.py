@@ -381,9 +381,30 @@ class _Recombination:
         at_once = [joints_at_once(np.asarray(p.u), float(np.mean(noise))) for p in pieces]
         shown = pieces if pieces and np.median(at_once) >= JOINTS_AT_ONCE else []
         choices = self.tried * ways_to_choose(view.thin, stretches)
-        evidence = recombination_test(view.features, shown, np.random.default_rng(self.seed), choices, self.strength)
-        sure = recordings >= FEWEST_TRAJECTORIES or evidence.clear
-        return bool(shown) and evidence.n_rows >= h.n_rows and sure
+        for some in [shown] if h.scale.share <= FIRM_SHARE else [shown, self._alike(stretches, shown)]:
+            rng = np.random.default_rng(self.seed)
+            evidence = recombination_test(view.features, some, rng, choices, self.strength)
+            sure = recordings >= FEWEST_TRAJECTORIES or evidence.clear
+            if not some or evidence.n_rows < h.n_rows or not sure:
+                return False
+        return True
+
+    def _alike(self, stretches: Sequence[Stretch], pieces: Sequence[Trajectory]) -> list[Trajectory]:
+        """The parts of the recordings that begin and end where the longest piece does, in their joints.
+
+        Rows that give way are chosen with the parts of a motion in which they do so least. Joints that are exchanged
+        between parts of one path that begin at different postures no longer meet, be anything held or not.
+        """
+        if not pieces:
+            return []
+        ends, out = max(pieces, key=len).q[[0, -1]], []
+        for s in stretches:
+            whole = self.table.recordings[s.trajectory]
+            middle = int(np.searchsorted(whole.time, 0.5 * (s.start + s.end)))
+            first = int(np.argmin(np.linalg.norm(whole.q[: middle + 1] - ends[0], axis=1)))
+            last = middle + int(np.argmin(np.linalg.norm(whole.q[middle:] - ends[1], axis=1)))
+            out.append(whole.part(slice(first, last + 1)))
+        return out
 
 
 def is_firm(table: Table, view: View, h: Hypothesis, stretches: Sequence[Stretch]) -> bool:
