@@ -360,6 +360,13 @@ def test_failed_reads_are_left_out(planar3: Robot, rng: np.random.Generator) -> 
     kept = load_demonstrations(table(rested, np.empty(0, dtype=int), 0.0), planar3)
     assert kept.n_samples == 1000 and kept.notes == ()
 
+    for irregular in (0, 3):  # written ten times as fast as the arm told, with large steps that are no failed reads
+        lengths = 10 + rng.integers(-irregular, irregular + 1, 100)
+        slow = motion(rng, 100, 3, 0.1, 3.0)
+        told = load_demonstrations(table(np.repeat(slow, lengths, axis=0), np.empty(0, dtype=int), 0.0), planar3)
+        assert len(told) == 1 and {*map(tuple, told[0].q)} == {*map(tuple, slow)} and len(told[0].q) < 120
+        assert "only repeat the posture before" in told.notes[0]
+
 
 def table(q: np.ndarray, at: np.ndarray, posture: float | np.ndarray) -> pd.DataFrame:
     """Positions of three joints, of which some samples show a posture."""
