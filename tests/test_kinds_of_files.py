@@ -213,7 +213,7 @@ KINDS: dict[str, Kind] = {
     ),
     "an archive with a pose as wide": ("a.npz", npz(timestamp=T, joint_angles=Q, ee_pose=OTHER, names=N), "", {}),
     "an archive, actual and desired": ("a.npz", npz(t=T, actual_positions=Q, desired_positions=OTHER), "", GIVEN),
-    "an archive of three dimensions": ("a.npz", npz(t=T, q=Q[None]), "q must have shape (T, n)", GIVEN),
+    "an archive of three dimensions": ("a.npz", npz(t=T, q=Q[None]), "", GIVEN),
     "an archive of objects": ("a.npz", npz(t=T, q=Q.astype(object)), "object", GIVEN),
     "MATLAB": ("a.mat", lambda p: scipy.io.savemat(p, {"t": T, "q": Q}), "", GIVEN),
     "MATLAB, a struct, one column a sample": (
