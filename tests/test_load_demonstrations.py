@@ -79,7 +79,12 @@ def test_options_are_checked(planar3: Robot, folder: Path) -> None:
 
 
 def test_trajectories_come_one_by_one(planar3: Robot, folder: Path) -> None:
-    """The generator has given the first before it opens the second; notes are handed out at the end."""
+    """The generator has given the first before it opens the second; notes are handed out at the end, progress is told
+    after each file.
+    """
+    told: list[float] = []
+    load_demonstrations(folder, planar3, progress=lambda _step, share: told.append(share))
+    assert told == [1 / 3, 2 / 3, 1.0] and len(list(RecordingSource(folder, planar3))) == 3
     (folder / "demo_2.csv").write_text(csv(TABLE[:1]))
     stream = iter(RecordingSource([folder / "demo_1.csv", folder / "demo_2.csv"], planar3).part(0))
     assert next(stream).name == "demo_1.csv"
