@@ -29,7 +29,7 @@ from manip_learn.errors import (
 from manip_learn.learning.answer import EstimatorName, LearnerSettings, find_answers
 from manip_learn.learning.arm_errors import ArmErrors
 from manip_learn.learning.checks import check_fastest, refuse_noise, refuse_still_hand
-from manip_learn.learning.explanation.evidence import SWITCH_NATS, BeforeSmoothing
+from manip_learn.learning.explanation.evidence import SWITCH_NATS
 from manip_learn.learning.explanation.findings import Findings, Part, find
 from manip_learn.learning.origin import made
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
@@ -65,9 +65,8 @@ class ConstraintLearner:
             posture); `"separate"` for the paper's own route; `"auto"` selects the first or the second from the data.
         policy_model: Joint estimator: `"auto"` (a general prior), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`,
             `"rbf"`, or `"affine-offset"` (affine, with a separate rest posture for each trajectory).
-        velocities: Which recorded ones are used: `"auto"`, those that integrate to the positions at least as closely
-            as derived ones; `"derive"`, none; `"recorded"`, all. What `load_demonstrations` has judged is not judged
-            again. `"midpoint"` and `"smooth"`: as `"auto"`, missing ones derived so (see `derive_velocities`).
+        velocities: `"auto"` and `"derive"`: derived from the positions, whatever was recorded; `"recorded"`: recorded
+            ones as they are.
         phases: `"auto"` looks for the stretches in which a constraint holds where no single one fits the recordings;
             `"off"` takes every recording as a whole.
         mechanism: `"auto"` looks for a mechanism (line, plane, hinge, ball, screw, held orientation) where Phi is a
@@ -262,8 +261,7 @@ class ConstraintLearner:
             refuse_still_hand(self._feature_maps[0], demonstrations)
             few = self._choose(*parts_of(demonstrations))
             demonstrations, recordings = few.demonstrations, recordings.only([k.number for k in few.kept])
-            source = BeforeSmoothing(demonstrations, recordings.demonstrations)
-            everything = Part.of_all(demonstrations, self._feature_maps, source)
+            everything = Part.of_all(demonstrations, self._feature_maps)
             arm = ArmErrors(math.radians(self.zeros), 1e-3 * self.links)
             settings = LearnerSettings(
                 self.n_constraints,

@@ -21,7 +21,6 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.learning.explanation.evidence import (
     FAR_FROM_HELD,
     SWITCH_NATS,
-    BeforeSmoothing,
     Stretch,
     covered,
     pieces_of,
@@ -219,7 +218,7 @@ class Part:
         asked: The feature maps that were asked for.
         firm: How many rows are held so firmly, and at one place, that this is evidence (see `RowEvidence`).
         choices: Among how many they were chosen: feature maps, numbers of rows, and `ways_to_choose` as much motion.
-        source: All recordings before they were smoothed; None if they were not.
+        source: All recordings, whole.
     """
 
     demonstrations: Demonstrations
@@ -230,7 +229,7 @@ class Part:
     asked: tuple[FeatureMap, ...] = ()
     firm: int = 0
     choices: float = 1.0
-    source: BeforeSmoothing | None = None
+    source: Demonstrations | None = None
 
     def of(self, stretches: Sequence[Stretch]) -> Part:
         """Other stretches of the recordings, in which as many rows are held, but others perhaps."""
@@ -239,9 +238,7 @@ class Part:
         return dataclasses.replace(self, demonstrations=motion, table=pieces, stretches=tuple(held))
 
     @staticmethod
-    def of_all(
-        demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap], source: BeforeSmoothing | None = None
-    ) -> Part:
+    def of_all(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> Part:
         """Everything in one part.
 
         Raises:
@@ -249,7 +246,7 @@ class Part:
         """
         stretches = tuple(Stretch(i, float(t.time[0]), float(t.time[-1])) for i, t in enumerate(demonstrations))
         maps = tuple(feature_maps)
-        return Part(demonstrations, Table.of(demonstrations), stretches, maps, asked=maps, source=source)
+        return Part(demonstrations, Table.of(demonstrations), stretches, maps, asked=maps, source=demonstrations)
 
 
 @final
