@@ -57,8 +57,6 @@ def test_cuts_keep_them():
     for cut in (few, derive_velocities(trajectory(), ROBOT)):
         places = np.searchsorted(TIME, cut.time - 1e-6)
         np.testing.assert_array_equal(cut.effort, EFFORT[places])
-    halfway = derive_velocities(trajectory(), ROBOT, "midpoint")
-    np.testing.assert_allclose(halfway.effort, 0.5 * (EFFORT[1:] + EFFORT[:-1]))
 
 
 def test_own_formats_keep_them_exactly():
