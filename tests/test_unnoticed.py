@@ -109,9 +109,11 @@ def test_a_factor_on_velocities_or_time_turns_nothing(arm, tmp_path):
 
         return ml.load_demonstrations(rewritten(tmp_path, change), arm)
 
-    rows = learnt(arm, changed(1.0, 1.0)).constraint_.selection
-    for velocities, time in ((1.9, 1.0), (1.0, 10.0), (-1.0, 1.0)):
-        assert row_space_angle(learnt(arm, changed(velocities, time)).constraint_.selection, rows) < 1e-6
+    found = learnt(arm, changed(1.0, 1.0))
+    stated = np.radians(found.report_.uncertainty_deg)
+    for velocities, time, most in ((1.9, 1.0, 1e-9), (-1.0, 1.0, 1e-9), (1.0, 10.0, stated / 3.0)):
+        again = learnt(arm, changed(velocities, time)).constraint_.selection
+        assert row_space_angle(again, found.constraint_.selection) < most  # contacts are looked for in seconds
     assert any("check the unit of time" in str(note) for note in changed(10.0, 0.1).notes)
 
 

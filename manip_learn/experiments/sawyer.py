@@ -147,7 +147,7 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
     test = np.concatenate([t.q for t in held_out])
     mu_test = manipulability_batch(true, test).mu
     try:
-        learner = ConstraintLearner(features, seed=int(rng.integers(2**31))).fit(demos)
+        learner = ConstraintLearner(features, velocities="recorded", seed=int(rng.integers(2**31))).fit(demos)
     except NotIdentifiableError as error:
         return {"refused": error.code, "rows_true": len(Lambda)}
     learnt, report = learner.constraint_, learner.report_

@@ -134,7 +134,7 @@ def _true_null_part(features: FeatureMap, demos: Demonstrations, true: Matrix, r
 
 
 def _auto(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
-    learner = ConstraintLearner(features, seed=int(rng.integers(2**31))).fit(demos)
+    learner = ConstraintLearner(features, velocities="recorded", seed=int(rng.integers(2**31))).fit(demos)
     return learner.constraint_.selection, {"warned": bool(learner.report_.warnings)}
 
 
