@@ -55,12 +55,6 @@ def bracketed() -> str:
     return table(header, TIME, *Q.T, *U.T, 1.0)
 
 
-def messages(time: str, name: str) -> str:
-    """Messages of a bag in a table, where the joints are named in columns of text."""
-    header = [time, *(name.format(kind, i) for kind in ("name", "position", "velocity") for i in range(3))]
-    return table(header, EPOCH + TIME, *JOINTS, *Q.T, *U.T)
-
-
 def pandas_dump() -> str:
     """`DataFrame.to_csv`: row numbers without a name, and columns that belong to no joint."""
     return table(["", "timestamp", *JOINTS, "gripper_width", "label"], list(range(len(TIME))), TIME, *Q.T, 0.08, "pick")
@@ -127,16 +121,6 @@ def test_numbers_must_be_those_of_the_joints(planar3: Robot, tmp_path: Path) -> 
     assert "no column 'pos.joint1'" in str(refused(path, planar3, position_joint(), columns="pos.{joint}"))
     for bad in ("q", "{joint}{index}", ["a{joint}", "b{joint}", "c{joint}"]):
         assert refused(path, planar3, four, columns=bad).code == "option"
-
-
-def test_tables_of_messages_are_read(planar3: Robot, tmp_path: Path) -> None:
-    """What `rostopic echo -p` and bagpy write of a bag: one message a row, with the names of the joints in it."""
-    for written in (messages("%time", "field.{}{}"), messages("Time", "{}_{}")):
-        (tmp_path / "demo.csv").write_text(written)
-        t = load_demonstrations(tmp_path / "demo.csv", planar3)[0]
-        np.testing.assert_allclose(t.q, Q, atol=1e-12)
-        assert t.u is not None
-        np.testing.assert_allclose(t.u, U, atol=1e-12)
 
 
 # beside the columns of positions: how others are called -> velocities are read, efforts are read, what a note says

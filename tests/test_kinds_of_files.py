@@ -28,7 +28,12 @@ GIVEN = {"joint_names": N}
 ROWS = [dict(zip(N, q, strict=True)) for q in Q.tolist()]
 
 Write = Callable[[Path], Any]  # writes a file, or returns what is given instead of one
-Kind = tuple[str, Write, str, dict[str, Any]]  # file, how it is written, words of the refusal ("" if read), options
+Kind = tuple[Write, str, dict[str, Any]]  # how it is written, words of the refusal ("" if it is read), options
+
+
+def kind(write: Write, refusal: str = "", **options: Any) -> Kind:
+    """Return a row of the table."""
+    return write, refusal, options
 
 
 def rows(columns: list[Any], mark: str = ",", point: str = ".") -> str:
@@ -53,6 +58,11 @@ def text(content: str) -> Write:
     return lambda path: path.write_text(content)
 
 
+def dumped(content: Any) -> Write:
+    """Return how to write JSON."""
+    return text(json.dumps(content))
+
+
 def hdf5(**arrays: Any) -> Write:
     """Return how to write arrays, `__` between groups."""
 
@@ -64,9 +74,19 @@ def hdf5(**arrays: Any) -> Write:
     return write
 
 
-def npz(**arrays: Any) -> Write:
+def npz(save: Callable[..., Any] = np.savez, **arrays: Any) -> Write:
     """Return how to write an archive."""
-    return lambda path: np.savez(path, **arrays)
+
+    def write(path: Path) -> None:
+        with path.open("wb") as file:
+            save(file, **arrays)
+
+    return write
+
+
+def mat(**arrays: Any) -> Write:
+    """Return how to write a MATLAB file."""
+    return npz(lambda file, **arrays: scipy.io.savemat(file, arrays), **arrays)
 
 
 def state(k: int, named: bool = True, words: tuple[str, str] = ("sec", "nanosec")) -> dict[str, Any]:
@@ -127,201 +147,125 @@ ACTUATORS = [
 SAMPLES = [{"time": t, "q": q} for t, q in zip(T.tolist(), Q.tolist(), strict=True)]
 
 KINDS: dict[str, Kind] = {
-    **{f"stamps {s}": ("a.csv", table([*s.split(","), *N], SEC, NS, Q), "", {}) for s in SECONDS.split()},
-    "stamps in nanoseconds since 1970": ("a.csv", table(["timestamp", *N], np.round(STAMPS * 1e9), Q), "", {}),
-    "seconds and microseconds": ("a.csv", table(["tv_sec", "tv_usec", *N], SEC, np.round(PART * 1e6), Q), "", {}),
-    "an index, then stamps": ("a.csv", table(["Unnamed: 0", "sec", "nanosec", *N], T, SEC, NS, Q), "", {}),
-    "stamps of who received it": ("a.csv", table(["receive_time", "time", *N], T + 0.003, T, Q), "", {}),
-    "stamps of the bag": (
-        "a.csv",
-        table(["rosbagTimestamp", "header.stamp.secs", "header.stamp.nsecs", *N], np.round(STAMPS * 1e9), SEC, NS, Q),
-        "",
-        {},
+    **{f"stamps {s}": kind(table([*s.split(","), *N], SEC, NS, Q)) for s in SECONDS.split()},
+    "stamps in nanoseconds since 1970": kind(table(["timestamp", *N], np.round(STAMPS * 1e9), Q)),
+    "seconds and microseconds": kind(table(["tv_sec", "tv_usec", *N], SEC, np.round(PART * 1e6), Q)),
+    "an index, then stamps": kind(table(["Unnamed: 0", "sec", "nanosec", *N], T, SEC, NS, Q)),
+    "stamps of who received it": kind(table(["receive_time", "time", *N], T + 0.003, T, Q)),
+    "stamps of the bag": kind(
+        table(["rosbagTimestamp", "header.stamp.secs", "header.stamp.nsecs", *N], np.round(STAMPS * 1e9), SEC, NS, Q)
     ),
-    "times that contradict each other": (
-        "a.csv",
+    "times that contradict each other": kind(
         table(["time", "stamp", *N], T, 2 * T, Q),
         "count 2.98 and 5.96: leave the wrong one out, ignore_columns=['stamp']",
-        {},
     ),
-    "... as advised": ("a.csv", table(["time", "stamp", *N], T, 2 * T, Q), "", {"ignore_columns": ["stamp"]}),
-    "dates": ("a.csv", table(["time", *N], dates(str), Q), "", {}),
-    "dates in UTC": ("a.csv", table(["timestamp", *N], dates(lambda d: d.isoformat() + "Z"), Q), "", {}),
-    "frames, counted": ("a.csv", table(["frame_index", *N], np.arange(150.0), Q), "", {"rate": 50}),
-    "frames without a rate": ("a.csv", table(["frame_index", *N], np.arange(150.0), Q), "rate=", {}),
-    "stamps (T, 2) in an archive": ("a.npz", npz(stamps=np.column_stack([SEC, NS]), q=Q, joint_names=N), "", {}),
-    "stamps (T, 2) in HDF5": (
-        "a.h5",
-        hdf5(joint_positions=Q, timestamps=np.column_stack([SEC, NS])),
-        "",
-        GIVEN,
-    ),
-    "two arrays of times": ("a.npz", npz(t=T, stamp=2 * T, q=Q), "could be the time: say which: rename={'t'", GIVEN),
-    "a line of units": ("a.csv", table(["time", *N], ["s", *T], *(["rad", *q] for q in Q.T)), "", {}),
-    "units in names": ("a.csv", table(["time [s]", *(n + " [rad]" for n in N)], T, Q), "", {}),
-    "a preamble of text": ("a.csv", table(["time", *N], T, Q, before="Log v1\nDate: today\n\n"), "", {}),
-    "a preamble of comments": ("a.csv", table(["time", *N], T, Q, before="# log\n# 50 Hz\n"), "", {}),
-    "semicolons and commas": ("a.csv", table(["time", *N], T, Q, mark=";", point=","), "", {}),
-    "tabs": ("a.tsv", table(["time", *N], T, Q, mark="\t"), "", {}),
-    "quotes and a byte order mark": ("a.csv", table([f'"{n}"' for n in ("time", *N)], T, Q, before="\ufeff"), "", {}),
+    "... as advised": kind(table(["time", "stamp", *N], T, 2 * T, Q), ignore_columns=["stamp"]),
+    "dates": kind(table(["time", *N], dates(str), Q)),
+    "dates in UTC": kind(table(["timestamp", *N], dates(lambda d: d.isoformat() + "Z"), Q)),
+    "frames, counted": kind(table(["frame_index", *N], np.arange(150.0), Q), rate=50),
+    "frames without a rate": kind(table(["frame_index", *N], np.arange(150.0), Q), "rate="),
+    "stamps (T, 2) in an archive": kind(npz(stamps=np.column_stack([SEC, NS]), q=Q, joint_names=N)),
+    "stamps (T, 2) in HDF5": kind(hdf5(joint_positions=Q, timestamps=np.column_stack([SEC, NS])), **GIVEN),
+    "two arrays of times": kind(npz(t=T, stamp=2 * T, q=Q), "could be the time: say which: rename={'t'", **GIVEN),
+    "a line of units": kind(table(["time", *N], ["s", *T], *(["rad", *q] for q in Q.T))),
+    "units in names": kind(table(["time [s]", *(n + " [rad]" for n in N)], T, Q)),
+    "a preamble of text": kind(table(["time", *N], T, Q, before="Log v1\nDate: today\n\n")),
+    "a preamble of comments": kind(table(["time", *N], T, Q, before="# log\n# 50 Hz\n")),
+    "semicolons and commas": kind(table(["time", *N], T, Q, mark=";", point=",")),
+    "tabs": kind(table(["time", *N], T, Q, mark="\t")),
+    "quotes and a byte order mark": kind(table([f'"{n}"' for n in ("time", *N)], T, Q, before="\ufeff")),
     **{
-        f"HDF5 with a group {group}": (
-            "a.h5",
-            hdf5(**{"obs__arm__joint_positions": Q, f"{group}__joint_position": OTHER, "obs__time": T}),
-            "",
-            GIVEN,
+        f"HDF5 with a group {group}": kind(
+            hdf5(**{"obs__arm__joint_positions": Q, f"{group}__joint_position": OTHER, "obs__time": T}), **GIVEN
         )
         for group in COMMANDS
     },
     **{
-        f"HDF5 with {name} of width {n}": ("a.h5", hdf5(s__joint_pos=Q, s__t=T, **{f"p__{name}": Q[:, :n]}), "", GIVEN)
+        f"HDF5 with {name} of width {n}": kind(hdf5(s__joint_pos=Q, s__t=T, **{f"p__{name}": Q[:, :n]}), **GIVEN)
         for name, n in POSES.items()
     },
-    "HDF5, two arms": ("a.h5", hdf5(left__joint_pos=Q, right__joint_pos=OTHER, time=T), "several arms", GIVEN),
-    "HDF5, two states": (
-        "a.h5",
+    "HDF5, two arms": kind(hdf5(left__joint_pos=Q, right__joint_pos=OTHER, time=T), "several arms", **GIVEN),
+    "HDF5, two states": kind(
         hdf5(obs__arm__joint_pos=Q, obs__robot__joint_pos=OTHER, time=T),
         "of one recording: say which: rename={'obs/arm/joint_pos': 'q'}",
-        GIVEN,
+        **GIVEN,
     ),
-    "... two states, as advised": (
-        "a.h5",
-        hdf5(obs__arm__joint_pos=Q, obs__robot__joint_pos=OTHER, time=T),
-        "",
-        {**GIVEN, "rename": {"obs/arm/joint_pos": "q"}},
+    "... two states, as advised": kind(
+        hdf5(obs__arm__joint_pos=Q, obs__robot__joint_pos=OTHER, time=T), **GIVEN, rename={"obs/arm/joint_pos": "q"}
     ),
-    "HDF5, commands alone": ("a.h5", hdf5(action__joint_pos=Q, time=T), "only as commands", GIVEN),
-    "HDF5, leader and follower": (
-        "a.h5",
-        hdf5(leader__joint_pos=OTHER, follower__joint_pos=Q, time=T),
-        "",
-        GIVEN,
-    ),
-    "HDF5, names in the file": ("a.h5", hdf5(q=Q, t=T, joint_names=np.array(N, dtype="S")), "", {}),
-    "HDF5, an array for each joint": ("a.h5", hdf5(time=T, **dict(zip(N, Q.T, strict=True))), "", {}),
-    "HDF5, qpos and action": ("a.h5", hdf5(observations__qpos=Q, action=OTHER), "", {**GIVEN, "rate": 50}),
-    "HDF5, without times": ("a.h5", hdf5(observations__qpos=Q, action=OTHER), "rate=", GIVEN),
-    "HDF5, states copied among commands": (
-        "a.h5",
+    "HDF5, commands alone": kind(hdf5(action__joint_pos=Q, time=T), "only as commands", **GIVEN),
+    "HDF5, leader and follower": kind(hdf5(leader__joint_pos=OTHER, follower__joint_pos=Q, time=T), **GIVEN),
+    "HDF5, names in the file": kind(hdf5(q=Q, t=T, joint_names=np.array(N, dtype="S"))),
+    "HDF5, an array for each joint": kind(hdf5(time=T, **dict(zip(N, Q.T, strict=True)))),
+    "HDF5, qpos and action": kind(hdf5(observations__qpos=Q, action=OTHER), **GIVEN, rate=50),
+    "HDF5, without times": kind(hdf5(observations__qpos=Q, action=OTHER), "rate=", **GIVEN),
+    "HDF5, states copied among commands": kind(
         hdf5(
             observation__robot_state__joint_positions=Q,
             action__joint_position=OTHER,
             action__robot_state__joint_positions=Q,
         ),
-        "",
-        {**GIVEN, "rate": 50},
+        **GIVEN,
+        rate=50,
     ),
-    "an archive with a pose as wide": ("a.npz", npz(timestamp=T, joint_angles=Q, ee_pose=OTHER, names=N), "", {}),
-    "an archive, actual and desired": ("a.npz", npz(t=T, actual_positions=Q, desired_positions=OTHER), "", GIVEN),
-    "an archive of three dimensions": ("a.npz", npz(t=T, q=Q[None]), "", GIVEN),
-    "an archive of objects": ("a.npz", npz(t=T, q=Q.astype(object)), "object", GIVEN),
-    "MATLAB": ("a.mat", lambda p: scipy.io.savemat(p, {"t": T, "q": Q}), "", GIVEN),
-    "MATLAB, a struct, one column a sample": (
-        "a.mat",
-        lambda p: scipy.io.savemat(p, {"data": {"time": T, "joint_positions": Q.T, "tau": 0 * Q.T}}),
-        "",
-        GIVEN,
+    "an archive with a pose as wide": kind(npz(timestamp=T, joint_angles=Q, ee_pose=OTHER, names=N)),
+    "an archive, actual and desired": kind(npz(t=T, actual_positions=Q, desired_positions=OTHER), **GIVEN),
+    "an archive of three dimensions": kind(npz(t=T, q=Q[None]), **GIVEN),
+    "an archive of objects": kind(npz(t=T, q=Q.astype(object)), "object", **GIVEN),
+    "MATLAB": kind(mat(t=T, q=Q), **GIVEN),
+    "MATLAB, a struct, one column a sample": kind(
+        mat(data={"time": T, "joint_positions": Q.T, "tau": 0 * Q.T}), **GIVEN
     ),
-    "ros2 topic echo": ("a.yaml", echo(False), "", {}),
-    "ros2 topic echo, a text file": ("a.txt", echo(), "", {}),
-    "ros2 topic echo --flow-style": ("a.yaml", echo(), "", {}),
-    "rostopic echo": ("a.yaml", echo(words=("secs", "nsecs")), "", {}),
-    "topic echo without names": ("a.yaml", echo(named=False), "joint_names=", {}),
-    "topic echo without names, given": ("a.yaml", echo(named=False), "", GIVEN),
-    "ros2 topic echo --csv": (
-        "a.csv",
-        table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *named_in_rows(), Q),
-        "",
-        {},
-    ),
-    "... with velocities": (
-        "a.csv",
-        table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *named_in_rows(), Q, 0 * Q),
-        "",
-        {},
-    ),
-    "... without names": ("a.csv", table([], SEC.astype(int), NS.astype(int), ["base"] * 150, Q), "", GIVEN),
-    "rostopic echo -p": (
-        "a.csv",
-        table(ECHO_P, np.round(STAMPS * 1e9), np.arange(150), *named_in_rows(), Q),
-        "",
-        {},
-    ),
-    "a table of messages": (
-        "a.csv",
-        table(["Time", *each("name_"), *each("position_")], STAMPS, *named_in_rows(), Q),
-        "",
-        {},
-    ),
-    "... with a stamp of two columns": (
-        "a.csv",
+    "ros2 topic echo": kind(echo(False)),
+    "ros2 topic echo --flow-style": kind(echo()),
+    "rostopic echo": kind(echo(words=("secs", "nsecs"))),
+    "topic echo without names": kind(echo(named=False), "joint_names="),
+    "topic echo without names, given": kind(echo(named=False), **GIVEN),
+    "ros2 topic echo --csv": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *named_in_rows(), Q)),
+    "... with velocities": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *named_in_rows(), Q, 0 * Q)),
+    "... without names": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, Q), **GIVEN),
+    "rostopic echo -p": kind(table(ECHO_P, np.round(STAMPS * 1e9), np.arange(150), *named_in_rows(), Q)),
+    "a table of messages": kind(table(["Time", *each("name_"), *each("position_")], STAMPS, *named_in_rows(), Q)),
+    "... with a stamp of two columns": kind(
         table(
             ["header.stamp.sec", "header.stamp.nanosec", *each("name."), *each("position.")],
             *(SEC, NS, *named_in_rows(), Q),
-        ),
-        "",
-        {},
+        )
     ),
-    "lines of JSON": ("a.jsonl", text("\n".join(json.dumps(state(k)) for k in range(150))), "", {}),
-    "... in a message": ("a.jsonl", text("\n".join(json.dumps({"js": state(k)}) for k in range(150))), "", {}),
-    "JSON of arrays": (
-        "a.json",
-        text(json.dumps({"time": T.tolist(), "joint_positions": Q.tolist(), "joint_names": N})),
-        "",
-        {},
+    "lines of JSON": kind(text("\n".join(json.dumps(state(k)) for k in range(150)))),
+    "... in a message": kind(text("\n".join(json.dumps({"js": state(k)}) for k in range(150)))),
+    "JSON of arrays": kind(dumped({"time": T.tolist(), "joint_positions": Q.tolist(), "joint_names": N})),
+    "JSON, rows with names": kind(dumped([{"time": t, **row} for t, row in zip(T, ROWS, strict=True)])),
+    "JSON, rows with an object of joints": kind(
+        dumped([{"time": t, "positions": row} for t, row in zip(T, ROWS, strict=True)])
     ),
-    "JSON, rows with names": (
-        "a.json",
-        text(json.dumps([{"time": t, **row} for t, row in zip(T, ROWS, strict=True)])),
-        "",
-        {},
+    "JSON, rows of lists": kind(
+        dumped([{"time": s["time"], "robot": {"joint_angle": s["q"]}} for s in SAMPLES]), **GIVEN
     ),
-    "JSON, rows with an object of joints": (
-        "a.json",
-        text(json.dumps([{"time": t, "positions": row} for t, row in zip(T, ROWS, strict=True)])),
-        "",
-        {},
-    ),
-    "JSON, rows of lists": (
-        "a.json",
-        text(json.dumps([{"time": s["time"], "robot": {"joint_angle": s["q"]}} for s in SAMPLES])),
-        "",
-        GIVEN,
-    ),
-    "JSON, rows beside what the program says": ("a.json", text(json.dumps({"fps": 50, "data": SAMPLES})), "", GIVEN),
-    "JSON, an object for each joint": ("a.json", text(json.dumps(ACTUATORS)), "", {**GIVEN, "degrees": True}),
-    "JSON of a JointTrajectory": ("a.json", text(json.dumps(trajectory())), "", {}),
-    "YAML of a JointTrajectory": ("a.yaml", text(yaml.safe_dump(trajectory())), "", {}),
-    "a pose of angles": ("a.csv", table(["time", *EULER], T, Q), "coordinates of a pose", {}),
-    "a pose of a quaternion": ("a.csv", table(["time", *"xyz", "qx", "qy", "qz", "qw"], T, Q), "of a pose", {}),
-    "a pose beside joints": ("a.csv", table(["time", *N, "ee_x", "ee_y", "ee_z", "ee_qw"], T, Q, Q[:, :4]), "", {}),
-    "commands beside joints": ("a.csv", table(["time", *N, *(n + "_cmd" for n in N)], T, Q, OTHER), "", {}),
-    "a prefix": ("a.csv", table(["time", *(f"arm_{n}" for n in N)], T, Q), "", {}),
-    "more motors than joints": ("a.csv", table(["time", *each("motor_", 9)], T, Q, T, T), "motor_0", {}),
-    "numbers from 0": ("a.csv", table(["time", *each("joint_")], T, Q), "joint_0 as right_j0", {}),
-    "numbers from 1": ("a.csv", table(["time", *each("joint_", 8)[1:]], T, Q), "joint_1 as right_j0", {}),
-    "other capitals": ("a.csv", table(["time", *(n.upper() for n in N)], T, Q), "RIGHT_J0", {}),
-    "numbered": ("a.csv", table(["time", *each("q")], T, Q), "q0 as right_j0", {}),
-    "numbered, as advised": ("a.csv", table(["time", *each("q")], T, Q), "", {"columns": "q{index}"}),
-    "libfranka": ("a.csv", table(FRANKA, T, Q, OTHER, Q), "columns='q[{index}]'", {}),
-    "libfranka, as advised": ("a.csv", table(FRANKA, T, Q, OTHER, Q), "", {"columns": "q[{index}]"}),
-    "UR's RTDE": ("a.csv", table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), "columns='actual_q_{index}'", {}),
-    "UR's RTDE, as advised": (
-        "a.csv",
-        table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "),
-        "",
-        {"columns": "actual_q_{index}"},
-    ),
-    "a joint is missing": ("a.csv", table(["time", *N[:6]], T, Q[:, :6]), "right_j6", {}),
-    "a column that is no joint": ("a.csv", table(["time", *N, "finger_joint"], T, Q, T), "'finger_joint'", {}),
-    "degrees in the names": ("a.csv", table(["time", *(n + "_deg" for n in N)], T, np.degrees(Q)), "degrees", {}),
-    "a frame with dates": (
-        "",
-        lambda _: pd.DataFrame({"time": pd.Timestamp("2026-01-01") + pd.to_timedelta(T, unit="s"), **frame()}),
-        "",
-        {},
-    ),
-    "a frame with times as its index": ("", lambda _: pd.DataFrame(frame(), index=pd.Index(T, name="time")), "", {}),
+    "JSON, rows beside what the program says": kind(dumped({"fps": 50, "data": SAMPLES}), **GIVEN),
+    "JSON, an object for each joint": kind(dumped(ACTUATORS), **GIVEN, degrees=True),
+    "JSON of a JointTrajectory": kind(dumped(trajectory())),
+    "YAML of a JointTrajectory": kind(text(yaml.safe_dump(trajectory()))),
+    "a pose of angles": kind(table(["time", *EULER], T, Q), "coordinates of a pose"),
+    "a pose of a quaternion": kind(table(["time", *"xyz", "qx", "qy", "qz", "qw"], T, Q), "of a pose"),
+    "a pose beside joints": kind(table(["time", *N, "ee_x", "ee_y", "ee_z", "ee_qw"], T, Q, Q[:, :4])),
+    "commands beside joints": kind(table(["time", *N, *(n + "_cmd" for n in N)], T, Q, OTHER)),
+    "a prefix": kind(table(["time", *(f"arm_{n}" for n in N)], T, Q)),
+    "more motors than joints": kind(table(["time", *each("motor_", 9)], T, Q, T, T), "motor_0"),
+    "numbers from 0": kind(table(["time", *each("joint_")], T, Q), "joint_0 as right_j0"),
+    "numbers from 1": kind(table(["time", *each("joint_", 8)[1:]], T, Q), "joint_1 as right_j0"),
+    "other capitals": kind(table(["time", *(n.upper() for n in N)], T, Q), "RIGHT_J0"),
+    "numbered": kind(table(["time", *each("q")], T, Q), "q0 as right_j0"),
+    "numbered, as advised": kind(table(["time", *each("q")], T, Q), columns="q{index}"),
+    "libfranka": kind(table(FRANKA, T, Q, OTHER, Q), "columns='q[{index}]'"),
+    "libfranka, as advised": kind(table(FRANKA, T, Q, OTHER, Q), columns="q[{index}]"),
+    "UR's RTDE": kind(table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), "columns='actual_q_{index}'"),
+    "UR's RTDE, as advised": kind(table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), columns="actual_q_{index}"),
+    "a joint is missing": kind(table(["time", *N[:6]], T, Q[:, :6]), "right_j6"),
+    "a column that is no joint": kind(table(["time", *N, "finger_joint"], T, Q, T), "'finger_joint'"),
+    "degrees in the names": kind(table(["time", *(n + "_deg" for n in N)], T, np.degrees(Q)), "degrees"),
+    "a frame with dates": kind(lambda _: pd.DataFrame({"time": pd.to_datetime(STAMPS, unit="s"), **frame()})),
+    "a frame with times as its index": kind(lambda _: pd.DataFrame(frame(), index=pd.Index(T, name="time"))),
 }
 
 
@@ -330,12 +274,12 @@ def frame() -> dict[str, np.ndarray]:
     return dict(zip(N, Q.T, strict=True))
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_kind(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", KINDS)
+def test_kind(name: str, tmp_path: Path) -> None:
     """Positions and times to the last digits that were written; or one sentence that never names joints falsely."""
-    name, write, refusal, options = KINDS[kind]
-    written = write(tmp_path / name)
-    given = tmp_path / name if name else written
+    write, refusal, options = KINDS[name]
+    written = write(path := tmp_path / "recording")
+    given = written if isinstance(written, pd.DataFrame) else path
     if refusal:
         with pytest.raises(ml.ManipLearnError) as caught:
             ml.load_demonstrations(given, ROBOT, **options)

@@ -58,20 +58,15 @@ def chosen(recordings, each: int, robot, most: int) -> EvenChoice:
 
 
 def test_what_fits_is_learnt_from_as_if_in_memory(features, held):
-    """A stream, an iterator and batches that arrive: bit for bit the answer of one list."""
+    """A stream: bit for bit the answer of one list."""
     recordings = [ml.Trajectory(t.time, t.q, None, t.joint_names, t.name) for t in held[:24]]
     whole = ml.ConstraintLearner(features, **HELD).fit(recordings)
-    arriving = ml.ConstraintLearner(features, **HELD)
-    for batch in (recordings[:10], iter(recordings[10:18]), Yielded(recordings[18:])):
-        arriving.partial_fit(batch)
     stream = Yielded(recordings)
-    streamed = ml.ConstraintLearner(features, **HELD).fit(stream)
+    other = ml.ConstraintLearner(features, **HELD).fit(stream)
     assert stream.passes == 1
-    for other in (streamed, arriving):
-        np.testing.assert_array_equal(other.constraint_.selection, whole.constraint_.selection)
-        assert other.report_.uncertainty_deg == whole.report_.uncertainty_deg
-        assert other.report_.notes == whole.report_.notes
-        assert (other.report_.n_samples, other.report_.n_trajectories) == (whole.report_.n_samples, 24)
+    np.testing.assert_array_equal(other.constraint_.selection, whole.constraint_.selection)
+    assert (other.report_.uncertainty_deg, other.report_.notes) == (whole.report_.uncertainty_deg, whole.report_.notes)
+    assert (other.report_.n_samples, other.report_.n_trajectories) == (whole.report_.n_samples, 24)
 
 
 # ---- more than fit ---------------------------------------------------------------------------------------------------
@@ -111,7 +106,7 @@ def test_what_is_left_out(most, rate, lengths, steps, left):
 
 @pytest.mark.parametrize(("settings", "truth"), [(HELD, TWO), (JOINT, ONE)], ids=["held", "moved"])
 def test_a_choice_answers_like_all(features, held, settings, truth):
-    """A sixth of the samples: within what is stated of the answer of all, in memory, in a stream and as they arrive."""
+    """A sixth of the samples: within what is stated of the answer of all, in memory and in a stream."""
     demos = held if truth is TWO else motions(features, ONE, np.random.default_rng(2), 60, noise=0.02)
     whole = ml.ConstraintLearner(features, **settings).fit(demos)
     few = {**settings, "most_samples": 1000}
@@ -122,11 +117,8 @@ def test_a_choice_answers_like_all(features, held, settings, truth):
     assert listed.report_.n_samples <= 1000
     assert any("chosen evenly out of 6,000 of 60" in note for note in listed.report_.notes)
     if truth is TWO:
-        arriving = ml.ConstraintLearner(features, **few)
-        for batch in (demos[:20], Yielded(demos[20:])):
-            arriving.partial_fit(batch)
-        for other in (ml.ConstraintLearner(features, **few).fit(Yielded(demos)), arriving):
-            np.testing.assert_array_equal(other.constraint_.selection, listed.constraint_.selection)
+        other = ml.ConstraintLearner(features, **few).fit(Yielded(demos))
+        np.testing.assert_array_equal(other.constraint_.selection, listed.constraint_.selection)
 
 
 def test_velocities_are_derived_before_samples_are_left_out():
@@ -161,14 +153,12 @@ def test_phases_are_found_in_a_choice():
         ml.ConstraintLearner(features, switch=1e6).fit(given)
 
 
-@pytest.mark.parametrize("arriving", [False, True])
-def test_a_recording_that_repeats_another_counts_once(features, held, arriving):
+def test_a_recording_that_repeats_another_counts_once(features, held):
     """Named, and passed over, among those that were chosen."""
     copy = ml.Trajectory(held[0].time, held[0].q, held[0].u, held[0].joint_names, "the copy")
 
     def learnt(*recordings):
-        stream, learning = Yielded(recordings), ml.ConstraintLearner(features, **HELD, most_samples=1000)
-        return learning.partial_fit(stream) if arriving else learning.fit(stream)
+        return ml.ConstraintLearner(features, **HELD, most_samples=1000).fit(Yielded(recordings))
 
     once, twice = learnt(*held[:11]), learnt(*held[:11], copy)
     assert any("the copy repeats motion 0" in warning for warning in twice.report_.warnings)
@@ -211,27 +201,6 @@ def test_streams_are_checked(features, held):
     plain = ml.CustomFeatures(lambda q: np.eye(7), row_names=tuple("abcdefg"), nv=7)
     with pytest.raises(RecordingError, match="robot to derive them with|need a robot"):
         ml.ConstraintLearner(plain, 1).fit(Yielded([ml.Trajectory(t.time, t.q)] * 300))
-
-
-def test_partial_fit_keeps_what_is_usable(features, held):
-    """Too few samples are refused but kept; a batch with an invalid recording is not kept; fit discards all."""
-    learning = ml.ConstraintLearner(features, 2, velocities="recorded")
-    with pytest.raises(NotIdentifiableError):
-        learning.partial_fit([held[0].part(slice(0, 4))])
-    bad = ml.Trajectory(held[1].time, held[1].q, held[1].u, tuple(f"x{n}" for n in held[1].joint_names))
-    u = held[2].u.copy()
-    u[17, 3] = 1e7
-    outlier = ml.Trajectory(held[2].time, held[2].q, u, held[2].joint_names)
-    for batch, words in [
-        (Yielded([held[1], held[2], bad]), "sorts by name"),
-        (lambda: None, "must be trajectories"),
-        ([held[1], outlier], "remove the outlier"),
-    ]:
-        with pytest.raises(RecordingError, match=words):
-            learning.partial_fit(batch)
-    # of the first four samples nothing can be told, so that they are kept and not learnt from
-    assert learning.partial_fit(held[1:]).report_.n_samples == 5900
-    assert learning.fit(held[:20]).partial_fit(held[20:30]).report_.n_trajectories == 10
 
 
 # ---- files -----------------------------------------------------------------------------------------------------------

@@ -178,7 +178,6 @@ class ConstraintLearner:
             if n_constraints is not None and not 1 <= n_constraints <= most:
                 raise NumberOfConstraintsError(n_constraints, most, repr(candidate))
         self._feature_maps = candidates
-        self._kept: EvenChoice | None = None
 
     def fit(
         self, demonstrations: Given, *others: object, client: Any = None, progress: Progress | None = None
@@ -203,7 +202,6 @@ class ConstraintLearner:
             ManipLearnError: Workers of the client die again and again, or their scheduler does.
         """
         self._forget()
-        self._kept = None
         if others:  # fit(X, y), as other libraries have it
             raise RecordingError(
                 f"fit takes all recordings as one argument: got {listed(map(an, (demonstrations, *others)))}; "
@@ -217,29 +215,6 @@ class ConstraintLearner:
         self._learn(given)
         if progress is not None:
             progress("learning", 1.0)
-        return self
-
-    def partial_fit(self, demonstrations: Given) -> ConstraintLearner:
-        """Learn from these demonstrations and all that came by `partial_fit` before.
-
-        At most 16,384 samples are kept, chosen evenly like those of `fit`.
-
-        Raises:
-            NotIdentifiableError: Not enough yet; the demonstrations are kept all the same.
-            RecordingError: They cannot be used; nothing of them is kept.
-        """
-        self._forget()
-        before = self._kept
-        kept = self._choose()
-        if before is not None:
-            kept.merge(before)
-        kept.merge(read_evenly(self._choose, parts_of(self._given(demonstrations)), None, None))
-        try:
-            self._kept = kept
-            self._learn(kept.demonstrations)
-        except RecordingError:
-            self._kept = before
-            raise
         return self
 
     def _given(self, demonstrations: Given) -> Demonstrations | list[Reader]:
@@ -328,7 +303,8 @@ class ConstraintLearner:
         def __getattr__(self, name: str) -> Any:
             if name in _LEARNT:
                 raise NotFittedError(name)
-            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}", name=name, obj=self)
+            gone = ": keep the recordings in a list and call fit again" if name == "partial_fit" else ""  # until 0.4
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}{gone}", name=name, obj=self)
 
     def _forget(self) -> None:
         """A fit that refuses must not leave the answer to other demonstrations behind."""
