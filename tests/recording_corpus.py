@@ -180,10 +180,6 @@ def number_cases() -> list[Case]:
             "small_degrees.csv", "degrees", text(csv(FULL * [1, 5.73, 5.73, 5.73, 0.1, 0.1, 0.1], HEADER + VELOCITIES))
         ),
         Case("velocity_degrees.csv", "accept", text(csv(FULL * [1, 1, 1, 1, 57.3, 57.3, 57.3], HEADER + VELOCITIES))),
-        Case("velocity_sign.csv", "accept", text(csv(FULL * [1, 1, 1, 1, 1, -1, 1], HEADER + VELOCITIES))),
-        Case("velocity_scale.csv", "accept", text(csv(FULL * [1, 1, 1, 1, 5, 5, 5], HEADER + VELOCITIES))),
-        Case("velocity_order.csv", "accept", text(csv(FULL[:, [0, 1, 2, 3, 4, 6, 5]], HEADER + VELOCITIES))),
-        Case("zero_velocities.csv", "accept", text(csv(FULL * [1, 1, 1, 1, 0, 0, 0], HEADER + VELOCITIES))),
         Case("outlier.csv", "outside-limits", text(csv(changed(30, 2, 1e8)))),
         Case("spike.csv", "jump", text(csv(changed(30, 2, 9.0)))),
         Case("full_turn.csv", "jump", text(csv(TABLE + (np.arange(60) >= 30)[:, None] * [0, 6.2832, 0, 0]))),

@@ -156,15 +156,6 @@ def test_a_header_may_hold_a_number(planar3: Robot, tmp_path: Path) -> None:
     np.testing.assert_allclose(demos[0].q, TABLE[:, 1:], rtol=1e-8)
 
 
-def test_messages_whose_joints_change_are_refused(planar3: Robot, tmp_path: Path) -> None:
-    """Names with digits too: rows of two lists of joints are not the motion of one."""
-    names, rows = list(planar3.joint_names), ["time,name0,name1,name2,position0,position1,position2"]
-    for k, (time, *q) in enumerate(TABLE):
-        order = [0, 1, 2] if k % 2 else [2, 1, 0]
-        rows.append(",".join(map(str, [time, *(names[i] for i in order), *(q[i] for i in order)])))
-    assert refusal(written(tmp_path / "a.csv", "\n".join(rows) + "\n"), planar3).code == "messages"
-
-
 def test_stamps_that_are_right_and_uneven_are_kept(planar3: Robot, tmp_path: Path) -> None:
     """Samples of a loop that runs late and catches up, with rests and noise of 1e-3 rad: the arm moves as they say."""
     for seed in (9, 13, 16):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.streams import JointStates, joint_groups, merge, topics_of_joints
+from manip_learn.recordings.streams import JointStates, joint_groups, merge
 
 MS = 1_000_000  # [ns]
 START = 1_700_000_000_123_456_789  # [ns] an integer that float64 cannot hold
@@ -44,13 +44,6 @@ def test_gaps_of_a_publisher_are_not_bridged():
     np.testing.assert_array_equal(kept, [*range(10, 801, 10), *range(1510, 2001, 10)])
     assert "71 samples left out" in " ".join(map(str, notes))
     np.testing.assert_allclose(merged.arrays["position"], np.outer(kept, [1e-3, 2e-3, 1e-3]), rtol=0, atol=1e-12)
-
-
-def test_nothing_is_continued_before_the_first_and_after_the_last_message():
-    """The table begins and ends where every publisher has data, its own first and last message included."""
-    arm = group("/arm", "a b", every(10, 0, 1000))
-    kept = milliseconds(merge([arm, group("/hand", "c", every(20, 200, 700))], frozenset())[0])
-    assert kept[0] == 200 and kept[-1] == 700 and len(kept) == 51
 
 
 def test_velocities_are_interpolated_too_or_all_left_out():
@@ -97,16 +90,6 @@ def test_the_last_message_of_equal_stamps_is_kept_with_its_velocity():
     assert [*map(str, notes)] == ["/arm: 1 message left out for a repeated stamp, the last is kept"]
 
 
-def test_columns_follow_their_joints():
-    """Messages that name the joints in another order, or one more, are one group with every value at its own joint."""
-    first = stream(START + np.array([0, 20]) * MS, q=[[1, 2], [3, 4]], u=np.array([[0.1, 0.2], [0.3, 0.4]]))
-    swapped = stream(START + np.array([10, 30]) * MS, q=[[2, 9, 1], [4, 9, 3]], u=np.full((2, 3), 0.5), names="b x a")
-    (one,), notes = joint_groups([first, swapped], CHOSEN)
-    np.testing.assert_array_equal(one.arrays["position"], [[1, 2], [1, 2], [3, 4], [3, 4]])
-    np.testing.assert_array_equal(one.arrays.get("velocity"), [[0.1, 0.2], [0.5, 0.5], [0.3, 0.4], [0.5, 0.5]])
-    assert one.names == ("a", "b") and notes == []
-
-
 def test_a_late_message_is_told_from_a_clock_that_was_set_back():
     """After a late message the next stamp is where it would have been, after a clock was set back it is not; what is in
     no order is refused.
@@ -125,19 +108,3 @@ def test_a_late_message_is_told_from_a_clock_that_was_set_back():
     with pytest.raises(RecordingError, match="the stamps of /arm are in no order; pass rate=") as caught:
         stream(np.random.default_rng(0).permutation(every(10, 0, 1990)), every(10, 0, 1990)).in_order()
     assert caught.value.code == "time-order"
-
-
-def test_a_joint_is_read_from_one_topic():
-    """The topic with all joints is preferred, then /joint_states; two topics with one joint and no default: refused."""
-    stamps = every(10, 0, 100)
-    arm, part = stream(stamps), stream(stamps, names="a", topic="/part")
-    chosen, notes = topics_of_joints([part, arm], ("a", "b"))
-    assert chosen == CHOSEN and str(notes[0]) == "joint states read from /arm" and "/part" in str(notes[1])
-    assert topics_of_joints([arm], ("a", "b")) == (CHOSEN, [])
-    usual = stream(stamps, topic="/joint_states")
-    assert topics_of_joints([arm, usual], ("a", "b"))[0] == {"a": "/joint_states", "b": "/joint_states"}
-    single = stream(stamps, names="b", topic="/other")
-    assert topics_of_joints([part, single], ("a", "b", "c"))[0] == {"a": "/part", "b": "/other"}
-    with pytest.raises(RecordingError, match="several topics have joint 'a'") as caught:
-        topics_of_joints([part, stream(stamps, names="a", topic="/third")], ("a", "b"))
-    assert caught.value.code == "ambiguous-topic"

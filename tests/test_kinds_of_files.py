@@ -25,6 +25,7 @@ STAMPS = 1.7e9 + 0.37 + T  # [s]
 SEC, PART = np.floor(STAMPS), STAMPS % 1
 NS = np.round(PART * 1e9)
 GIVEN = {"joint_names": N}
+NAMED = [[name] * len(T) for name in N]  # columns that hold the names of the joints
 ROWS = [dict(zip(N, q, strict=True)) for q in Q.tolist()]
 
 Write = Callable[[Path], Any]  # writes a file, or returns what is given instead of one
@@ -36,21 +37,12 @@ def kind(write: Write, refusal: str = "", **options: Any) -> Kind:
     return write, refusal, options
 
 
-def rows(columns: list[Any], mark: str = ",", point: str = ".") -> str:
-    """Return lines of a table."""
-    fields = [c.tolist() if isinstance(c, np.ndarray) else c for c in columns]
-    lines = zip(*fields, strict=True)
-    return "".join(
-        mark.join(f"{x:.10g}".replace(".", point) if isinstance(x, float) else str(x) for x in line) + "\n"
-        for line in lines
-    )
-
-
-def table(header: list[str], *columns: Any, before: str = "", mark: str = ",", point: str = ".") -> Write:
+def table(header: list[str], *columns: Any, before: str = "", mark: str = ",") -> Write:
     """Return how to write a table; columns of shape (T, n) are n of them."""
     each = [c for x in columns for c in (x.T if isinstance(x, np.ndarray) and x.ndim == 2 else [x])]
-    head = mark.join(header) + "\n" if header else ""
-    return lambda path: path.write_text(before + head + rows(each, mark, point))
+    lines = zip(*(c.tolist() if isinstance(c, np.ndarray) else c for c in each), strict=True)
+    written = [[f"{x:.10g}" if isinstance(x, float) else str(x) for x in line] for line in lines]
+    return text(before + "".join(mark.join(line) + "\n" for line in ([header] if header else []) + written))
 
 
 def text(content: str) -> Write:
@@ -106,9 +98,9 @@ def each(prefix: str, n: int = 7) -> list[str]:
     return [f"{prefix}{k}" for k in range(n)]
 
 
-def named_in_rows() -> list[list[str]]:
-    """Return columns that hold the names of the joints."""
-    return [[name] * len(T) for name in N]
+def frame() -> dict[str, np.ndarray]:
+    """Return columns of a data frame."""
+    return dict(zip(N, Q.T, strict=True))
 
 
 def dates(form: Callable[[pd.Timestamp], str]) -> list[str]:
@@ -170,10 +162,6 @@ KINDS: dict[str, Kind] = {
     "a line of units": kind(table(["time", *N], ["s", *T], *(["rad", *q] for q in Q.T))),
     "units in names": kind(table(["time [s]", *(n + " [rad]" for n in N)], T, Q)),
     "a preamble of text": kind(table(["time", *N], T, Q, before="Log v1\nDate: today\n\n")),
-    "a preamble of comments": kind(table(["time", *N], T, Q, before="# log\n# 50 Hz\n")),
-    "semicolons and commas": kind(table(["time", *N], T, Q, mark=";", point=",")),
-    "tabs": kind(table(["time", *N], T, Q, mark="\t")),
-    "quotes and a byte order mark": kind(table([f'"{n}"' for n in ("time", *N)], T, Q, before="\ufeff")),
     **{
         f"HDF5 with a group {group}": kind(
             hdf5(**{"obs__arm__joint_positions": Q, f"{group}__joint_position": OTHER, "obs__time": T}), **GIVEN
@@ -198,7 +186,6 @@ KINDS: dict[str, Kind] = {
     "HDF5, names in the file": kind(hdf5(q=Q, t=T, joint_names=np.array(N, dtype="S"))),
     "HDF5, an array for each joint": kind(hdf5(time=T, **dict(zip(N, Q.T, strict=True)))),
     "HDF5, qpos and action": kind(hdf5(observations__qpos=Q, action=OTHER), **GIVEN, rate=50),
-    "HDF5, without times": kind(hdf5(observations__qpos=Q, action=OTHER), "rate=", **GIVEN),
     "HDF5, states copied among commands": kind(
         hdf5(
             observation__robot_state__joint_positions=Q,
@@ -211,7 +198,6 @@ KINDS: dict[str, Kind] = {
     "an archive with a pose as wide": kind(npz(timestamp=T, joint_angles=Q, ee_pose=OTHER, names=N)),
     "an archive, actual and desired": kind(npz(t=T, actual_positions=Q, desired_positions=OTHER), **GIVEN),
     "an archive of three dimensions": kind(npz(t=T, q=Q[None]), **GIVEN),
-    "an archive of objects": kind(npz(t=T, q=Q.astype(object)), "object", **GIVEN),
     "MATLAB": kind(mat(t=T, q=Q), **GIVEN),
     "MATLAB, a struct, one column a sample": kind(
         mat(data={"time": T, "joint_positions": Q.T, "tau": 0 * Q.T}), **GIVEN
@@ -221,20 +207,31 @@ KINDS: dict[str, Kind] = {
     "rostopic echo": kind(echo(words=("secs", "nsecs"))),
     "topic echo without names": kind(echo(named=False), "joint_names="),
     "topic echo without names, given": kind(echo(named=False), **GIVEN),
-    "ros2 topic echo --csv": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *named_in_rows(), Q)),
-    "... with velocities": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *named_in_rows(), Q, 0 * Q)),
+    "ros2 topic echo --csv": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *NAMED, Q)),
+    "... with velocities": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *NAMED, Q, 0 * Q)),
     "... without names": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, Q), **GIVEN),
-    "rostopic echo -p": kind(table(ECHO_P, np.round(STAMPS * 1e9), np.arange(150), *named_in_rows(), Q)),
-    "a table of messages": kind(table(["Time", *each("name_"), *each("position_")], STAMPS, *named_in_rows(), Q)),
+    "rostopic echo -p": kind(table(ECHO_P, np.round(STAMPS * 1e9), np.arange(150), *NAMED, Q)),
+    "messages whose joints change": kind(
+        table(["time", *each("name"), *each("position")], T, *np.array([N, N[::-1]] * 75).T.tolist(), Q),
+        "change from row",
+    ),
+    "PlotJuggler": kind(table(["__time", "/js/header/stamp", *(f"/js/{n}/position" for n in N)], STAMPS, STAMPS, Q)),
+    "a flattened frame": kind(
+        table(["timestamp", *(f"{w}.{n}" for w in ("position", "effort") for n in N)], T, Q, 0 * Q)
+    ),
+    "a written frame": kind(
+        table(["", "timestamp", *N, "width", "label"], np.arange(150), T, Q, T, ["pick"] * 150), columns="{joint}"
+    ),
+    "a table of messages": kind(table(["Time", *each("name_"), *each("position_")], STAMPS, *NAMED, Q)),
     "... with a stamp of two columns": kind(
-        table(
-            ["header.stamp.sec", "header.stamp.nanosec", *each("name."), *each("position.")],
-            *(SEC, NS, *named_in_rows(), Q),
-        )
+        table(["header.stamp.sec", "header.stamp.nanosec", *each("name."), *each("position.")], *(SEC, NS, *NAMED, Q))
     ),
     "lines of JSON": kind(text("\n".join(json.dumps(state(k)) for k in range(150)))),
     "... in a message": kind(text("\n".join(json.dumps({"js": state(k)}) for k in range(150)))),
     "JSON of arrays": kind(dumped({"time": T.tolist(), "joint_positions": Q.tolist(), "joint_names": N})),
+    "JSON, columns beside a pose": kind(
+        dumped({"timestamp": T.tolist(), "tcp_x": T.tolist()} | {n: q.tolist() for n, q in frame().items()})
+    ),
     "JSON, rows with names": kind(dumped([{"time": t, **row} for t, row in zip(T, ROWS, strict=True)])),
     "JSON, rows with an object of joints": kind(
         dumped([{"time": t, "positions": row} for t, row in zip(T, ROWS, strict=True)])
@@ -261,17 +258,11 @@ KINDS: dict[str, Kind] = {
     "libfranka, as advised": kind(table(FRANKA, T, Q, OTHER, Q), columns="q[{index}]"),
     "UR's RTDE": kind(table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), "columns='actual_q_{index}'"),
     "UR's RTDE, as advised": kind(table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), columns="actual_q_{index}"),
-    "a joint is missing": kind(table(["time", *N[:6]], T, Q[:, :6]), "right_j6"),
     "a column that is no joint": kind(table(["time", *N, "finger_joint"], T, Q, T), "'finger_joint'"),
     "degrees in the names": kind(table(["time", *(n + "_deg" for n in N)], T, np.degrees(Q)), "degrees"),
     "a frame with dates": kind(lambda _: pd.DataFrame({"time": pd.to_datetime(STAMPS, unit="s"), **frame()})),
     "a frame with times as its index": kind(lambda _: pd.DataFrame(frame(), index=pd.Index(T, name="time"))),
 }
-
-
-def frame() -> dict[str, np.ndarray]:
-    """Return columns of a data frame."""
-    return dict(zip(N, Q.T, strict=True))
 
 
 @pytest.mark.parametrize("name", KINDS)

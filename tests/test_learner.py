@@ -48,8 +48,7 @@ def free_direction_error(learner: ConstraintLearner, truth: np.ndarray) -> float
 
 
 @pytest.mark.parametrize(
-    ("rows", "model", "allowed"),
-    [("xy", "auto", 1e-25), ("x-theta", "rbf", 1e-10), ("y-theta", "affine", 1e-25)],
+    ("rows", "model", "allowed"), [("xy", "auto", 1e-25), ("x-theta", "rbf", 1e-10), ("y-theta", "affine", 1e-25)]
 )
 def test_the_papers_setup(rows: str, model: str, allowed: float):
     """Reaching with unknown targets, raw u, 1,000 points: both rows found, NMIE at rounding, on test motions."""
@@ -125,8 +124,7 @@ def test_the_wrong_frame_of_the_drawer_warns():
 
 
 @pytest.mark.parametrize(
-    ("axes", "free"),
-    [("xyz", [0.2588, 0.1677, 0.9513]), ("pose", [0.0855, 0.0554, 0.3142, 0.5860, 0.6848, -0.2802])],
+    ("axes", "free"), [("xyz", [0.2588, 0.1677, 0.9513]), ("pose", [0.0855, 0.0554, 0.3142, 0.5860, 0.6848, -0.2802])]
 )
 def test_the_door_is_constant_in_the_tools_frame(axes: str, free: list[float]):
     """Doors and flaps: among both references the local one is chosen, and the free twist is right to 0.1 degrees. No

@@ -16,7 +16,6 @@ from jaxtyping import Float
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.checks import alternation
-from manip_learn.recordings.readers.text import sniff_dialect
 from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.robot import Robot, load_robot
 
@@ -70,13 +69,6 @@ def test_degrees_are_always_caught(robot_of, rng: np.random.Generator) -> None:
             np.testing.assert_allclose(demos[0].q, q, rtol=1e-12)
             np.testing.assert_allclose(demos[0].u, u, rtol=1e-12)
             assert demos.notes == ("demo.npz: degrees converted to radians, as asked",)
-
-
-def test_slopes_survive_the_noise_of_a_fast_recorder(sawyer: Robot, rng, tmp_path: Path) -> None:
-    """At 1 kHz the encoder's noise is larger than the motion in a step, which is no fault."""
-    time, q, u = guided(sawyer, rng, n=4000, dt=0.001)
-    q += 5e-4 * rng.normal(size=q.shape)
-    assert load(sawyer, tmp_path, time, q, u).notes == ()
 
 
 def test_a_little_beyond_the_limits_is_a_note(sawyer: Robot, rng, tmp_path: Path) -> None:
@@ -276,7 +268,6 @@ def test_places_without_a_number_are_listed(planar3: Robot, tmp_path: Path) -> N
 # ---- two publishers on one topic, and reads that failed: seen from the samples alone
 
 
-RECORDINGS = sorted(Path(__file__).parents[1].glob("examples/data/**/*.csv"))
 TURNS = ("strict", "phase", "rate", "random")
 
 
@@ -332,15 +323,6 @@ def test_noise_and_coarse_encoders_are_no_second_publisher(rng: np.random.Genera
             np.round((q + size * (np.arange(n) % 2)[:, None]) / size) * size,
         )
         assert not any(alternation(x)[0].size for x in noisy)
-
-
-def test_no_recording_of_the_examples_is_suspected(rng: np.random.Generator) -> None:
-    """Neither as recorded, nor with noise of 3e-3 rad, nor thinned to every fifth sample."""
-    for path in RECORDINGS[::4]:
-        dialect = sniff_dialect(path)
-        table = np.loadtxt(path, delimiter=dialect.delimiter, skiprows=dialect.header_line, comments="#", ndmin=2)
-        q = table[:, [i for i, n in enumerate(dialect.columns) if n != "time" and not n.endswith("_velocity")]]
-        assert not any(alternation(x)[0].size for x in (q, q + 3e-3 * rng.standard_normal(q.shape), q[::5])), path
 
 
 def test_failed_reads_are_left_out(planar3: Robot, rng: np.random.Generator) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -80,29 +79,23 @@ LISTS: dict[str, tuple[Any, dict[str, Any]]] = {
         {"data": cell(*({"arm": {"pose": STAMPED, "joint_states": x}, "times": [0.0, 3.0]} for x in (STAMPED,) * 2))},
         {"joint_names": (*JOINTS, "time")},
     ),
-    "columns.json": (
-        {"timestamp": TIME.tolist(), "tcp_x": Q[:, 0].tolist()} | dict(zip(JOINTS, Q.T.tolist(), strict=True)),
-        {},
-    ),
 }
 
 
 @pytest.mark.parametrize("name", LISTS)
-def test_lists_of_recordings_and_columns(name: str, planar3: Robot, tmp_path: Path) -> None:
-    """Stacks, cells and structs are as many recordings as they have elements, without a name to be given; columns one.
+def test_lists_of_recordings(name: str, planar3: Robot, tmp_path: Path) -> None:
+    """Stacks, cells and structs are as many recordings as they have elements, without a name to be given.
 
     A pose is not taken for them, a time of something else not for theirs, and what is no joint is left out, aloud.
     """
     content, options = LISTS[name]
     path = tmp_path / name
-    if path.suffix == ".json":
-        path.write_text(json.dumps(content))
-    elif path.suffix == ".mat":
+    if path.suffix == ".mat":
         scipy.io.savemat(path, content)
     else:
         np.save(path, content) if path.suffix == ".npy" else np.savez(path, **content)
     demos = load_demonstrations(path, planar3, **options)
-    factors = [1.0] if "json" in name else [1.0, 1.0] if "structs" in name else [1.0, 2.0]
+    factors = [1.0, 1.0] if "structs" in name else [1.0, 2.0]
     assert len(demos) == len(factors)
     for demo, factor in zip(demos, factors, strict=True):
         np.testing.assert_allclose(demo.q, factor * Q, rtol=0, atol=1e-12)

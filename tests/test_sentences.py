@@ -15,22 +15,14 @@ SAYS = {"refusal", "_refusal", "refused", "sentence", "note", "NamingError", "te
 PLACE = {"sample", "line", "column", "where", "path", "in_full", "text"}  # arguments that are no figures
 
 
-def flat() -> dict[str, str]:
-    """Return key -> sentence."""
-    found = {}
-    for code, value in tomllib.loads((ROOM / "sentences.toml").read_text(encoding="utf-8")).items():
-        found |= {code: value} if isinstance(value, str) else {f"{code}.{variant}": v for variant, v in value.items()}
-    return found
-
-
 def test_every_sentence_is_said_with_its_figures() -> None:
     """A key in the code has a sentence, and figures that are written out are those of the sentence."""
-    sentences, text = flat(), "\n".join(p.read_text(encoding="utf-8") for p in ROOM.rglob("*.py"))
-    said, calls = (
-        set[str](),
-        [n for n in ast.walk(ast.parse(text.replace("from __future__", "# "))) if isinstance(n, ast.Call)],
-    )
-    for call in calls:
+    catalogue = tomllib.loads((ROOM / "sentences.toml").read_text(encoding="utf-8"))
+    variants = ((code, v if isinstance(v, dict) else {"": v}) for code, v in catalogue.items())
+    sentences = {f"{code}.{word}".rstrip(".") for code, words in variants for word in words}
+    text = "\n".join(p.read_text(encoding="utf-8") for p in ROOM.rglob("*.py"))
+    tree, said = ast.parse(text.replace("from __future__", "# ")), set[str]()
+    for call in (n for n in ast.walk(tree) if isinstance(n, ast.Call)):
         name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
         keys = [a for a in call.args[:2] if isinstance(a, ast.Constant) and isinstance(a.value, str)]
         keys += [b for a in call.args[:2] if isinstance(a, ast.IfExp) for b in (a.body, a.orelse)]
@@ -44,9 +36,5 @@ def test_every_sentence_is_said_with_its_figures() -> None:
                 missing = needed - given - ({"name"} if name == "_refusal" else set())
                 assert not missing, (key, missing)
             assert not {g for g in given if g} - needed - PLACE, (key, given)
-    left = {
-        key
-        for key in sentences
-        if key not in said and f'"{key}' not in text and f'"{key.partition(".")[0]}.{{' not in text
-    }
-    assert not left, left
+    left = {key for key in sentences - said if f'"{key}' not in text and f'"{key.partition(".")[0]}.{{' not in text}
+    assert not left
