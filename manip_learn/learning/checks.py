@@ -23,6 +23,7 @@ FEW_JOINTS_AT_ONCE = 1.6
 # [rad/s or m/s] of the fastest joint, below which it is at rest: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
 REST_SPEED = 0.02
 # standard deviations between the least and the largest of a million numbers by chance, and some more
+SHOWN = 1e-3  # [rad or m] that some joint moves in any motion shown by hand: half a millimetre at the tip
 BEYOND_NOISE = 12.0
 # postures closer together than this share of their size are one and the same, and less of it in a second is no motion
 _SAME = 1e-9
@@ -56,7 +57,7 @@ def check_fastest(demonstrations: Demonstrations) -> None:
 
 
 def refuse_noise(recorded: Demonstrations) -> None:
-    """Refuse recordings in which no joint moves farther than its encoder's noise does.
+    """Refuse recordings in which no joint moves farther than its encoder's noise does, and than anyone shows by hand.
 
     Raises:
         NotIdentifiableError: In none of them.
@@ -67,14 +68,14 @@ def refuse_noise(recorded: Demonstrations) -> None:
             return
         moved, noise = np.ptp(t.q, axis=0), np.sqrt(position_noise(t.time, t.q))
         j = int(np.argmax(moved / noise))
-        if moved[j] >= BEYOND_NOISE * noise[j]:
+        if moved[j] >= BEYOND_NOISE * noise[j] and np.max(moved) >= SHOWN:
             return
         joint = t.joint_names[j] if t.joint_names else str(j)
         found.append((moved[j] / noise[j], joint, t.name, moved[j], noise[j]))
     _, joint, name, moved, noise = max(found)
     raise NotIdentifiableError(
-        f"no joint moves farther than the noise of its positions does: the farthest is {joint} in {name}, by "
-        f"{moved:.2g} where its noise is {noise:.2g} (standard deviation): record a motion",
+        f"no joint moves farther than the noise of its positions does, and {SHOWN:g} rad or m: the farthest is "
+        f"{joint} in {name}, by {moved:.2g} where its noise is {noise:.2g} (standard deviation): record a motion",
         code="no-motion",
     )
 
