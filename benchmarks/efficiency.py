@@ -165,7 +165,7 @@ def noisy(
     t = motion.dt * np.arange(motion.q.shape[1])
     names = motion.features.robot.joint_names
     return Demonstrations(
-        [Trajectory(t, a, b, names, f"reach {k}") for k, (a, b) in enumerate(zip(motion.q, u, strict=True))]
+        [Trajectory(t, a, b, names, f"reach {k}", exact=True) for k, (a, b) in enumerate(zip(motion.q, u, strict=True))]
     ), L @ L.T
 
 

@@ -43,7 +43,7 @@ class Repeated:
         for i in range(self.n):
             t = self.base[i % len(self.base)]
             noise = self.size * np.random.default_rng(i).standard_normal(t.u.shape)
-            yield Trajectory(t.time, t.q, t.u + noise, t.joint_names, t.name)
+            yield Trajectory(t.time, t.q, t.u + noise, t.joint_names, t.name, exact=True)
 
 
 def features_of(joints: int, axes: str, folder: Path) -> FrameJacobian:

@@ -39,4 +39,6 @@ def motions(
         q = q + DT * u
     time = DT * np.arange(n_points)
     pairs = zip(positions, velocities, strict=True)
-    return Demonstrations([Trajectory(time, a, b, robot.joint_names, f"motion {i}") for i, (a, b) in enumerate(pairs)])
+    return Demonstrations(
+        [Trajectory(time, a, b, robot.joint_names, f"motion {i}", exact=True) for i, (a, b) in enumerate(pairs)]
+    )

@@ -115,7 +115,7 @@ def test_recorded_velocities_are_used_as_asked() -> None:
     not a number are refused.
     """
     true, noisy, _ = recorded(6, 1e-4)
-    mixed = Demonstrations([replace(true[0], u=2.0 * true[0].u), noisy[1]], ["read from files"])
+    mixed = Demonstrations([replace(true[0], u=2.0 * true[0].u, exact=False), noisy[1]], ["read from files"])
     kept, derived = with_velocities(mixed, ROBOT, "recorded"), with_velocities(mixed, ROBOT)
     assert kept[0] is mixed[0] and kept.notes == mixed.notes and kept.has_velocities
     assert error_of(true[0], derived[0]) < 1e-2
@@ -125,7 +125,7 @@ def test_recorded_velocities_are_used_as_asked() -> None:
     with pytest.raises(RecordingError, match="give features of one"):
         with_velocities(noisy, None)
     with pytest.raises(RecordingError, match="is not a number"):
-        with_velocities(Demonstrations([replace(true[0], u=np.nan * true[0].u)]), ROBOT, "recorded")
+        with_velocities(Demonstrations([replace(true[0], u=np.nan * true[0].u, exact=False)]), ROBOT, "recorded")
 
 
 def moved(dt: float, noise: float, n: int = 1200) -> tuple[np.ndarray, np.ndarray]:
@@ -239,7 +239,7 @@ def error(features: ml.FrameJacobian, truth: ml.Constraint, given: Any) -> float
 def test_recorded_velocities_cannot_hurt(fault: str) -> None:
     """Whatever stands for velocities, the answer is that of the positions alone."""
     features, exact, truth = motions(("planar3", "sawyer")[len(fault) % 2])
-    given = [replace(t, u=VELOCITIES[fault](np.asarray(t.u), t.q, t.time)) for t in exact]
+    given = [replace(t, u=VELOCITIES[fault](np.asarray(t.u), t.q, t.time), exact=False) for t in exact]
     assert error(features, truth, given) == error(features, truth, [(t.time, t.q) for t in exact]) < 0.05
 
 
