@@ -184,7 +184,7 @@ class ConstraintLearner:
     ) -> ConstraintLearner:
         """Learn from demonstrations; a second fit forgets the first.
 
-        At most 16,384 samples are learnt from. Of more, that many are chosen evenly while they are read, so that
+        At most 20,000 samples are learnt from. Of more, that many are chosen evenly while they are read, so that
         recordings that are not in memory need none.
 
         Args:

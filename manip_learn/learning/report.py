@@ -411,7 +411,11 @@ def build_report(
     provenance["posture_trajectories"] = samples.trajectory[kept].tolist()
     if kind == "motion-constrained":
         mechanism = Constraint(selection, features, provenance).mechanism
-        shown = shown_by(features, selection, mechanism, answer.part.demonstrations)
+        part, whole = answer.part, answer.part.source
+        contacts = (
+            part.demonstrations if whole is None else [whole[s.trajectory][s.start : s.end] for s in part.stretches]
+        )
+        shown = shown_by(features, selection, mechanism, contacts)  # to their ends, which rows are not learnt from
         provenance["shown"] = None if shown is None else shown.to_dict()
     else:
         recordings = [(t.q, t.u) for t in answer.part.demonstrations if t.u is not None]

@@ -22,7 +22,7 @@ from manip_learn.recordings.load import Progress, Reader
 from manip_learn.recordings.options import refuse_unmatched
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 
-MOST_SAMPLES = 16_384  # that are learnt from; Phi of these, with 6 rows and 7 joints, takes 5.5 MB
+MOST_SAMPLES = 20_000  # that are learnt from; Phi of these, with 6 rows and 7 joints, takes 6.7 MB
 FEWEST_RECORDINGS = 20  # that are kept of more, however long they are: evidence from fewer is thin
 STEPS = 2 ** np.arange(40)  # every so many samples are kept
 PATIENCE = "10s"  # for a scheduler that is elsewhere
