@@ -198,7 +198,6 @@ KINDS: dict[str, Kind] = {
     "an archive with a pose as wide": kind(npz(timestamp=T, joint_angles=Q, ee_pose=OTHER, names=N)),
     "an archive, actual and desired": kind(npz(t=T, actual_positions=Q, desired_positions=OTHER), **GIVEN),
     "an archive of three dimensions": kind(npz(t=T, q=Q[None]), **GIVEN),
-    "MATLAB": kind(mat(t=T, q=Q), **GIVEN),
     "MATLAB, a struct, one column a sample": kind(
         mat(data={"time": T, "joint_positions": Q.T, "tau": 0 * Q.T}), **GIVEN
     ),
@@ -241,13 +240,11 @@ KINDS: dict[str, Kind] = {
     ),
     "JSON, rows beside what the program says": kind(dumped({"fps": 50, "data": SAMPLES}), **GIVEN),
     "JSON, an object for each joint": kind(dumped(ACTUATORS), **GIVEN, degrees=True),
-    "JSON of a JointTrajectory": kind(dumped(trajectory())),
     "YAML of a JointTrajectory": kind(text(yaml.safe_dump(trajectory()))),
     "a pose of angles": kind(table(["time", *EULER], T, Q), "coordinates of a pose"),
     "a pose of a quaternion": kind(table(["time", *"xyz", "qx", "qy", "qz", "qw"], T, Q), "of a pose"),
     "a pose beside joints": kind(table(["time", *N, "ee_x", "ee_y", "ee_z", "ee_qw"], T, Q, Q[:, :4])),
     "commands beside joints": kind(table(["time", *N, *(n + "_cmd" for n in N)], T, Q, OTHER)),
-    "a prefix": kind(table(["time", *(f"arm_{n}" for n in N)], T, Q)),
     "more motors than joints": kind(table(["time", *each("motor_", 9)], T, Q, T, T), "motor_0"),
     "numbers from 0": kind(table(["time", *each("joint_")], T, Q), "joint_0 as right_j0"),
     "numbers from 1": kind(table(["time", *each("joint_", 8)[1:]], T, Q), "joint_1 as right_j0"),
