@@ -152,7 +152,6 @@ KINDS: dict[str, Kind] = {
         "count 2.98 and 5.96: leave the wrong one out, ignore_columns=['stamp']",
     ),
     "... as advised": kind(table(["time", "stamp", *N], T, 2 * T, Q), ignore_columns=["stamp"]),
-    "dates": kind(table(["time", *N], dates(str), Q)),
     "dates in UTC": kind(table(["timestamp", *N], dates(lambda d: d.isoformat() + "Z"), Q)),
     "frames, counted": kind(table(["frame_index", *N], np.arange(150.0), Q), rate=50),
     "frames without a rate": kind(table(["frame_index", *N], np.arange(150.0), Q), "rate="),
@@ -225,7 +224,6 @@ KINDS: dict[str, Kind] = {
     "... with a stamp of two columns": kind(
         table(["header.stamp.sec", "header.stamp.nanosec", *each("name."), *each("position.")], *(SEC, NS, *NAMED, Q))
     ),
-    "lines of JSON": kind(text("\n".join(json.dumps(state(k)) for k in range(150)))),
     "... in a message": kind(text("\n".join(json.dumps({"js": state(k)}) for k in range(150)))),
     "JSON of arrays": kind(dumped({"time": T.tolist(), "joint_positions": Q.tolist(), "joint_names": N})),
     "JSON, columns beside a pose": kind(
