@@ -225,7 +225,6 @@ KINDS: dict[str, Kind] = {
         table(["header.stamp.sec", "header.stamp.nanosec", *each("name."), *each("position.")], *(SEC, NS, *NAMED, Q))
     ),
     "... in a message": kind(text("\n".join(json.dumps({"js": state(k)}) for k in range(150)))),
-    "JSON of arrays": kind(dumped({"time": T.tolist(), "joint_positions": Q.tolist(), "joint_names": N})),
     "JSON, columns beside a pose": kind(
         dumped({"timestamp": T.tolist(), "tcp_x": T.tolist()} | {n: q.tolist() for n, q in frame().items()})
     ),
@@ -242,18 +241,15 @@ KINDS: dict[str, Kind] = {
     "a pose of angles": kind(table(["time", *EULER], T, Q), "coordinates of a pose"),
     "a pose of a quaternion": kind(table(["time", *"xyz", "qx", "qy", "qz", "qw"], T, Q), "of a pose"),
     "a pose beside joints": kind(table(["time", *N, "ee_x", "ee_y", "ee_z", "ee_qw"], T, Q, Q[:, :4])),
-    "commands beside joints": kind(table(["time", *N, *(n + "_cmd" for n in N)], T, Q, OTHER)),
     "more motors than joints": kind(table(["time", *each("motor_", 9)], T, Q, T, T), "motor_0"),
     "numbers from 0": kind(table(["time", *each("joint_")], T, Q), "joint_0 as right_j0"),
     "numbers from 1": kind(table(["time", *each("joint_", 8)[1:]], T, Q), "joint_1 as right_j0"),
-    "other capitals": kind(table(["time", *(n.upper() for n in N)], T, Q), "RIGHT_J0"),
     "numbered": kind(table(["time", *each("q")], T, Q), "q0 as right_j0"),
     "numbered, as advised": kind(table(["time", *each("q")], T, Q), columns="q{index}"),
     "libfranka": kind(table(FRANKA, T, Q, OTHER, Q), "columns='q[{index}]'"),
     "libfranka, as advised": kind(table(FRANKA, T, Q, OTHER, Q), columns="q[{index}]"),
     "UR's RTDE": kind(table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), "columns='actual_q_{index}'"),
     "UR's RTDE, as advised": kind(table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), columns="actual_q_{index}"),
-    "a column that is no joint": kind(table(["time", *N, "finger_joint"], T, Q, T), "'finger_joint'"),
     "degrees in the names": kind(table(["time", *(n + "_deg" for n in N)], T, np.degrees(Q)), "degrees"),
     "a frame with dates": kind(lambda _: pd.DataFrame({"time": pd.to_datetime(STAMPS, unit="s"), **frame()})),
     "a frame with times as its index": kind(lambda _: pd.DataFrame(frame(), index=pd.Index(T, name="time"))),
