@@ -26,8 +26,7 @@ import numpy as np
 
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot import load_robot
 
 PLANAR_ROWS = ([0, 1], [0, 2], [1, 2])
@@ -166,7 +165,7 @@ def noisy(
     t = motion.dt * np.arange(motion.q.shape[1])
     names = motion.features.robot.joint_names
     return Demonstrations(
-        [Trajectory(t, a, b, names, f"reach {k}") for k, (a, b) in enumerate(zip(motion.q, u, strict=True))]
+        [Trajectory(t, a, b, names, f"reach {k}", exact=True) for k, (a, b) in enumerate(zip(motion.q, u, strict=True))]
     ), L @ L.T
 
 

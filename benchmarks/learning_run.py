@@ -19,8 +19,7 @@ from scale_motions import motions
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner
 from manip_learn.linalg import row_space_angle
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot import load_robot
 
 BASE = 500  # trajectories of 100 samples that are made; more are the same with other noise
@@ -44,7 +43,7 @@ class Repeated:
         for i in range(self.n):
             t = self.base[i % len(self.base)]
             noise = self.size * np.random.default_rng(i).standard_normal(t.u.shape)
-            yield Trajectory(t.time, t.q, t.u + noise, t.joint_names, t.name)
+            yield Trajectory(t.time, t.q, t.u + noise, t.joint_names, t.name, exact=True)
 
 
 def features_of(joints: int, axes: str, folder: Path) -> FrameJacobian:

@@ -19,8 +19,7 @@ from recording_cases import Case
 from scipy.interpolate import CubicSpline
 
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 
 NOISES = (0.0, 1e-4, 1e-3, 3e-3)  # of the encoders [rad]
 Change = Callable[[Trajectory, np.random.Generator, float], list[Trajectory]]

@@ -28,8 +28,7 @@ import manip_learn as ml
 from manip_learn.learning.estimate import estimate_null_space
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.uncertainty import NOISE, total_deg, uncertainty_of
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.recordings.velocities import with_velocities
 
 ROWS = {"drawer": 2, "table": 1, "door": 1}

@@ -38,7 +38,7 @@ def main() -> None:
 
     # reaching: the demonstrator moves along the constrained directions on purpose, which the learner detects
     robot = ml.load_robot("planar3")
-    demos = ml.load_demonstrations(RECORDINGS / "planar3_reach", robot)
+    demos = ml.load_demonstrations(RECORDINGS / "planar3_reach", robot, velocities="recorded")  # Euler steps
     learner = ml.ConstraintLearner(ml.FrameJacobian(robot, "tip", "planar")).fit(demos)
     print("reaching:", learner.report_, f"({learner.report_.estimator} estimator)")
 

@@ -57,14 +57,15 @@ def main() -> None:
 
     robot = ml.load_robot("sawyer")
     features = ml.FrameJacobian(robot, frame="right_gripper_tip", axes="xyz", reference="world")
-    learner, recorder = ml.ConstraintLearner(features), Recorder(robot)
+    learner, recorder, shown = ml.ConstraintLearner(features), Recorder(robot), list[ml.Trajectory]()
     for stamp, positions, pressed in driver(robot):
         motion = recorder.sample(stamp, positions, pressed)
         if motion is None:
             continue
+        shown.append(motion)
         try:
-            report = learner.partial_fit(motion).report_
-        except NotIdentifiableError as refusal:  # the motion is kept all the same
+            report = learner.fit(shown).report_
+        except NotIdentifiableError as refusal:  # the motion helps with the next one
             print(f"{motion.name}: not enough yet ({refusal.args[0].partition(':')[0]})")
             continue
         spread = report.uncertainty["noise"]

@@ -62,8 +62,7 @@ if TYPE_CHECKING:
     from manip_learn.planning.scene import Box, Cylinder, Mesh, Scene, Sphere
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, load_demonstrations
-    from manip_learn.recordings.demonstrations import Demonstrations
-    from manip_learn.recordings.trajectory import Trajectory, subsample
+    from manip_learn.recordings.trajectory import Demonstrations, Trajectory, subsample
     from manip_learn.recordings.velocities import derive_velocities
     from manip_learn.robot import Robot, load_robot
     from manip_learn.robot.collision import SelfCollision
@@ -79,8 +78,7 @@ _NAMES = {
     "robot.tips": "likely_tips",
     "robot.collision": "SelfCollision",
     "recordings": "RecordingSource load_demonstrations",
-    "recordings.demonstrations": "Demonstrations",
-    "recordings.trajectory": "Trajectory subsample",
+    "recordings.trajectory": "Demonstrations Trajectory subsample",
     "recordings.velocities": "derive_velocities",
     "constraint.constraint": "Constraint",
     "constraint.mechanism": "Mechanism",

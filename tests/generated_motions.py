@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 
 PLANAR_ROWS = {"xy": [0, 1], "x-theta": [0, 2], "y-theta": [1, 2]}
 Velocity = Callable[[np.ndarray, float], np.ndarray]
+made = partial(Trajectory, exact=True)  # velocities are those that made the positions
 
 
 def planar_features() -> FrameJacobian:
@@ -62,9 +63,7 @@ def paper_motions(
             q = q + 0.02 * u
         u = with_noise(np.array(velocities), noise, rng)
         trajectories.append(
-            Trajectory(
-                0.02 * np.arange(n_points), positions, u, features.robot.joint_names, f"reach {len(trajectories)}"
-            )
+            made(0.02 * np.arange(n_points), positions, u, features.robot.joint_names, f"reach {len(trajectories)}")
         )
     return Demonstrations(trajectories), truth
 
@@ -111,7 +110,7 @@ def guided_motions(
             return pi + ((pull(t) if task_speed else 0.0) - A @ pi) @ X
 
         time, q, u = integrated(velocity, random_posture(robot, rng), n_points, dt)
-        trajectories.append(Trajectory(time, q, with_noise(u, noise, rng), robot.joint_names, f"motion {k}"))
+        trajectories.append(made(time, q, with_noise(u, noise, rng), robot.joint_names, f"motion {k}"))
     return Demonstrations(trajectories), truth
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 
 DT = 0.02
 
@@ -40,4 +39,6 @@ def motions(
         q = q + DT * u
     time = DT * np.arange(n_points)
     pairs = zip(positions, velocities, strict=True)
-    return Demonstrations([Trajectory(time, a, b, robot.joint_names, f"motion {i}") for i, (a, b) in enumerate(pairs)])
+    return Demonstrations(
+        [Trajectory(time, a, b, robot.joint_names, f"motion {i}", exact=True) for i, (a, b) in enumerate(pairs)]
+    )

@@ -17,9 +17,10 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import OutputError, RecordingError
 from manip_learn.learning.audit import AuditReport, audit_episodes, measure, outlier_threshold, robust_z
 from manip_learn.linalg import orthonormal_rows
-from manip_learn.recordings import RecordingSource, trajectory_source
-from manip_learn.recordings.local_fit import jerk
+from manip_learn.recordings import RecordingSource
+from manip_learn.recordings import load as trajectory_source
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.velocities import jerk
 
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
 DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_drawer"
@@ -47,7 +48,7 @@ def with_one(demos: ml.Demonstrations, index: int, changed: Trajectory) -> list[
 def test_measures_are_those_of_the_constraint(constraint: ml.Constraint, demos: ml.Demonstrations) -> None:
     """Singular values, manipulability and residual are what the constraint's own functions give, sample by sample."""
     t = demos[3]
-    row = measure(constraint, t, 3)
+    row = measure(constraint, t, 3, "recorded")
     sigma = [np.linalg.svd(constraint(q), compute_uv=False)[-1] for q in t.q]
     assert row.sigma_min == pytest.approx(min(sigma), rel=1e-9)
     assert row.sigma_median == pytest.approx(float(np.median(sigma)), rel=1e-9)
@@ -69,7 +70,7 @@ def test_displacement_is_how_far_the_tip_moves_along_held_rows(features: FrameJa
         middle = q[-1] + 0.005 * u[-1]
         q.append(q[-1] + 0.01 * np.linalg.pinv(target(middle)) @ rate)
     held = ml.Constraint(np.eye(6)[[0, 1, 5]], target)
-    row = measure(held, Trajectory(time, np.array(q[:-1]), np.array(u), tuple(robot.joint_names)), 0)
+    row = measure(held, Trajectory(time, np.array(q[:-1]), np.array(u), tuple(robot.joint_names)), 0, "recorded")
     assert row.displacement_mm == pytest.approx(30.0, rel=1e-3)
     assert row.displacement_deg == pytest.approx(12.0, rel=1e-3)
 
@@ -83,7 +84,7 @@ def test_limits_speed_and_rest(constraint: ml.Constraint) -> None:
     way = np.where(time > 2.0, (time - 2.0) * speed, 0.0)
     q, u = np.tile(robot.neutral(), (401, 1)), np.zeros((401, robot.nv))
     q[:, 1], u[:, 1] = limit + 0.1 * width - way[-1] + way, np.where(time > 2.0, speed, 0.0)
-    row = measure(constraint, Trajectory(time, q, u, tuple(robot.joint_names)), 0)
+    row = measure(constraint, Trajectory(time, q, u, tuple(robot.joint_names)), 0, "recorded")
     assert row.limit_margin == pytest.approx(-0.1, abs=1e-6) and row.limit_joint == robot.joint_names[1]
     assert 0.0 < row.beyond_limits < 0.5
     assert row.peak_speed == pytest.approx(0.5) and row.peak_speed_joint == robot.joint_names[1]

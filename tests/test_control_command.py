@@ -163,7 +163,8 @@ def test_nothing_named_does_what_was_shown(run, shown, tmp_path):
 @pytest.mark.parametrize(
     ("robot", "recordings", "options"),
     [
-        ("planar3", "planar3_reach", ("--frame", "tip", "--axes", "planar")),  # on purpose, to different targets
+        # on purpose, to different targets
+        ("planar3", "planar3_reach", ("--frame", "tip", "--axes", "planar", "--velocities", "recorded")),
         ("sawyer", "sawyer_door", ("--frame", "right_gripper_tip")),  # in the hand's own axes, which do not say how far
         pytest.param("xarm7", "xarm7_drawer_then_table", ("--frame", "link_eef"), marks=pytest.mark.slow),  # two tasks
     ],

@@ -11,8 +11,7 @@ from case import case
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 
 NAMES = ("a", "b")
 

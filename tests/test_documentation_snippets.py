@@ -35,8 +35,7 @@ LONG = ("how_to_choose", "uncut_recordings")
 
 
 @pytest.mark.parametrize(
-    "page",
-    [pytest.param(page, marks=[pytest.mark.slow] * (page.stem in LONG), id=page.stem) for page in WITH_SNIPPETS],
+    "page", [pytest.param(page, marks=[pytest.mark.slow] * (page.stem in LONG), id=page.stem) for page in WITH_SNIPPETS]
 )
 @pytest.mark.timeout(300)
 def test_snippets_run(page, tmp_path, monkeypatch, capsys):

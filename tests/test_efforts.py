@@ -11,9 +11,8 @@ from case import case
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
-from manip_learn.recordings.trajectory import Trajectory, subsample
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, subsample
 from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, mcap_bytes, npz_bytes
 from manip_learn.robot import load_robot
@@ -58,8 +57,6 @@ def test_cuts_keep_them():
     for cut in (few, derive_velocities(trajectory(), ROBOT)):
         places = np.searchsorted(TIME, cut.time - 1e-6)
         np.testing.assert_array_equal(cut.effort, EFFORT[places])
-    halfway = derive_velocities(trajectory(), ROBOT, "midpoint")
-    np.testing.assert_allclose(halfway.effort, 0.5 * (EFFORT[1:] + EFFORT[:-1]))
 
 
 def test_own_formats_keep_them_exactly():

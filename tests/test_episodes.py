@@ -13,8 +13,8 @@ from recording_corpus import TABLE, csv, refusal
 from manip_learn.cli import main
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import RecordingSource, load_demonstrations
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.readers.read_request import EpisodeSelection
+from manip_learn.recordings.options import EpisodeSelection
+from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.robot import Robot
 
 lerobot = pytest.importorskip("test_lerobot_reader", exc_type=ImportError)

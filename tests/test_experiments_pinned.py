@@ -34,7 +34,7 @@ from manip_learn.experiments.paper_setup import (
 from manip_learn.experiments.singular_starts import DURATION, NEAR_SINGULAR, SINGULAR, STEPS, BadStart
 from manip_learn.experiments.table import LearningCase, learning_trial
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Demonstrations
 
 PATH = Path(__file__).resolve().parent / "golden" / "experiments.json"
 BESIDE = (0.1, -0.2, 0.15)  # [rad]

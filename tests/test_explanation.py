@@ -30,8 +30,7 @@ from manip_learn.learning.explanation.explain import distinct
 from manip_learn.learning.explanation.findings import Findings, Part, agreeing, find
 from manip_learn.learning.explanation.row_motion import RowMotion, broken_energy, views_of
 from manip_learn.linalg import complement_rows, row_space_angle
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 
 Recordings = tuple[FrameJacobian, list[Trajectory], dict[str, Any]]

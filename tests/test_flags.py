@@ -18,10 +18,10 @@ from manip_learn.errors import FLAG
 COMMANDS = sorted(program.commands)
 FILES = {command.name: command.work.partition(".")[0] for command in DECLARED}
 SOURCES = {source.name: source for source in library()}
-# flags of other programs: of `ros2 topic pub`, of the program that writes the planar arms, and of git
-FOREIGN = {"--once", "--name", "--no-optional-locks", "--always", "--abbrev", "--exclude", "--dirty"}
+# flags of other programs: of `ros2 topic pub` and `echo`, of the program that writes the planar arms, and of git
+FOREIGN = {"--once", "--name", "--no-optional-locks", "--always", "--abbrev", "--exclude", "--dirty", "--csv"}
 # its flags reach the caller through `advice` only
-ADVISING = ("recordings/readers/read_request.py",)
+ADVISING = ("recordings/options.py",)
 COMMAND_LINE = re.compile(r"`manip-learn ([a-z]+)([^`]*)`")
 READERS = ("learn", "audit", "replay", "export")
 LOADERS = (*READERS, "control", "inspect")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot
 
-EPOCH = 1_722_000_000.25
 TIME = np.arange(60) * 0.02
 JOINTS = ("joint1", "joint2", "joint3")
 
@@ -32,65 +30,6 @@ def table(header: list[str], *columns: object) -> str:
     full = [c if isinstance(c, list | np.ndarray) else [c] * len(TIME) for c in columns]
     rows = [",".join(f"{v:.17g}" if isinstance(v, float) else str(v) for v in row) for row in zip(*full, strict=True)]
     return "\n".join([",".join(header), *rows, ""])
-
-
-def plotjuggler() -> str:
-    """PlotJuggler's CSV exporter: `__time` and the paths of the series."""
-    kinds = [(kind, values) for kind, values in (("effort", 0 * Q), ("position", Q), ("velocity", U))]
-    header = ["__time", "/joint_states/header/stamp"]
-    header += [f"/joint_states/{joint}/{kind}" for joint in JOINTS for kind, _ in kinds]
-    columns = [values[:, i] for i in range(3) for _, values in kinds]
-    return table(header, EPOCH + TIME, EPOCH + TIME, *columns)
-
-
-def position_joint() -> str:
-    """`position.<joint>` columns, as data frames that were flattened have."""
-    header = ["timestamp", *(f"{kind}.{j}" for kind in ("position", "velocity", "effort") for j in JOINTS)]
-    return table(header, TIME, *Q.T, *U.T, *(0 * Q).T)
-
-
-def bracketed() -> str:
-    """`q[i]` and `dq[i]`, as libfranka's logs have them."""
-    header = ["time", *(f"q[{i}]" for i in range(3)), *(f"dq[{i}]" for i in range(3)), "success_rate"]
-    return table(header, TIME, *Q.T, *U.T, 1.0)
-
-
-def messages(time: str, name: str) -> str:
-    """Messages of a bag in a table, where the joints are named in columns of text."""
-    header = [time, *(name.format(kind, i) for kind in ("name", "position", "velocity") for i in range(3))]
-    return table(header, EPOCH + TIME, *JOINTS, *Q.T, *U.T)
-
-
-def pandas_dump() -> str:
-    """`DataFrame.to_csv`: row numbers without a name, and columns that belong to no joint."""
-    return table(["", "timestamp", *JOINTS, "gripper_width", "label"], list(range(len(TIME))), TIME, *Q.T, 0.08, "pick")
-
-
-# format -> how it is written, patterns of its columns, what a note says
-FORMATS: dict[str, tuple[Callable[[], str], list[str], str]] = {
-    "PlotJuggler": (plotjuggler, [], "'/joint_states/{joint}/position' and '/joint_states/{joint}/velocity'"),
-    "position.<joint>": (position_joint, [], "'position.{joint}' and 'velocity.{joint}'"),
-    "q[i], dq[i]": (bracketed, ["q[{index}]", "dq[{index}]"], "q[0] as joint1"),
-    "pandas": (pandas_dump, ["{joint}"], "not used: column 1 (without a name), gripper_width, label"),
-}
-WITH_VELOCITY = ("PlotJuggler", "position.<joint>", "q[i], dq[i]")
-
-
-def test_the_table_is_read(planar3: Robot) -> None:
-    """Positions, velocities and stamps come back in the robot's order and in s; the note says what was read."""
-    for name in FORMATS:
-        with case(name) as tmp_path:
-            write, columns, said = FORMATS[name]
-            path = tmp_path / "demo.csv"
-            path.write_text(write())
-            demos = load_demonstrations(path, planar3, columns=columns)
-            np.testing.assert_array_equal(demos[0].q, Q)
-            np.testing.assert_allclose(demos[0].time - demos[0].time[0], TIME, atol=1e-6)
-            if name in WITH_VELOCITY:
-                np.testing.assert_array_equal(demos[0].u, U)
-            else:
-                assert demos[0].u is None
-            assert any(said in note for note in demos.notes), demos.notes
 
 
 def refused(path: Path, robot: Robot, text: str, **options: object) -> RecordingError:
@@ -124,17 +63,11 @@ def test_numbers_must_be_those_of_the_joints(planar3: Robot, tmp_path: Path) -> 
     four = table(["time", "q0", "q1", "q2", "q3"], TIME, *Q.T, Q[:, 0])
     assert "4 such columns and 3 moving joints" in str(refused(path, planar3, four, columns="q{index}"))
     assert "no column such as 'p0'" in str(refused(path, planar3, four, columns="p{index}"))
-    assert "no column 'pos.joint1'" in str(refused(path, planar3, position_joint(), columns="pos.{joint}"))
+    assert "no column 'pos.joint1'" in str(
+        refused(path, planar3, table(["time", *JOINTS], TIME, *Q.T), columns="pos.{joint}")
+    )
     for bad in ("q", "{joint}{index}", ["a{joint}", "b{joint}", "c{joint}"]):
         assert refused(path, planar3, four, columns=bad).code == "option"
-
-
-def test_tables_of_messages_are_refused(planar3: Robot, tmp_path: Path) -> None:
-    """What `rostopic echo -p` and bagpy write of a bag is not read, with patterns of columns neither: the bag is."""
-    for written in (messages("%time", "field.{}{}"), messages("Time", "{}_{}")):
-        for options in ({}, {"columns": "position_{index}"}):
-            error = refused(tmp_path / "demo.csv", planar3, written, **options)
-            assert error.code == "messages" and "give the bag itself" in str(error)
 
 
 # beside the columns of positions: how others are called -> velocities are read, efforts are read, what a note says

@@ -11,7 +11,7 @@ from case import case
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.trajectory_source import recordings_given
+from manip_learn.recordings.given import recordings_given
 from manip_learn.recordings.velocities import derive_velocities
 
 DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_drawer"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.recordings.trajectory_source import recordings_given
+from manip_learn.recordings.given import recordings_given
 
 TIME = np.arange(0.0, 8.0, 0.01)
 

@@ -76,11 +76,7 @@ def test_names_cannot_become_markup_or_move_the_cursor():
         hostile = f"a{character}[31mb"
         robot = Robot(ml.load_robot("planar3").pinocchio_model, name=hostile, warnings=[hostile], locked={hostile: 1.0})
         assert robot.warnings == (f"a{ascii(character)[1:-1]}[31mb",)
-        for said in (
-            repr(robot),
-            robot._repr_html_(),
-            *robot.warnings,
-        ):
+        for said in (repr(robot), robot._repr_html_(), *robot.warnings):
             assert character not in said and "[31mb" in said or said == repr(robot)
     card = html_card.card("<b>x", html_card.facts([("<script>", "a & b")]), html_card.warnings(["<i>"]))
     assert "<script>" not in card

@@ -19,8 +19,7 @@ from manip_learn.learning.policy import ExactPolicy, Posterior, Projections, Reg
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.uncertainty import check_uncertainty
 from manip_learn.linalg import complement_rows, orthonormal_rows, row_space_angle
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from efficiency import measure, motion_of, noisy  # noqa: E402

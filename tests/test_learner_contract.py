@@ -20,8 +20,7 @@ from manip_learn.constraint.features import CustomFeatures, FeatureMap, FrameJac
 from manip_learn.errors import ManipLearnError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.linalg import orthonormal_rows, row_space_angle
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot import load_robot
 
 # name -> (estimator, whether the rows are held, accuracy on clean motions [deg])

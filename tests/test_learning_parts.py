@@ -32,8 +32,7 @@ from manip_learn.learning.policy import Regressors, monomials
 from manip_learn.learning.recombination import RowEvidence
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import orthonormal_rows, row_space_angle
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot import load_robot
 
 

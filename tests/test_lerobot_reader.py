@@ -12,11 +12,12 @@ from case import case
 from recording_corpus import refusal
 
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.readers.lerobot_reader import entry_names
 from manip_learn.robot import Robot, load_robot
 
 pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
 import pyarrow.parquet as pq  # noqa: E402
+
+from manip_learn.recordings.readers.lerobot import entry_names  # noqa: E402
 
 JOINTS = ["joint1", "joint2", "joint3"]
 FPS = 50
@@ -256,7 +257,7 @@ def test_times_are_stamps_or_frames_over_fps(planar3: Robot) -> None:
     for name, stamps, options, note in [
         ("zero", 0.0 * frames, {}, "the stamps do not increase: frame_index / 50 is the time"),
         ("in pairs", frames // 2 / 25.0, {}, "the stamps do not increase"),
-        ("overruled", frames / 30.0, {"rate": 50.0}, "the stamps are overruled"),
+        ("overruled", frames / 30.0, {"rate": 50.0}, "stamps are overruled"),
         ("as they are", frames / 50.0 + 3.0, {}, ""),
     ]:
         with case(name) as tmp_path:

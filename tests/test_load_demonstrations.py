@@ -13,7 +13,7 @@ from recording_corpus import JOINTS, TABLE, TIME, Q, csv, refusal
 
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings import RecordingSource, load_demonstrations
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.robot import Robot, load_robot
 
 
@@ -79,7 +79,12 @@ def test_options_are_checked(planar3: Robot, folder: Path) -> None:
 
 
 def test_trajectories_come_one_by_one(planar3: Robot, folder: Path) -> None:
-    """The generator has given the first before it opens the second; notes are handed out at the end."""
+    """The generator has given the first before it opens the second; notes are handed out at the end, progress is told
+    after each file.
+    """
+    told: list[float] = []
+    load_demonstrations(folder, planar3, progress=lambda _step, share: told.append(share))
+    assert told == [1 / 3, 2 / 3, 1.0] and len(list(RecordingSource(folder, planar3))) == 3
     (folder / "demo_2.csv").write_text(csv(TABLE[:1]))
     stream = iter(RecordingSource([folder / "demo_1.csv", folder / "demo_2.csv"], planar3).part(0))
     assert next(stream).name == "demo_1.csv"
@@ -101,10 +106,10 @@ def test_missing_libraries_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> No
         return real(name, *arguments, **keywords)
 
     for missing, reader, extra in (
-        ("rosbags", "readers.bag_file", "ros"),
-        ("lz4", "readers.bag_file", "ros"),
+        ("rosbags", "readers.bags", "ros"),
+        ("lz4", "readers.bags", "ros"),
         ("pyarrow", "writers.lerobot_writer", "lerobot"),
-        ("h5py", "readers.hdf5_reader", "robomimic"),
+        ("h5py", "readers.hdf5", "robomimic"),
     ):
         with case(missing), monkeypatch.context() as patch:
             patch.setattr(builtins, "__import__", absent)

@@ -58,8 +58,7 @@ def degrees_between(a, b):
 
 
 @pytest.mark.parametrize(
-    ("name", "kind"),
-    [("ur5" if k in ("plane", "screw, firm") else "panda", k) for k in paths(np.zeros(3))],
+    ("name", "kind"), [("ur5" if k in ("plane", "screw, firm") else "panda", k) for k in paths(np.zeros(3))]
 )
 def test_type_and_place(robot_of, name, kind):
     """With encoder noise of 1e-4 rad and only 300 samples: the right type and rows, axis within 0.25 degrees, place and

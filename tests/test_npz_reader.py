@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+import scipy.io
 from recording_corpus import JOINTS, TIME, Q, U
 
 from manip_learn.control.rollout import Rollout
@@ -58,3 +60,43 @@ def test_a_rollout_of_configurations_becomes_joint_positions(robot_of, tmp_path:
     demos = load_demonstrations(rollout.save(tmp_path / "r.npz"), robot)
     np.testing.assert_allclose(demos[0].q, positions, rtol=0, atol=1e-9)
     assert "full turns added" in " ".join(demos.notes)
+
+
+def cell(*values: Any) -> np.ndarray:
+    out = np.empty((1, len(values)), dtype=object)
+    out[0, :] = values
+    return out
+
+
+STACK, STAMPED = np.stack([Q, 2.0 * Q]), np.vstack([Q.T, TIME])
+# name of the file -> what is in it, and the options that read it
+LISTS: dict[str, tuple[Any, dict[str, Any]]] = {
+    "stack.npy": (STACK, {"joint_names": JOINTS, "rate": 100.0}),
+    "stack.npz": ({"demos": STACK}, {"joint_names": JOINTS, "rate": 100.0}),
+    "cells.mat": ({"demos": cell(Q, 2.0 * Q)}, {"joint_names": JOINTS, "rate": 100.0}),
+    "cells_with_time.mat": ({"demos": cell(Q, 2.0 * Q), "times": cell(TIME, TIME)}, {"joint_names": JOINTS}),
+    "structs.mat": (
+        {"data": cell(*({"arm": {"pose": STAMPED, "joint_states": x}, "times": [0.0, 3.0]} for x in (STAMPED,) * 2))},
+        {"joint_names": (*JOINTS, "time")},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LISTS)
+def test_lists_of_recordings(name: str, planar3: Robot, tmp_path: Path) -> None:
+    """Stacks, cells and structs are as many recordings as they have elements, without a name to be given.
+
+    A pose is not taken for them, a time of something else not for theirs, and what is no joint is left out, aloud.
+    """
+    content, options = LISTS[name]
+    path = tmp_path / name
+    if path.suffix == ".mat":
+        scipy.io.savemat(path, content)
+    else:
+        np.save(path, content) if path.suffix == ".npy" else np.savez(path, **content)
+    demos = load_demonstrations(path, planar3, **options)
+    factors = [1.0, 1.0] if "structs" in name else [1.0, 2.0]
+    assert len(demos) == len(factors)
+    for demo, factor in zip(demos, factors, strict=True):
+        np.testing.assert_allclose(demo.q, factor * Q, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(np.diff(demo.time), 0.01 if "rate" in options else np.diff(TIME), rtol=1e-6)

@@ -128,16 +128,14 @@ def test_velocities_are_local_twists(robot: Robot, rng: np.random.Generator) -> 
             )
             derived = ml.derive_velocities(Trajectory(time, noisy, None, robot.joint_names), robot)
             assert derived.u is not None
-            first = int(np.argmin(np.abs(time - derived.time[0])))
-            expected = rates[first - 1 : first - 1 + len(derived)]
-            np.testing.assert_allclose(derived.u[: len(expected)], expected, atol=2e-3 if noise == 0.0 else 0.08)
+            np.testing.assert_allclose(derived.u[1:-1], rates, atol=2e-3 if noise == 0.0 else 0.08)
             if noise == 0.0:
                 for k in (0, 150, 300):
-                    step = robot.difference(derived.q[k], clean[first + k])
+                    step = robot.difference(derived.q[k], clean[k])
                     assert np.max(np.abs(step)) < 1e-4
             else:  # differences of neighbours would be off by noise / dt
                 raw = np.array([robot.difference(a, b) for a, b in zip(noisy[:-2], noisy[2:], strict=True)]) / 0.02
-                error = np.std(derived.u[: len(expected)] - expected)
+                error = np.std(derived.u[1:-1] - rates)
                 assert error < 0.3 * np.std(raw - rates)
 
 

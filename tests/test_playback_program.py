@@ -64,10 +64,10 @@ def test_ticks_and_numbers_are_round(run):
         assert ticks[0] - low < steps[0] and high - ticks[-1] < steps[0]
     assert run("niceTicks(2, 2, 5)", "niceTicks(3, 1, 5)") == [[2], [3]]
     assert run("short(0)", "short(0.25)", "short(-1234)", "short(0.001)", "short(0.0004)", "short(100000)") == [
-        *("0", "0.25", "-1234", "0.001", "4.0e-4", "1.0e5"),
+        *("0", "0.25", "-1234", "0.001", "4.0e-4", "1.0e5")
     ]
     assert run("readable(0)", "readable(0.12345)", "readable(0.001)", "readable(-0.0009)", "readable(10000)") == [
-        *("0", "0.12", "0.0010", "-9.0e-4", "1.0e+4"),
+        *("0", "0.12", "0.0010", "-9.0e-4", "1.0e+4")
     ]
     assert run("readable(1.26)", "readable(12.6)", "readable(-126.4)") == ["1.3", "13", "-126"]
 
@@ -110,15 +110,15 @@ def test_a_rollouts_own_phases(run):
     labels = run(*(f"(phaseAt(plan, {t}) || {{}}).label || null" for t in (0, 1.9, 2, 3, 4, 4.1)), given=OWN)
     assert labels == ["approach", "approach", "hold", "way", "way", None]
     assert run("phaseAt({ ...plan, bands: [] }, 1)", "hasGaps({ ...plan, bands: [plan.bands[0]] })", given=OWN) == [
-        *(None, False),
+        *(None, False)
     ]
     holds = [run(f"takesHold({r}, {t})", given=OWN)[0] for r in ("plan", "{}") for t in (1, 2.5, 3.5)]
     assert holds == [False, True, True, True, True, True]
     assert run("inWords([{ ...plan, curve: [] }])", given=OWN) == [
-        "plan: approach until 2.00 s, hold until 3.00 s, way until 4.00 s",
+        "plan: approach until 2.00 s, hold until 3.00 s, way until 4.00 s"
     ]
     assert run("kinds.map((k) => k.colour)", "kinds.map((k) => k.ink)", given=OWN) == [
-        *(["#ccccff", "#9999ff", "#0000ff"], ["#17212b", "#17212b", "#ffffff"]),
+        *(["#ccccff", "#9999ff", "#0000ff"], ["#17212b", "#17212b", "#ffffff"])
     ]
     rollouts = ("plan", "{ ...plan, hasPhases: true }", "{ hasPhases: true, hasOwnPhases: false }")
     assert run(*(f"Boolean(hasPhaseColours({r}))" for r in rollouts), given=OWN) == [False, False, True]
@@ -137,7 +137,7 @@ def test_bands_have_words_gaps_and_room(run):
         const rows = (room) => bandRows(crowd, room).map((r) => r.i);"""
     assert run("rows(12)", "rows(11)", "rows(6)", "rows(0)", given=given) == [[0, 3, 4, 5], [0, 3, 5], [0, 5], [5]]
     assert run("shortName('x'.repeat(22))", "shortName('abcdefghijklmnopqrstuvwxyz')") == [
-        *("x" * 22, "abcdefghi…opqrstuvwxyz"),
+        *("x" * 22, "abcdefghi…opqrstuvwxyz")
     ]
 
 

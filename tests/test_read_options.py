@@ -18,8 +18,9 @@ from manip_learn.control.simulation import simulate
 from manip_learn.errors import RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.audit import audit_episodes
-from manip_learn.recordings import load_demonstrations, trajectory_source
-from manip_learn.recordings.trajectory_source import RecordingSource
+from manip_learn.recordings import load as trajectory_source
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.load import RecordingSource
 from manip_learn.robot import Robot, load_robot
 
 NOPE = {"nope": "right_j0"}

@@ -19,7 +19,7 @@ from manip_learn.cli import main
 from manip_learn.drivers.record import RESTS, record
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.recordings.trajectory import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.robot import load_robot
 
 NAMES = ("joint1", "joint2", "joint3")
@@ -222,10 +222,7 @@ def test_a_full_disk_keeps_what_it_has(tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("name", "last", "said", "code"),
-    [
-        ("SIGINT", 10**9, ["held", "Ctrl-C"], 0),
-        ("SIGTERM", 200, ["blocks", "held"], 143),
-    ],
+    [("SIGINT", 10**9, ["held", "Ctrl-C"], 0), ("SIGTERM", 200, ["blocks", "held"], 143)],
 )
 def test_signals_complete_the_file_and_hold_the_arm(name: str, last: int, said: list[str], code: int, tmp_path: Path):
     """Without a traceback; a driver that does not return is given up; the exit code is the signal's."""

@@ -100,10 +100,10 @@ REFUSED: dict[str, tuple[str, Build, tuple[str, ...]]] = {
     "an archive without stamps": ("no-time", one("a.npz", npz(q=Q, joint_names=np.array(JOINTS))), ()),
     "an archive without names": ("no-joint-names", one("a.npz", npz(time=TIME, q=Q)), ()),
     "an archive of another name": (
-        "missing-array", one("a.npz", npz(time=TIME, measured=Q, joint_names=np.array(JOINTS))), ()
+        "missing-array", one("a.npz", npz(time=TIME, measured=Q, other=Q, joint_names=np.array(JOINTS))), ()
     ),
     "too few names": ("shape", one("a.npz", npz(time=TIME, q=Q)), ("--joint-names", "joint1,joint2")),
-    "several topics": ("ambiguous-topic", bag(all_in_one(topic="/real"), all_in_one(topic="/command")), ()),
+    "several topics": ("ambiguous-topic", bag(all_in_one(topic="/real"), all_in_one(topic="/other")), ()),
     "names that change": ("unsteady-names", bag(changing_names(), all_in_one(topic="/real")), ()),
     "no order in a bag": ("time-order", shuffled, ()),
     "no units": ("units", lerobot(), ()),

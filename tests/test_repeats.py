@@ -17,7 +17,7 @@ from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, Part
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import advise
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Demonstrations
 
 Motion = tuple[np.ndarray, np.ndarray]
 
@@ -109,10 +109,7 @@ def test_pieces_of_one_recording_are_the_uncut_recording(clock: bool, shared: bo
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-2])
-@pytest.mark.parametrize(
-    ("kind", "robot"),
-    [("free_repeated", "xarm7"), ("drawer_firm", "ur5"), ("table", "panda")],
-)
+@pytest.mark.parametrize(("kind", "robot"), [("free_repeated", "xarm7"), ("drawer_firm", "ur5"), ("table", "panda")])
 def test_demonstrations_of_their_own_count_each(kind: str, robot: str, noise: float):
     """Nothing repeats in what was demonstrated anew each time, be it a reach in nearly the same way."""
     for whole in (True, False):

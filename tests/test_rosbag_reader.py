@@ -185,10 +185,16 @@ def test_two_kinds_of_messages_on_one_topic_are_merged(planar3: Robot, tmp_path:
 
 
 def test_measured_and_commanded_states_are_not_mixed(planar3: Robot, tmp_path: Path) -> None:
-    """Two topics with the same joints: a question; topics=[...] answers it; /joint_states is preferred, said aloud."""
+    """Two topics with the same joints: a question, unless one is of commands; topics=[...] answers it; /joint_states is
+    preferred, said aloud.
+    """
+    messages = sorted([*all_in_one(topic="/real"), *all_in_one(q=Q + 0.1, topic="/other")], key=lambda m: m[1])
+    bag = write_bag(tmp_path / "two", "mcap", messages)
+    assert refusal(bag, planar3, match=r"topics=\['/real'\]").code == "ambiguous-topic"
     messages = sorted([*all_in_one(topic="/real"), *all_in_one(q=Q + 0.1, topic="/command")], key=lambda m: m[1])
     bag = write_bag(tmp_path / "bag", "mcap", messages)
-    assert refusal(bag, planar3, match=r"topics=\['/real'\]").code == "ambiguous-topic"
+    demos = load_demonstrations(bag, planar3)
+    assert np.array_equal(demos[0].q, Q) and "/command" in " ".join(demos.notes)
     np.testing.assert_array_equal(load_demonstrations(bag, planar3, topics=["/command"])[0].q, Q + 0.1)
     refusal(bag, planar3, match="/command", topics=["/wnted"])
     messages = sorted([*all_in_one(), *all_in_one(q=Q + 0.1, topic="/command")], key=lambda m: m[1])

@@ -425,11 +425,7 @@ BAD_FILES = [
     ('{"boxes": [{"name": "a", "size": [1, 1, 1]}]}', SceneError, r"boxes\[0\] lacks key 'pose'"),
     ('{"boxes": [{"name": "a", "size": [1, 1, 1], "poes": [0, 0, 0]}]}', UnknownNameError, "'poes'.*'pose'"),
     ('{"boxes": [{"name": "a", "size": [1, 1, -1], "pose": [0, 0, 0]}]}', SceneError, "room.json: box 'a'"),
-    (
-        '{"boxes": [{"name": "a", "size": [19, 1, 1], "pose": [0, 0, 0]}]}',
-        SceneError,
-        "19 m large.*reaches.*milli",
-    ),
+    ('{"boxes": [{"name": "a", "size": [19, 1, 1], "pose": [0, 0, 0]}]}', SceneError, "19 m large.*reaches.*milli"),
     ('{"meshes": [{"name": "a", "source": "a.stl", "pose": [0, 0, 0]}]}', SceneError, "room.json: mesh 'a'.*a.stl"),
     ("<robot", RobotError, "XML"),
 ]

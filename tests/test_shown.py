@@ -7,9 +7,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from case import case
 from numpy.testing import assert_allclose
 from shown_motions import Thing, recordings
-from task_sets import learnt_from
+from task_sets import generated, learnt_from
 
 import manip_learn as ml
 from manip_learn.constraint.intention import Intention
@@ -54,6 +55,22 @@ def test_what_was_shown_is_what_people_did(kind, arm):
     again = ml.Shown.from_dict(json.loads(json.dumps(shown.to_dict())))
     assert again is not None and again.sentence == shown.sentence
     assert_allclose(again.points, shown.points, atol=1e-5)
+
+
+def test_recordings_that_are_cut_to_the_motion_lose_nothing_of_it():
+    """From the first sample on, at rest there or in full motion: way, place and time are those recorded."""
+    truth, motions = generated("drawer", "panda", 4200, 4, whole=False)
+    robot = ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
+    for low, high, step in ((0.0, 1.0, 10), (0.1, 0.3, 2)):
+        with case(low, high, step):
+            demos = [t.part(slice(int(low * len(t)), int(high * len(t)), step)) for t in motions]
+            paths = [np.array([robot.position(q, truth["tip"]) for q in t.q]) for t in demos]
+            ways = [np.linalg.norm(p - p[0], axis=1) for p in paths]
+            seconds = np.array([t.time[np.argmax(way)] - t.time[0] for t, way in zip(demos, ways, strict=True)])
+            shown = ml.ConstraintLearner(ml.FrameJacobian(robot, truth["tip"], "xyz")).fit(demos).constraint_.shown
+            assert shown is not None and shown.extent == pytest.approx(np.median([w.max() for w in ways]), rel=0.03)
+            assert min(np.linalg.norm(p[0] - shown.begin) for p in paths) < 5e-3
+            assert np.min(np.abs(shown.time[-1] / seconds - 1.0)) < 0.03
 
 
 @pytest.mark.parametrize(("kind", "arm"), SETS)

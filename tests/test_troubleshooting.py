@@ -14,7 +14,7 @@ from manip_learn import errors
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md"
 CODE = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 # functions that make errors; one of their first arguments is the code
-MAKERS = ("refusal", "_refusal", "_header_error", "MergeError", "refuse")
+MAKERS = ("refusal", "_refusal", "refused", "NamingError", "_header_error", "MergeError", "refuse")
 # tables of codes: (what it looks like, code, sentence)
 TABLES = ("REFUSED_MAGIC",)
 
@@ -26,7 +26,7 @@ def codes(source: Source) -> Iterator[str]:
             yield from (text(part) for k in node.keywords if k.arg == "code" for part in values(k.value))
             name = ast.unparse(node.func).split(".")[-1]
             if name in MAKERS:
-                said = [text(a) for a in node.args[:4]]
+                said = [text(v).partition(".")[0] for a in node.args[:4] for v in values(a)]  # of a key, its code
                 yield next((s for s in said if s and CODE.fullmatch(s.replace("*", "x"))), "")
         elif isinstance(node, ast.Assign | ast.AnnAssign):
             target = ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target)

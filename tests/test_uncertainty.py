@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -28,8 +29,7 @@ from manip_learn.learning.uncertainty import (
     parts_in_words,
     uncertainty_of,
 )
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot.robot import Robot
 
 
@@ -38,7 +38,7 @@ def held(seed: int, offset: float, noise: float = 0.005, motions: int = 10):
     rng = np.random.default_rng([61, seed])
     demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, motions, 20, 0.05, noise=noise)
     delta = offset * rng.standard_normal(7)
-    shifted = [Trajectory(t.time, t.q + delta, t.u, t.joint_names, t.name) for t in demos]
+    shifted = [replace(t, q=t.q + delta) for t in demos]
     return Demonstrations(shifted), truth, delta
 
 
@@ -94,7 +94,7 @@ def test_what_no_residual_shows_is_as_large_as_was_said():
     parts = [report.uncertainty[JOINT_ZEROS] for report in stated.values()]
     assert parts[0] < 0.05 < 0.1 < parts[1] < 0.6 and parts[2] > 4.0 * parts[1]
     assert stated[2.0].uncertainty[NOISE] == stated[0.0].uncertainty[NOISE]
-    turned = [Trajectory(t.time, t.q + np.eye(7)[0], t.u, t.joint_names, t.name) for t in demos]
+    turned = [replace(t, q=t.q + np.eye(7)[0]) for t in demos]
     mu = [learnt(Demonstrations(d), truth).constraint_.manipulability(d[0].q[3]) for d in (demos, turned)]
     assert mu[1] == pytest.approx(mu[0], rel=1e-6)
 

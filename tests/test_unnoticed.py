@@ -100,7 +100,7 @@ def rewritten(folder: Path, change: Callable[[list[str], np.ndarray], None]) -> 
 
 
 def test_a_factor_on_velocities_or_time_turns_nothing(arm, tmp_path):
-    """Velocities that contradict the positions are derived from these: the rows are the same whatever was recorded."""
+    """Velocities are derived from the positions: the rows are the same whatever was recorded, at any speed."""
 
     def changed(velocities: float, time: float) -> ml.Demonstrations:
         def change(names: list[str], numbers: np.ndarray) -> None:
@@ -109,14 +109,12 @@ def test_a_factor_on_velocities_or_time_turns_nothing(arm, tmp_path):
 
         return ml.load_demonstrations(rewritten(tmp_path, change), arm)
 
-    recorded = changed(1.0, 1.0)
-    assert "does not integrate to its position" in recorded.notes[0] and not recorded.has_velocities  # 60 ms late
-    rows = learnt(arm, recorded).constraint_.selection
-    for velocities, time in ((1.9, 1.0), (1.0, 10.0), (-1.0, 1.0)):
-        demos = changed(velocities, time)
-        assert "does not integrate to its position" in demos.notes[0]
-        assert row_space_angle(learnt(arm, demos).constraint_.selection, rows) < 1e-6
-    assert any("check the unit of time" in note for note in changed(10.0, 0.1).notes)
+    found = learnt(arm, changed(1.0, 1.0))
+    stated = np.radians(found.report_.uncertainty_deg)
+    for velocities, time, most in ((1.9, 1.0, 1e-9), (-1.0, 1.0, 1e-9), (1.0, 10.0, stated / 3.0)):
+        again = learnt(arm, changed(velocities, time)).constraint_.selection
+        assert row_space_angle(again, found.constraint_.selection) < most  # contacts are looked for in seconds
+    assert any("check the unit of time" in str(note) for note in changed(10.0, 0.1).notes)
 
 
 def test_slow_time_without_velocities_changes_nothing(arm, drawer):

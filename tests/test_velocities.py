@@ -1,21 +1,31 @@
-"""Velocities derived from positions, on motions whose velocities are known."""
+"""Velocities derived from positions, on motions whose velocities are known; nothing else that is recorded can hurt."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from case import case
-from generated_motions import arm_features, guided_motions, oblique
+from generated_motions import angle_deg, arm_features, guided_motions, oblique, planar_features
 
-from manip_learn.errors import RecordingError
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.local_fit import HALF_WIDTHS, best_windows, half_widths_of, jerk, local_fit, noise_variance
-from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.velocities import derive_together, derive_velocities, is_clean, with_velocities
-from manip_learn.robot import load_robot
+import manip_learn as ml
+from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.recordings.given import recordings_given
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
+from manip_learn.recordings.velocities import derive_velocities, jerk, noise_variance, with_velocities
 
 FEATURES = arm_features()
 ROBOT = FEATURES.robot
+DT, SAMPLES = 0.01, 300  # [s]
+NOISE = 1e-4  # [rad] of the encoders
+SEED = 7
+
+Velocity = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+Stamps = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
 def recorded(seed: int, noise: float, dt: float = 0.01, n_points: int = 200, n_trajectories: int = 4):
@@ -30,78 +40,52 @@ def recorded(seed: int, noise: float, dt: float = 0.01, n_points: int = 200, n_t
 
 def error_of(true: Trajectory, derived: Trajectory) -> float:
     """Root mean square error of the velocities, relative to their size."""
-    i = np.abs(true.time[:, None] - derived.time).argmin(axis=0)
-    u = true.u[i]
-    return float(np.sqrt(np.mean((derived.u - u) ** 2) / np.mean(u**2)))
+    return float(np.sqrt(np.mean((derived.u - true.u) ** 2) / np.mean(true.u**2)))
 
 
-def test_smooth_velocities_are_close_to_the_truth():
-    """From clean positions and from noisy ones: degree and width of the window are chosen well for each."""
-    for noise, allowed in [(0.0, 1e-5), (1e-7, 1e-5), (1e-5, 5e-4), (1e-4, 2e-3), (1e-3, 1e-2)]:
-        with case(noise, allowed):
-            true, noisy, _ = recorded(1, noise)
-            errors = [error_of(a, derive_velocities(b, ROBOT)) for a, b in zip(true, noisy, strict=True)]
+def test_derived_velocities_are_close_to_the_truth() -> None:
+    """At any rate and noise the window suits the motion, and positions and times stay as they are, to the last one."""
+    for dt, n, noise, allowed in (
+        (0.1, 40, 1e-5, 0.03),
+        (0.05, 60, 1e-3, 0.04),
+        (0.01, 200, 0.0, 1e-5),
+        (0.01, 200, 1e-5, 5e-4),
+        (0.01, 200, 1e-3, 0.025),
+        (0.002, 2000, 1e-3, 0.01),
+    ):
+        with case(dt, noise):
+            true, noisy, _ = recorded(1, noise, dt, n)
+            derived = [derive_velocities(t, ROBOT) for t in noisy]
+            errors = [error_of(a, b) for a, b in zip(true, derived, strict=True)]
             assert max(errors) < allowed
+            for a, b in zip(noisy, derived, strict=True):
+                np.testing.assert_array_equal(a.q, b.q)
+                np.testing.assert_array_equal(a.time, b.time)
 
 
-def test_midpoints():
-    """Midpoint velocities belong to the postures between the samples, exactly so at constant speed."""
-    time = np.array([0.0, 0.1, 0.3, 0.35])
-    speed = np.linspace(-0.5, 0.5, 7)
-    t = Trajectory(time, np.outer(time, speed), None, ROBOT.joint_names)
-    derived = derive_velocities(t, ROBOT, "midpoint")
-    np.testing.assert_allclose(derived.u, np.tile(speed, (3, 1)), atol=1e-14)
-    np.testing.assert_allclose(derived.q, np.outer(derived.time, speed), atol=1e-15)
-    np.testing.assert_allclose(derived.time, [0.05, 0.2, 0.325])
+def test_the_unit_of_time_changes_nothing() -> None:
+    """A motion that is replayed ten times slower, or stamped since 1970, has the same velocities but for the factor."""
+    for noise in (1e-5, 1e-3):
+        t = recorded(4, noise)[1][0]
+        u = derive_velocities(t, ROBOT).u
+        slow, late = (derive_velocities(replace(t, time=x), ROBOT).u for x in (10.0 * t.time, t.time + 1.7e9))
+        np.testing.assert_allclose(10.0 * slow, u, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(late, u, rtol=0, atol=1e-3 * np.abs(u).max())
 
 
-def test_polynomials_on_uneven_stamps_are_exact():
-    """A window's polynomial has its own degree's value and slope exactly, with the true time stamps; so where there are
-    so many samples that each window's equations are solved by themselves.
+def test_lost_samples_and_uneven_stamps() -> None:
+    """Polynomials of degree 5 have their slope exactly, at the ends and beside what is lost; noise grows by what the
+    samples that are lost took with them.
     """
     rng = np.random.default_rng(3)
-    for n, half_width, atol in ((60, 6, 1e-8), (4000, 40, 1e-6)):
-        time = np.cumsum(rng.uniform(0.005, 0.02, n))
-        inner = slice(half_width, n - half_width)
-        for degree in (2, 3, 5):
-            shapes = rng.standard_normal((2, degree + 1))
-            polynomials = [np.polynomial.Chebyshev(shape, domain=[0.0, time[-1]]) for shape in shapes]
-            x = np.stack([p(time) for p in polynomials], axis=1)
-            slope = np.stack([p.deriv()(time) for p in polynomials], axis=1)
-            value, found = local_fit(time, x, half_width, degree)
-            np.testing.assert_allclose(value, x[inner], rtol=0, atol=1e-10)
-            np.testing.assert_allclose(found, slope[inner], rtol=0, atol=atol)
-
-
-def test_fast_sampling_has_windows_as_long_as_slow_sampling():
-    """At 500 Hz and 1e-3 rad the window is longer than 61 samples, with a degree that follows the motion.
-
-    The error is less than half that of the best window of 61 samples. Up to 100 Hz no longer ones are among the choice.
-    """
-    for jitter in [0.0, 2e-4]:
-        with case(jitter):
-            rng = np.random.default_rng(11)
-            time = 0.002 * np.arange(2500) + rng.uniform(-jitter, jitter, 2500)
-            phase, rate = rng.uniform(0.0, 6.0, 7), rng.uniform(2.0, 5.0, 7)
-            q = 0.3 * np.sin(np.outer(time, rate) + phase) + 1e-3 * rng.standard_normal((2500, 7))
-            true = Trajectory(time, q, 0.3 * rate * np.cos(np.outer(time, rate) + phase), ROBOT.joint_names)
-            noisy = Trajectory(time, q, None, ROBOT.joint_names)
-            m, degree = best_windows(time, q[None])[0]
-            assert 75 <= m <= 150 and degree >= 3
-            fits = [(time[30:-30], *local_fit(time, q, 30, d), ROBOT.joint_names) for d in (2, 3, 5)]
-            best = min(error_of(true, Trajectory(*fit)) for fit in fits)
-            assert error_of(true, derive_velocities(noisy, ROBOT)) < 0.5 * best
-            for step in (0.01, 0.1):
-                assert half_widths_of(step * np.arange(2500)) == HALF_WIDTHS
-
-
-def test_uneven_stamps_do_not_spoil_the_choice():
-    """Neither jitter of the time stamps nor Unix time degrades the result."""
-    true, noisy, _ = recorded(4, 1e-4)
-    even = error_of(true[0], derive_velocities(noisy[0], ROBOT))
-    later = derive_velocities(Trajectory(noisy[0].time + 1.7e9, noisy[0].q, None, ROBOT.joint_names), ROBOT)
-    shifted = Trajectory(later.time - 1.7e9, later.q, later.u, later.joint_names)
-    assert error_of(true[0], shifted) < 1.5 * even + 1e-4
+    time = np.delete(np.cumsum(rng.uniform(0.005, 0.02, 120)), [30, 31, 32, 33, 80])
+    shapes = [np.polynomial.Chebyshev(rng.standard_normal(6), domain=[0.0, time[-1]]) for _ in range(7)]
+    derived = derive_velocities(Trajectory(time, np.stack([p(time) for p in shapes], axis=1)), ROBOT)
+    np.testing.assert_allclose(derived.u, np.stack([p.deriv()(time) for p in shapes], axis=1), rtol=0, atol=1e-6)
+    true, noisy, _ = recorded(5, 1e-4)
+    kept = np.sort(rng.choice(200, 140, replace=False))
+    some = derive_velocities(noisy[0].part(kept), ROBOT)
+    assert error_of(true[0].part(kept), some) < 2.0 * error_of(true[0], derive_velocities(noisy[0], ROBOT))
 
 
 def test_continuous_joints_may_wrap(robot_of):
@@ -111,9 +95,8 @@ def test_continuous_joints_may_wrap(robot_of):
     x = np.array([2.8, 0.1, -2.9, 0.3]) + np.outer(time, [0.7, 0.2, -0.9, -0.1])
     wrapped = np.where([True, False, True, False], (x + np.pi) % (2 * np.pi) - np.pi, x)
     for q in (wrapped, np.array([robot.configuration(row) for row in x])):
-        for method in ("midpoint", "smooth"):
-            derived = derive_velocities(Trajectory(time, q, None, robot.joint_names), robot, method)
-            np.testing.assert_allclose(derived.u, np.tile([0.7, 0.2, -0.9, -0.1], (len(derived), 1)), atol=1e-9)
+        derived = derive_velocities(Trajectory(time, q, None, robot.joint_names), robot)
+        np.testing.assert_allclose(derived.u, np.tile([0.7, 0.2, -0.9, -0.1], (len(derived), 1)), atol=1e-9)
 
 
 def test_floating_base(robot_of, rng):
@@ -124,52 +107,25 @@ def test_floating_base(robot_of, rng):
     for _ in range(9):
         q.append(robot.integrate(q[-1], 0.02 * u))
     derived = derive_velocities(Trajectory(0.02 * np.arange(10), q, None, robot.joint_names), robot)
-    np.testing.assert_allclose(derived.u, np.tile(u, (9, 1)), atol=1e-9)
-    np.testing.assert_allclose(robot.difference(derived.q[3], robot.integrate(q[3], 0.01 * u)), 0.0, atol=1e-12)
+    np.testing.assert_allclose(derived.u, np.tile(u, (10, 1)), atol=1e-9)
 
 
-def test_recorded_velocities_are_kept_and_lost_ends_are_said():
-    """Only missing velocities are derived; the report says how many samples that cost."""
+def test_recorded_velocities_are_used_as_asked() -> None:
+    """`"recorded"` uses those there are as they are; by default all are derived. Too few samples, no robot and what is
+    not a number are refused.
+    """
     true, noisy, _ = recorded(6, 1e-4)
-    mixed = Demonstrations([true[0], noisy[1]], ["read from files"])
-    done = with_velocities(mixed, ROBOT)
-    assert done[0] is true[0]
-    lost = len(noisy[1]) - len(done[1])
-    assert lost > 0
-    assert done.notes[0] == "read from files"
-    assert f"velocities of 1 recording derived from the positions; {lost} of 400 samples" in done.notes[1]
-    assert with_velocities(Demonstrations([true[0]]), None)[0] is true[0]
-
-
-def test_refusals():
-    """Too few samples, an unknown method, a window that does not fit, and no robot: refused with the numbers."""
-    _, noisy, _ = recorded(7, 1e-4, n_points=30, n_trajectories=1)
-    t = noisy[0]
+    mixed = Demonstrations([replace(true[0], u=2.0 * true[0].u, exact=False), noisy[1]], ["read from files"])
+    kept, derived = with_velocities(mixed, ROBOT, "recorded"), with_velocities(mixed, ROBOT)
+    assert kept[0] is mixed[0] and kept.notes == mixed.notes and kept.has_velocities
+    assert error_of(true[0], derived[0]) < 1e-2
+    assert with_velocities(derived, ROBOT)[0] is derived[0] and with_velocities(derived, None)[1] is derived[1]
     with pytest.raises(RecordingError, match="got 2"):
-        derive_velocities(t.part(slice(0, 2)), ROBOT)
-    with pytest.raises(RecordingError, match="'forward'"):
-        derive_velocities(t, ROBOT, "forward")  # type: ignore[arg-type]
-    with pytest.raises(RecordingError, match="4 samples"):
-        derive_velocities(t.part(slice(0, 4)), ROBOT, "smooth")
+        derive_velocities(noisy[0].part(slice(0, 2)), ROBOT)
     with pytest.raises(RecordingError, match="give features of one"):
         with_velocities(noisy, None)
-
-
-def test_together_as_one_by_one() -> None:
-    """Recordings with the same times get the velocities that each gets by itself, in their order."""
-    for method in ["auto", "midpoint"]:
-        with case(method):
-            _, many, _ = recorded(3, 1e-4, n_points=90, n_trajectories=6)
-            _, long, _ = recorded(4, 1e-3, n_points=120, n_trajectories=2)
-            _, short, _ = recorded(5, 1e-4, n_points=9, n_trajectories=2)
-            mixed = [many[0], long[0], many[1], short[0], *many.trajectories[2:], long[1], short[1]]
-            for t, got in zip(mixed, derive_together(mixed, ROBOT, method), strict=True):  # type: ignore[arg-type]
-                one = derive_velocities(t, ROBOT, method)  # type: ignore[arg-type]
-                assert got.name == t.name
-                np.testing.assert_array_equal(got.time, one.time)
-                np.testing.assert_allclose(got.q, one.q, rtol=0, atol=1e-13)
-                assert got.u is not None and one.u is not None
-                np.testing.assert_allclose(got.u, one.u, rtol=0, atol=1e-11)
+    with pytest.raises(RecordingError, match="is not a number"):
+        with_velocities(Demonstrations([replace(true[0], u=np.nan * true[0].u, exact=False)]), ROBOT, "recorded")
 
 
 def moved(dt: float, noise: float, n: int = 1200) -> tuple[np.ndarray, np.ndarray]:
@@ -179,25 +135,24 @@ def moved(dt: float, noise: float, n: int = 1200) -> tuple[np.ndarray, np.ndarra
     return time, q + noise * np.random.default_rng(5).standard_normal(q.shape)
 
 
-def test_windows_noise_and_jerk_of_known_motions() -> None:
-    """The windows that are chosen, the noise that is found, and the jerk: true are sqrt((1 + 2.3^6 + 3.1^6) / 2) = 22.8
+def test_noise_and_jerk_of_known_motions() -> None:
+    """The noise that is found, and the jerk: true are sqrt((1 + 2.3^6 + 3.1^6) / 2) = 22.8
     rms and at most 32 rad/s^3. Numbers of noise are those of the samples, within 4 % of its variance.
     """
-    for dt, noise, window, rms, peak in (
-        (0.002, 1e-7, (30, 5), 23.205177843311407, 36.89315496018989),
-        (0.002, 1e-5, (125, 5), 23.127103515271294, 36.31397097417037),
-        (0.002, 1e-3, (150, 5), 23.42809656849463, 44.35626587290434),
-        (0.002, 1e-2, (150, 3), 52.44904955344167, 243.51918056342222),
-        (0.01, 1e-7, (15, 5), 22.89893515988076, 32.195139669454065),
-        (0.01, 1e-6, (20, 5), 22.89961222071799, 32.65015846760345),
-        (0.01, 1e-3, (30, 5), 22.73898243615183, 36.431384837926274),
-        (0.05, 1e-5, (7, 5), 22.471713609277145, 31.791218807638533),
-        (0.05, 1e-3, (10, 5), 22.261687416037095, 33.63054076695662),
-        (0.05, 1e-2, (15, 5), 21.259938033889707, 35.92724973641997),
+    for dt, noise, rms, peak in (
+        (0.002, 1e-7, 23.205177843311407, 36.89315496018989),
+        (0.002, 1e-5, 23.127103515271294, 36.31397097417037),
+        (0.002, 1e-3, 23.42809656849463, 44.35626587290434),
+        (0.002, 1e-2, 52.44904955344167, 243.51918056342222),
+        (0.01, 1e-7, 22.89893515988076, 32.195139669454065),
+        (0.01, 1e-6, 22.89961222071799, 32.65015846760345),
+        (0.01, 1e-3, 22.73898243615183, 36.431384837926274),
+        (0.05, 1e-5, 22.471713609277145, 31.791218807638533),
+        (0.05, 1e-3, 22.261687416037095, 33.63054076695662),
+        (0.05, 1e-2, 21.259938033889707, 35.92724973641997),
     ):
         with case(dt, noise):
             time, q = moved(dt, noise)
-            assert best_windows(time, q[None])[0] == window
             np.testing.assert_allclose(jerk(time, q), (rms, peak), rtol=1e-5)
             if dt < 0.01 or noise >= 1e-3:
                 np.testing.assert_allclose(noise_variance(time, q) / noise**2, [0.925, 0.935, 1.028], rtol=0.04)
@@ -205,27 +160,137 @@ def test_windows_noise_and_jerk_of_known_motions() -> None:
     assert np.all(np.isnan(jerk(time, q))) and np.all(np.isfinite(jerk(*moved(0.01, 1e-3, 7))))
 
 
-def test_short_trajectories_are_differenced() -> None:
-    """Fewer than 8 samples, or fewer than 24 clean ones, whose noise is under 1e-3 of a step, have no windows."""
-    for n, noise, is_differenced in (
-        (3, 0.0, True),
-        (7, 1e-2, True),
-        (8, 1e-2, False),
-        (23, 0.0, True),
-        (24, 0.0, False),
-    ):
-        with case(n, noise):
-            time, q = moved(0.01, noise, n)
-            derived = derive_velocities(Trajectory(time, q), load_robot("planar3"))
-            assert (len(derived) == n - 1) == is_differenced
-            if is_differenced:
-                np.testing.assert_allclose(derived.time, time[:-1] + 0.005)
-            else:
-                places = np.searchsorted(time, derived.time)
-                np.testing.assert_array_equal(time[places], derived.time)
-                assert places[0] == n - 1 - places[-1] > 0
-    time, noisy = 0.01 * np.arange(400), np.random.default_rng(2).standard_normal((400, 3))
-    line = np.outer(time, [1.0, -2.0, 0.5])
-    least = np.sqrt(np.sum(noise_variance(time, noisy)) / np.sum(np.mean(np.diff(line, axis=0) ** 2, axis=0)))
-    for share, clean in ((0.98e-3, True), (1.02e-3, False)):
-        assert is_clean(time, line + share / least * noisy) is clean
+# what is recorded in place of the velocity
+VELOCITIES: dict[str, Velocity] = {
+    "not a number": lambda u, q, t: np.nan * u,
+    "zero": lambda u, q, t: 0.0 * u,
+    "copied from the position": lambda u, q, t: q.copy(),
+    "in degrees": lambda u, q, t: np.degrees(u),
+    "of the neighbour": lambda u, q, t: np.roll(u, 1, axis=1),
+    "of the opposite sign": lambda u, q, t: -u,
+    "late": lambda u, q, t: np.column_stack([np.interp(t - 0.15, t, column) for column in u.T]),
+    "of one joint 5 percent too large": lambda u, q, t: u * np.where(np.arange(u.shape[1]) == 1, 1.05, 1.0),
+}
+
+
+def bunches(size: int, apart: float = 0.0) -> Stamps:
+    """Samples that are stamped when the last of so many has arrived."""
+
+    def changed(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        k = np.arange(len(t))
+        return t[np.minimum((k // size + 1) * size - 1, len(t) - 1)] + apart * (k % size)
+
+    return changed
+
+
+def random_bunches(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    ends = np.append(np.sort(rng.choice(len(t), len(t) // 8, replace=False)), len(t) - 1)
+    return t[ends[np.searchsorted(ends, np.arange(len(t)))]]
+
+
+def grains(size: float) -> Stamps:
+    return lambda t, rng: np.floor(t / size + 1e-9) * size
+
+
+def stalled(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return np.maximum.accumulate(np.where((np.arange(len(t)) >= 120) & (np.arange(len(t)) < 140), t[140] - 1e-3, t))
+
+
+def some_late(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    out = t.copy()
+    out[[40, 90, 91, 200]] += 0.6
+    return out
+
+
+TIMES: dict[str, Stamps] = {
+    **{f"bunches of {n}": bunches(n) for n in (2, 5, 30, 100)},
+    "bunches of 10, 0.1 ms apart": bunches(10, 1e-4),
+    "bunches of many sizes": random_bunches,
+    **{f"grains of {size:g} s": grains(size) for size in (0.001, 0.004, 0.1, 1.0)},
+    "since 1970 in grains of 0.1 s": lambda t, rng: 1.7e9 + np.floor(t / 0.1 + 1e-9) * 0.1,
+    "milliseconds since 1970": lambda t, rng: 1.7e12 + np.round(1e3 * t),
+    "stalled once": stalled,
+    "single stamps late": some_late,
+    "set back by 0.4 s": lambda t, rng: t - 0.4 * (np.arange(len(t)) >= 130),
+    "begun again at 0": lambda t, rng: t - t[150] * (np.arange(len(t)) >= 150),
+    "set back twice": lambda t, rng: t - 0.5 * (np.arange(len(t)) >= 100) - 1.0 * (np.arange(len(t)) >= 220),
+    "past midnight": lambda t, rng: (86399.0 + t) % 86400.0,
+}
+
+
+@cache
+def motions(arm: str) -> tuple[ml.FrameJacobian, tuple[ml.Trajectory, ...], ml.Constraint]:
+    """Six motions along what is held by one row of a planar arm, or by two of a spatial one, with encoder noise."""
+    rng = np.random.default_rng(SEED)
+    features = planar_features() if arm == "planar3" else arm_features()
+    rows = np.eye(3)[:1] if arm == "planar3" else oblique(2, 3, rng)
+    exact, truth = guided_motions(features, rows, rng, 6, SAMPLES, DT)
+    noisy = (replace(t, q=t.q + NOISE * rng.standard_normal(t.q.shape)) for t in exact)
+    return features, tuple(noisy), truth
+
+
+def error(features: ml.FrameJacobian, truth: ml.Constraint, given: Any) -> float:
+    """Angle between the rows that are learnt and the true ones [degrees]."""
+    learner = ml.ConstraintLearner(features, n_constraints=truth.n_constraints, phases="off", mechanism="off")
+    return angle_deg(learner.fit(given).constraint_, truth)
+
+
+@pytest.mark.parametrize("fault", VELOCITIES)
+def test_recorded_velocities_cannot_hurt(fault: str) -> None:
+    """Whatever stands for velocities, the answer is that of the positions alone."""
+    features, exact, truth = motions(("planar3", "sawyer")[len(fault) % 2])
+    given = [replace(t, u=VELOCITIES[fault](np.asarray(t.u), t.q, t.time), exact=False) for t in exact]
+    assert error(features, truth, given) == error(features, truth, [(t.time, t.q) for t in exact]) < 0.05
+
+
+@pytest.mark.parametrize("fault", TIMES)
+def test_times_that_contradict_the_positions_are_spread(fault: str) -> None:
+    """Even steps as in truth, which leave the rows that are learnt as they are, and a note says what was done."""
+    features, exact, _ = motions(("planar3", "sawyer")[len(fault) % 2])
+    rng = np.random.default_rng(SEED)
+    read = recordings_given([(TIMES[fault](t.time, rng), t.q) for t in exact], features.robot, features.nv)
+    assert isinstance(read, ml.Demonstrations) and len(read) == len(exact)
+    told = ("spread", "read as m", "set back", "came late", "out of order")
+    assert fault == "grains of 0.001 s" or all(any(word in note for word in told) for note in read.notes) and read.notes
+    for one, true in zip(read, exact, strict=True):
+        np.testing.assert_array_equal(one.q, true.q)
+        steps = np.diff(one.time)
+        assert np.ptp(steps) < 1e-3 * np.mean(steps)
+
+
+def test_a_pause_stays_a_gap_among_bunches() -> None:
+    """Where the arm has moved on, or stood still for long, no count of samples makes up for the time."""
+    features, exact, _ = motions("planar3")
+    t = exact[0]
+    for stamps in (t.time, bunches(5)(t.time, np.random.default_rng(0))):
+        keep = np.r_[0:100, 160:300]
+        read = recordings_given([(stamps[keep] + 3.0 * (keep >= 160), t.q[keep])], features.robot, 3)
+        assert isinstance(read, ml.Demonstrations)
+        assert [len(part) for part in read] == [100, 140]
+
+
+def test_uneven_sampling_is_believed() -> None:
+    """Dropped samples and random times are what they say: the positions follow them."""
+    features, exact, _ = motions("sawyer")
+    rng = np.random.default_rng(SEED)
+    for t in exact:
+        keep = np.sort(rng.choice(SAMPLES, 200, replace=False))
+        when = np.sort(rng.uniform(0.0, t.time[-1], 250))
+        there = np.column_stack([np.interp(when, t.time, column) for column in t.q.T])
+        for time, q in ((t.time[keep], t.q[keep]), (when, there)):
+            read = recordings_given([(time, q)], features.robot, 7)
+            assert isinstance(read, ml.Demonstrations)
+            np.testing.assert_array_equal(np.concatenate([part.time for part in read]), time)
+
+
+def test_positions_that_are_noise_are_no_motion() -> None:
+    """Where no joint moves farther than its encoder's noise nothing is learnt; one recording that moves is not that."""
+    features, exact, _ = motions("planar3")
+    rng = np.random.default_rng(SEED)
+    still = [ml.Trajectory(t.time, t.q[:1] + 1e-4 * rng.normal(size=t.q.shape)) for t in exact]
+    with pytest.raises(NotIdentifiableError, match="farther than the noise of its positions") as refused:
+        ml.ConstraintLearner(features).fit(still)
+    assert refused.value.code == "no-motion"
+    with pytest.raises(NotIdentifiableError) as refused:
+        ml.ConstraintLearner(features).fit([*still[1:], ml.Trajectory(exact[0].time, exact[0].q)])
+    assert refused.value.code != "no-motion"

@@ -159,10 +159,10 @@ def test_the_learner_fits_the_place_to_what_was_recorded(robot_of):
     """Smoothing, for velocities, cuts off the ends of an arc: the place is that of the recordings as they are."""
     robot = robot_of("panda")
     demos = demonstrate(robot, TIP, MIDDLE, KINDS["hinge"][0], np.random.default_rng(9), noise=5e-4)
-    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, TIP, "xyz"), zeros=0.0).fit(demos)
+    features = ml.FrameJacobian(robot, TIP, "xyz")
+    learnt = [ml.ConstraintLearner(features, zeros=0.0, seed=k).fit(demos).report_.mechanism for k in range(3)]
     fits = [ml.find_mechanism(robot, TIP, demos, np.random.default_rng(seed)).mechanism for seed in range(3)]
     direct, stated = fits[0], np.mean([fit.uncertainty["radius"] for fit in fits])
-    found = learner.report_.mechanism
     # [m] the fits start from rows that were found otherwise; smoothed recordings would move the place by 0.5 mm
-    np.testing.assert_allclose(found.point, direct.point, atol=1e-5)
-    assert found.uncertainty["radius"] == pytest.approx(stated, rel=0.05)
+    np.testing.assert_allclose(learnt[0].point, direct.point, atol=1e-5)
+    assert np.mean([m.uncertainty["radius"] for m in learnt]) == pytest.approx(stated, rel=0.05)

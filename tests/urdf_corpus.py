@@ -352,11 +352,7 @@ def dae(image: str = "", head: str = "", positions: str = "0 0 0 1 0 0 0 1 0") -
 def name_cases() -> list[Case]:
     """Names: missing, twice, odd, hostile."""
     rows = [
-        (
-            "duplicate link",
-            "duplicate-link",
-            edited(('<link name="tip"/>', '<link name="tip"/><link name="tip"/>')),
-        ),
+        ("duplicate link", "duplicate-link", edited(('<link name="tip"/>', '<link name="tip"/><link name="tip"/>'))),
         ("duplicate joint", "duplicate-joint", edited(("elbow", "shoulder"))),
         ("link and joint share a name", "accept", edited(("elbow", "tip"))),
         ("link without name", "name-missing", edited(('<link name="tip"/>', "<link/>"))),

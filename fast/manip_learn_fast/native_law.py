@@ -15,7 +15,6 @@ from manip_learn.control.engine import native_law
 from manip_learn.control.law import Law
 from manip_learn.control.limits import Limits
 from manip_learn.control.rollout import Rollout
-from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn_fast._engine import Engine  # pyright: ignore[reportMissingImports]
 from manip_learn_fast.description import description
@@ -70,7 +69,12 @@ class NativeLaw:
         return self._engine.command(plain(x), dt, previous, slide, b, E, D, w, A, rates, bend, clear)
 
     def rollouts(
-        self, controller: ResolvedRateController, starts: np.ndarray, dt: float, steps: int, progress: Progress | None
+        self,
+        controller: ResolvedRateController,
+        starts: np.ndarray,
+        dt: float,
+        steps: int,
+        progress: Callable[[str, float], None] | None,
     ) -> Sequence[Rollout | None]:
         """Whole rollouts as a `ServoLoop` in simulation makes them, of tables on all cores; None where Python has to.
 

@@ -171,7 +171,7 @@ def _named_in(source: Path) -> set[str]:
 
 def _files_behind(text: str) -> Iterator[Path]:
     """The file or folder that an argument stands for, and what is read of a folder."""
-    from manip_learn.recordings.readers.recording_files import recording_files, recording_path
+    from manip_learn.recordings.files import recording_files, recording_path
 
     path = recording_path(text)
     if not path.exists() and ".py:" in text:

@@ -26,7 +26,7 @@ from manip_learn.linalg import complement_rows
 from manip_learn.planning.grasp_cone import GraspCone
 from manip_learn.planning.plan import Plan, plan
 from manip_learn.planning.stations import margin_of
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
 
 if TYPE_CHECKING:

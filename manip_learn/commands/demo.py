@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
 
 from manip_learn.commands.control import Controlled, follow, with_margin
 from manip_learn.commands.learn import LearntTask, learn_task
-from manip_learn.commands.options import DemoOptions, LearnOptions, PlanOptions
+from manip_learn.commands.options import DemoOptions, LearnOptions, PlanOptions, ReadingOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
@@ -20,8 +20,8 @@ from manip_learn.control.way import WayDone, simulate_way
 from manip_learn.errors import UnknownNameError
 from manip_learn.planning.plan import Plan
 from manip_learn.playback import ReplayResult, replay
-from manip_learn.recordings.readers.recording_files import shipped_recordings
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.files import shipped_recordings
+from manip_learn.recordings.load import Progress
 from manip_learn.robot import load_robot
 
 DT, _TOLERANCE = 0.01, 0.01  # [s], as the shipped recordings; [m or rad] of a target that counts as reached
@@ -43,6 +43,7 @@ class DemoScene:
         rest: Rest posture of the attractor policy [rad].
         target: For the feature rows, in the base frame; None where the hand does what was shown, without turning.
         duration: Of a demo without a way [s].
+        velocities: How recorded ones are used.
     """
 
     recordings: str
@@ -54,6 +55,7 @@ class DemoScene:
     rest: tuple[float, ...]
     target: tuple[float, ...] | None = None
     duration: float = 8.0
+    velocities: str | None = None
 
     def task(self, constraint: Constraint) -> Task:
         """What was shown, or its target."""
@@ -83,6 +85,7 @@ SCENES = {
         start=tuple(np.radians([90.1, 0.0, 0.0]).tolist()),
         rest=tuple(np.radians([10.0, -10.0, 10.0]).tolist()),
         target=(0.0, 0.5, 0.0),
+        velocities="recorded",  # which made the positions, by Euler steps
     ),
 }
 
@@ -119,7 +122,8 @@ def demo(options: DemoOptions, progress: Progress | None = None) -> Demo:
     scene, out, said = SCENES[options.robot], options.out, progress or (lambda _step, _share: None)
     said("learning from the recordings", 0.0)
     shipped, file = str(shipped_recordings() / scene.recordings), out / "constraint.json"
-    learnt = learn_task(LearnOptions(options.robot, [shipped], frame=scene.frame, axes=scene.axes, out=file))
+    asked = LearnOptions(options.robot, [shipped], frame=scene.frame, axes=scene.axes, out=file)
+    learnt = learn_task(replace(asked, reading=ReadingOptions(velocities=scene.velocities)))
     robot, constraint, done = load_robot(options.robot), learnt.constraint, dict[str, Controlled]()
 
     def keep(name: str, rollout: Rollout, task: Task, way: WayDone | None = None, found: Plan | None = None) -> None:

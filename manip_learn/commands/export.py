@@ -19,8 +19,8 @@ from manip_learn.control.interop.force_control import WRITERS as TASK_WRITERS
 from manip_learn.control.interop.force_control import as_json
 from manip_learn.errors import OutputError, counted
 from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.load import Progress
 from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
-from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, mcap_bytes
 
 _LEROBOT = "lerobot"

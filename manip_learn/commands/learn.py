@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from manip_learn.commands.command_line import PROGRAM_NAME, typed_command
 from manip_learn.commands.guided_frame import choose_frame
-from manip_learn.commands.loading import cluster_client, load_for_files
+from manip_learn.commands.loading import load_for_files
 from manip_learn.commands.options import LearnOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
@@ -19,9 +19,10 @@ from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
+from manip_learn.learning.thinning import dask_client
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
-from manip_learn.recordings.trajectory_source import Progress, RecordingSource
+from manip_learn.recordings.load import Progress, RecordingSource
+from manip_learn.recordings.trajectory import Demonstrations, distinct_names
 from manip_learn.robot.robot import Reference, Robot
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ def learn_task(options: LearnOptions, progress: Progress | None = None) -> Learn
                 )
     if progress is not None:
         progress("reading", 0.0)
-    robot, demos, frame, notes = load_to_learn(options)
+    robot, demos, frame, notes = load_to_learn(options, progress)
     if isinstance(demos, Demonstrations) and (options.start is not None or options.until is not None):
         demos = Demonstrations([t[options.start : options.until] for t in demos], demos.notes)
     candidates: list[FeatureMap] = [
@@ -150,7 +151,7 @@ def learn_task(options: LearnOptions, progress: Progress | None = None) -> Learn
         zeros=options.zeros,
         links=options.links,
     )
-    with cluster_client(options.dask) as client:
+    with dask_client(options.dask) as client:
         learner.fit(demos, client=client, progress=progress)
     written = learner.skill_.save(options.out) if options.out is not None else None
     page = None
@@ -159,7 +160,9 @@ def learn_task(options: LearnOptions, progress: Progress | None = None) -> Learn
     return LearntTask(learner.constraints_, learner.reports_, frame, written, tuple(notes), page, options)
 
 
-def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | RecordingSource, str, list[str]]:
+def load_to_learn(
+    options: LearnOptions, progress: Progress | None = None
+) -> tuple[Robot, Demonstrations | RecordingSource, str, list[str]]:
     """Robot, recordings, frame, and notes on joints that were locked because nothing is recorded for them.
 
     A joint is locked automatically only if it does not move the frame: then it cannot matter to the constraint
@@ -177,8 +180,9 @@ def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | Record
     while True:
         try:
             if options.dask is None:
-                return robot, load_demonstrations(options.recordings, robot, **keywords), chosen, notes
-            source = RecordingSource(options.recordings, robot, **keywords)
+                demos = load_demonstrations(options.recordings, robot, progress=progress, **keywords)
+                return robot, demos, chosen, notes
+            source = RecordingSource(options.recordings, robot, progress=progress, **keywords)
             next(source.part(0))
             return robot, source, chosen, notes
         except RecordingError as error:

@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from manip_learn.commands.options import RobotOptions
 from manip_learn.constraint.constraint import Constraint, locks_in_words, read_constraint_file
 from manip_learn.control.limits import check_inside
-from manip_learn.errors import DAMAGE, ConstraintMismatchError, RecordingError, UnknownNameError, named
-from manip_learn.recordings.readers.read_request import unmoved_joint_names
-from manip_learn.recordings.readers.recording_files import recording_files
-from manip_learn.recordings.readers.saved_reader import file_header
-from manip_learn.recordings.saved_motion import FileHeader
+from manip_learn.errors import DAMAGE, ConstraintMismatchError, UnknownNameError, named
+from manip_learn.recordings.files import SUFFIXES
+from manip_learn.recordings.guards import natural_order
+from manip_learn.recordings.options import unmoved_joint_names
+from manip_learn.recordings.saved_motion import FileHeader, file_header
 from manip_learn.robot import Robot
 
 if TYPE_CHECKING:
     from manip_learn.planning.plan import Around
-
-
-def cluster_client(dask: str | None) -> AbstractContextManager[Any]:
-    """A client of the scheduler at an address, or of a cluster on this machine (`local`); None without one."""
-    if dask is None:
-        return nullcontext()
-    from manip_learn.learning.cluster import dask_client
-
-    return dask_client(dask)
 
 
 def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Robot:
@@ -62,10 +53,11 @@ def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
     for file in files:
         path = Path(file)
         if path.is_dir() and file_header(path) is None:
-            try:
-                path = recording_files(path)[0][0].path
-            except RecordingError:  # reading says what is wrong with the folder
-                continue
+            with suppress(OSError):  # reading says what is wrong with the folder
+                called = (
+                    p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "." and p.is_file()
+                )
+                path = min(called, key=lambda p: natural_order(p.name), default=path)
         header = file_header(path) if path.exists() else None
         if header is not None:
             return header, path

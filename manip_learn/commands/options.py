@@ -149,7 +149,7 @@ class ReadingOptions:
     topic: Annotated[list[str] | None, Option(help="Topic of a bag; default: all with joints.")] = None
     rate: Annotated[float | None, Option(help="Samples per second; overrules time stamps.")] = None
     velocities: Annotated[
-        str | None, Option(help="Recorded ones: auto (used where they integrate to the positions), derive, recorded.")
+        str | None, Option(help="auto, derive: from the positions; recorded: recorded ones as they are.")
     ] = None
     outside_limits: Annotated[str | None, Option(help="Samples far outside the limits: refuse or note.")] = None
     episodes: Annotated[

@@ -24,8 +24,8 @@ from manip_learn.drivers.record import LOOK, MOVES, By, Key, RecordedFiles, reco
 from manip_learn.errors import ConfigurationError, ManipLearnError, OutputError, counted
 from manip_learn.learning import ConstraintLearner
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
+from manip_learn.recordings.trajectory import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.robot import Robot
 
 _SAID = 0.1  # [s] between two words on the state

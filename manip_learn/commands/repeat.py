@@ -15,7 +15,7 @@ from manip_learn.commands.options import RepeatOptions, vector
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import TargetError
 from manip_learn.planning.repeat import Repetition, TipSpeed, repeat
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 
 if TYPE_CHECKING:
     from manip_learn.playback import ReplayResult

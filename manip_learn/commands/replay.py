@@ -17,11 +17,11 @@ from manip_learn.playback import ReplayResult
 from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.readers.read_request import flag_of
-from manip_learn.recordings.readers.recording_files import recording_path
-from manip_learn.recordings.readers.saved_reader import file_header
+from manip_learn.recordings.files import recording_path
+from manip_learn.recordings.load import Progress
+from manip_learn.recordings.options import flag_of
+from manip_learn.recordings.saved_motion import file_header
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 from manip_learn.robot.robot import Robot
 

@@ -8,7 +8,7 @@ from typing import Any, final
 
 from manip_learn.commands.options import ReproduceOptions
 from manip_learn.experiments import reproduce as run_experiments
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 
 
 @final

@@ -8,7 +8,7 @@ from typing import Any, final
 
 from manip_learn.commands.options import InspectOptions, RobotsOptions
 from manip_learn.errors import ManipLearnError
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 from manip_learn.robot.description.catalogue import SHIPPED, example_robots, fetched_names, find_robot
 from manip_learn.robot.description.text import read_description
 from manip_learn.robot.description.validation import validate_urdf

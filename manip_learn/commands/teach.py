@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, cast, final
 from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.options import TeachOptions
 from manip_learn.errors import OutputError
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 from manip_learn.robot.description.catalogue import known_as
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from manip_learn.constraint.shown import Shown
 from manip_learn.constraint.task_frame import TaskFrame, task_frame
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, an, spoken
 from manip_learn.linalg import along_axes, finite, manipulability_of, orthonormal_rows
-from manip_learn.recordings.readers.recording import reason_of
+from manip_learn.recordings.guards import reason_of
 from manip_learn.robot import html_card
 from manip_learn.robot.description.text import parsed_json, read_regular_file, unreadable
 from manip_learn.robot.identity import RobotIdentity

@@ -443,7 +443,9 @@ def _duration(time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], fart
     out = np.abs(way[: farthest + 1, 0]) / abs(float(way[farthest, 0]) or 1.0)
     begun = int(np.flatnonzero(out <= STARTED)[-1])
     there = begun + int(np.flatnonzero(out[begun:] >= 1.0 - STARTED)[0])
-    return float(time[there] - time[begun]) / (1.0 - 2.0 * STARTED)
+    levels = ((begun, STARTED), (there - 1, 1.0 - STARTED))  # each is passed between two samples
+    begins, ends = (np.interp(level, out[k : k + 2], time[k : k + 2]) for k, level in levels)
+    return float(ends - begins) / (1.0 - 2.0 * STARTED)
 
 
 def _span(free: FreeCoordinates, motions: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> float:

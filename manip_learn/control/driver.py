@@ -20,7 +20,7 @@ from manip_learn.control.servo_loop import ServoLoop, in_milliseconds
 from manip_learn.control.simulation import rollout_of
 from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import finite
-from manip_learn.recordings.validation.motion_checks import far_outside
+from manip_learn.recordings.checks import far_outside
 from manip_learn.robot.robot import Robot
 
 _LATE = 0.5  # share of a period by which a cycle begins late to be counted

@@ -16,10 +16,8 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.command import Status
 from manip_learn.errors import FeatureError, RecordingError, printable, spoken
-from manip_learn.recordings.data_frame import TRAJECTORY, PandasFrame, pandas_frame_of
-from manip_learn.recordings.readers.saved_reader import read_saved
-from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, check_robot
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, check_robot, read_saved
+from manip_learn.recordings.trajectory import TRAJECTORY, PandasFrame, Trajectory, pandas_frame_of
 from manip_learn.recordings.writers.write_motion import write_motion
 from manip_learn.robot import html_card
 from manip_learn.robot.identity import RobotIdentity
@@ -127,7 +125,7 @@ class Rollout:
 
     def trajectory(self, name: str = "rollout") -> Trajectory:
         """The motion as a demonstration, so that it can be learnt from again."""
-        return Trajectory(self.time, self.q, self.u, self.joint_names, name, judged=True)
+        return Trajectory(self.time, self.q, self.u, self.joint_names, name, exact=True)
 
     def to_frame(self) -> PandasFrame:
         """One row per sample: `time`, joint positions and velocities by name, `mu`, `task_error` and `status`.

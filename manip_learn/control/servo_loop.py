@@ -23,7 +23,7 @@ from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_p
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import finite
-from manip_learn.recordings.validation.motion_checks import far_outside
+from manip_learn.recordings.checks import far_outside
 from manip_learn.robot.robot import Robot
 
 _LOGGER = logging.getLogger("manip_learn")

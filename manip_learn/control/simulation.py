@@ -16,7 +16,7 @@ from manip_learn.control.law_sequence import constraint_of, held_frame, law_of, 
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.errors import ConfigurationError, advice, an
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot

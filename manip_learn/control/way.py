@@ -16,7 +16,7 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.driven_motion import Unit
 from manip_learn.control.tasks.motion import DONE, FreeDirection
 from manip_learn.errors import ConfigurationError
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
 
 # [m or rad] that a hand may be off what holds it: the play of a drawer's rails; 5 mm press with 18 N on a stiff arm

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import ConfigurationError, counted, listed, named
-from manip_learn.recordings.readers.read_request import Units
+from manip_learn.recordings.options import Units
 from manip_learn.robot.robot import Robot
 
 _ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may be beyond it: what conversions there and back leave

@@ -20,8 +20,8 @@ from manip_learn.control.cycle import Clock, ComputerClock, OrderlyEnd, quiet_co
 from manip_learn.control.driver import Driver
 from manip_learn.errors import ConfigurationError, OutputError, counted
 from manip_learn.linalg import finite
-from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.recordings.saved_motion import column_line
+from manip_learn.recordings.trajectory import EFFORT_SUFFIX, VELOCITY_SUFFIX
 
 LOOK = 0.5  # [s] before a motion begins that are recorded too: derivatives need samples on both sides
 # [rad or m] within `LOOK` by which an arm moves that is guided: encoders and a hand that waits stay below a tenth of it

@@ -8,7 +8,7 @@ follows the same recipe.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal, final
 
@@ -18,8 +18,7 @@ from jaxtyping import Float
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 
@@ -136,7 +135,8 @@ def recorded(
 ) -> Demonstrations:
     """Demonstrations with a sample every `step` [s]; their names are the word and a number."""
     time = step * np.arange(q.shape[1])
-    return Demonstrations(Trajectory(time, *one, names, f"{word} {i}") for i, one in enumerate(zip(q, u, strict=True)))
+    pairs = enumerate(zip(q, u, strict=True))
+    return Demonstrations(Trajectory(time, *one, names, f"{word} {i}", exact=True) for i, one in pairs)
 
 
 def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.Generator) -> Demonstrations:
@@ -191,6 +191,4 @@ def with_noise(demonstrations: Demonstrations, share: float, rng: np.random.Gene
     # the draws of one sample of all trajectories come together, as the trajectories are stepped
     e = rng.standard_normal(u.transpose(1, 0, 2).shape).transpose(1, 0, 2)
     noisy = u + noise_deviations(demonstrations, share) * e
-    return Demonstrations(
-        Trajectory(t.time, t.q, one, t.joint_names, t.name) for t, one in zip(demonstrations, noisy, strict=True)
-    )
+    return Demonstrations(replace(t, u=one) for t, one in zip(demonstrations, noisy, strict=True))

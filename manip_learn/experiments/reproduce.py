@@ -19,7 +19,7 @@ from manip_learn.experiments import rmse, sawyer, singular_starts, table
 from manip_learn.experiments.experiment_result import ExperimentResult, save_figure
 from manip_learn.experiments.trial_runner import Experiment, TrialRunner
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 
 MAX_TRIALS = 100_000  # more would run for months: a slip of the keyboard
 PARTS: dict[str, Experiment[Any]] = {

@@ -47,9 +47,8 @@ from manip_learn.experiments.rmse import climb_along
 from manip_learn.experiments.trial_runner import of_trials
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.linalg import row_space_angle
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.load_demonstrations import load_demonstrations
-from manip_learn.recordings.trajectory import Trajectory, subsample
+from manip_learn.recordings.load import load_demonstrations
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, subsample
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.loading import load_robot
@@ -148,7 +147,7 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
     test = np.concatenate([t.q for t in held_out])
     mu_test = manipulability_batch(true, test).mu
     try:
-        learner = ConstraintLearner(features, seed=int(rng.integers(2**31))).fit(demos)
+        learner = ConstraintLearner(features, velocities="recorded", seed=int(rng.integers(2**31))).fit(demos)
     except NotIdentifiableError as error:
         return {"refused": error.code, "rows_true": len(Lambda)}
     learnt, report = learner.constraint_, learner.report_

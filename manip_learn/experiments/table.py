@@ -46,7 +46,7 @@ from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.separate import estimate_separate, separate_null_motion
 from manip_learn.linalg import batch_row_spaces, complement_rows, orthonormal_rows, row_space_angle
-from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Demonstrations
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -134,7 +134,7 @@ def _true_null_part(features: FeatureMap, demos: Demonstrations, true: Matrix, r
 
 
 def _auto(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
-    learner = ConstraintLearner(features, seed=int(rng.integers(2**31))).fit(demos)
+    learner = ConstraintLearner(features, velocities="recorded", seed=int(rng.integers(2**31))).fit(demos)
     return learner.constraint_.selection, {"warned": bool(learner.report_.warnings)}
 
 

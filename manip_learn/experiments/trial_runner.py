@@ -13,7 +13,7 @@ import numpy as np
 from manip_learn.errors import MissingExtraError
 from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 
 # a trial takes frozen settings and a generator, and returns plain numbers, strings, lists and dictionaries
 Trial = Callable[[Any, np.random.Generator], dict[str, Any]]

@@ -43,8 +43,7 @@ from manip_learn.learning.repeats import once_each
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.separate import estimate_separate
 from manip_learn.linalg import row_space_angle
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import evenly
+from manip_learn.recordings.trajectory import Demonstrations, evenly
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
 # ratio of gaps from which on another number of rows contradicts the one that is answered. Of guided hands
@@ -420,7 +419,7 @@ def _as_one_curve(located: list[_Located]) -> list[_Located]:
         if x.mechanism is not None
         and all(s.trajectory in longest and s.shared(longest[s.trajectory]) == s.duration for s in x.part.stretches)
     ]
-    if len(inside) < 2 or (source := inside[0].part.source) is None:
+    if len(inside) < 2:
         return located
     whole = inside[0].part.of(tuple(longest.values()))
     seconds = [sum(s.duration + 2.0 * CHANGE_SECONDS for s in x.part.stretches) for x in inside]
@@ -429,8 +428,7 @@ def _as_one_curve(located: list[_Located]) -> list[_Located]:
     features = inside[0].part.asked[0]
     if not isinstance(features, FrameJacobian):
         return located
-    recorded = source.of(whole.stretches, whole.demonstrations)
-    found = find_curve(features.robot, features.frame.name, recorded, float(variance), share)
+    found = find_curve(features.robot, features.frame.name, whole.demonstrations, float(variance), share)
     if found is None:
         return located
     return [_Located(whole, found), *(x for x in located if x not in inside)]
@@ -535,15 +533,12 @@ def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
     maps = [f for f in part.feature_maps if isinstance(f, FrameJacobian | PlaceRows)]
     if not settings.mechanism or not maps or settings.estimator not in ("auto", "null-space"):
         return None
-    chosen, before = evenly(len(part.demonstrations), MOST_PATHS).tolist(), None
-    if part.source is not None:
-        recorded = part.source.of(part.stretches, part.demonstrations)
-        before = [recorded[i] for i in chosen]
-    rng, motion = np.random.default_rng(settings.seed), [part.demonstrations[i] for i in chosen]
+    motion = [part.demonstrations[i] for i in evenly(len(part.demonstrations), MOST_PATHS).tolist()]
+    rng = np.random.default_rng(settings.seed)
     try:
         held = None if part.found is None else (part.feature_maps[0], part.found)
         believed = {"strength": settings.strength, "arm": settings.arm}
-        return find_mechanism(maps[0].robot, maps[0].frame.name, motion, rng, recorded=before, held=held, **believed)
+        return find_mechanism(maps[0].robot, maps[0].frame.name, motion, rng, held=held, **believed)
     except NotIdentifiableError:
         return None
 

@@ -7,6 +7,7 @@ import dataclasses
 import io
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import NormalDist
 from typing import Any, Literal, NamedTuple, final
@@ -19,15 +20,13 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import RecordingError, counted
 from manip_learn.learning.checks import REST_SPEED
-from manip_learn.learning.cluster import each_part
+from manip_learn.learning.thinning import each_part
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import Velocities, used_and_derived
-from manip_learn.recordings.local_fit import jerk
-from manip_learn.recordings.readers.read_request import refuse_unmatched
-from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.trajectory_source import CheckedSource, Given, Progress, TrajectorySource, recordings_given
-from manip_learn.recordings.velocities import VelocityMethod, derive_velocities
+from manip_learn.recordings.given import Given, parts_of, recordings_given
+from manip_learn.recordings.load import Progress, Reader
+from manip_learn.recordings.options import Velocities, refuse_unmatched
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
+from manip_learn.recordings.velocities import jerk, with_velocities
 from manip_learn.robot.robot import Robot
 
 # chance that an audit of equally good episodes leaves any of them out. Convention
@@ -124,7 +123,7 @@ class EpisodeAudit:
 
 
 def measure(
-    constraint: Constraint, trajectory: Trajectory, number: int, velocities: VelocityMethod = "auto"
+    constraint: Constraint, trajectory: Trajectory, number: int, velocities: Velocities = "auto"
 ) -> EpisodeAudit:
     """The measures of one episode, without its score, which depends on the others.
 
@@ -133,9 +132,7 @@ def measure(
         ConfigurationError: Postures of another robot.
     """
     robot: Robot | None = getattr(constraint.features, "robot", None)
-    moving = (
-        trajectory if trajectory.u is not None or robot is None else derive_velocities(trajectory, robot, velocities)
-    )
+    moving = trajectory if robot is None else with_velocities(Demonstrations([trajectory]), robot, velocities)[0]
     u = np.zeros((len(moving), constraint.nv)) if moving.u is None else moving.u
     sigma, mu, broken, held = _along(constraint, moving.q, u)
     total = float(np.sum(u * u))
@@ -339,7 +336,7 @@ def audit_episodes(
     constraint: Constraint,
     demonstrations: Given,
     *,
-    velocities: VelocityMethod | Velocities = "auto",
+    velocities: Velocities = "auto",
     false_alarms: float = FALSE_ALARMS,
     client: Any = None,
     progress: Progress | None = None,
@@ -357,23 +354,18 @@ def audit_episodes(
 
     Raises:
         RecordingError: No demonstrations, another robot's joints, velocities that cannot be derived, or no chance.
-        MissingExtraError: A client without the extra `dask`.
+        ManipLearnError: Workers of the client die again and again, or their scheduler does.
     """
     if not 0.0 < false_alarms < 1.0:
         raise RecordingError(f"false_alarms must be a chance between 0 and 1, got {false_alarms!r}", code="option")
     robot = getattr(constraint.features, "robot", None)
-    given = recordings_given(demonstrations, robot, constraint.nv, used_and_derived(velocities)[0])
+    parts = parts_of(recordings_given(demonstrations, robot, constraint.nv, velocities))
     rows: list[EpisodeAudit] = []
     notes: list[str] = []
-    if isinstance(given, Demonstrations):
-        notes += given.notes
-        given = CheckedSource(given, robot, constraint.nv)
-    for part, said in each_part(
-        measured, given, client, progress, "auditing", constraint=constraint, velocities=velocities
-    ):
+    for part, said in each_part(partial(measured, constraint, velocities), parts, client, progress):
         rows += [dataclasses.replace(row, number=len(rows) + i) for i, row in enumerate(part)]
         notes += said
-    notes = refuse_unmatched(notes, given.n_parts)
+    notes = refuse_unmatched(notes, len(parts))
     if not rows:
         raise RecordingError("there are no demonstrations: give at least one trajectory", code="empty")
     imposed = constraint.provenance.get("kind") == "self-imposed"
@@ -404,19 +396,15 @@ def audit_episodes(
     return AuditReport(tuple(judged), tuple(c.name for c in criteria), threshold, tuple(dict.fromkeys(notes)))
 
 
-def measured(
-    number: int, source: TrajectorySource, constraint: Constraint, velocities: VelocityMethod | Velocities
-) -> tuple[list[EpisodeAudit], list[str]]:
-    """The episodes of a part of a source, and notes of its reader: what a worker does.
+def measured(constraint: Constraint, velocities: Velocities, part: Reader) -> tuple[list[EpisodeAudit], list[str]]:
+    """The episodes of a part, and notes of its reader: what a worker does.
 
     Raises:
         RecordingError: Another robot's joints, or velocities that cannot be derived.
     """
     notes: list[str] = []
     with one_thread():
-        episodes = source.part(number, notes)
-        how = used_and_derived(velocities)[1]
-        return [measure(constraint, episode, i, how) for i, episode in enumerate(episodes)], notes
+        return [measure(constraint, episode, i, velocities) for i, episode in enumerate(part(notes))], notes
 
 
 def robust_z(values: Float[np.ndarray, "n k"], least_spread: Float[np.ndarray, " k"]) -> Float[np.ndarray, "n k"]:

@@ -11,9 +11,9 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named
 from manip_learn.learning.samples import STILL_ENERGY, Samples
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import FEWEST_JUDGED, position_noise
-from manip_learn.recordings.holes import MOVED
+from manip_learn.recordings.clock import MOVED
+from manip_learn.recordings.trajectory import Demonstrations
+from manip_learn.recordings.velocities import FEWEST_JUDGED, position_noise
 from manip_learn.robot.tips import likely_tips
 
 # ratio to the usual speed, or distance from the middle, beyond which a sample is a fault of the recording. Set by hand
@@ -23,8 +23,9 @@ FEW_JOINTS_AT_ONCE = 1.6
 # [rad/s or m/s] of the fastest joint, below which it is at rest: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
 REST_SPEED = 0.02
 # standard deviations between the least and the largest of a million numbers by chance, and some more
+SHOWN = 1e-3  # [rad or m] that some joint moves in any motion shown by hand: half a millimetre at the tip
 BEYOND_NOISE = 12.0
-# postures closer together than this share of their size are one and the same
+# postures closer together than this share of their size are one and the same, and less of it in a second is no motion
 _SAME = 1e-9
 
 
@@ -41,10 +42,10 @@ def check_fastest(demonstrations: Demonstrations) -> None:
     """
     u = np.concatenate([np.asarray(t.u) for t in demonstrations])
     speed = np.linalg.norm(u, axis=1)
-    if not np.any(speed > 0.0):
+    if not np.any(moving := speed > _SAME):  # slopes of a rest without noise are what rounding leaves
         return
     sample = int(np.argmax(np.einsum("nv,nv->n", u, u)))
-    ratio = float(speed[sample]) / float(np.median(speed[speed > 0.0]))
+    ratio = float(speed[sample]) / float(np.median(speed[moving]))
     if ratio > OUTLIER_FACTOR:
         joint, last = int(np.argmax(np.abs(u[sample]))), np.cumsum([len(t) for t in demonstrations])
         raise RecordingError(
@@ -56,7 +57,7 @@ def check_fastest(demonstrations: Demonstrations) -> None:
 
 
 def refuse_noise(recorded: Demonstrations) -> None:
-    """Refuse recordings in which no joint moves farther than its encoder's noise does.
+    """Refuse recordings in which no joint moves farther than its encoder's noise does, and than anyone shows by hand.
 
     Raises:
         NotIdentifiableError: In none of them.
@@ -67,14 +68,14 @@ def refuse_noise(recorded: Demonstrations) -> None:
             return
         moved, noise = np.ptp(t.q, axis=0), np.sqrt(position_noise(t.time, t.q))
         j = int(np.argmax(moved / noise))
-        if moved[j] >= BEYOND_NOISE * noise[j]:
+        if moved[j] >= BEYOND_NOISE * noise[j] and np.max(moved) >= SHOWN:
             return
         joint = t.joint_names[j] if t.joint_names else str(j)
         found.append((moved[j] / noise[j], joint, t.name, moved[j], noise[j]))
     _, joint, name, moved, noise = max(found)
     raise NotIdentifiableError(
-        f"no joint moves farther than the noise of its positions does: the farthest is {joint} in {name}, by "
-        f"{moved:.2g} where its noise is {noise:.2g} (standard deviation): record a motion",
+        f"no joint moves farther than the noise of its positions does, and {SHOWN:g} rad or m: the farthest is "
+        f"{joint} in {name}, by {moved:.2g} where its noise is {noise:.2g} (standard deviation): record a motion",
         code="no-motion",
     )
 
@@ -87,10 +88,10 @@ def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: i
         RecordingError: A posture is far out of line with all others.
     """
     speed = np.linalg.norm(samples.u, axis=1)
-    if not np.any(speed > 0.0):
+    if not np.any(moving := speed > _SAME):
         raise NotIdentifiableError("nothing moves in these demonstrations: all velocities are zero", code="no-motion")
     check_postures(samples)
-    median = float(np.median(speed[speed > 0.0]))
+    median = float(np.median(speed[moving]))
     r = samples.n_rows
     s = n_constraints or 1
     needed = max(r + 2, s * (r - s) + 2, 5)

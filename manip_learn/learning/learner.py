@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
 import numpy as np
@@ -28,19 +29,20 @@ from manip_learn.errors import (
 from manip_learn.learning.answer import EstimatorName, LearnerSettings, find_answers
 from manip_learn.learning.arm_errors import ArmErrors
 from manip_learn.learning.checks import check_fastest, refuse_noise, refuse_still_hand
-from manip_learn.learning.choosing import MOST_SAMPLES, Choice, choose_from, few_of
-from manip_learn.learning.explanation.evidence import SWITCH_NATS, BeforeSmoothing
+from manip_learn.learning.explanation.evidence import SWITCH_NATS
 from manip_learn.learning.explanation.findings import Findings, Part, find
 from manip_learn.learning.origin import made
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
 from manip_learn.learning.skill import skill_of
+from manip_learn.learning.thinning import MOST_SAMPLES, EvenChoice, read_evenly
 from manip_learn.linalg import one_thread
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import Velocities, used_and_derived
-from manip_learn.recordings.trajectory_source import CheckedSource, Given, Progress, check_joints, recordings_given
-from manip_learn.recordings.velocities import VelocityMethod, with_velocities
+from manip_learn.recordings.given import Given, check_joints, parts_of, recordings_given
+from manip_learn.recordings.load import Progress, Reader
+from manip_learn.recordings.options import Velocities
+from manip_learn.recordings.trajectory import Demonstrations
+from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
@@ -63,9 +65,8 @@ class ConstraintLearner:
             posture); `"separate"` for the paper's own route; `"auto"` selects the first or the second from the data.
         policy_model: Joint estimator: `"auto"` (a general prior), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`,
             `"rbf"`, or `"affine-offset"` (affine, with a separate rest posture for each trajectory).
-        velocities: Which recorded ones are used: `"auto"`, those that integrate to the positions at least as closely
-            as derived ones; `"derive"`, none; `"recorded"`, all. What `load_demonstrations` has judged is not judged
-            again. `"midpoint"` and `"smooth"`: as `"auto"`, missing ones derived so (see `derive_velocities`).
+        velocities: `"auto"` and `"derive"`: derived from the positions, whatever was recorded; `"recorded"`: recorded
+            ones as they are.
         phases: `"auto"` looks for the stretches in which a constraint holds where no single one fits the recordings;
             `"off"` takes every recording as a whole.
         mechanism: `"auto"` looks for a mechanism (line, plane, hinge, ball, screw, held orientation) where Phi is a
@@ -121,7 +122,7 @@ class ConstraintLearner:
         estimator: EstimatorName = "auto",
         *,
         policy_model: str = "auto",
-        velocities: VelocityMethod | Velocities = "auto",
+        velocities: Velocities = "auto",
         phases: Switch = "auto",
         mechanism: Switch = "auto",
         strength: float = BELIEVED_STRENGTH,
@@ -143,9 +144,9 @@ class ConstraintLearner:
         self.n_constraints = n_constraints
         self.estimator: EstimatorName = estimator
         self.policy_model = policy_model
-        if velocities not in (choices := (*get_args(Velocities), *get_args(VelocityMethod)[1:])):
+        if velocities not in (choices := get_args(Velocities)):
             raise FeatureError(f"velocities must be one of {', '.join(choices)}, not {velocities!r}")
-        self.velocities: VelocityMethod | Velocities = velocities
+        self.velocities: Velocities = velocities
         self.phases: Switch = phases
         self.mechanism: Switch = mechanism
         for name, number, what, least in (
@@ -177,21 +178,19 @@ class ConstraintLearner:
             if n_constraints is not None and not 1 <= n_constraints <= most:
                 raise NumberOfConstraintsError(n_constraints, most, repr(candidate))
         self._feature_maps = candidates
-        self._kept: Choice | None = None
 
     def fit(
         self, demonstrations: Given, *others: object, client: Any = None, progress: Progress | None = None
     ) -> ConstraintLearner:
         """Learn from demonstrations; a second fit forgets the first.
 
-        At most 16,384 samples are learnt from. Of more, that many are chosen evenly while they are read, so that
+        At most 20,000 samples are learnt from. Of more, that many are chosen evenly while they are read, so that
         recordings that are not in memory need none.
 
         Args:
             demonstrations: `Demonstrations`; or a trajectory; or arrays `(time, q)` or `(time, q, u)`, one column per
                 joint in the robot's order [s, rad or m]; or a data frame of pandas; or a list of these; or an iterable
-                of motions, which is read once; or a `TrajectorySource`, e.g. `manip_learn.RecordingSource` for files
-                larger than memory.
+                of motions, which is read once; or a `manip_learn.RecordingSource`, for files larger than memory.
             others: Nothing: `fit(q, u)`, as other libraries have it, is answered with what to write.
             client: A `dask.distributed.Client` whose workers read the parts of a source and choose from them; the
                 answer does not depend on their number. What is in memory needs none.
@@ -200,10 +199,9 @@ class ConstraintLearner:
         Raises:
             NotIdentifiableError: The demonstrations do not determine a constraint; says why.
             RecordingError: They cannot be used (no velocities to be had, outliers, another robot's joints).
-            MissingExtraError: A client without the extra `dask`.
+            ManipLearnError: Workers of the client die again and again, or their scheduler does.
         """
         self._forget()
-        self._kept = None
         if others:  # fit(X, y), as other libraries have it
             raise RecordingError(
                 f"fit takes all recordings as one argument: got {listed(map(an, (demonstrations, *others)))}; "
@@ -213,63 +211,32 @@ class ConstraintLearner:
             )
         given = self._given(demonstrations)
         if not isinstance(given, Demonstrations):
-            given = choose_from(given, self._empty, client, progress).demonstrations()
+            given = read_evenly(self._choose, given, client, progress).demonstrations
         self._learn(given)
         if progress is not None:
             progress("learning", 1.0)
         return self
 
-    def partial_fit(self, demonstrations: Given) -> ConstraintLearner:
-        """Learn from these demonstrations and all that came by `partial_fit` before.
-
-        At most 16,384 samples are kept, chosen evenly like those of `fit`.
-
-        Raises:
-            NotIdentifiableError: Not enough yet; the demonstrations are kept all the same.
-            RecordingError: They cannot be used; nothing of them is kept.
-        """
-        self._forget()
-        before = self._kept
-        kept = self._empty if before is None else before.copy()
-        given = self._given(demonstrations)
-        if isinstance(given, Demonstrations):
-            kept.add_all(given, given.notes)
-        else:
-            for part in range(given.n_parts):
-                kept.add_all(given.part(part, kept.notes))
-        try:
-            self._kept = kept
-            self._learn(kept.demonstrations())
-        except RecordingError:
-            self._kept = before
-            raise
-        return self
-
-    def _given(self, demonstrations: Given) -> Demonstrations | CheckedSource:
+    def _given(self, demonstrations: Given) -> Demonstrations | list[Reader]:
         """What was given, with the joints of the features."""
         for features in self._feature_maps:
             robot = getattr(features, "robot", None)
             if robot is not None and self._robot is not None:
                 check_joints(self._robot.joint_names, robot)
-        return recordings_given(
-            demonstrations, self._robot, self._feature_maps[0].nv, used_and_derived(self.velocities)[0]
-        )
+        return recordings_given(demonstrations, self._robot, self._feature_maps[0].nv, self.velocities)
 
     def _learn(self, given: Demonstrations) -> None:
         """What repeats counts once -> one table -> what explains it -> a constraint for each part -> reports."""
         with one_thread():
             started = time.perf_counter()
             recordings = IndependentRecordings.of(given)
-            demonstrations = with_velocities(
-                recordings.demonstrations, self._robot, used_and_derived(self.velocities)[1]
-            )
+            demonstrations = with_velocities(recordings.demonstrations, self._robot, self.velocities)
             refuse_noise(recordings.demonstrations)
             check_fastest(demonstrations)
             refuse_still_hand(self._feature_maps[0], demonstrations)
-            demonstrations, every = few_of(demonstrations, self.most_samples)
-            recordings = recordings.every(every)
-            source = BeforeSmoothing(demonstrations, recordings.demonstrations)
-            everything = Part.of_all(demonstrations, self._feature_maps, source)
+            few = self._choose(*parts_of(demonstrations))
+            demonstrations, recordings = few.demonstrations, recordings.only([k.number for k in few.kept])
+            everything = Part.of_all(demonstrations, self._feature_maps)
             arm = ArmErrors(math.radians(self.zeros), 1e-3 * self.links)
             settings = LearnerSettings(
                 self.n_constraints,
@@ -323,8 +290,9 @@ class ConstraintLearner:
         return {name: getattr(self, name) for name in names}
 
     @property
-    def _empty(self) -> Choice:
-        return Choice(self._robot, used_and_derived(self.velocities)[1], self.most_samples)
+    def _choose(self) -> partial[EvenChoice]:
+        derive = partial(with_velocities, robot=self._robot, velocities=self.velocities)
+        return partial(EvenChoice, self.most_samples, derive)
 
     @property
     def _robot(self) -> Robot | None:
@@ -335,7 +303,8 @@ class ConstraintLearner:
         def __getattr__(self, name: str) -> Any:
             if name in _LEARNT:
                 raise NotFittedError(name)
-            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}", name=name, obj=self)
+            gone = ": keep the recordings in a list and call fit again" if name == "partial_fit" else ""  # until 0.4
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}{gone}", name=name, obj=self)
 
     def _forget(self) -> None:
         """A fit that refuses must not leave the answer to other demonstrations behind."""

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names
 
 PACKAGE = "manip-learn"
 
@@ -46,7 +45,7 @@ def checksum(trajectory: Trajectory) -> str:
     """SHA-256 of the file that a trajectory was read from; of its numbers, where it was not read from one."""
     if trajectory.sha256:
         return trajectory.sha256
-    numbers = (trajectory.time, trajectory.q, *trajectory.beside.values())
+    numbers = (trajectory.time, trajectory.q, *trajectory.arrays.values())
     return hashlib.sha256(b"".join(array.astype("<f8").tobytes() for array in numbers)).hexdigest()
 
 

@@ -28,9 +28,8 @@ from scipy.spatial import cKDTree
 
 from manip_learn.errors import listed
 from manip_learn.learning.explanation.evidence import Stretch
-from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
-from manip_learn.recordings.local_fit import noise_variance
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names
+from manip_learn.recordings.velocities import noise_variance
 
 # [rad] two passes of one path are as near as this to each other: arms repeat a posture to 0.1 mm at half a metre
 REPEATED_RAD = 2e-4
@@ -123,11 +122,10 @@ class IndependentRecordings:
         demonstrations = Demonstrations([dataclasses.replace(whole[i], name=said[i]) for i in kept], given.notes)
         return IndependentRecordings(demonstrations, tuple(chains[i] for i in kept), given, tuple(warnings))
 
-    def every(self, step: int) -> IndependentRecordings:
-        """The first of them, and every so many after it."""
-        if step == 1:
-            return self
-        return dataclasses.replace(self, demonstrations=self.demonstrations[::step], origins=self.origins[::step])
+    def only(self, numbers: Sequence[int]) -> IndependentRecordings:
+        """Some of them."""
+        demonstrations = Demonstrations([self.demonstrations[i] for i in numbers], self.demonstrations.notes)
+        return dataclasses.replace(self, demonstrations=demonstrations, origins=tuple(self.origins[i] for i in numbers))
 
     def places(self, stretch: Stretch) -> tuple[Stretch, ...]:
         """Where a stretch of `demonstrations` lies in the given recordings, on their own clocks."""
@@ -342,6 +340,6 @@ def joined_pieces(trajectories: Sequence[Trajectory], origin: Sequence[tuple[int
     skipped = [0, *(_shared(a, b) for a, b in pairwise(pieces))]
     time = np.concatenate([p.time[k:] + added for p, k, (_, added) in zip(pieces, skipped, origin, strict=True)])
     joined: dict[str, Any] = {"u": None, "effort": None}
-    for what in {"q", *set.intersection(*(set(p.beside) for p in pieces))}:
+    for what in {"q", *set.intersection(*(set(p.arrays) for p in pieces))}:
         joined[what] = np.concatenate([getattr(p, what)[k:] for p, k in zip(pieces, skipped, strict=True)])
-    return dataclasses.replace(pieces[0], time=time, **joined)  # judged as its pieces are
+    return dataclasses.replace(pieces[0], time=time, **joined)  # with their flags

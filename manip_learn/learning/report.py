@@ -46,8 +46,7 @@ from manip_learn.learning.uncertainty import (
     total_deg,
     uncertainty_of,
 )
-from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
-from manip_learn.recordings.trajectory import evenly
+from manip_learn.recordings.trajectory import Demonstrations, distinct_names, evenly
 from manip_learn.robot import html_card
 
 # recordings from which on nothing is said of their number: what several do by chance, five hardly do
@@ -412,7 +411,11 @@ def build_report(
     provenance["posture_trajectories"] = samples.trajectory[kept].tolist()
     if kind == "motion-constrained":
         mechanism = Constraint(selection, features, provenance).mechanism
-        shown = shown_by(features, selection, mechanism, answer.part.demonstrations)
+        part, whole = answer.part, answer.part.source
+        contacts = (
+            part.demonstrations if whole is None else [whole[s.trajectory][s.start : s.end] for s in part.stretches]
+        )
+        shown = shown_by(features, selection, mechanism, contacts)  # to their ends, which rows are not learnt from
         provenance["shown"] = None if shown is None else shown.to_dict()
     else:
         recordings = [(t.q, t.u) for t in answer.part.demonstrations if t.u is not None]

@@ -107,7 +107,7 @@ def _gripping(answers: Sequence[Answer], chosen: dict[int, list[_Contact]], plac
         return None
     grips: list[tuple[np.ndarray, np.ndarray]] = []
     for recording, contacts in chosen.items():
-        piece, whole = contacts[place].piece, source.derived[recording]
+        piece, whole = contacts[place].piece, source[recording]
         since = contacts[place - 1].piece.time[-1] if place else -np.inf
         before = (since < whole.time) & (whole.time < piece.time[0])
         held = (piece.time[0] <= whole.time) & (whole.time <= piece.time[-1])
@@ -138,7 +138,7 @@ def _end_of(
         return None
     ends, away = [], []
     for recording, contacts in chosen.items():
-        both = np.stack([contacts[-1].piece.q[-1], source.derived[recording].q[-1]])
+        both = np.stack([contacts[-1].piece.q[-1], source[recording].q[-1]])
         poses = poses_of(constraint.features, both)
         if poses is None:
             return None

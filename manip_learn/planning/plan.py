@@ -43,7 +43,7 @@ from manip_learn.planning.stations import (
     rooms,
 )
 from manip_learn.planning.surroundings import Surroundings, surroundings_of
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 from manip_learn.robot import html_card
 from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.collision import SelfCollision

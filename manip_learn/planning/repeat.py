@@ -27,7 +27,7 @@ from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.plan import Around, moved_to, plan
 from manip_learn.planning.stations import Stations
 from manip_learn.planning.surroundings import FRONT, LEAF, Surroundings
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
 _ROOM = 1.05  # times the speed of a way that was shown, with what `TipLimits.pace` leaves out

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.shown import Shown
 from manip_learn.errors import ManipLearnError, OutputError, counted
-from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.scene import posture_at
 from manip_learn.teach.way import STEP, TaughtWay, held_by_handles

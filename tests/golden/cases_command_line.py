@@ -35,7 +35,7 @@ LEARN = {
         "--constraints",
         "2",
     )
-    + ("--estimator", "joint", "--reference", "world", "--out", "{out}/planar.json"),
+    + ("--velocities", "recorded", "--estimator", "joint", "--reference", "world", "--out", "{out}/planar.json"),
 }
 CONTROL = {
     "control drawer": ("sawyer", "{out}/drawer.json", "--start", "0.3,-0.6,0.2,1.2,0.1,0.9,0.4")

@@ -63,7 +63,8 @@ def learnt(
     features = [ml.FrameJacobian(robot, frame=scene[1], axes=axes, reference=r) for r in references]
     try:
         learner = ml.ConstraintLearner(features if len(features) > 1 else features[0], s, estimator)
-        learner.fit(ml.load_demonstrations(files, robot))
+        how = "recorded" if scene[0] == "planar3" else "auto"  # Euler steps
+        learner.fit(ml.load_demonstrations(files, robot, velocities=how))
     except ml.ManipLearnError as error:
         return {"refused": type(error).__name__}
     selection = learner.constraint_.selection

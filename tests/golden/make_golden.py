@@ -43,13 +43,7 @@ from comparison import Cases, differences  # noqa: E402
 
 def computed() -> Cases:
     """Case name -> key -> numbers, words or counts, by the library on the path."""
-    return {
-        **learning_cases(),
-        **kinematic_cases(),
-        **command_cases(),
-        **rollout_cases(),
-        **command_line_cases(),
-    }
+    return {**learning_cases(), **kinematic_cases(), **command_cases(), **rollout_cases(), **command_line_cases()}
 
 
 def made_with() -> dict[str, str]:

@@ -24,7 +24,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import AXES, pose_coordinates
 from manip_learn.constraint.task_frame import TaskFrame
 from manip_learn.errors import ConstraintError, printable
-from manip_learn.recordings.format_words import yaml_text
+from manip_learn.recordings.writers.write_motion import yaml_text
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 

@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.learning.explanation.row_motion import RowMotion
 from manip_learn.learning.samples import Table
-from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 
 # [s] samples closer together than this tell the same story, and a change of what is held takes as long, over which
@@ -295,35 +294,6 @@ def covered(motion: RowMotion, stretches: Sequence[Stretch]) -> Bool[np.ndarray,
         own = slice(*motion.first[s.trajectory : s.trajectory + 2])
         held[own] |= (motion.time[own] >= s.start) & (motion.time[own] <= s.end)
     return held
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class BeforeSmoothing:
-    """Recordings before and after velocities were derived.
-
-    Attributes:
-        derived: With velocities; smoothing cuts off the ends.
-        recorded: The same, as they were.
-    """
-
-    derived: Demonstrations
-    recorded: Demonstrations
-
-    def of(self, stretches: Sequence[Stretch], parts: Sequence[Trajectory]) -> list[Trajectory]:
-        """The recorded samples of parts of the derived trajectories.
-
-        A part that begins or ends with the derived trajectory begins or ends with the recorded one.
-
-        `stretches` say which trajectory each part is of.
-        """
-        out = []
-        for number, part in zip((s.trajectory for s in stretches), parts, strict=True):
-            derived, recorded = self.derived[number], self.recorded[number]
-            start = None if part.time[0] == derived.time[0] else float(part.time[0])
-            end = None if part.time[-1] == derived.time[-1] else float(part.time[-1])
-            out.append(part if derived is recorded else recorded[start:end])
-        return out
 
 
 def ways_to_choose(motion: RowMotion, stretches: Sequence[Stretch]) -> float:

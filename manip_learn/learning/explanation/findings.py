@@ -21,7 +21,6 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.learning.explanation.evidence import (
     FAR_FROM_HELD,
     SWITCH_NATS,
-    BeforeSmoothing,
     Stretch,
     covered,
     pieces_of,
@@ -52,8 +51,7 @@ from manip_learn.learning.explanation.row_motion import (
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, FEWEST_TRAJECTORIES, recombination_test
 from manip_learn.learning.repeats import once_each
 from manip_learn.learning.samples import Table
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot.robot import Reference
 
 # [joints] a joint that moves alone goes where it must: only joints that move at the same time show what coordinates
@@ -220,7 +218,7 @@ class Part:
         asked: The feature maps that were asked for.
         firm: How many rows are held so firmly, and at one place, that this is evidence (see `RowEvidence`).
         choices: Among how many they were chosen: feature maps, numbers of rows, and `ways_to_choose` as much motion.
-        source: All recordings before they were smoothed; None if they were not.
+        source: All recordings, whole.
     """
 
     demonstrations: Demonstrations
@@ -231,7 +229,7 @@ class Part:
     asked: tuple[FeatureMap, ...] = ()
     firm: int = 0
     choices: float = 1.0
-    source: BeforeSmoothing | None = None
+    source: Demonstrations | None = None
 
     def of(self, stretches: Sequence[Stretch]) -> Part:
         """Other stretches of the recordings, in which as many rows are held, but others perhaps."""
@@ -240,9 +238,7 @@ class Part:
         return dataclasses.replace(self, demonstrations=motion, table=pieces, stretches=tuple(held))
 
     @staticmethod
-    def of_all(
-        demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap], source: BeforeSmoothing | None = None
-    ) -> Part:
+    def of_all(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> Part:
         """Everything in one part.
 
         Raises:
@@ -250,7 +246,7 @@ class Part:
         """
         stretches = tuple(Stretch(i, float(t.time[0]), float(t.time[-1])) for i, t in enumerate(demonstrations))
         maps = tuple(feature_maps)
-        return Part(demonstrations, Table.of(demonstrations), stretches, maps, asked=maps, source=source)
+        return Part(demonstrations, Table.of(demonstrations), stretches, maps, asked=maps, source=demonstrations)
 
 
 @final
@@ -382,9 +378,30 @@ class _Recombination:
         at_once = [joints_at_once(np.asarray(p.u), float(np.mean(noise))) for p in pieces]
         shown = pieces if pieces and np.median(at_once) >= JOINTS_AT_ONCE else []
         choices = self.tried * ways_to_choose(view.thin, stretches)
-        evidence = recombination_test(view.features, shown, np.random.default_rng(self.seed), choices, self.strength)
-        sure = recordings >= FEWEST_TRAJECTORIES or evidence.clear
-        return bool(shown) and evidence.n_rows >= h.n_rows and sure
+        for some in [shown] if h.scale.share <= FIRM_SHARE else [shown, self._alike(stretches, shown)]:
+            rng = np.random.default_rng(self.seed)
+            evidence = recombination_test(view.features, some, rng, choices, self.strength)
+            sure = recordings >= FEWEST_TRAJECTORIES or evidence.clear
+            if not some or evidence.n_rows < h.n_rows or not sure:
+                return False
+        return True
+
+    def _alike(self, stretches: Sequence[Stretch], pieces: Sequence[Trajectory]) -> list[Trajectory]:
+        """The parts of the recordings that begin and end where the longest piece does, in their joints.
+
+        Rows that give way are chosen with the parts of a motion in which they do so least. Joints that are exchanged
+        between parts of one path that begin at different postures no longer meet, be anything held or not.
+        """
+        if not pieces:
+            return []
+        ends, out = max(pieces, key=len).q[[0, -1]], []
+        for s in stretches:
+            whole = self.table.recordings[s.trajectory]
+            middle = int(np.searchsorted(whole.time, 0.5 * (s.start + s.end)))
+            first = int(np.argmin(np.linalg.norm(whole.q[: middle + 1] - ends[0], axis=1)))
+            last = middle + int(np.argmin(np.linalg.norm(whole.q[middle:] - ends[1], axis=1)))
+            out.append(whole.part(slice(first, last + 1)))
+        return out
 
 
 def is_firm(table: Table, view: View, h: Hypothesis, stretches: Sequence[Stretch]) -> bool:

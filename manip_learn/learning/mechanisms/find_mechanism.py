@@ -35,9 +35,7 @@ from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPat
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
 from manip_learn.learning.samples import BEYOND_CHANCE, STANDARD_ERRORS
 from manip_learn.linalg import null_basis
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import earned
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.batch.batch_kinematics import link_twists
 from manip_learn.robot.joints import Frame
@@ -116,7 +114,6 @@ def find_mechanism(
     trajectories: Sequence[Trajectory],
     rng: np.random.Generator,
     *,
-    recorded: Sequence[Trajectory] | None = None,
     held: Held | None = None,
     strength: float = BELIEVED_STRENGTH,
     arm: ArmErrors = AS_DESCRIBED,
@@ -134,8 +131,6 @@ def find_mechanism(
         trajectories: Motion in contact only (phases cut); at least two, better five. Missing velocities are derived.
         rng: For the exchange of joints between trajectories, the test against repeated motions, and for draws of the
             error.
-        recorded: The same trajectories as they were recorded, if `trajectories` are smoothed: the place is fitted to
-            these, since smoothing costs the ends of an arc, and its errors are those of neighbours, too.
         held: Phi and Lambda of rows that are known to be held. Where they are those of a mechanism, no other rows are
             looked for; if they do not speak of rotations, what holds the hand's orientation is tested beside them.
         strength: How much less than by chance a row must be used, with 99 % confidence, to be believed.
@@ -150,7 +145,7 @@ def find_mechanism(
     numbers = [i for i, t in enumerate(trajectories) if len(t) >= 10]
     if not numbers:
         raise NotIdentifiableError("no trajectory has ten samples: there is no path to look at", code="too-short")
-    chosen, _ = earned([trajectories[i] for i in numbers], robot)
+    chosen = [trajectories[i] for i in numbers]
     paths = TipPaths.of(robot, tip, [thinned(_postures(robot, t), _SAMPLES) for t in chosen])
     if max(np.ptp(paths.p, axis=0).max(), np.abs(paths.turns).max()) < 1e-3:
         raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
@@ -178,7 +173,7 @@ def find_mechanism(
             start, rival, (gain, left) = other, "", misfit(other)
     place = sum(QUANTITIES[name].rank for name in start.kind.holds if QUANTITIES[name].unit == "m")
     variance, bent = left * _rest(start) / max(place, 1), ""
-    last = [chosen[k] if recorded is None else recorded[numbers[k]] for k in members]
+    last = [chosen[k] for k in members]
     if gain > LEAST_GAIN_NATS:
         curve = find_curve(robot, tip.name, last, variance)
         if curve is not None:
@@ -300,8 +295,7 @@ def find_curve(
     robot: Robot, frame: str, trajectories: Sequence[Trajectory], variance: float, share: float = 1.0
 ) -> MechanismFit | None:
     """The curve that a hand keeps to, where it is much nearer to that than to mechanisms that leave that variance in
-    each direction that they hold [m^2], in that share of the time; else nothing holds. The trajectories are as
-    recorded: smoothing costs the ends.
+    each direction that they hold [m^2], in that share of the time; else nothing holds.
     """
     paths = TipPaths.of(robot, robot.frame(frame), [thinned(_postures(robot, t), _SAMPLES) for t in trajectories])
     found = fit_curve(paths)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import tracemalloc
-from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,10 +14,10 @@ from task_sets import generated, true_rows
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.learning import choosing
+from manip_learn.learning.thinning import EvenChoice, read_evenly
 from manip_learn.linalg import orthonormal_rows, row_space_angle
-from manip_learn.recordings import trajectory_source
-from manip_learn.recordings.trajectory_source import TrajectorySource
+from manip_learn.recordings import load as trajectory_source
+from manip_learn.recordings.velocities import with_velocities
 
 ONE = orthonormal_rows(np.array([[0.5, 1.0, -0.4]]))
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
@@ -48,75 +48,65 @@ class Yielded:
                 yield ml.Trajectory(t.time, t.q + 1e-3 * i, t.u, t.joint_names, t.name)
 
 
-class InParts(TrajectorySource):
-    """A source with some trajectories in each part."""
-
-    def __init__(self, trajectories, each: int):
-        self.trajectories, self.each = list(trajectories), each
-
-    @property
-    def n_parts(self) -> int:
-        return -(-len(self.trajectories) // self.each)
-
-    def part(self, index: int, notes: list[str] | None = None) -> Iterator[ml.Trajectory]:
-        yield from self.trajectories[index * self.each : (index + 1) * self.each]
+def chosen(recordings, each: int, robot, most: int) -> EvenChoice:
+    """The choice from recordings that are read so many at a time."""
+    parts = [partial(lambda k, _notes: iter(recordings[k : k + each]), k) for k in range(0, len(recordings), each)]
+    return read_evenly(partial(EvenChoice, most, partial(with_velocities, robot=robot)), parts, None, None)
 
 
 # ---- all fit ---------------------------------------------------------------------------------------------------------
 
 
 def test_what_fits_is_learnt_from_as_if_in_memory(features, held):
-    """A stream, an iterator, parts of a source and batches that arrive: bit for bit the answer of one list."""
+    """A stream: bit for bit the answer of one list."""
     recordings = [ml.Trajectory(t.time, t.q, None, t.joint_names, t.name) for t in held[:24]]
     whole = ml.ConstraintLearner(features, **HELD).fit(recordings)
-    arriving = ml.ConstraintLearner(features, **HELD)
-    for batch in (recordings[:10], iter(recordings[10:18]), Yielded(recordings[18:])):
-        arriving.partial_fit(batch)
     stream = Yielded(recordings)
-    others = [ml.ConstraintLearner(features, **HELD).fit(given) for given in (stream, InParts(recordings, 7))]
+    other = ml.ConstraintLearner(features, **HELD).fit(stream)
     assert stream.passes == 1
-    for other in (*others, arriving):
-        np.testing.assert_array_equal(other.constraint_.selection, whole.constraint_.selection)
-        assert other.report_.uncertainty_deg == whole.report_.uncertainty_deg
-        assert other.report_.notes == whole.report_.notes
-        assert (other.report_.n_samples, other.report_.n_trajectories) == (whole.report_.n_samples, 24)
+    np.testing.assert_array_equal(other.constraint_.selection, whole.constraint_.selection)
+    assert (other.report_.uncertainty_deg, other.report_.notes) == (whole.report_.uncertainty_deg, whole.report_.notes)
+    assert (other.report_.n_samples, other.report_.n_trajectories) == (whole.report_.n_samples, 24)
 
 
 # ---- more than fit ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("most", "rate", "lengths", "expected"),
+    ("most", "rate", "lengths", "steps", "left"),
     [
-        (1000, 100.0, [100] * 8, (1, 1)),  # all fit
-        (1000, 100.0, [100] * 40, (4, 1)),  # neighbours first, down to 25 samples a second
-        (1000, 100.0, [100] * 160, (4, 4)),  # then recordings
-        (1000, 20.0, [100] * 40, (1, 4)),  # slow ones at once
-        (1000, 100.0, [4000] * 6, (32, 1)),  # but never so many that few recordings are left
+        (1000, 100.0, [100] * 8, {1}, 8),  # all fit
+        (1000, 100.0, [100] * 40, {4}, 40),  # neighbours first, down to 25 samples a second
+        (1000, 100.0, [100] * 160, {4}, 40),  # then recordings
+        (1000, 25.0, [40] * 100, {1}, 25),  # slow ones at once
+        (1000, 100.0, [4000] * 6, {32}, 6),  # but never so many that few recordings are left
+        (1000, 100.0, [4000] * 200, {128}, 31),
+        (300, 30.0, [*range(1, 200)], {1, 4, 8, 16}, 28),
     ],
 )
-def test_what_is_left_out(most, rate, lengths, expected):
-    """Neighbours, then recordings, then neighbours again; evenly, in order, and for any number of parts alike."""
+def test_what_is_left_out(most, rate, lengths, steps, left):
+    """Neighbours, then recordings, evenly and in order; the same however the recordings are divided into parts."""
     recordings = [
         ml.Trajectory(np.arange(n) / rate, np.full((n, 2), float(i)) + np.arange(n)[:, None] / 1e5, np.ones((n, 2)))
         for i, n in enumerate(lengths)
     ]
-    for each in (len(lengths), 8, 1):
-        choice = choosing.choose_from(InParts(recordings, each), choosing.Choice(None, "auto", most))
-        chosen = choice.demonstrations()
-        assert (choice.step, choice.every) == expected
-        assert chosen.n_samples <= most and choice.n_samples == sum(lengths)
-        numbers = [round(t.q[0, 0]) for t in chosen]
-        assert numbers == list(range(0, len(lengths), expected[1]))
-        for t in chosen:
-            np.testing.assert_allclose(np.diff(t.time), expected[0] / rate)
-        said = [note for note in chosen.notes if "chosen evenly" in note]
-        assert len(said) == (0 if expected == (1, 1) else 1)
+    first = chosen(recordings, len(lengths), None, most)
+    demos, all_fit = first.demonstrations, left == len(lengths) and steps == {1}
+    assert ({kept.step for kept in first.kept}, len(demos)) == (steps, left)
+    assert 0.7 * most < demos.n_samples <= most
+    assert len([note for note in demos.notes if "chosen evenly" in note]) == (not all_fit)
+    for kept, t in zip(first.kept, demos, strict=True):
+        np.testing.assert_array_equal(t.q, recordings[kept.number].q[:: kept.step])
+    for each in (8, 1):
+        other = chosen(recordings, each, None, most).demonstrations
+        assert other.notes == demos.notes
+        for a, b in zip(other, demos, strict=True):
+            np.testing.assert_array_equal(np.column_stack([a.time, a.q]), np.column_stack([b.time, b.q]))
 
 
 @pytest.mark.parametrize(("settings", "truth"), [(HELD, TWO), (JOINT, ONE)], ids=["held", "moved"])
 def test_a_choice_answers_like_all(features, held, settings, truth):
-    """A sixth of the samples: within what is stated of the answer of all, in memory, in a stream and as they arrive."""
+    """A sixth of the samples: within what is stated of the answer of all, in memory and in a stream."""
     demos = held if truth is TWO else motions(features, ONE, np.random.default_rng(2), 60, noise=0.02)
     whole = ml.ConstraintLearner(features, **settings).fit(demos)
     few = {**settings, "most_samples": 1000}
@@ -127,11 +117,8 @@ def test_a_choice_answers_like_all(features, held, settings, truth):
     assert listed.report_.n_samples <= 1000
     assert any("chosen evenly out of 6,000 of 60" in note for note in listed.report_.notes)
     if truth is TWO:
-        arriving = ml.ConstraintLearner(features, **few)
-        for batch in (demos[:20], Yielded(demos[20:])):
-            arriving.partial_fit(batch)
-        for other in (ml.ConstraintLearner(features, **few).fit(Yielded(demos)), arriving):
-            np.testing.assert_array_equal(other.constraint_.selection, listed.constraint_.selection)
+        other = ml.ConstraintLearner(features, **few).fit(Yielded(demos))
+        np.testing.assert_array_equal(other.constraint_.selection, listed.constraint_.selection)
 
 
 def test_velocities_are_derived_before_samples_are_left_out():
@@ -139,12 +126,13 @@ def test_velocities_are_derived_before_samples_are_left_out():
     truth, made = generated("drawer", "sawyer", 3, 8)
     robot = ml.load_robot("sawyer")
     given = [ml.Trajectory(t.time, t.q, None, robot.joint_names, t.name) for t in made]
-    choice = choosing.choose_from(InParts(given, 3), choosing.Choice(robot, "auto", 1500))
-    assert choice.step > 1
-    for number, t in zip(range(0, 8, choice.every), choice.demonstrations(), strict=True):
-        full = ml.derive_velocities(given[number], robot)
-        np.testing.assert_array_equal(t.u, full.u[:: choice.step])
-        np.testing.assert_array_equal(t.time, full.time[:: choice.step])
+    choice = chosen(given, 3, robot, 1500)
+    assert len(choice.kept) == 8
+    for recording, kept in zip(given, choice.kept, strict=True):
+        full = ml.derive_velocities(recording, robot)
+        assert kept.step > 1
+        np.testing.assert_array_equal(kept.motion.u, full.u[:: kept.step])
+        np.testing.assert_array_equal(kept.motion.time, full.time[:: kept.step])
 
 
 def test_phases_are_found_in_a_choice():
@@ -165,14 +153,12 @@ def test_phases_are_found_in_a_choice():
         ml.ConstraintLearner(features, switch=1e6).fit(given)
 
 
-@pytest.mark.parametrize("arriving", [False, True])
-def test_a_recording_that_repeats_another_counts_once(features, held, arriving):
+def test_a_recording_that_repeats_another_counts_once(features, held):
     """Named, and passed over, among those that were chosen."""
     copy = ml.Trajectory(held[0].time, held[0].q, held[0].u, held[0].joint_names, "the copy")
 
     def learnt(*recordings):
-        stream, learning = Yielded(recordings), ml.ConstraintLearner(features, **HELD, most_samples=1000)
-        return learning.partial_fit(stream) if arriving else learning.fit(stream)
+        return ml.ConstraintLearner(features, **HELD, most_samples=1000).fit(Yielded(recordings))
 
     once, twice = learnt(*held[:11]), learnt(*held[:11], copy)
     assert any("the copy repeats motion 0" in warning for warning in twice.report_.warnings)
@@ -207,7 +193,6 @@ def test_streams_are_checked(features, held):
     for given, words in [
         (Yielded([*held, renamed]), "sorts by name"),
         (Yielded([]), "no demonstrations"),
-        (InParts([], 1), "no demonstrations"),
         (iter([t, 5]), "motion 2 must be a Trajectory"),
         (3, "must be trajectories"),
     ]:
@@ -216,27 +201,6 @@ def test_streams_are_checked(features, held):
     plain = ml.CustomFeatures(lambda q: np.eye(7), row_names=tuple("abcdefg"), nv=7)
     with pytest.raises(RecordingError, match="robot to derive them with|need a robot"):
         ml.ConstraintLearner(plain, 1).fit(Yielded([ml.Trajectory(t.time, t.q)] * 300))
-
-
-def test_partial_fit_keeps_what_is_usable(features, held):
-    """Too few samples are refused but kept; a batch with an invalid recording is not kept; fit discards all."""
-    learning = ml.ConstraintLearner(features, 2, velocities="recorded")
-    with pytest.raises(NotIdentifiableError):
-        learning.partial_fit([held[0].part(slice(0, 4))])
-    bad = ml.Trajectory(held[1].time, held[1].q, held[1].u, tuple(f"x{n}" for n in held[1].joint_names))
-    u = held[2].u.copy()
-    u[17, 3] = 1e7
-    outlier = ml.Trajectory(held[2].time, held[2].q, u, held[2].joint_names)
-    for batch, words in [
-        (Yielded([held[1], held[2], bad]), "sorts by name"),
-        (lambda: None, "must be trajectories"),
-        ([held[1], outlier], "remove the outlier"),
-    ]:
-        with pytest.raises(RecordingError, match=words):
-            learning.partial_fit(batch)
-    # of the first four samples nothing can be told, so that they are kept and not learnt from
-    assert learning.partial_fit(held[1:]).report_.n_samples == 5900
-    assert learning.fit(held[:20]).partial_fit(held[20:30]).report_.n_trajectories == 10
 
 
 # ---- files -----------------------------------------------------------------------------------------------------------

@@ -1,1 +1,0 @@
-"""Checks that recordings pass before they become demonstrations."""

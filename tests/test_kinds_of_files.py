@@ -1,0 +1,291 @@
+"""Kinds of files that people have: each is read exactly, or refused in words that say what to type."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+import yaml
+
+import manip_learn as ml
+
+ROBOT = ml.load_robot("sawyer")
+N = list(ROBOT.joint_names)
+T = np.arange(150) * 0.02  # [s]
+Q = 0.3 * np.sin(T[:, None] * np.linspace(0.5, 1.5, 7)) + np.linspace(-0.2, 0.2, 7)
+OTHER = Q + 0.1  # of a command
+STAMPS = 1.7e9 + 0.37 + T  # [s]
+SEC, PART = np.floor(STAMPS), STAMPS % 1
+NS = np.round(PART * 1e9)
+GIVEN = {"joint_names": N}
+NAMED = [[name] * len(T) for name in N]  # columns that hold the names of the joints
+ROWS = [dict(zip(N, q, strict=True)) for q in Q.tolist()]
+
+Write = Callable[[Path], Any]  # writes a file, or returns what is given instead of one
+Kind = tuple[Write, str, dict[str, Any]]  # how it is written, words of the refusal ("" if it is read), options
+
+
+def kind(write: Write, refusal: str = "", **options: Any) -> Kind:
+    """Return a row of the table."""
+    return write, refusal, options
+
+
+def table(header: list[str], *columns: Any, before: str = "", mark: str = ",") -> Write:
+    """Return how to write a table; columns of shape (T, n) are n of them."""
+    each = [c for x in columns for c in (x.T if isinstance(x, np.ndarray) and x.ndim == 2 else [x])]
+    lines = zip(*(c.tolist() if isinstance(c, np.ndarray) else c for c in each), strict=True)
+    written = [[f"{x:.10g}" if isinstance(x, float) else str(x) for x in line] for line in lines]
+    return text(before + "".join(mark.join(line) + "\n" for line in ([header] if header else []) + written))
+
+
+def text(content: str) -> Write:
+    """Return how to write a text."""
+    return lambda path: path.write_text(content)
+
+
+def dumped(content: Any) -> Write:
+    """Return how to write JSON."""
+    return text(json.dumps(content))
+
+
+def hdf5(**arrays: Any) -> Write:
+    """Return how to write arrays, `__` between groups."""
+
+    def write(path: Path) -> None:
+        with h5py.File(path, "w") as file:
+            for name, array in arrays.items():
+                file[name.replace("__", "/")] = array
+
+    return write
+
+
+def npz(save: Callable[..., Any] = np.savez, **arrays: Any) -> Write:
+    """Return how to write an archive."""
+
+    def write(path: Path) -> None:
+        with path.open("wb") as file:
+            save(file, **arrays)
+
+    return write
+
+
+def mat(**arrays: Any) -> Write:
+    """Return how to write a MATLAB file."""
+    return npz(lambda file, **arrays: scipy.io.savemat(file, arrays), **arrays)
+
+
+def state(k: int, named: bool = True, words: tuple[str, str] = ("sec", "nanosec")) -> dict[str, Any]:
+    """Return a JointState."""
+    stamp = dict(zip(words, (int(SEC[k]), int(NS[k])), strict=True))
+    lists = {"name": N if named else [], "position": Q[k].tolist(), "velocity": [], "effort": []}
+    return {"header": {"stamp": stamp, "frame_id": ""}} | lists
+
+
+def echo(flow: bool | None = None, **options: Any) -> Write:
+    """Return how `topic echo` writes."""
+    return text("---\n".join(yaml.safe_dump(state(k, **options), default_flow_style=flow) for k in range(len(T))))
+
+
+def each(prefix: str, n: int = 7) -> list[str]:
+    """Return numbered names."""
+    return [f"{prefix}{k}" for k in range(n)]
+
+
+def frame() -> dict[str, np.ndarray]:
+    """Return columns of a data frame."""
+    return dict(zip(N, Q.T, strict=True))
+
+
+def dates(form: Callable[[pd.Timestamp], str]) -> list[str]:
+    """Return stamps as text."""
+    return [form(pd.Timestamp("2026-01-01") + pd.Timedelta(seconds=t)) for t in T]
+
+
+def trajectory() -> dict[str, Any]:
+    """Return a JointTrajectory."""
+    points = [
+        {"positions": q, "velocities": [], "time_from_start": {"secs": int(t), "nsecs": round((t % 1) * 1e9)}}
+        for t, q in zip(T.tolist(), Q.tolist(), strict=True)
+    ]
+    return {"joint_trajectory": {"joint_names": N, "points": points}}
+
+
+def turned(columns: list[int], tool: float) -> dict[str, Any]:
+    """Return joints in another order, and positions of the tool in axes and units of their own."""
+    at = np.array([ROBOT.pose(q, "right_hand") @ [0.0, 0.02, tool, 1.0] for q in WIDE])[:, :3]
+    return {"time": T, "joint_positions": WIDE[:, columns], "tcp_pose": np.hstack([1e3 * at[:, [1, 2, 0]], at])}
+
+
+WIDE = 0.8 * np.sin(T[:, None] * np.linspace(1.0, 2.5, 7) + np.arange(7))
+SECONDS = "sec,nanosec secs,nsecs seconds,nseconds stamp_sec,stamp_nanosec header.stamp.secs,header.stamp.nsecs"
+SECONDS += " tv_sec,tv_nsec header/stamp/sec,header/stamp/nanosec"
+COMMANDS = "action control target master leader command desired next_obs goal".split()
+POSES = {"transform_positions": 3, "tcp_pos": 3, "ee_pose": 7, "gripper_position": 1, "object_pos": 7}
+EULER = ["x", "y", "z", "roll", "pitch", "yaw", "gripper"]
+FRANKA = ["time", *(f"{w}[{k}]" for w in ("q", "q_d", "O_T_EE") for k in range(7))]
+RTDE = ["timestamp", *each("actual_q_"), *each("target_q_"), *each("actual_TCP_pose_", 6)]
+ECHO_P = ["%time", "field.header.seq", *each("field.name"), *each("field.position")]
+ACTUATORS = [
+    {"time": t, "actuators": [{"position": p, "velocity": 0.0} for p in q]}
+    for t, q in zip(T.tolist(), np.degrees(Q).tolist(), strict=True)
+]
+SAMPLES = [{"time": t, "q": q} for t, q in zip(T.tolist(), Q.tolist(), strict=True)]
+
+KINDS: dict[str, Kind] = {
+    **{f"stamps {s}": kind(table([*s.split(","), *N], SEC, NS, Q)) for s in SECONDS.split()},
+    "stamps in nanoseconds since 1970": kind(table(["timestamp", *N], np.round(STAMPS * 1e9), Q)),
+    "seconds and microseconds": kind(table(["tv_sec", "tv_usec", *N], SEC, np.round(PART * 1e6), Q)),
+    "an index, then stamps": kind(table(["Unnamed: 0", "sec", "nanosec", *N], T, SEC, NS, Q)),
+    "stamps of who received it": kind(table(["receive_time", "time", *N], T + 0.003, T, Q)),
+    "stamps of the bag": kind(
+        table(["rosbagTimestamp", "header.stamp.secs", "header.stamp.nsecs", *N], np.round(STAMPS * 1e9), SEC, NS, Q)
+    ),
+    "times that contradict each other": kind(
+        table(["time", "stamp", *N], T, 2 * T, Q),
+        "count 2.98 and 5.96: leave the wrong one out, ignore_columns=['stamp']",
+    ),
+    "... as advised": kind(table(["time", "stamp", *N], T, 2 * T, Q), ignore_columns=["stamp"]),
+    "dates in UTC": kind(table(["timestamp", *N], dates(lambda d: d.isoformat() + "Z"), Q)),
+    "frames, counted": kind(table(["frame_index", *N], np.arange(150.0), Q), rate=50),
+    "frames without a rate": kind(table(["frame_index", *N], np.arange(150.0), Q), "rate="),
+    "stamps (T, 2) in an archive": kind(npz(stamps=np.column_stack([SEC, NS]), q=Q, joint_names=N)),
+    "stamps (T, 2) in HDF5": kind(hdf5(joint_positions=Q, timestamps=np.column_stack([SEC, NS])), **GIVEN),
+    "two arrays of times": kind(npz(t=T, stamp=2 * T, q=Q), "could be the time: say which: rename={'t'", **GIVEN),
+    "a line of units": kind(table(["time", *N], ["s", *T], *(["rad", *q] for q in Q.T))),
+    "units in names": kind(table(["time [s]", *(n + " [rad]" for n in N)], T, Q)),
+    "a preamble of text": kind(table(["time", *N], T, Q, before="Log v1\nDate: today\n\n")),
+    **{
+        f"HDF5 with a group {group}": kind(
+            hdf5(**{"obs__arm__joint_positions": Q, f"{group}__joint_position": OTHER, "obs__time": T}), **GIVEN
+        )
+        for group in COMMANDS
+    },
+    **{
+        f"HDF5 with {name} of width {n}": kind(hdf5(s__joint_pos=Q, s__t=T, **{f"p__{name}": Q[:, :n]}), **GIVEN)
+        for name, n in POSES.items()
+    },
+    "HDF5, two arms": kind(hdf5(left__joint_pos=Q, right__joint_pos=OTHER, time=T), "several arms", **GIVEN),
+    "HDF5, two states": kind(
+        hdf5(obs__arm__joint_pos=Q, obs__robot__joint_pos=OTHER, time=T),
+        "of one recording: say which: rename={'obs/arm/joint_pos': 'q'}",
+        **GIVEN,
+    ),
+    "... two states, as advised": kind(
+        hdf5(obs__arm__joint_pos=Q, obs__robot__joint_pos=OTHER, time=T), **GIVEN, rename={"obs/arm/joint_pos": "q"}
+    ),
+    "HDF5, commands alone": kind(hdf5(action__joint_pos=Q, time=T), "only as commands", **GIVEN),
+    "HDF5, leader and follower": kind(hdf5(leader__joint_pos=OTHER, follower__joint_pos=Q, time=T), **GIVEN),
+    "HDF5, names in the file": kind(hdf5(q=Q, t=T, joint_names=np.array(N, dtype="S"))),
+    "HDF5, an array for each joint": kind(hdf5(time=T, **dict(zip(N, Q.T, strict=True)))),
+    "HDF5, qpos and action": kind(hdf5(observations__qpos=Q, action=OTHER), **GIVEN, rate=50),
+    "HDF5, states copied among commands": kind(
+        hdf5(
+            observation__robot_state__joint_positions=Q,
+            action__joint_position=OTHER,
+            action__robot_state__joint_positions=Q,
+        ),
+        **GIVEN,
+        rate=50,
+    ),
+    "an archive with a pose as wide": kind(npz(timestamp=T, joint_angles=Q, ee_pose=OTHER, names=N)),
+    "an archive, actual and desired": kind(npz(t=T, actual_positions=Q, desired_positions=OTHER), **GIVEN),
+    "an archive of three dimensions": kind(npz(t=T, q=Q[None]), **GIVEN),
+    "MATLAB, a struct, one column a sample": kind(
+        mat(data={"time": T, "joint_positions": Q.T, "tau": 0 * Q.T}), **GIVEN
+    ),
+    "ros2 topic echo": kind(echo(False)),
+    "ros2 topic echo --flow-style": kind(echo()),
+    "rostopic echo": kind(echo(words=("secs", "nsecs"))),
+    "topic echo without names": kind(echo(named=False), "joint_names="),
+    "topic echo without names, given": kind(echo(named=False), **GIVEN),
+    "ros2 topic echo --csv": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *NAMED, Q)),
+    "... with velocities": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *NAMED, Q, 0 * Q)),
+    "... without names": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, Q), **GIVEN),
+    "rostopic echo -p": kind(table(ECHO_P, np.round(STAMPS * 1e9), np.arange(150), *NAMED, Q)),
+    "messages whose joints change": kind(
+        table(["time", *each("name"), *each("position")], T, *np.array([N, N[::-1]] * 75).T.tolist(), Q),
+        "change from row",
+    ),
+    "PlotJuggler": kind(table(["__time", "/js/header/stamp", *(f"/js/{n}/position" for n in N)], STAMPS, STAMPS, Q)),
+    "a flattened frame": kind(
+        table(["timestamp", *(f"{w}.{n}" for w in ("position", "effort") for n in N)], T, Q, 0 * Q)
+    ),
+    "a written frame": kind(
+        table(["", "timestamp", *N, "width", "label"], np.arange(150), T, Q, T, ["pick"] * 150), columns="{joint}"
+    ),
+    "a table of messages": kind(table(["Time", *each("name_"), *each("position_")], STAMPS, *NAMED, Q)),
+    "... with a stamp of two columns": kind(
+        table(["header.stamp.sec", "header.stamp.nanosec", *each("name."), *each("position.")], *(SEC, NS, *NAMED, Q))
+    ),
+    "... in a message": kind(text("\n".join(json.dumps({"js": state(k)}) for k in range(150)))),
+    "JSON, columns beside a pose": kind(
+        dumped({"timestamp": T.tolist(), "tcp_x": T.tolist()} | {n: q.tolist() for n, q in frame().items()})
+    ),
+    "JSON, rows with names": kind(dumped([{"time": t, **row} for t, row in zip(T, ROWS, strict=True)])),
+    "JSON, rows with an object of joints": kind(
+        dumped([{"time": t, "positions": row} for t, row in zip(T, ROWS, strict=True)])
+    ),
+    "JSON, rows of lists": kind(
+        dumped([{"time": s["time"], "robot": {"joint_angle": s["q"]}} for s in SAMPLES]), **GIVEN
+    ),
+    "JSON, rows beside what the program says": kind(dumped({"fps": 50, "data": SAMPLES}), **GIVEN),
+    "JSON, an object for each joint": kind(dumped(ACTUATORS), **GIVEN, degrees=True),
+    "YAML of a JointTrajectory": kind(text(yaml.safe_dump(trajectory()))),
+    "a pose of angles": kind(table(["time", *EULER], T, Q), "coordinates of a pose"),
+    "a pose of a quaternion": kind(table(["time", *"xyz", "qx", "qy", "qz", "qw"], T, Q), "of a pose"),
+    "a pose beside joints": kind(table(["time", *N, "ee_x", "ee_y", "ee_z", "ee_qw"], T, Q, Q[:, :4])),
+    "more motors than joints": kind(table(["time", *each("motor_", 9)], T, Q, T, T), "motor_0"),
+    "numbers from 0": kind(table(["time", *each("joint_")], T, Q), "joint_0 as right_j0"),
+    "numbers from 1": kind(table(["time", *each("joint_", 8)[1:]], T, Q), "joint_1 as right_j0"),
+    "numbered": kind(table(["time", *each("q")], T, Q), "q0 as right_j0"),
+    "numbered, as advised": kind(table(["time", *each("q")], T, Q), columns="q{index}"),
+    "libfranka": kind(table(FRANKA, T, Q, OTHER, Q), "columns='q[{index}]'"),
+    "libfranka, as advised": kind(table(FRANKA, T, Q, OTHER, Q), columns="q[{index}]"),
+    "UR's RTDE": kind(table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), "columns='actual_q_{index}'"),
+    "UR's RTDE, as advised": kind(table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), columns="actual_q_{index}"),
+    "degrees in the names": kind(table(["time", *(n + "_deg" for n in N)], T, np.degrees(Q)), "degrees"),
+    "a frame with dates": kind(lambda _: pd.DataFrame({"time": pd.to_datetime(STAMPS, unit="s"), **frame()})),
+    "a frame with times as its index": kind(lambda _: pd.DataFrame(frame(), index=pd.Index(T, name="time"))),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_kind(name: str, tmp_path: Path) -> None:
+    """Positions and times to the last digits that were written; or one sentence that never names joints falsely."""
+    write, refusal, options = KINDS[name]
+    written = write(path := tmp_path / "recording")
+    given = written if isinstance(written, pd.DataFrame) else path
+    if refusal:
+        with pytest.raises(ml.ManipLearnError) as caught:
+            ml.load_demonstrations(given, ROBOT, **options)
+        assert refusal in str(caught.value) and "=right_j" not in str(caught.value)
+        return
+    (demo,) = ml.load_demonstrations(given, ROBOT, **options)
+    np.testing.assert_allclose(demo.q, Q, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(demo.time - demo.time[0], T, rtol=0, atol=2e-6)
+
+
+def test_a_recorded_tool_tells_an_order_of_joints(tmp_path: Path) -> None:
+    """Where the tool was recorded, in any axes and units, a false order of the joints is said with the right one."""
+    order = [1, 0, 2, 3, 4, 5, 6]
+    path, right = tmp_path / "a.h5", [N[k] for k in order]
+    hdf5(**turned(order, 0.1))(path)
+    said = " ".join(ml.load_demonstrations(path, ROBOT, joint_names=N).notes)
+    assert f"joint_names={right}" in said and " mm rms " in said
+    demos = ml.load_demonstrations(path, ROBOT, joint_names=right)
+    assert "mm rms" not in " ".join(demos.notes)
+    np.testing.assert_allclose(demos[0].q, WIDE, atol=1e-12)
+
+
+def test_a_robot_whose_joints_are_all_locked_is_refused(tmp_path: Path) -> None:
+    """No joint moves: said before anything is learnt."""
+    table(["time", *N], T, Q)(tmp_path / "a.csv")
+    with pytest.raises(ml.ManipLearnError, match="no joint of robot 'sawyer' moves"):
+        ml.load_demonstrations(tmp_path / "a.csv", ml.load_robot("sawyer", locked=N))
