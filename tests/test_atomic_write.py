@@ -83,17 +83,16 @@ def test_what_a_killed_writer_left_is_swept_and_no_living_ones_file(tmp_path):
 
 
 def test_refuses_folders_and_devices(tmp_path):
-    """A folder, a device, an empty path and a folder that is a file are each refused in one sentence."""
+    """A folder, a pipe, an empty path and a folder that is a file are each refused in one sentence."""
     (tmp_path / "file").write_text("")
     os.mkfifo(tmp_path / "pipe")
     cases = {
         tmp_path: "it is a folder",
         f"{tmp_path}/missing/": "names a folder",
         "": "empty path",
-        "/dev/null": "device or a pipe",
         tmp_path / "pipe": "device or a pipe",
         tmp_path / "file" / "page.html": "cannot write",
-        tmp_path / ("x" * 300): "cannot write",
+        tmp_path / "a\0b": "cannot write",
     }
     for path, reason in cases.items():
         with pytest.raises(OutputError, match=reason):

@@ -72,6 +72,11 @@ def wait_until(page, expression, seconds=60.0):
     raise AssertionError(f"{expression} is still false")
 
 
+def wait_for_frames(page):
+    """Wait until what was asked for is drawn: labels are placed after their scene."""
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
 def link_pose(page, rollout, link):
     """Pose of a link as the page draws it now."""
     rows = page.evaluate("([rollout, link]) => manipLearn.linkPose(rollout, link)", [rollout, link])
@@ -92,7 +97,7 @@ def links_of(robot):
 
 def picture(page):
     """The scene alone, as PNG."""
-    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    wait_for_frames(page)
     return page.locator("#scene canvas").screenshot(style="#legend, #notes, .sheet { visibility: hidden }")
 
 
@@ -483,7 +488,9 @@ def test_a_plan_beside_other_rollouts(robot_of, opening, tmp_path, opened):
         states = page.locator("#legend .state").all_inner_texts()
         assert [phase in state for state in states] == [True, False, False]
         assert ("0.000 m open" in states[0]) == shut
-        assert ("held" in page.locator("#labels span:visible").all_inner_texts()) == (phase != "approach")
+        wait_for_frames(page)
+        labels = page.locator("#labels span:not([hidden])").all_text_contents()  # in the way of the robot, or not
+        assert ("held" in labels) == (phase != "approach")
     begins = robot.position(plan.q[110], robot.frame("right_gripper_tip"))
     seek(page, 0.5)
     np.testing.assert_allclose(page.evaluate("manipLearn.handle('plan')"), begins, atol=1e-3)
