@@ -41,7 +41,7 @@ from task_sets import arm
 import manip_learn as ml
 from manip_learn.learning import answer as answer_file
 
-ESTIMATE = answer_file.estimate_imposed
+ESTIMATE = answer_file.learn_imposed
 LIMIT = 10.0  # times the median
 GIVEN_UP_SECONDS = 900  # [s] a fit that takes longer is one that does not end
 MIDDLE = {
@@ -190,7 +190,7 @@ def judged(number: int) -> list[Any] | None:
         imposed_too.append(number)
         return ESTIMATE(*arguments, **more)
 
-    answer_file.estimate_imposed = estimated
+    answer_file.learn_imposed = estimated
     signal.signal(signal.SIGALRM, give_up)
     signal.alarm(GIVEN_UP_SECONDS)
     started = time.process_time()

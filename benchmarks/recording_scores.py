@@ -9,12 +9,12 @@ import numpy as np
 from make_recordings.arms import Arm
 
 import manip_learn as ml
-from manip_learn.learning.explanation.findings import IN_ONE_ONLY
 from manip_learn.learning.report import LearningReport
 from manip_learn.linalg import null_basis
 from manip_learn.recordings.trajectory import Trajectory
 
 MOVING = 0.01  # slower than this the tip rests, which counts for neither side [m/s]
+IN_ONE_ONLY = "appears in one recording only"  # reason of a phase
 PLACES = 12  # postures of each contact at which rows are compared
 TYPES = {"slide": "line", "upright": "held-orientation", "sleeve": "other"}
 # errors, and the columns that say whether they are below what is stated for 68 % of cases

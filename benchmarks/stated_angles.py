@@ -25,17 +25,14 @@ from make_recordings import kinematic_sets
 from make_recordings.arms import ROBOTS, load_arm
 
 import manip_learn as ml
-from manip_learn.learning.estimate import estimate_null_space
-from manip_learn.learning.samples import Samples
-from manip_learn.learning.uncertainty import NOISE, total_deg, uncertainty_of
+from manip_learn.learning.report import NOISE
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
-from manip_learn.recordings.velocities import with_velocities
 
 ROWS = {"drawer": 2, "table": 1, "door": 1}
 NUMBERS = (5, 10, 30)
 NOISES = (1e-4, 1e-3)  # [rad]
 RATES = (50.0, 100.0, 250.0, 500.0)  # [Hz]
-WIDE = 3.0  # times the bootstrap's angle: too wide where there is nothing but noise
+WIDE = 3.0  # times the angle of the noise: too wide where there is nothing but noise
 
 
 @functools.lru_cache(maxsize=4)
@@ -59,14 +56,14 @@ def recorded(kind: str, seed: int, rate: float, noise: float, n: int) -> tuple[A
 
 
 def angles(kind: str, seed: int, rate: float, noise: float, n: int) -> tuple[float, float, float]:
-    """True, stated and the bootstrap's angle of one set [deg]."""
+    """True and stated angle of one set, and the part of the noise in it [deg]."""
     features, demos, true = recorded(kind, seed, rate, noise, n)
-    samples = Samples.collect(features, with_velocities(demos, features.robot))
-    estimate = estimate_null_space(samples, ROWS[kind])
-    parts, _ = uncertainty_of(samples, estimate, np.random.default_rng(seed))
-    learnt = np.linalg.qr(samples.selection(estimate.whitened_selection).T)[0]
+    learner = ml.ConstraintLearner(features, ROWS[kind], "null-space", phases="off", joint_offset_std=0.0, seed=seed)
+    report = learner.fit(demos).report_
+    learnt = learner.constraint_.selection.T
     sine = np.linalg.norm(learnt - true.T @ (true @ learnt), 2)
-    return float(np.degrees(np.arcsin(min(sine, 1.0)))), float(total_deg(parts) or 0.0), float(parts[NOISE] or 0.0)
+    stated, scatter = report.uncertainty_deg or 0.0, report.uncertainty[NOISE] or 0.0
+    return float(np.degrees(np.arcsin(min(sine, 1.0)))), stated, scatter
 
 
 def cell(found: np.ndarray) -> str:

@@ -2,7 +2,7 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""Learn while the person still shows the task: samples come from a driver, each motion refines the answer.
+"""Learn while the person still shows the task: samples come from a driver; `fit` learns from all motions so far.
 
 The driver calls `Recorder.sample` for every message it gets; a button on the wrist says where a motion begins and ends.
 Recording stops when the uncertainty is small enough, so nobody shows the task more often than it takes.

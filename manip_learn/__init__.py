@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from manip_learn.errors import ManipLearnError, NoPlanError
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
-    from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
     from manip_learn.planning.grasp_cone import GraspCone
     from manip_learn.planning.plan import Plan, plan
     from manip_learn.planning.repeat import Repetition, repeat
@@ -91,7 +90,6 @@ _NAMES = {
     "constraint.manipulability_batch": "manipulability_batch",
     "learning": "ConstraintLearner",
     "learning.audit": "audit_episodes",
-    "learning.mechanisms.find_mechanism": "MechanismFit find_mechanism",
     "control.command": "Command Controller Status",
     "control.controller": "ResolvedRateController",
     "control.limits": "Limits",
@@ -129,6 +127,10 @@ _REMOVED = {
     "warm_up": "nothing is compiled any more: leave the call out",
     "PlacoTask": "hand PlaCo the rows A(q), b and pi yourself: A(q + dq) = A q + dt b as two joint-space half-spaces",
     "iter_demonstrations": "RecordingSource(paths, robot).part(i) reads part by part, load_demonstrations all at once",
+    **dict.fromkeys(
+        ("find_mechanism", "MechanismFit"),
+        "ConstraintLearner(features).fit(demos).report_.mechanism has the mechanism with its uncertainty",
+    ),
     "optimise_path": "ml.plan chooses posture and motion of a whole way; ManipulabilityAscent climbs on the spot",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
@@ -136,11 +138,11 @@ __all__ = ["Box", "CentreOfMass", "Command", "Constraint", "ConstraintLearner", 
 __all__ += ["CustomFeatures", "Cylinder", "Demonstrations", "Driver", "FeatureMap", "FollowMotion", "FrameJacobian"]
 __all__ += ["FreeDirection", "GraspCone", "Hold", "JointAttractor", "JointLimitAvoidance", "LeRobotDriver"]
 __all__ += ["LeRobotMotor", "Limits", "LiveViewer", "ManipLearnError", "ManipulabilityAscent", "Mechanism"]
-__all__ += ["MechanismFit", "MechanismRows", "Mesh", "MuJoCoDriver", "NoPlanError", "NullSpacePolicy", "Plan"]
+__all__ += ["MechanismRows", "Mesh", "MuJoCoDriver", "NoPlanError", "NullSpacePolicy", "Plan"]
 __all__ += ["PointAttractor", "RecordedFiles", "RecordingSource", "RelativeFrameJacobian", "Repetition"]
 __all__ += ["ResolvedRateController", "Robot", "Rollout", "RunRecord", "Scene", "SelfCollision", "ServoLoop", "Shown"]
 __all__ += ["Skill", "Sphere", "Stacked", "Status", "Step", "Task", "TaskFrame", "Track", "Trajectory"]
-__all__ += ["WeightedPolicies", "ZeroPolicy", "audit_episodes", "derive_velocities", "find_mechanism"]
+__all__ += ["WeightedPolicies", "ZeroPolicy", "audit_episodes", "derive_velocities"]
 __all__ += ["inspect_robot", "likely_tips", "load_demonstrations", "load_robot"]
 __all__ += ["log_manipulability_gradient", "manipulability", "manipulability_batch", "manipulability_gradient"]
 __all__ += ["motion", "plan", "record", "repeat", "replay", "run", "simulate", "subsample"]

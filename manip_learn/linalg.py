@@ -90,6 +90,23 @@ def orthonormal_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s p"]:
     return U @ Vt
 
 
+def pivoted_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s p"]:
+    """Return orthonormal rows that depend on nothing but the row space of M, on any machine.
+
+    The first is the projection of the axis that lies nearest to the row space, the next that of the axis that lies
+    nearest to what is left, and so on (Gram and Schmidt with pivoting). The rows of M must be independent.
+    """
+    rows = np.linalg.svd(M, full_matrices=False)[2]
+    out, left = np.zeros((0, M.shape[1])), rows.T @ rows
+    for _ in M:
+        sizes = np.round(np.diag(left), 9)
+        row = left[int(np.argmax(sizes))]
+        row = row - out.T @ (out @ row)
+        out = np.concatenate([out, row[None] / np.linalg.norm(row)])
+        left = left - np.outer(out[-1], out[-1])
+    return out
+
+
 def row_basis(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "r p"]:
     """Orthonormal rows that span the row space of M (numerical rank by Matlab's tolerance)."""
     _, sigma, Vt = np.linalg.svd(M, full_matrices=False)

@@ -12,9 +12,9 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ManipLearnError, MissingExtraError, an
-from manip_learn.learning.estimate import CLEAR_GAP
-from manip_learn.learning.recombination import BELIEVED_STRENGTH
+from manip_learn.learning.answer import CLEAR_GAP
 from manip_learn.learning.report import LearningReport
+from manip_learn.learning.table import BELIEVED
 from manip_learn.playback.palette import COLOURS, rollout_colours
 
 if TYPE_CHECKING:
@@ -131,12 +131,12 @@ def evidence(report: LearningReport, ax: Axes | None = None) -> Axes:
     ax.barh(number, [row.strength - 1.0 for row in rows], left=1.0, color=colours, height=0.6)
     for n, row in zip(number, rows, strict=True):
         ax.annotate(f" p = {row.p_value:.2g}", (max(row.strength, 1.0), n), va="center", fontsize="small")
-    ax.axvline(BELIEVED_STRENGTH, color=COLOURS["grey"], linestyle=":", linewidth=1.0)
+    ax.axvline(BELIEVED, color=COLOURS["grey"], linestyle=":", linewidth=1.0)
     ax.set_xscale("log")
-    ax.set(xlabel=f"strength (1: as by chance; dotted: {BELIEVED_STRENGTH:g}, believed)", ylabel="row")
+    ax.set(xlabel=f"strength (1: as by chance; dotted: {BELIEVED:g}, believed)", ylabel="row")
     ax.set_yticks(number, [f"{n}: {row.state}" for n, row in zip(number, rows, strict=True)])
     ax.invert_yaxis()
-    ax.set_xlim(1.0, 30.0 * max(BELIEVED_STRENGTH, *(row.strength for row in rows)))  # room for the words
+    ax.set_xlim(1.0, 30.0 * max(BELIEVED, *(row.strength for row in rows)))  # room for the words
     return ax
 
 

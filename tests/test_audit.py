@@ -13,9 +13,11 @@ from scale_motions import motions
 
 import manip_learn as ml
 from manip_learn.cli import main
+from manip_learn.commands.audit import write_table
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import OutputError, RecordingError
-from manip_learn.learning.audit import AuditReport, audit_episodes, measure, outlier_threshold, robust_z
+from manip_learn.learning import audit
+from manip_learn.learning.audit import AuditReport, EpisodeAudit, audit_episodes
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings import RecordingSource
 from manip_learn.recordings import load as trajectory_source
@@ -41,6 +43,11 @@ def demos(features: FrameJacobian) -> ml.Demonstrations:
     return motions(features, TWO, np.random.default_rng(1), 12, noise=0.002, held=True)
 
 
+def measured(constraint: ml.Constraint, t: Trajectory) -> EpisodeAudit:
+    """Measures of one recording."""
+    return audit_episodes(constraint, [t], velocities="recorded").episodes[0]
+
+
 def with_one(demos: ml.Demonstrations, index: int, changed: Trajectory) -> list[Trajectory]:
     return [changed if i == index else t for i, t in enumerate(demos)]
 
@@ -48,7 +55,7 @@ def with_one(demos: ml.Demonstrations, index: int, changed: Trajectory) -> list[
 def test_measures_are_those_of_the_constraint(constraint: ml.Constraint, demos: ml.Demonstrations) -> None:
     """Singular values, manipulability and residual are what the constraint's own functions give, sample by sample."""
     t = demos[3]
-    row = measure(constraint, t, 3, "recorded")
+    row = measured(constraint, t)
     sigma = [np.linalg.svd(constraint(q), compute_uv=False)[-1] for q in t.q]
     assert row.sigma_min == pytest.approx(min(sigma), rel=1e-9)
     assert row.sigma_median == pytest.approx(float(np.median(sigma)), rel=1e-9)
@@ -70,7 +77,7 @@ def test_displacement_is_how_far_the_tip_moves_along_held_rows(features: FrameJa
         middle = q[-1] + 0.005 * u[-1]
         q.append(q[-1] + 0.01 * np.linalg.pinv(target(middle)) @ rate)
     held = ml.Constraint(np.eye(6)[[0, 1, 5]], target)
-    row = measure(held, Trajectory(time, np.array(q[:-1]), np.array(u), tuple(robot.joint_names)), 0, "recorded")
+    row = measured(held, Trajectory(time, np.array(q[:-1]), np.array(u), tuple(robot.joint_names)))
     assert row.displacement_mm == pytest.approx(30.0, rel=1e-3)
     assert row.displacement_deg == pytest.approx(12.0, rel=1e-3)
 
@@ -84,7 +91,7 @@ def test_limits_speed_and_rest(constraint: ml.Constraint) -> None:
     way = np.where(time > 2.0, (time - 2.0) * speed, 0.0)
     q, u = np.tile(robot.neutral(), (401, 1)), np.zeros((401, robot.nv))
     q[:, 1], u[:, 1] = limit + 0.1 * width - way[-1] + way, np.where(time > 2.0, speed, 0.0)
-    row = measure(constraint, Trajectory(time, q, u, tuple(robot.joint_names)), 0, "recorded")
+    row = measured(constraint, Trajectory(time, q, u, tuple(robot.joint_names)))
     assert row.limit_margin == pytest.approx(-0.1, abs=1e-6) and row.limit_joint == robot.joint_names[1]
     assert 0.0 < row.beyond_limits < 0.5
     assert row.peak_speed == pytest.approx(0.5) and row.peak_speed_joint == robot.joint_names[1]
@@ -105,13 +112,23 @@ def test_jerk_is_that_of_the_motion_not_of_the_noise(noise: float, rng: np.rando
     assert all(np.isnan(jerk(time[:6], x[:6])))
 
 
-def test_false_alarms_are_rare() -> None:
+def test_false_alarms_are_rare(constraint: ml.Constraint, demos: ml.Demonstrations, monkeypatch) -> None:
     """Of audits of normally distributed measures, at most about one in twenty leaves anything out."""
+    names, least = zip(*((c[0], c[3]) for c in audit.CRITERIA), strict=True)
+    scale = np.array([np.exp if x else float for x in least])  # ratios are judged by their logarithms
+    good = measured(constraint, demos[0])
     for n in (6, 50):
-        rng, least = np.random.default_rng(n), np.full(9, 1e-9)
-        z = [robust_z(rng.standard_normal((n, 9)), least) for _ in range(400)]
-        assert sum(np.max(one) > outlier_threshold(n, 9) for one in z) <= 36, n  # 5 % and four standard errors
-    assert outlier_threshold(4, 9) == np.inf
+        rng, alarms = np.random.default_rng(n), 0
+        for _ in range(400):
+            values = [
+                [f(10.0 + x) for f, x in zip(scale, rng.standard_normal(len(names)), strict=True)] for _ in range(n)
+            ]
+            rows = iter([good._replace(**dict(zip(names, own, strict=True))) for own in values])
+            monkeypatch.setattr(audit, "_measure", lambda *_, rows=rows: next(rows))
+            alarms += bool(audit_episodes(constraint, [demos[0]] * n, velocities="recorded").leave_out)
+        assert alarms <= 36, n  # 5 % and four standard errors
+    monkeypatch.undo()
+    assert audit_episodes(constraint, demos[:4]).threshold == np.inf
 
 
 def test_an_episode_that_violates_the_constraint_is_left_out(
@@ -210,4 +227,4 @@ def test_command_line_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str],
     assert main(["audit", "sawyer", file, str(DRAWER), "--episodes", "77"]) == 2
     assert "nearest" in capsys.readouterr().err
     with pytest.raises(OutputError):
-        AuditReport((), (), 3.5).save_csv(tmp_path / "c.json" / "a.csv")
+        write_table(AuditReport((), (), 3.5), tmp_path / "c.json" / "a.csv")

@@ -137,7 +137,7 @@ def test_units_are_printed_with_their_numbers(controlled: Controlled) -> None:
     )
     share = 100.0 * r.status.count("ok") / len(r)
     assert f"{expected} peak {abs(r.u).max():.2f}/s unhindered {share:.0f} %" in text
-    values = {name: 0.5 for name in (f.name for f in dataclasses.fields(EpisodeAudit))}
+    values = dict.fromkeys(EpisodeAudit._fields, 0.5)
     episode = EpisodeAudit(**values | {"episode": "a", "reasons": ("odd",), "limit_margin": float("nan")})
     table, _ = audit_table([episode], 100)
     out = printed(100, lambda console, t: console.print(t), table).split()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,14 +15,30 @@ from numpy.testing import assert_allclose
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
 from manip_learn.experiments import EXPERIMENTS, reproduce, table
-from manip_learn.experiments.experiment_result import markdown_table, mean_and_sd, number, share, summary
 from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
 from manip_learn.experiments.reproduce import write_result
+from manip_learn.experiments.results import TrialsResult, markdown_table, mean_and_sd, number, share, summary
 from manip_learn.experiments.table import LearningCase, learning_trial
-from manip_learn.experiments.trial_runner import TrialRunner
+from manip_learn.experiments.trials import Trials
 
 ANSWER = {"rows": 2, "train": 0.1, "scale_free": 0.2, "angle_deg": 0.3, "seconds": 0.5}
+
+
+class Result(TrialsResult):
+    """Outcomes without tables."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Nothing."""
+        return {}
+
+    def markdown(self) -> str:
+        """Nothing."""
+        return ""
+
+    def figures(self) -> dict[str, Any]:
+        """Nothing."""
+        return {}
 
 
 @dataclass(frozen=True)
@@ -36,21 +53,26 @@ def throw(case: Dice, rng: Generator) -> dict[str, int]:
     return {"value": int(rng.integers(case.sides))}
 
 
+def run(name: str, trial, case, trials: int, seed: int, workers: int = 1) -> list[dict[str, Any]]:
+    """Outcomes of one case."""
+    experiment = Trials(name, trial, {"case": case}, Result)
+    return experiment.run(trials, np.random.default_rng(seed), workers).outcomes["case"]
+
+
 def test_trials_have_seeds_of_their_own():
     """Trials differ from each other, the same call gives the same numbers, another seed or experiment other ones."""
-    runner = TrialRunner(workers=1)
-    first = runner.map("dice", throw, [Dice(10**9)], 12, seed=3)
-    assert len({t["value"] for t in first[0]}) == 12
-    assert runner.map("dice", throw, [Dice(10**9)], 12, seed=3) == first
-    assert runner.map("dice", throw, [Dice(10**9)], 12, seed=4) != first
-    assert runner.map("coins", throw, [Dice(10**9)], 12, seed=3) != first
-    assert runner.map("dice", throw, [Dice(10**9)], 3, seed=3)[0] == first[0][:3]
+    first = run("dice", throw, Dice(10**9), 12, seed=3)
+    assert len({t["value"] for t in first}) == 12
+    assert run("dice", throw, Dice(10**9), 12, seed=3) == first
+    assert run("dice", throw, Dice(10**9), 12, seed=4) != first
+    assert run("coins", throw, Dice(10**9), 12, seed=3) != first
+    assert run("dice", throw, Dice(10**9), 3, seed=3) == first[:3]
 
 
 def test_number_of_workers_does_not_change_numbers():
     """One process and two give the same trials in the same order, learning included (seconds aside)."""
     case = LearningCase(Setup("x y", trajectories=20), ("joint-affine",))
-    one, two = (TrialRunner(workers=w).map("few", learning_trial, [case], 2, seed=1)[0] for w in (1, 2))
+    one, two = (run("few", learning_trial, case, 2, 1, workers) for workers in (1, 2))
     assert [[{**t[n], "seconds": 0} for n in t] for t in one] == [[{**t[n], "seconds": 0} for n in t] for t in two]
 
 
@@ -114,7 +136,8 @@ def test_table_has_the_shape_that_checks_read():
         assert block["ours"]["auto"]["rows_right"] == pytest.approx(2.0 / 3.0)
     json.dumps(result.to_dict(), allow_nan=False)
     assert "| joint, affine policy | 3 +- 2.6 | 2 | 6 | 0.1 +- " in result.markdown()
-    assert result.rows()[1] | {"auto.refused": "too-few", "auto.test": "", "separate.test": 2.0} == result.rows()[1]
+    assert result.rows()[1] | {"auto.refused": "too-few", "separate.test": 2.0} == result.rows()[1]
+    assert "auto.test" not in result.rows()[1]  # an empty cell
 
 
 def test_statistics_and_numbers_for_tables():

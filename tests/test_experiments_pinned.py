@@ -58,8 +58,8 @@ def generator() -> dict[str, Any]:
     for name, setup in setups.items():
         rng = np.random.default_rng(0)
         out[name] = ends(demonstrate(setup, setup.selection, rng))
-    features = sawyer.FrameJacobian(sawyer.sawyer_arm(), sawyer.FRAME, "x y z")
-    return out | {"drawer": ends(sawyer.simulated(Constraint(np.eye(3)[:1], features), np.random.default_rng(0)))}
+    drawer = sawyer.CASES["model, 10 points each | constrained row | x"]
+    return out | {"drawer": ends(sawyer.drawn(drawer, np.random.default_rng(0))[0])}
 
 
 def table_seed() -> dict[str, Any]:

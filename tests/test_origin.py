@@ -24,7 +24,7 @@ def learner() -> ml.ConstraintLearner:
     """The drawer, from three files, with settings of its own."""
     robot = ml.load_robot("sawyer")
     features = ml.FrameJacobian(robot, "right_gripper_tip", axes="xyz")
-    learner = ml.ConstraintLearner(features, zeros=0.2, seed=np.int64(4))  # type: ignore[arg-type]
+    learner = ml.ConstraintLearner(features, joint_offset_std=0.2, seed=np.int64(4))  # type: ignore[arg-type]
     return learner.fit(ml.load_demonstrations(FILES, robot))
 
 
@@ -36,7 +36,7 @@ def test_a_constraint_says_what_made_it(learner, tmp_path):
     assert {entry["name"]: entry["sha256"] for entry in made["recordings"]} == digests
     assert timedelta(0) <= datetime.now(UTC) - datetime.fromisoformat(made["date"]) < timedelta(hours=1)
     assert made["version"].startswith(origin.version()) and re.match(r"\d+\.\d+\.\d+", made["version"])
-    assert made["settings"]["zeros"] == 0.2 and made["settings"]["seed"] == 4
+    assert made["settings"]["joint_offset_std"] == 0.2 and made["settings"]["seed"] == 4
     assert made["settings"]["estimator"] == "auto" and "features" not in made["settings"]
 
 

@@ -10,7 +10,6 @@ import pytest
 from manip_learn.experiments import reproduce, rmse, table
 from manip_learn.experiments.paper_setup import PAPER_NMIE, PAPER_RMSE
 from manip_learn.experiments.reproduce import PARTS as EXPERIMENTS
-from manip_learn.experiments.trial_runner import TrialRunner
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
@@ -18,7 +17,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 @pytest.fixture(scope="module")
 def full_table() -> dict[str, Any]:
     """The paper's table at its own size, 50 trials."""
-    return table.TABLE.run(50, np.random.default_rng(7), TrialRunner()).to_dict()
+    return table.TABLE.run(50, np.random.default_rng(7)).to_dict()
 
 
 @pytest.mark.parametrize("rows", ["x y", "x rz", "y rz"])
@@ -39,7 +38,7 @@ def test_papers_route_is_at_the_papers_level(full_table, rows):
 
 def test_policy_is_closer_than_printed():
     """RMSE of two trajectories: every way is below the printed mean on the constraint that the paper tested."""
-    result = rmse.RMSE.run(10, np.random.default_rng(7), TrialRunner()).to_dict()
+    result = rmse.RMSE.run(10, np.random.default_rng(7)).to_dict()
     block = result["ours"][result["paper"]["rows"]]
     assert all(block[name]["two_policies"]["mean"] < PAPER_RMSE["mean"] for name in rmse.ESTIMATORS)
 

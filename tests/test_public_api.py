@@ -61,6 +61,8 @@ def test_unknown_names_are_attribute_errors():
         ("CompiledController", "the ResolvedRateController itself"),
         ("warm_up", "leave"),
         ("following_error_limit", "Contact"),
+        ("find_mechanism", "report_.mechanism"),
+        ("MechanismFit", "report_.mechanism"),
     ],
 )
 def test_a_removed_name_says_what_replaces_it(name, instead):

@@ -9,17 +9,10 @@ from numpy.testing import assert_allclose
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments.paper_setup import Setup, demonstrate, null_parts, planar_features
 from manip_learn.experiments.table import fit_row_by_row
-from manip_learn.learning.learner import ConstraintLearner
-from manip_learn.learning.samples import Samples
-from manip_learn.learning.separate import estimate_separate, residual_and_jacobian, separate_null_motion
+from manip_learn.learning import ConstraintLearner
+from manip_learn.learning.imposed import residual_and_jacobian, separated
+from manip_learn.learning.table import Table, View
 from manip_learn.linalg import row_space_angle
-
-
-def samples_of(setup: Setup, rng: np.random.Generator) -> tuple[Samples, np.ndarray, np.ndarray]:
-    """Samples of some demonstrations, the true Lambda, and the true null-space parts."""
-    Lambda = setup.selection
-    demos = demonstrate(setup, Lambda, rng)
-    return Samples.collect(planar_features(), demos), Lambda, null_parts(planar_features(), demos, Lambda)
 
 
 def test_jacobian_is_the_derivative_of_the_residual(rng):
@@ -40,26 +33,30 @@ def test_the_papers_route_finds_the_rows(rng, rows):
     """w~ is the true null-space part to 1e-3 (root mean square) on the paper's demonstrations, and both ways to learn
     from it find the row space within 0.05 degrees, ours with the number of rows.
     """
-    samples, Lambda, w = samples_of(Setup(rows), rng)
-    found, cost = separate_null_motion(samples, rng)
-    assert np.sqrt(np.mean((found.u - w) ** 2) / np.mean(w**2)) < 1e-3
-    assert cost < 1e-6 * samples.energy
-    estimate = estimate_separate(samples, None, rng)
-    assert estimate.table.gap(2) > 100.0
-    for whitened in (estimate.whitened_selection, fit_row_by_row(found, 2)):
-        selection = samples.selection(whitened)
-        assert selection.shape == Lambda.shape
-        assert np.degrees(row_space_angle(selection, Lambda)) < 0.05
+    setup = Setup(rows)
+    demos = demonstrate(setup, setup.selection, rng)
+    view, w = View(planar_features(), Table(list(demos))), null_parts(planar_features(), demos, setup.selection)
+    found = separated(view, 0)
+    assert np.sqrt(np.mean((found - w) ** 2) / np.mean(w**2)) < 1e-3
+    learner = ConstraintLearner(planar_features(), estimator="separate", velocities="recorded").fit(demos)
+    report = learner.report_
+    assert (report.estimator, report.policy_model, report.kind) == ("separate", "rbf96", "self-imposed")
+    assert report.policy_residuals["rbf96"] < 1e-6 and report.gap > 100.0 and len(report.levels) == 3
+    by_row = view.selection(fit_row_by_row(view.W @ view.Phi, found, 2))
+    for selection in (learner.constraint_.selection, by_row):
+        assert selection.shape == setup.selection.shape
+        assert np.degrees(row_space_angle(selection, setup.selection)) < 0.05
 
 
-def test_nothing_to_separate_is_refused(rng):
+@pytest.mark.parametrize(
+    ("setup", "reason"),
+    [(Setup("x y", policy="zero"), "no null-space motion"), (Setup("x y", trajectories=3), "too few")],
+)
+def test_nothing_to_separate_is_refused(rng, setup, reason):
     """Motion without a null-space part, and too few samples, are refused with a reason."""
-    samples, _, _ = samples_of(Setup("x y", policy="zero"), rng)
-    with pytest.raises(NotIdentifiableError, match="no null-space motion"):
-        estimate_separate(samples, 2, rng)
-    samples, _, _ = samples_of(Setup("x y", trajectories=3), rng)
-    with pytest.raises(NotIdentifiableError, match="too few"):
-        estimate_separate(samples, 2, rng)
+    demos = demonstrate(setup, setup.selection, rng)
+    with pytest.raises(NotIdentifiableError, match=reason):
+        ConstraintLearner(planar_features(), 2, "separate", velocities="recorded").fit(demos)
 
 
 @pytest.mark.slow

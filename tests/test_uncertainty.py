@@ -9,26 +9,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from generated_motions import PLANAR_ROWS, angle_deg, arm_features, guided_motions, oblique, paper_motions
+from scipy.spatial.transform import Rotation
 from task_sets import arm, generated
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.arm_errors import changes_by_links
-from manip_learn.learning.estimate import estimate_null_space
-from manip_learn.learning.samples import Samples
-from manip_learn.learning.uncertainty import (
-    JOINT_ZEROS,
-    LEVERAGE_FLOOR,
-    NOISE,
-    PARTS,
-    POLICY,
-    JointOffsets,
-    influences,
-    parts_in_words,
-    uncertainty_of,
-)
+from manip_learn.learning.arm_errors import ArmErrors, changes_by_links
+from manip_learn.learning.fit import Motion, RowFit
+from manip_learn.learning.report import JOINT_ZEROS, NOISE, PARTS, POLICY, parts_in_words
+from manip_learn.learning.table import Settings, Stretch, Table, View
+from manip_learn.learning.uncertainty import errors_of, groups_of
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot.robot import Robot
 
@@ -104,7 +96,7 @@ def test_what_is_thought_of_the_arm_is_stated():
     and wider by half with links that are ten times as far off, which are not thought of without zeros.
     """
     demos, truth, _ = held(12, 0.0, noise=0.0)
-    assert learnt(demos, truth, zeros=0.0, links=5.0).report_.uncertainty[JOINT_ZEROS] is None
+    assert learnt(demos, truth, zeros=0.0, links=5.0).report_.uncertainty[JOINT_ZEROS] == 0.0
     wide = [learnt(demos, truth, zeros=0.1, links=links).report_.uncertainty[JOINT_ZEROS] for links in (0.0, 0.5, 5.0)]
     assert 0.05 < wide[0] <= 1.05 * wide[1] and 1.5 * wide[1] < wide[2]
 
@@ -145,36 +137,53 @@ def test_features_of_no_frame_have_no_links():
     assert changes_by_links(features, np.ones((2, 3)), np.ones((2, 3, 1))).shape == (2, 3, 1, 0)
 
 
+def fitted(demos, truth) -> tuple[View, RowFit]:
+    """Two rows by positions."""
+    view = View(truth.features, Table(list(demos)))
+    whole = [Stretch(i, *map(float, ends)) for i, ends in enumerate(view.table.ends)]
+    motion = Motion.of(view, whole, Settings())
+    return view, RowFit(motion, motion.least_displaced(2)).best()
+
+
 def test_the_error_of_lambda_is_linear_in_the_offsets():
     """Noise-free and with known small offsets, Lambda turns by what the response foretells, to first order."""
-    demos, truth, delta = held(5, 1e-4, noise=0.0)
-    samples = Samples.collect(truth.features, demos)
-    estimate = estimate_null_space(samples, 2)
-    offsets = JointOffsets.of(samples, estimate.whitened_selection)
-    assert offsets is not None
-    perp = np.linalg.svd(estimate.whitened_selection)[2][2:]
-    true = truth.selection @ np.linalg.pinv(samples.whitening)
+    rng = np.random.default_rng(5)
+    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 10, 100, 0.01)
+    delta = 1e-4 * rng.standard_normal(7)
+    view, fit = fitted([replace(t, q=t.q + delta) for t in demos], truth)
+    G, m = fit.G.sum(axis=0), fit.m
+    foretold = np.linalg.solve(G[:m, :m], G[:m, m : m + 7]) @ delta
+    true = truth.selection @ np.linalg.pinv(view.W)
     # the truth beside the learnt rows: (1, B) with learnt + B perp
-    B = np.linalg.solve(true @ estimate.whitened_selection.T, true @ perp.T).reshape(-1)
-    foretold = offsets.response @ -delta
+    B = np.linalg.solve(true @ fit.rows.T, true @ fit.perp.T).reshape(-1)
     assert np.linalg.norm(B - foretold) < 0.1 * np.linalg.norm(B)
+
+
+@pytest.mark.parametrize("apart", [0.0, 2.0])
+def test_recordings_that_share_a_place_are_one_group(apart):
+    """Whatever the joints' zeros; of two pairs of rows some degrees apart each recording is in the group of its own."""
+    rng, given = np.random.default_rng(4), []
+    selection = oblique(2, 3, rng)
+    turn = Rotation.from_rotvec(np.radians(apart) * np.cross(*selection)[[1, 2, 0]]).as_matrix()
+    zeros = np.radians(0.5) * rng.standard_normal(7)
+    for rows in (selection, selection @ turn.T):
+        demos, truth = guided_motions(arm_features(), rows, rng, 4, 200, 0.01)
+        given += [replace(t, q=t.q + zeros + rng.normal(0.0, 1e-4, t.q.shape)) for t in demos]
+    _, fit = fitted(given, truth)
+    assert sorted(map(sorted, groups_of(fit))) == ([list(range(8))] if not apart else [[0, 1, 2, 3], [4, 5, 6, 7]])
 
 
 @pytest.mark.parametrize("motions", [5, 60])
 def test_noise_alone_is_no_offset_however_much_is_recorded(motions):
-    """The pattern stays within what chance makes of it: with the noise of u in K it is 10 standard errors and more."""
+    """Of an arm that nobody thinks to be off: what its zeros may turn the rows by is less than the scatter."""
     for seed in range(2):
         demos, truth, _ = held(200 + seed, 0.0, motions=motions)
-        samples = Samples.collect(truth.features, demos)
-        estimate = estimate_null_space(samples, 2)
-        offsets = JointOffsets.of(samples, estimate.whitened_selection)
-        assert offsets is not None
-        seen = offsets.curvatures > 0.0
-        z = offsets.pattern[seen] / np.sqrt(offsets.curvatures[seen] * offsets.variance)
-        assert np.max(np.abs(z)) < 4.0
-        parts, _ = uncertainty_of(samples, estimate, np.random.default_rng(seed))
-        zeros, scatter = parts[JOINT_ZEROS], parts[NOISE]
-        assert zeros is not None and scatter is not None and zeros < 0.3 * scatter
+        rng = np.random.default_rng(seed)
+        noisy = [replace(t, q=t.q + rng.normal(0.0, 1e-3, t.q.shape)) for t in demos]
+        _, fit = fitted(noisy, truth)
+        errors = errors_of(fit, ArmErrors(), rng)
+        zeros, scatter = (np.sqrt(np.mean(B**2)) for B in (errors.arm, errors.noise))
+        assert zeros < 0.3 * scatter
 
 
 def test_the_report_states_the_parts():
@@ -243,22 +252,3 @@ def test_the_true_angle_lies_inside_about_two_times_in_three(make, settings):
         ratios.append(angle / reported)
     assert 0.5 <= inside / sets <= 0.85
     assert np.quantile(ratios, 0.95) < 3.0
-
-
-@pytest.mark.parametrize("rank", [3, 80])
-def test_influences_are_those_of_all_eigenvectors(rng, rank):
-    """(I - S_i)^(-1/2), written out with every eigenvector, whether trajectories determine few directions or all."""
-    d, groups = 90, 6
-    J = rng.standard_normal((groups, rank, d)) * np.logspace(0, -2, d)
-    hessians = J.transpose(0, 2, 1) @ J + np.diag(np.logspace(-1, -5, d)) / groups
-    gradients = np.einsum("gij,gj->gi", hessians, rng.standard_normal((groups, d)))
-    values, vectors = np.linalg.eigh(hessians.sum(axis=0))
-    back = vectors / np.sqrt(values)
-    expected = np.empty((groups, d))
-    for i in range(groups):
-        share, axes = np.linalg.eigh(back.T @ hessians[i] @ back)
-        root = (axes / np.sqrt(np.maximum(1.0 - share, LEVERAGE_FLOOR))) @ axes.T
-        expected[i] = vectors @ ((vectors.T @ back) @ (root @ (back.T @ gradients[i])))
-    expected = np.sqrt(groups / (groups - 1.0)) * (expected - expected.mean(axis=0))
-    found = influences(gradients, hessians)
-    assert np.linalg.norm(found - expected) < 1e-6 * np.linalg.norm(expected)

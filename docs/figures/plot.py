@@ -28,7 +28,7 @@ def main() -> None:
     matplotlib.rcParams.update({"axes.facecolor": "none", "axes.edgecolor": INK, "axes.labelcolor": INK})
     matplotlib.rcParams.update({"axes.titlecolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK})
     matplotlib.rcParams.update({"grid.color": INK})
-    for draw in (uncertainty, servos, speed, method):
+    for draw in (servos, speed, method):
         figure = draw()
         figure.savefig(HERE / f"{draw.__name__}.svg", transparent=True, metadata={"Date": None})
 
@@ -84,23 +84,6 @@ def speed() -> Figure:
     axes.set_xscale("log")
     tidy(axes, methods, "", "time of a step for x, y and z of the tip; 1 is the bare step")
     figure.legend(loc="outside upper center", ncols=5, frameon=False)
-    return figure
-
-
-def uncertainty() -> Figure:
-    """How often the true rows lie within the stated angle."""
-    # higher rates were measured with shorter windows for velocities than those of today
-    rows = [r for r in read("uncertainty_null_space") if r["rate"] in ("50 Hz", "100 Hz")]
-    kinds = [key for key in rows[0] if key not in ("noise", "rate")]
-    figure = Figure(figsize=(WIDTH, 2.0), layout="constrained")
-    for axes, kind in zip(figure.subplots(1, len(kinds), sharey=True), kinds, strict=True):
-        for y, r in enumerate(rows):
-            shares = [float(x) for x in r[kind].split("%")[0].split(",")]
-            for share, size, shift in zip(shares, (3, 5, 7), (-0.15, 0.0, 0.15), strict=True):
-                axes.plot(share, y + shift, "o", color=COLOURS["blue"], markersize=size, fillstyle="none")
-        axes.axvspan(60.0, 76.0, color=INK, alpha=0.2, linewidth=0)
-        axes.set_xlim(40.0, 100.0)
-        tidy(axes, [f"{r['noise']}, {r['rate']}" for r in rows], kind, "inside [%]")
     return figure
 
 

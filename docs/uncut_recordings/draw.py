@@ -49,7 +49,7 @@ def draw_phases(robot: ml.Robot, frame: str, recordings: ml.Demonstrations, repo
     rows = figure.subplots(len(recordings), 1, sharex=True, sharey=True)
     for axes, trajectory in zip(rows, recordings, strict=True):
         draw_speed(axes, robot, frame, trajectory)
-        for name, start, end, constraint in report.phases:
+        for name, start, end, constraint, _ in report.phases:
             if name == trajectory.name:
                 kind = kinds[-1 if constraint is None else constraint]
                 axes.axvspan(start, end, color=kind.colour, alpha=0.75, linewidth=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from manip_learn.control.tasks import motion
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
-from manip_learn.learning.recombination import BELIEVED_STRENGTH
+from manip_learn.learning.table import BELIEVED
 from manip_learn.learning.thinning import dask_client
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load import Progress, RecordingSource
@@ -43,6 +44,7 @@ class LearntTask:
     notes: tuple[str, ...]
     page: ReplayResult | None
     options: LearnOptions
+    whole: Constraint  # all rows of the hand
 
     @property
     def constraint(self) -> Constraint:
@@ -79,11 +81,11 @@ class LearntTask:
         if meant is not None and not meant.common:
             flags = ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]
         elif constraint.shown is None and meant is None:
-            try:
-                motion(constraint, along=0.1)
-            except ManipLearnError:
+            ways = (("along", "0.1", 0.1), ("turn", "10", math.radians(10.0)))
+            goes = [(name, said) for name, said, size in ways if _goes(self.whole, {name: size})]
+            if not goes:
                 return None
-            does, flags = "control", ["--along", "0.1", *flags]
+            does, flags = "control", [f"--{goes[0][0]}", goes[0][1], *flags]
         options = self.options
         return shlex.join([PROGRAM_NAME, does, options.robot, str(self.out), *options.loading.words, *flags])
 
@@ -98,6 +100,14 @@ class LearntTask:
             html=None if self.page is None else str(self.page.html),
         )
         return content
+
+
+def _goes(constraint: Constraint, way: dict[str, Any]) -> bool:
+    try:
+        motion(constraint, **way)
+    except ManipLearnError:
+        return False
+    return True
 
 
 def _described(constraint: Constraint, report: LearningReport) -> dict[str, Any]:
@@ -146,10 +156,10 @@ def learn_task(options: LearnOptions, progress: Progress | None = None) -> Learn
         phases=options.phases,  # type: ignore[arg-type]
         mechanism=options.mechanism,  # type: ignore[arg-type]
         seed=options.seed,
-        strength=BELIEVED_STRENGTH if options.strength is None else options.strength,
-        habits=options.habits,
-        zeros=options.zeros,
-        links=options.links,
+        strength=BELIEVED if options.strength is None else options.strength,
+        keep_habits=options.habits,
+        joint_offset_std=options.zeros,
+        link_error_std=options.links,
     )
     with dask_client(options.dask) as client:
         learner.fit(demos, client=client, progress=progress)
@@ -157,7 +167,8 @@ def learn_task(options: LearnOptions, progress: Progress | None = None) -> Learn
     page = None
     if options.html is not None and isinstance(demos, Demonstrations):
         page = _replay_of_recordings(robot, demos, learner, options.html, frame)
-    return LearntTask(learner.constraints_, learner.reports_, frame, written, tuple(notes), page, options)
+    whole = learner.skill_.constraints[0]
+    return LearntTask(learner.constraints_, learner.reports_, frame, written, tuple(notes), page, options, whole)
 
 
 def load_to_learn(

@@ -67,8 +67,15 @@ _TABLE: tuple[tuple[str, MechanismType, Orientation, str, str, str], ...] = (
 MIXED = 0.2
 # [m] an axis or a centre farther away is read as this far: the fit to positions decides how far it is
 FARTHEST_START = 5.0
+# rows of `MechanismRows` that hold the place of a loosely held hand
+POSITION_ROWS: dict[str, tuple[str, ...]] = {
+    "hinge": ("radial", "axial"),
+    "screw": ("radial", "helical"),
+    "ball": ("spherical",),
+    "other": ("radial",),
+}
 Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
-Grip = Literal["loose", "firm"]
+Grip = Literal["firm", "kept", "loose"]
 CLEAR_SHARE = 0.1  # a row of `MechanismRows` is held, or free, to this share: see `MIXED`
 # [m/rad] a travel below this is that of a hinge: a tenth of the flattest thread in use (M6, 1 mm a turn, 0.16 mm/rad)
 LEAST_PITCH = 1.6e-5
@@ -311,7 +318,8 @@ class Mechanism:
             no such thing.
         pitch: Travel along the axis a radian of turning, right-handed screws positive [m/rad]; one full turn moves
             2 pi times as far. None but for screws.
-        grip: `"firm"` if the mechanism holds the hand's orientation too, `"loose"` if the hand may turn.
+        grip: `"firm"` if rows constrain the orientation of the hand, `"kept"` if the demonstrator kept its orientation
+            by habit, `"loose"` if the hand turned.
         orientation: What the hand may do: `"free"`, `"about-axis"`, `"fixed"` or `"carried"` (it turns with the
             mechanism).
         uncertainty: What the error of each parameter stays below in 68 % of cases: `"axis"` [deg], `"point"` [m],
@@ -320,6 +328,8 @@ class Mechanism:
             and constant ones, and of what the trajectories scatter beyond these.
         arc: By how much the path turns about the axis or the centre [rad]; None where nothing turns.
         name: Which of the candidates it is, e.g. `"hinge, firm"`; `"curve"` where none of them fits.
+        orientation_rms: RMS deviation of the orientation of the hand during contact, seen from the base or from what
+            turns with the mechanism, the smaller one [deg]; None if it was not determined.
     """
 
     type: MechanismType
@@ -332,6 +342,7 @@ class Mechanism:
     uncertainty: Mapping[str, float] = field(default_factory=dict)
     arc: float | None = None
     name: str = ""
+    orientation_rms: float | None = None
 
     def __post_init__(self) -> None:
         for what in ("axis", "point"):
@@ -383,6 +394,8 @@ class Mechanism:
         if self.type == "held-orientation" and self.axis is not None:
             around = in_words(self.axis)
         slides = " and may slide along it" if self.name.startswith("sleeve") else ""
+        if self.grip == "kept" and self.orientation_rms is not None:
+            return f"the hand kept its orientation to {self.orientation_rms:.1f} degrees, by habit"
         return _TURNS[self.orientation].format(axis=around) + slides
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Mechanism:
@@ -450,7 +463,7 @@ def read_mechanism(
         known = Mechanism.from_dict(fitted)
     except (KeyError, TypeError, ValueError):
         return read  # of another version, or damaged: Lambda has said what it says
-    same = known.type == read.type and known.orientation == read.orientation
+    same = known.type == read.type and (known.orientation == read.orientation or "whole" in learnt)
     if same and known.axis is not None and read.axis is not None:
         same = known.axis.shape == (3,) and abs(float(known.axis @ read.axis)) > SAME_AXIS * np.linalg.norm(known.axis)
     return known if same else read

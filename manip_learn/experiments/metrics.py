@@ -13,7 +13,7 @@ Manipulabilities = Float[np.ndarray, " n"]  # of the true constraint, or of the 
 def manipulability_along(
     features: FeatureMap, Lambda: Float[np.ndarray, "s p"], q: Float[np.ndarray, "n nq"]
 ) -> Manipulabilities:
-    """mu(q) = sqrt(det(A A^T)) at many postures, A = Lambda Phi(q); equation (4) of Manavalan and Howard.
+    """Return mu(q) = sqrt(det(A A^T)) at many postures, A = Lambda Phi(q); equation (4) of Manavalan and Howard.
 
     Computed as the product of the singular values of A. Unit: product of the units of the constraint's rows.
     """
@@ -21,17 +21,17 @@ def manipulability_along(
 
 
 def mie(mu: Manipulabilities, learnt: Manipulabilities) -> float:
-    """Manipulability index error, MIE = 1/n sum_i (mu_i - mu~_i)^2, in the unit of mu squared."""
+    """Return the manipulability index error, MIE = 1/n sum_i (mu_i - mu~_i)^2, in the unit of mu squared."""
     return float(np.mean((mu - learnt) ** 2))
 
 
 def nmie(mu: Manipulabilities, learnt: Manipulabilities) -> float:
-    """Normalised manipulability index error, NMIE = MIE / var(mu); 1 for the best constant mu~."""
+    """Return the normalised manipulability index error, NMIE = MIE / var(mu); 1 for the best constant mu~."""
     return float(mie(mu, learnt) / np.var(mu))
 
 
 def scale_free_nmie(mu: Manipulabilities, learnt: Manipulabilities) -> float:
-    """NMIE after the best single factor on mu~: the direction of grad mu does not depend on that factor.
+    """Return the NMIE after the best single factor on mu~: the direction of grad mu does not depend on that factor.
 
     min_c 1/(n var(mu)) sum_i (mu_i - c mu~_i)^2,  c = mu^T mu~ / |mu~|^2
     """
@@ -40,7 +40,7 @@ def scale_free_nmie(mu: Manipulabilities, learnt: Manipulabilities) -> float:
 
 
 def policy_rmse(pi: Float[np.ndarray, "m T nv"], learnt: Float[np.ndarray, "m T nv"]) -> Float[np.ndarray, " m"]:
-    """Root mean square difference of two policies along m trajectories, e.g. of pi_mu = grad mu, equation (13).
+    """Return the RMS difference of two policies along m trajectories, e.g. of pi_mu = grad mu, equation (13).
 
     RMSE = sqrt(1/T sum_t |pi_t - pi~_t|^2), a value per trajectory, in the unit of the policies: velocities
     [rad/s or m/s], or the postures that they lead to.

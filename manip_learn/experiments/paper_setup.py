@@ -26,7 +26,7 @@ STEP = 0.02  # [s]
 REST = np.deg2rad([10.0, -10.0, 10.0])  # psi*, where the null-space policy leads [rad]
 _START_LOW, _START_HIGH = np.deg2rad([0.0, 90.0, 0.0]), np.deg2rad([10.0, 100.0, 10.0])
 TARGET_LOW, TARGET_HIGH = np.array([-1.0, 0.0, 0.0]), np.array([1.0, 2.0, np.pi])  # x, y [m], theta [rad]
-_AXES: str = "x y rz"
+AXES = "x y rz"
 SELECTIONS = ("x y", "x rz", "y rz")
 
 # NMIE of the learnt manipulability, mean and s.d. of 50 trials, as printed (ambiguous by a factor of 1e-3)
@@ -41,7 +41,8 @@ PAPER_RMSE: dict[str, float] = {"mean": 2.069e-4, "sd": 1.001e-4}
 PAPER_SAWYER_MIE = 0.002
 PAPER_SAWYER_RMSE: dict[str, float] = {"mean": 0.220, "sd": 0.094}  # of the policy
 
-PolicyName = Literal["attractor", "sinusoidal", "zero", "own"]
+Law = Callable[[Float[np.ndarray, "g n"]], Float[np.ndarray, "g k"]]  # g postures -> velocities, or places
+Motions = tuple[Float[np.ndarray, "g T n"], Float[np.ndarray, "g T nv"]]  # postures [rad], velocities [rad/s]
 
 
 @final
@@ -62,40 +63,39 @@ class Setup:
     trajectories: int = 100
     points: int = 10
     noise: float = 0.0
-    policy: PolicyName = "attractor"
+    policy: Literal["attractor", "sinusoidal", "zero", "own"] = "attractor"
 
     @property
     def selection(self) -> Float[np.ndarray, "s 3"]:
         """True Lambda, orthonormal rows."""
-        names: list[str] = list(_AXES.split())
-        return np.eye(3)[[names.index(name) for name in self.rows.split()]]
+        return np.eye(3)[[AXES.split().index(name) for name in self.rows.split()]]  # type: ignore[arg-type]
 
 
 @cache
 def planar_arm() -> Robot:
-    """The shipped 3-link arm, links 1 m."""
+    """Return the shipped 3-link arm, links 1 m."""
     return load_robot("planar3")
 
 
 @cache
 def planar_features() -> FrameJacobian:
-    """Phi: rows x, y [m/s] and theta [rad/s] of the tip."""
-    return FrameJacobian(planar_arm(), "tip", _AXES)
+    """Return Phi: rows x, y [m/s] and theta [rad/s] of the tip."""
+    return FrameJacobian(planar_arm(), "tip", AXES)
 
 
 def tip(q: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """x, y [m] and heading theta [rad] of the tip; theta counts turns."""
+    """Return x, y [m] and heading theta [rad] of the tip; theta counts turns."""
     angles = np.cumsum(q, axis=1)
     return np.column_stack([np.cos(angles).sum(1), np.sin(angles).sum(1), angles[:, -1]])
 
 
 def draw_starts(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Start postures [rad]."""
+    """Draw start postures [rad]."""
     return rng.uniform(_START_LOW, _START_HIGH, size=(n, 3))
 
 
 def draw_targets(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Targets r* that the tip can reach with their heading: the wrist within two links (3 % are drawn again)."""
+    """Draw targets r* that the tip can reach with their heading: the wrist within two links (3 % are drawn again)."""
     out = np.empty((0, 3))
     while len(out) < n:
         tries = rng.uniform(TARGET_LOW, TARGET_HIGH, size=(2 * n, 3))
@@ -104,68 +104,70 @@ def draw_targets(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
     return out[:n]
 
 
-def constrained_motion(
-    A: Float[np.ndarray, "n s nv"], b: Float[np.ndarray, "n s"], pi: Float[np.ndarray, "n nv"], damping: float = 0.0
-) -> Float[np.ndarray, "n nv"]:
-    """u = A^+ b + N pi, equation (2), at many postures at once.
+def reach(
+    constraint: Constraint,
+    policy: Law,
+    places: Law,
+    q: Float[np.ndarray, "g n"],
+    targets: Float[np.ndarray, "g p"],
+    points: int,
+    step: float = STEP,
+    damping: float = 0.0,
+) -> Motions:
+    """Return explicit Euler steps of u = A^+ b + N pi, equation (2), b = Lambda (r* - r), of g motions at once.
 
-    With damping d, in the unit of A, the inverse is A^T (A A^T + d^2 I)^-1.
+    Args:
+        constraint: Lambda and Phi.
+        policy: Postures -> pi [rad/s].
+        places: Postures -> r, whose rates are the rows of Phi.
+        q: Starts [rad].
+        targets: r* of each motion.
+        points: Samples of each motion.
+        step: Time between them [s].
+        damping: d of the inverse A^T (A A^T + d^2 I)^-1, in the unit of A.
     """
-    rest = b - np.einsum("nsv,nv->ns", A, pi)
-    if not damping:
-        return pi + np.einsum("nvs,ns->nv", np.linalg.pinv(A), rest)
-    gram = A @ A.transpose(0, 2, 1) + damping**2 * np.eye(A.shape[1])
-    return pi + np.einsum("nsv,ns->nv", A, np.linalg.solve(gram, rest[:, :, None])[:, :, 0])
-
-
-def euler_steps(
-    law: Callable[[np.ndarray], np.ndarray], q: Float[np.ndarray, "g nv"], points: int, step: float = STEP
-) -> tuple[Float[np.ndarray, "g T nv"], Float[np.ndarray, "g T nv"]]:
-    """Postures [rad] and velocities [rad/s] of T - 1 explicit Euler steps of a law, postures -> velocities, at once."""
-    postures, actions = [], []
+    postures, velocities = [], []
     for _ in range(points):
+        A, pi = constraint.selection @ constraint.features.batch(q), policy(q)
+        left = (targets - places(q)) @ constraint.selection.T - np.einsum("nsv,nv->ns", A, pi)
+        if damping:
+            gram = A @ A.transpose(0, 2, 1) + damping**2 * np.eye(A.shape[1])
+            u = pi + np.einsum("nsv,ns->nv", A, np.linalg.solve(gram, left[:, :, None])[:, :, 0])
+        else:
+            u = pi + np.einsum("nvs,ns->nv", np.linalg.pinv(A), left)
         postures.append(q)
-        actions.append(law(q))
-        q = q + step * actions[-1]
-    return np.stack(postures, axis=1), np.stack(actions, axis=1)
+        velocities.append(u)
+        q = q + step * u
+    return np.stack(postures, axis=1), np.stack(velocities, axis=1)
 
 
-def recorded(
-    step: float, q: Float[np.ndarray, "g T nq"], u: Float[np.ndarray, "g T nv"], names: tuple[str, ...], word: str
-) -> Demonstrations:
-    """Demonstrations with a sample every `step` [s]; their names are the word and a number."""
-    time = step * np.arange(q.shape[1])
-    pairs = enumerate(zip(q, u, strict=True))
-    return Demonstrations(Trajectory(time, *one, names, f"{word} {i}", exact=True) for i, one in pairs)
+def recorded(robot: Robot, step: float, motions: Motions) -> Demonstrations:
+    """Return motions as demonstrations with a sample every `step` [s]."""
+    time = step * np.arange(motions[0].shape[1])
+    pairs = enumerate(zip(*motions, strict=True))
+    return Demonstrations(Trajectory(time, *one, robot.joint_names, f"trajectory {i}", exact=True) for i, one in pairs)
 
 
 def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.Generator) -> Demonstrations:
-    """Reaching demonstrations with u = A^+ b + N pi, all trajectories stepped at once."""
+    """Return reaching demonstrations with u = A^+ b + N pi."""
     n = setup.trajectories
-    start, targets = draw_starts(n, rng), draw_targets(n, rng)
+    starts, targets = draw_starts(n, rng), draw_targets(n, rng)
     rest = REST if setup.policy != "own" else REST + rng.uniform(-0.5, 0.5, size=(n, 3))
-
-    def law(q: np.ndarray) -> np.ndarray:
-        b = np.einsum("sp,np->ns", Lambda, targets - tip(q))
-        return constrained_motion(Lambda @ planar_features().batch(q), b, _null_policy(setup.policy, q, rest))
-
-    clean = recorded(STEP, *euler_steps(law, start, setup.points), planar_arm().joint_names, "trajectory")
-    return with_noise(clean, setup.noise, rng)
-
-
-def _null_policy(name: PolicyName, q: Float[np.ndarray, "n 3"], rest: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    """pi(q) [rad/s]."""
-    if name == "zero":
-        return np.zeros_like(q)
-    if name == "sinusoidal":
-        return np.column_stack([np.sin(q[:, 1]), np.cos(q[:, 0]) * np.sin(q[:, 2]), -np.sin(q[:, 0] + q[:, 2])])
-    return rest - q
+    policies: dict[str, Law] = {
+        "zero": np.zeros_like,
+        "sinusoidal": lambda q: np.column_stack(
+            [np.sin(q[:, 1]), np.cos(q[:, 0]) * np.sin(q[:, 2]), -np.sin(q[:, 0] + q[:, 2])]
+        ),
+    }
+    policy = policies.get(setup.policy, lambda q: rest - q)
+    motions = reach(Constraint(Lambda, planar_features()), policy, tip, starts, targets, setup.points)
+    return with_noise(recorded(planar_arm(), STEP, motions), setup.noise, rng)
 
 
 def null_parts(
     features: FeatureMap, demonstrations: Demonstrations, Lambda: Float[np.ndarray, "s 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """The true null-space part of every sample, w = N u."""
+    """Return the true null-space part of every sample, w = N u."""
     q = np.concatenate([t.q for t in demonstrations])
     u = np.concatenate([t.u for t in demonstrations if t.u is not None])
     A = Lambda @ features.batch(q)
@@ -173,18 +175,18 @@ def null_parts(
 
 
 def true_constraint(rows: str = "x y") -> Constraint:
-    """The constraint of unit rows, links 1 m."""
+    """Return the constraint of unit rows, links 1 m."""
     return Constraint(Setup(rows).selection, planar_features())
 
 
 def noise_deviations(demonstrations: Demonstrations, share: float) -> Float[np.ndarray, " 3"]:
-    """Standard deviation of the noise on each joint's action: a share of its root mean square [rad/s]."""
+    """Return the standard deviation of the noise: a share of each joint's root mean square action [rad/s]."""
     u = np.concatenate([t.u for t in demonstrations if t.u is not None])
     return share * np.sqrt(np.mean(u**2, axis=0))
 
 
 def with_noise(demonstrations: Demonstrations, share: float, rng: np.random.Generator) -> Demonstrations:
-    """Demonstrations with Gaussian noise on the action, relative to the root mean square of each joint's action."""
+    """Add Gaussian noise to the action, relative to the root mean square of each joint's action."""
     if share == 0.0:
         return demonstrations
     u = np.array([t.u for t in demonstrations])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import os
 import zlib
@@ -15,20 +16,18 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
-from manip_learn.experiments import rmse, sawyer, singular_starts, table
-from manip_learn.experiments.experiment_result import ExperimentResult, save_figure
-from manip_learn.experiments.trial_runner import Experiment, TrialRunner
+from manip_learn.experiments.charts import save_figure
+from manip_learn.experiments.results import ExperimentResult
+from manip_learn.experiments.rmse import RMSE
+from manip_learn.experiments.sawyer import SAWYER
+from manip_learn.experiments.singular_starts import NEAR_SINGULAR, SINGULAR, BadStart
+from manip_learn.experiments.table import TABLE
+from manip_learn.experiments.trials import Trials
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.load import Progress
 
 MAX_TRIALS = 100_000  # more would run for months: a slip of the keyboard
-PARTS: dict[str, Experiment[Any]] = {
-    "table": table.TABLE,
-    "rmse": rmse.RMSE,
-    "singular-start": singular_starts.FROM_SINGULAR,
-    "near-singular-start": singular_starts.FROM_NEAR_SINGULAR,
-    "sawyer": sawyer.SAWYER,
-}
+PARTS: dict[str, Trials | BadStart] = {one.name: one for one in (TABLE, RMSE, SINGULAR, NEAR_SINGULAR, SAWYER)}
 # name that a user gives -> parts
 EXPERIMENTS: dict[str, tuple[str, ...]] = {**{name: (name,) for name in PARTS}, "all": tuple(PARTS)}
 
@@ -82,29 +81,32 @@ def reproduce(
             folder.mkdir(parents=True, exist_ok=True)  # before the work, which takes minutes
         except OSError as error:
             raise OutputError(f"{folder} cannot be a folder for the results: {error.strerror}; name another") from error
-    parts = EXPERIMENTS[name]
-    runner = TrialRunner(workers, progress, sum(PARTS[p].size(trials) for p in parts))
+    parts = [PARTS[part] for part in EXPERIMENTS[name]]
+    total, done = sum(part.size(trials) for part in parts), itertools.count(1)
     results: dict[str, Any] = {}
     for part in parts:
-        rng = np.random.default_rng([seed, zlib.crc32(part.encode())])
+
+        def on_trial(name: str = part.name) -> None:
+            if progress is not None:
+                progress(name, next(done) / total)
+
         with one_thread():
-            result = PARTS[part].run(trials, rng, runner)
-        results[part] = result.to_dict()
+            result = part.run(trials, np.random.default_rng([seed, zlib.crc32(part.name.encode())]), workers, on_trial)
+        results[part.name] = result.to_dict()
         if on_result is not None:
-            on_result(part, result)
+            on_result(part.name, result)
         if folder is not None:
-            write_result(part, result, folder, {"trials": trials, "seed": seed})
+            write_result(part.name, result, folder, {"trials": trials, "seed": seed})
     return results
 
 
 def write_result(part: str, result: ExperimentResult, folder: Path, settings: dict[str, Any]) -> list[Path]:
-    """JSON, CSV, Markdown and figures of one part; OutputError if they cannot be written."""
+    """Write JSON, CSV, Markdown and figures of one part; OutputError if they cannot be written."""
     content = {"experiment": part, "settings": settings, "result": result.to_dict()}
     table, rows = io.StringIO(), result.rows()
-    if rows:
-        writer = csv.DictWriter(table, fieldnames=list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    writer = csv.DictWriter(table, list(dict.fromkeys(name for row in rows for name in row)), "", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
     paths = [
         write_atomically(folder / f"{part}.json", json.dumps(content, indent=1, allow_nan=False) + "\n"),
         write_atomically(folder / f"{part}.csv", table.getvalue()),

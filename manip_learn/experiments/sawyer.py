@@ -9,42 +9,23 @@ recordings with replacement (a bootstrap resample), and those that were not draw
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal, final, get_args
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from jaxtyping import Float
 from numpy.random import Generator
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.experiments.experiment_result import (
-    Panel,
-    TrialsResult,
-    markdown_table,
-    mean_and_sd,
-    median_and_worst,
-    number,
-    percent,
-    share,
-    strips,
-    summary,
-)
+from manip_learn.experiments import paper_setup as paper
+from manip_learn.experiments.charts import Panel, strips
 from manip_learn.experiments.metrics import mie, nmie, policy_rmse
-from manip_learn.experiments.paper_setup import (
-    PAPER_SAWYER_MIE,
-    PAPER_SAWYER_RMSE,
-    constrained_motion,
-    euler_steps,
-    recorded,
-)
+from manip_learn.experiments.results import TrialsResult, markdown_table, mean_and_sd, number, share, summary
 from manip_learn.experiments.rmse import climb_along
-from manip_learn.experiments.trial_runner import of_trials
+from manip_learn.experiments.trials import Trials
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.load import load_demonstrations
@@ -62,42 +43,19 @@ DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
 _START_LOW, _START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # [rad]
 _STEP, DEMONSTRATIONS, _POINTS = 0.01, 50, 10  # [s]
 _ROLLOUTS, ROLLOUT_POINTS = 20, 100  # that the RMSE is taken over, samples of each
+_DAMPING = 0.05  # [m] of the inverse in the rollouts: targets may be out of reach
 FRAME = "right_gripper_tip"
-KIND, HARD = "sawyer_drawer", "sawyer_drawer_hard"
-Source = Literal["model", "kind physics", "hard physics"]
-Reading = Literal["constrained row", "free direction"]
+# source -> recordings
+FOLDERS = {"model": "", "kind physics": "sawyer_drawer", "hard physics": "sawyer_drawer_hard"}
+READINGS = ("constrained row", "free direction")
 BETWEEN = " | "  # the words of a case
+_ERRORS = ("mie", "nmie", "mie_held", "nmie_held", "angle_deg")
 
 
 @cache
 def sawyer_arm() -> Robot:
-    """The shipped Sawyer-like arm."""
+    """Return the shipped Sawyer-like arm."""
     return load_robot("sawyer")
-
-
-def turned_recordings(along_x: bool, points: int | None, folder: str = KIND) -> Demonstrations:
-    """All demonstrations, as from an arm whose base is turned.
-
-    The first joint turns about the vertical through the base: turning the base is an offset of that joint, exactly.
-
-    Args:
-        along_x: The drawer opens along x; else along y.
-        points: So many samples of each demonstration; None for all.
-        folder: `KIND`: grip within a micrometre, noise of 1e-4 rad, 100 Hz, velocities derived from the positions.
-            `HARD`: 2 mm of play in the grip, stick and slip, 1e-3 rad, 20 Hz, velocities as recorded, 60 ms old.
-    """
-    offset = -np.deg2rad(25.0) + (0.0 if along_x else np.pi / 2)  # the recorded drawer opens at 25 degrees from x
-    shift = np.eye(7)[sawyer_arm().joint_names.index("right_j0")] * offset
-    out = []
-    for t in _recordings(folder):
-        turned = Trajectory(t.time, t.q + shift, t.u, t.joint_names, t.name)
-        out.append(turned if points is None else subsample(turned, points))
-    return Demonstrations(out)
-
-
-@cache
-def _recordings(name: str) -> Demonstrations:
-    return with_velocities(load_demonstrations(name, sawyer_arm(), velocities="recorded"), sawyer_arm())
 
 
 @final
@@ -106,28 +64,40 @@ class SawyerCase:
     """One way to read the paper's drawer.
 
     Attributes:
-        source: Where the demonstrations come from.
+        source: Origin of the demonstrations, a key of `FOLDERS`: a motion of the model; a grip within a micrometre,
+            noise of 1e-4 rad, 100 Hz, velocities derived from the positions; 2 mm of play in the grip, stick and slip,
+            1e-3 rad, 20 Hz, velocities as recorded, 60 ms old.
         points: Samples of each demonstration; None for all.
-        reading: What Lambda_x or Lambda_y says about its direction.
+        reading: Meaning of the direction of Lambda_x or Lambda_y, one of `READINGS`.
         direction: `"x"` or `"y"`.
     """
 
-    source: Source
+    source: str
     points: int | None
-    reading: Reading
+    reading: str
     direction: str
 
     @property
-    def said(self) -> str:
-        """Source and number of samples in words."""
-        return f"{self.source}, {'all samples' if self.points is None else f'{self.points} points each'}"
+    def name(self) -> str:
+        """Source and number of samples, reading and direction in words."""
+        samples = "all samples" if self.points is None else f"{self.points} points each"
+        return BETWEEN.join((f"{self.source}, {samples}", self.reading, self.direction))
+
+    @property
+    def constraint(self) -> Constraint:
+        """True constraint of unit rows of the grip [m]."""
+        is_row = self.reading == "constrained row"
+        # a drawer always holds two rows; seen in the horizontal plane alone it holds one
+        axes = ["x", "y"] if is_row and self.source != "model" else ["x", "y", "z"]
+        rows = [i for i, axis in enumerate(axes) if (axis == self.direction) == is_row]
+        return Constraint(np.eye(len(axes))[rows], FrameJacobian(sawyer_arm(), FRAME, " ".join(axes)))
 
 
 CASES = {
-    BETWEEN.join((case.said, case.reading, case.direction)): case
-    for source in get_args(Source)
+    case.name: case
+    for source in FOLDERS
     for points in ((_POINTS,) if source == "model" else (_POINTS, None))
-    for reading in ("constrained row", "free direction")
+    for reading in READINGS
     for direction in ("x", "y")
     for case in [SawyerCase(source, points, reading, direction)]
 }
@@ -140,86 +110,72 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
         `mie` and `nmie` at the postures of the training set, `mie_held` and `nmie_held` at those held out,
         `angle_deg`, `rows`, `rows_true`, `rmse` of 20 rollouts; or `refused`.
     """
-    features = FrameJacobian(sawyer_arm(), FRAME, _axes(case))
-    Lambda = true_selection(case)
-    true = Constraint(Lambda, features)
-    demos, held_out = drawn(case, true, rng)
-    test = np.concatenate([t.q for t in held_out])
-    mu_test = manipulability_batch(true, test).mu
+    true = case.constraint
+    train, test = drawn(case, rng)
+    out: dict[str, Any] = {"rows_true": true.n_constraints}
     try:
-        learner = ConstraintLearner(features, velocities="recorded", seed=int(rng.integers(2**31))).fit(demos)
+        learner = ConstraintLearner(true.features, velocities="recorded", seed=int(rng.integers(2**31))).fit(train)
     except NotIdentifiableError as error:
-        return {"refused": error.code, "rows_true": len(Lambda)}
+        return out | {"refused": error.code}
     learnt, report = learner.constraint_, learner.report_
-    damping = 0.05  # [m] of the inverse: targets may be out of reach
-    climbed, _ = steps(true, lambda q: manipulability_batch(true, q).gradient, _ROLLOUTS, ROLLOUT_POINTS, damping, rng)
-    q = np.concatenate([t.q for t in demos])
-    mu, other = manipulability_batch(true, q).mu, manipulability_batch(learnt, q).mu
-    other_test = manipulability_batch(learnt, test).mu
-    return {
-        "rows": learnt.n_constraints,
-        "rows_true": len(Lambda),
-        "estimator": report.estimator,
-        "gap": report.gap,
-        "angle_deg": float(np.degrees(row_space_angle(Lambda, learnt.selection))),
-        "stated_deg": report.uncertainty_deg,
-        "mie": mie(mu, other),
-        "nmie": nmie(mu, other),
-        "mie_held": mie(mu_test, other_test),
-        "nmie_held": nmie(mu_test, other_test),
-        # of pi_mu = grad mu, equation (13), against pi_mu~ on 20 rollouts of 100 points under pi_mu
-        "rmse": policy_rmse(climb_along(true, climbed), climb_along(learnt, climbed)).tolist(),
-    }
+    out |= {"rows": learnt.n_constraints, "estimator": report.estimator, "gap": report.gap}
+    out["angle_deg"] = float(np.degrees(row_space_angle(true.selection, learnt.selection)))
+    out["stated_deg"] = report.uncertainty_deg
+    for held, demonstrations in (("", train), ("_held", test)):
+        q = np.concatenate([t.q for t in demonstrations])
+        mu, other = manipulability_batch(true, q).mu, manipulability_batch(learnt, q).mu
+        out |= {f"mie{held}": mie(mu, other), f"nmie{held}": nmie(mu, other)}
+    # of pi_mu = grad mu, equation (13), against pi_mu~ on 20 rollouts of 100 points under pi_mu
+    climbed, _ = motions(
+        true, lambda q: manipulability_batch(true, q).gradient, _ROLLOUTS, ROLLOUT_POINTS, rng, _DAMPING
+    )
+    return out | {"rmse": policy_rmse(climb_along(true, climbed), climb_along(learnt, climbed)).tolist()}
 
 
-def drawn(case: SawyerCase, true: Constraint, rng: Generator) -> tuple[Demonstrations, Demonstrations]:
-    """Demonstrations to learn from, and others to test on: none is in both."""
+def motions(
+    true: Constraint, policy: paper.Law, n: int, points: int, rng: Generator, damping: float = 0.0
+) -> paper.Motions:
+    """Return postures and velocities of n motions at 100 Hz, from random starts to random targets of the grip."""
+    axes = ["xyz".index(axis) for axis in true.features.row_names]
+    kinematics = batch_kinematics(sawyer_arm(), sawyer_arm().frame(FRAME))
+    starts = rng.uniform(_START_LOW, _START_HIGH, size=(n, 7))
+    targets = rng.uniform(-1.0, 1.0, size=(n, len(axes)))
+    return paper.reach(true, policy, lambda q: kinematics.pose(q)[:, axes, 3], starts, targets, points, _STEP, damping)
+
+
+def drawn(case: SawyerCase, rng: Generator) -> tuple[Demonstrations, Demonstrations]:
+    """Return demonstrations to learn from, and others to test on: none is in both."""
     if case.source == "model":
-        return simulated(true, rng), simulated(true, rng)
+        train, test = (
+            motions(case.constraint, lambda q: DEFAULT_POSE - q, DEMONSTRATIONS, _POINTS, rng) for _ in range(2)
+        )
+        return paper.recorded(sawyer_arm(), _STEP, train), paper.recorded(sawyer_arm(), _STEP, test)
     opens_along_x = (case.direction == "x") == (case.reading == "free direction")
-    every = turned_recordings(opens_along_x, case.points, KIND if case.source == "kind physics" else HARD)
+    every = turned_recordings(FOLDERS[case.source], opens_along_x, case.points)
     chosen = rng.integers(len(every), size=DEMONSTRATIONS)
-    left = sorted(set(range(len(every))) - set(chosen.tolist()))
-    return Demonstrations(every[int(i)] for i in chosen), Demonstrations(every[i] for i in left)
+    others = np.setdiff1d(np.arange(len(every)), chosen)
+    return Demonstrations(every[int(i)] for i in chosen), Demonstrations(every[int(i)] for i in others)
 
 
-def true_selection(case: SawyerCase) -> Float[np.ndarray, "s p"]:
-    """Rows of the true Lambda."""
-    axes = _axes(case).split()
-    constrained = [case.direction] if case.reading == "constrained row" else [a for a in axes if a != case.direction]
-    return np.eye(len(axes))[[axes.index(a) for a in constrained]]
+def turned_recordings(folder: str, along_x: bool, points: int | None) -> Demonstrations:
+    """Return all demonstrations, as from an arm whose base is turned.
+
+    The first joint turns about the vertical through the base: turning the base is an offset of that joint, exactly.
+
+    Args:
+        folder: Name of the shipped recordings.
+        along_x: The drawer opens along x; else along y.
+        points: Number of samples of each demonstration; None for all.
+    """
+    offset = -np.deg2rad(25.0) + (0.0 if along_x else np.pi / 2)  # the recorded drawer opens at 25 degrees from x
+    shift = np.eye(7)[sawyer_arm().joint_names.index("right_j0")] * offset
+    turned = (Trajectory(t.time, t.q + shift, t.u, t.joint_names, t.name) for t in _recordings(folder))
+    return Demonstrations(t if points is None else subsample(t, points) for t in turned)
 
 
-def _axes(case: SawyerCase) -> str:
-    # a drawer always holds two rows; seen in the horizontal plane alone it holds one
-    flat = case.source != "model" and case.reading == "constrained row"
-    return "x y" if flat else "x y z"
-
-
-def places(features: FeatureMap, q: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n p"]:
-    """r, the coordinates of the grip whose rates are the rows of Phi [m]."""
-    axes = ["xyz".index(axis) for axis in features.row_names]
-    return batch_kinematics(sawyer_arm(), sawyer_arm().frame(FRAME)).pose(q)[:, axes, 3]
-
-
-def steps(
-    true: Constraint, policy: Callable[[np.ndarray], np.ndarray], n: int, points: int, damping: float, rng: Generator
-) -> tuple[Float[np.ndarray, "n T 7"], Float[np.ndarray, "n T 7"]]:
-    """Postures and velocities of n motions from random starts to random targets, b = Lambda (r* - r), at 100 Hz."""
-    start = rng.uniform(_START_LOW, _START_HIGH, size=(n, 7))
-    targets = rng.uniform(-1.0, 1.0, size=(n, true.features.n_rows))
-
-    def law(q: np.ndarray) -> np.ndarray:
-        b = (targets - places(true.features, q)) @ true.selection.T
-        return constrained_motion(true.selection @ true.features.batch(q), b, policy(q), damping)
-
-    return euler_steps(law, start, points, _STEP)
-
-
-def simulated(true: Constraint, rng: Generator) -> Demonstrations:
-    """50 demonstrations of 10 points at 100 Hz: b = r* - r on the constrained rows, pi = default pose - q."""
-    q, u = steps(true, lambda q: DEFAULT_POSE - q, DEMONSTRATIONS, _POINTS, 0.0, rng)
-    return recorded(_STEP, q, u, sawyer_arm().joint_names, "demonstration")
+@cache
+def _recordings(folder: str) -> Demonstrations:
+    return with_velocities(load_demonstrations(folder, sawyer_arm(), velocities="recorded"), sawyer_arm())
 
 
 @final
@@ -227,54 +183,45 @@ class SawyerResult(TrialsResult):
     """Outcome of every trial, see `sawyer_trial`; a case is its source, its reading and its direction."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Paper and ours."""
-        ours, errors = {}, ("mie", "nmie", "mie_held", "nmie_held", "angle_deg")
+        """Return paper and ours."""
+        ours = {}
         for case, trials in self.outcomes.items():
-            ours[case] = {what: summary(t.get(what) for t in trials) for what in errors} | {
+            ours[case] = {error: summary(t.get(error) for t in trials) for error in _ERRORS} | {
                 "rmse": summary(v for t in trials for v in t.get("rmse", ())),
                 "rows_right": share(t.get("rows") == t["rows_true"] for t in trials),
                 "inside": share(t["angle_deg"] <= t["stated_deg"] for t in trials if t.get("stated_deg") is not None),
             }
-        paper = {
-            "mie": PAPER_SAWYER_MIE,
-            "rmse": dict(PAPER_SAWYER_RMSE),
-            "note": "a real Sawyer, data unpublished: the paper's numbers hold the friction, compliance and noise of "
-            "an arm that we do not have",
-        }
-        return {"paper": paper, "ours": ours}
+        note = "a real Sawyer, data unpublished: the paper's numbers hold the friction, compliance and noise of an arm"
+        paper_numbers = {"mie": paper.PAPER_SAWYER_MIE, "rmse": dict(paper.PAPER_SAWYER_RMSE)}
+        return {"paper": paper_numbers | {"note": f"{note} that we do not have"}, "ours": ours}
 
     def markdown(self) -> str:
-        """All readings beside the paper's numbers."""
-        mie_of_paper, rmse_of_paper = number(PAPER_SAWYER_MIE), mean_and_sd(PAPER_SAWYER_RMSE)
-        lines = [["**paper, a real arm**", "", "", mie_of_paper, "", "", "", rmse_of_paper, ""]]
-        for key, block in self.to_dict()["ours"].items():
-            case = key.split(BETWEEN)
-            lines.append([*case, *(number(block[w]["median"]) for w in ("mie", "mie_held", "nmie_held"))])
-            lines[-1].append(median_and_worst(block["angle_deg"]))
-            lines[-1] += [mean_and_sd(block["rmse"]), percent(block["rows_right"])]
+        """Return a table of all readings with the paper's numbers."""
+        printed = [number(paper.PAPER_SAWYER_MIE), "", "", "", mean_and_sd(paper.PAPER_SAWYER_RMSE), ""]
+        lines = [["**paper, a real arm**", "", "", *printed]]
+        for case, block in self.to_dict()["ours"].items():
+            errors = [number(block[error]["median"]) for error in ("mie", "mie_held", "nmie_held", "angle_deg")]
+            errors[-1] += f" ({number(block['angle_deg']['worst'])})"
+            found = f"{100.0 * block['rows_right']:.0f} %"
+            lines.append([*case.split(BETWEEN), *errors, mean_and_sd(block["rmse"]), found])
         header = ["demonstrations", "reading", "Lambda", "MIE, training", "MIE, held out", "NMIE, held out"]
-        header += ["angle [deg], median (worst)", "RMSE, mean +- s.d.", "rows found"]
-        return markdown_table(header, lines)
+        return markdown_table([*header, "angle [deg], median (worst)", "RMSE, mean +- s.d.", "rows found"], lines)
 
     def figures(self) -> dict[str, Figure]:
-        """MIE on held-out recordings and RMSE of every trial."""
-        errors, means = {}, {}
+        """Draw MIE on held-out recordings and RMSE of every trial."""
+        learnt: dict[str, list[dict[str, Any]]] = {}
         for case, trials in self.outcomes.items():
             source, reading, direction = case.split(BETWEEN)
-            label = f"{source}: {reading.split()[0]} {direction}"
-            errors[label] = [t["mie_held"] for t in trials if "mie_held" in t]
-            means[label] = [float(np.mean(t["rmse"])) for t in trials if "rmse" in t]
+            learnt[f"{source}: {reading.split()[0]} {direction}"] = [t for t in trials if "rmse" in t]
+        errors = {label: [t["mie_held"] for t in trials] for label, trials in learnt.items()}
+        means = {label: [float(np.mean(t["rmse"])) for t in trials] for label, trials in learnt.items()}
+        mie_label = "MIE on held-out recordings\n[m$^2$ for one row, m$^4$ for two]"
+        rmse_label = "RMSE of the policy, mean of 20 rollouts\n[m/rad for one row, m$^2$/rad for two]"
         panels = [
-            [Panel(errors, "MIE on held-out recordings\n[m$^2$ for one row, m$^4$ for two]", paper=PAPER_SAWYER_MIE)],
-            [
-                Panel(
-                    means,
-                    "RMSE of the policy, mean of 20 rollouts\n[m/rad for one row, m$^2$/rad for two]",
-                    paper=PAPER_SAWYER_RMSE["mean"],
-                )
-            ],
+            [Panel(errors, mie_label, paper=paper.PAPER_SAWYER_MIE)],
+            [Panel(means, rmse_label, paper=paper.PAPER_SAWYER_RMSE["mean"])],
         ]
         return {"sawyer": strips(panels, "recordings: reading of Lambda; a dot is a trial, a bar the median", 9.0, 9.0)}
 
 
-SAWYER = of_trials("sawyer", sawyer_trial, CASES, SawyerResult, 0.4)
+SAWYER = Trials("sawyer", sawyer_trial, CASES, SawyerResult, 0.4)

@@ -1,12 +1,12 @@
 """The paper's two comparisons of three null-space policies from bad starts: at a singularity, and next to one.
 
-Our product controller runs beside them. The picture has the postures above, the manipulability below.
+Our product controller is compared with them. The figure has the postures above, the manipulability below.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
@@ -17,10 +17,10 @@ from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, N
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.point_attractor import PointAttractor
-from manip_learn.experiments.experiment_result import INK, ExperimentResult, markdown_table, new_figure, number
+from manip_learn.experiments.charts import INK, new_figure
 from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_arm, true_constraint
-from manip_learn.experiments.table import ESTIMATORS, SAID
-from manip_learn.experiments.trial_runner import Experiment, TrialRunner
+from manip_learn.experiments.results import ExperimentResult, markdown_table, number
+from manip_learn.experiments.table import LABELS, learn
 from manip_learn.linalg import matlab_tolerance
 from manip_learn.playback.palette import COLOURS
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Numbers = dict[str, Any]  # of one rollout, see `numbers_of`
-Laws = dict[float, dict[str, Rollout]]  # step [s] -> policy -> rollout of the paper's law
 DURATION = 5.0  # [s]
 STEPS = (0.02, 0.01)  # the paper's 50 Hz, and half of it [s]
 REACHED = 0.05  # [m]
@@ -39,293 +38,161 @@ _SETTLED = 100.0  # joint speed after the first second above which the arm still
 
 @final
 @dataclass(frozen=True)
-class BadStart:
-    """Where and how the comparison is made.
-
-    Attributes:
-        name: For files and figures.
-        start: Posture [rad].
-        rest: psi* of the attractor [rad].
-        target: r* [m], rows x, y.
-        inverse: How A is inverted.
-    """
-
-    name: str
-    start: tuple[float, ...]
-    rest: tuple[float, ...]
-    target: tuple[float, float]
-    inverse: Literal["truncated", "exact"]
-
-    def law(self, policy: str, learnt: Constraint, *, product: bool = False) -> ResolvedRateController:
-        """The paper's bare law with one policy, or our controller with its limits.
-
-        Truncation fires only if the row space is right to 1e-16: the task uses the true A, the policy the learnt one.
-        """
-        null: dict[str, NullSpacePolicy] = {
-            "zero": ZeroPolicy(3),
-            "attractor": JointAttractor(self.rest),
-            "manipulability": ManipulabilityAscent(learnt, logarithmic=product),
-        }
-        constraint, task = true_constraint("x y"), PointAttractor([*self.target, 0.0], gain=1.0)
-        if product:
-            return ResolvedRateController(constraint, task, null[policy])
-        return ResolvedRateController(constraint, task, null[policy], self.inverse, limits=False)
-
-    def rollout(self, policy: str, learnt: Constraint, dt: float, q: Any = None, *, product: bool = False) -> Rollout:
-        """Five seconds from the start, or from another posture."""
-        return simulate(
-            planar_arm(), self.law(policy, learnt, product=product), self.start if q is None else q, DURATION, dt
-        )
-
-
-# first comparison: the arm is stretched out straight, the pseudo-inverse truncated
-SINGULAR = BadStart(
-    "singular-start",
-    tuple(np.deg2rad([90.0 + 1e-12, 360.0, -360.0])),
-    tuple(np.deg2rad([-190.0, 9.0, -307.0])),
-    (0.0, 0.0),
-    "truncated",
-)
-# second comparison: a folded arm, the pseudo-inverse not truncated; the paper does not state r*: that of the first
-NEAR_SINGULAR = BadStart(
-    "near-singular-start",
-    tuple(np.deg2rad([90.0, -180.0, -180.0 + 1e-10])),
-    tuple(np.deg2rad([-33.0, -283.0, 193.0])),
-    (0.0, 0.0),
-    "exact",
-)
-
-
-@final
-@dataclass(frozen=True)
 class Claim:
-    """A statement, and whether it holds here.
+    """A claim of the paper and its outcome here.
 
     Attributes:
-        text: The claim, or our question.
-        source: `"paper"`, or `"check"` for a question of ours.
+        text: The claim.
         seen: The measurement, in words.
-        holds: Whether it was reproduced as printed.
-        verdict: What to say in place of yes or no.
+        holds: True if it was reproduced as printed.
+        verdict: Answer in place of yes or no.
     """
 
     text: str
-    source: str
     seen: str
     holds: bool
     verdict: str = ""
-
-    @property
-    def answer(self) -> str:
-        """Yes, no, or what else there is to say."""
-        return self.verdict or ("yes" if self.holds else "**no**")
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class StartResult(ExperimentResult):
-    """Rollouts of the paper's law and of ours.
+    """Rollouts of the paper's law and of our controller.
 
     Attributes:
         setting: The start.
-        paper_law: Step [s] -> policy -> rollout.
-        product: Policy -> rollout of our controller, step 0.02 s.
-        claims: One by one.
-        rounding: Policy -> numbers of the paper's law, step 0.02 s, from starts that differ by rounding; empty where
-            no rollout is chaotic.
+        rollouts: Law -> rollout, see `law_name`.
+        claims: Claims of the paper.
+        rounding: Policy -> outcomes of the paper's law, step 0.02 s, from starts that differ by rounding: how many of
+            `n` end `at_rest` on the target, and the `least_late_speed` of them all; empty where no rollout is chaotic.
     """
 
     setting: BadStart
-    paper_law: dict[float, dict[str, Rollout]]
-    product: dict[str, Rollout]
-    claims: tuple[Claim, ...]
-    rounding: dict[str, list[Numbers]]
-
-    def _named(self, paper: str, ours: str) -> dict[str, Rollout]:
-        named = {paper.format(dt=dt, policy=p): r for dt, rs in self.paper_law.items() for p, r in rs.items()}
-        return named | {ours.format(policy=p): r for p, r in self.product.items()}
+    rollouts: dict[str, Rollout]
+    claims: list[Claim]
+    rounding: dict[str, Numbers]
 
     def to_dict(self) -> dict[str, Any]:
-        """Claims, and key numbers of each law; after a leap of 1e10 rad the digits that are rounding noise are None."""
-        ours = {
-            name: numbers_of(r) for name, r in self._named("{policy}, dt {dt:g} s", "{policy}, our controller").items()
-        }
+        """Return claims and key numbers; after a leap of 1e10 rad the digits that are rounding noise are None."""
+        ours = {law: numbers_of(r) for law, r in self.rollouts.items()}
         for numbers in ours.values():
             if numbers["chaotic"]:
-                numbers |= dict.fromkeys(("final_error", "min_manipulability", "late_speed"))
+                numbers |= dict.fromkeys(("final_error", "min_manipulability", "lowest_step", "late_speed"))
         return {
-            "paper": {"claims": [c.text for c in self.claims if c.source == "paper"]},
+            "paper": {"claims": [claim.text for claim in self.claims]},
             "ours": ours,
-            "claims": [vars(c) for c in self.claims],
-            "rounding": {
-                policy: {
-                    "reached": float(np.mean([r["final_error"] < REACHED for r in runs])),
-                    "settled": float(np.mean([r["late_speed"] < _SETTLED for r in runs])),
-                    "least_late_speed": min(r["late_speed"] for r in runs),
-                    "n": len(runs),
-                }
-                for policy, runs in self.rounding.items()
-            },
+            "claims": [vars(claim) for claim in self.claims],
+            "rounding": self.rounding,
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """One line per sample of every rollout."""
+        """Return one line per sample of every rollout."""
         names = ("time", "q1", "q2", "q3", "manipulability", "task_error")
         return [
             {"law": law, **dict(zip(names, line, strict=True))}
-            for law, r in self._named("paper dt {dt:g} {policy}", "ours {policy}").items()
+            for law, r in self.rollouts.items()
             for line in np.column_stack([r.time, r.q, r.manipulability, r.task_error]).tolist()
         ]
 
     def markdown(self) -> str:
-        """Claims, and the rollouts' key numbers."""
-        content, speed = self.to_dict(), "largest joint speed [rad/s]"
-        claims = [["paper" if c.source == "paper" else "our question", c.text, c.seen, c.answer] for c in self.claims]
+        """Return the claims, and the key numbers of the rollouts."""
+        claims = [[c.text, c.seen, c.verdict or ("yes" if c.holds else "**no**")] for c in self.claims]
         lines = []
-        for law, n in content["ours"].items():
-            said = ["chaotic" if n["chaotic"] else number(n[key]) for key in ("final_error", "min_manipulability")]
-            lines.append([law, *said, number(n["max_velocity"])])
-        return "\n\n".join(
-            [
-                markdown_table(["whose", "claim", "measured here", "holds as printed"], claims),
-                f"Lambda of the manipulability policy: learnt by *{SAID[_LEARNT]}* from 100 demonstrations; the task "
-                "part uses the true one.",
-                markdown_table(["law", "final error [m]", "smallest mu after step 3", speed], lines),
-            ]
-        )
+        for law, n in self.to_dict()["ours"].items():
+            cells = ["chaotic" if n["chaotic"] else number(n[key]) for key in ("final_error", "min_manipulability")]
+            lines.append([law, *cells, number(n["max_velocity"])])
+        parts = [
+            markdown_table(["claim of the paper", "measured here", "holds as printed"], claims),
+            f"Lambda of the manipulability policy: learnt by *{LABELS[_LEARNT]}* from 100 demonstrations; the task "
+            "part uses the true one.",
+            markdown_table(
+                ["law", "final error [m]", "smallest mu after step 3", "largest joint speed [rad/s]"], lines
+            ),
+        ]
+        return "\n\n".join(parts)
 
     def figures(self) -> dict[str, Figure]:
-        """The arm over time above, the manipulability over time below; the last column is our controller."""
+        """Draw the arm over time above, the manipulability over time below; the last column is our controller."""
         leap = "\n(chaotic after the first step)" if self.rounding else ""
-        columns = {f"paper's law, {p} policy{leap}": [self.paper_law[dt][p] for dt in STEPS] for p in POLICIES}
-        columns |= {"our controller, manipulability": [self.product["manipulability"]]}
+        columns = {f"paper's law, {p} policy{leap}": [self.rollouts[law_name(p, dt)] for dt in STEPS] for p in POLICIES}
+        columns["our controller, manipulability"] = [self.rollouts[law_name("manipulability")]]
         return {self.setting.name: draw_columns(columns, self.setting.target)}
 
 
+def law_name(policy: str, dt: float | None = None) -> str:
+    """Return the name of the paper's law with a policy and a step [s], or of our controller."""
+    return f"{policy}, our controller" if dt is None else f"{policy}, dt {dt:g} s"
+
+
 def numbers_of(rollout: Rollout) -> Numbers:
-    """Key numbers of a rollout: its least manipulability from step 3 on, its speed in the last four fifths, ..."""
-    speed = float(np.max(np.abs(rollout.u)))
+    """Return key numbers: the least manipulability from step 3 on, the speed in the last four fifths, and others."""
+    speed = np.max(np.abs(rollout.u), axis=1)
+    lowest = 3 + int(np.argmin(rollout.manipulability[3:]))
     return {
         "final_error": float(rollout.task_error[-1]),
-        "min_manipulability": float(np.min(rollout.manipulability[3:])),
-        "max_velocity": speed,
-        "largest_step": speed * float(rollout.time[1]),
-        "late_speed": float(np.max(np.abs(rollout.u[len(rollout) // 5 :]))),
+        "min_manipulability": float(rollout.manipulability[lowest]),
+        "lowest_step": lowest,
+        "max_velocity": float(np.max(speed)),
+        "largest_step": float(np.max(speed) * rollout.time[1]),
+        "late_speed": float(np.max(speed[len(rollout) // 5 :])),
         "chaotic": bool(np.max(np.abs(rollout.q)) > 1e6),  # [rad] beyond which no digit is left below 1e-10 of a turn
     }
 
 
-def _compare(
-    setting: BadStart, judged: Callable[[Laws, dict[str, list[Numbers]]], list[Claim]]
-) -> Experiment[StartResult]:
-    """The comparison from one start: three policies at 50 and 100 Hz, and our controller.
+def singular_claims(rollouts: dict[str, Rollout], _rounding: object) -> list[Claim]:
+    """Return the claims of the first comparison, judged at the paper's 50 Hz, measured at 100 Hz too."""
+    zero, attractor, climb = ([numbers_of(rollouts[law_name(p, dt)]) for dt in STEPS] for p in POLICIES)
 
-    Args:
-        setting: The start.
-        judged: (rollouts of the paper's law, numbers from starts that differ by rounding) -> claims.
-    """
+    def seen(template: str, numbers: list[Numbers]) -> str:
+        return "; ".join(f"{template.format(**n)} at {1.0 / dt:.0f} Hz" for dt, n in zip(STEPS, numbers, strict=True))
 
-    def run(_trials: int, rng: np.random.Generator, _runner: TrialRunner | None = None) -> StartResult:
-        true, setup = true_constraint("x y"), Setup("x y")
-        demos = demonstrate(setup, true.selection, rng)
-        learnt = Constraint(ESTIMATORS[_LEARNT](true.features, demos, true.selection, rng)[0], true.features)
-        paper_law = {dt: {p: setting.rollout(p, learnt, dt) for p in POLICIES} for dt in STEPS}
-        product = {p: setting.rollout(p, learnt, STEPS[0], product=True) for p in POLICIES}
-        rounding: dict[str, list[Numbers]] = {}
-        if any(numbers_of(rollout)["chaotic"] for rollout in paper_law[STEPS[0]].values()):
-            last_digit = np.finfo(np.float64).eps * rng.standard_normal((20, 3))  # 20 starts
-            starts = np.array(setting.start) * (1.0 + last_digit)
-            rounding = {p: [numbers_of(setting.rollout(p, learnt, STEPS[0], q)) for q in starts] for p in POLICIES}
-        return StartResult(setting, paper_law, product, tuple(judged(paper_law, rounding)), rounding)
-
-    return Experiment(run, lambda _trials: 0)
-
-
-def singular_claims(paper_law: Laws, _rounding: object) -> list[Claim]:
-    """Of the first comparison at the paper's 50 Hz, with 100 Hz beside it, and whether an arm could follow."""
-
-    def said(tell: Callable[[Rollout], str], policy: str) -> str:
-        return "; ".join(f"{tell(rollouts[policy])} at {1.0 / dt:.0f} Hz" for dt, rollouts in paper_law.items())
-
-    def dip(r: Rollout) -> tuple[int, float]:  # step of the lowest manipulability from step 3 on, and that
-        low = 3 + int(np.argmin(r.manipulability[3:]))
-        return low, float(r.manipulability[low])
-
-    def final(r: Rollout) -> float:
-        return float(r.task_error[-1])
-
-    def fastest(r: Rollout) -> float:
-        return float(np.max(np.abs(r.u)))
-
-    A = true_constraint("x y")(np.array(SINGULAR.start))
+    A = true_constraint("x y")(rollouts[law_name("zero", STEPS[0])].q[0])
     sigma = np.linalg.svd(A, compute_uv=False)
-    threshold = matlab_tolerance(sigma, A.shape)
-    zero, attractor, climb = (paper_law[STEPS[0]][p] for p in POLICIES)
-    dips = {dt: dip(rollouts["attractor"])[0] for dt, rollouts in paper_law.items()}
-    in_time = [60 <= step <= 80 for step in dips.values()]  # "around 70 steps"
-    late = "" if in_time[0] else "**no** at the paper's 50 Hz, yes at 100 Hz" if in_time[1] else "**no**"
-    # fmt: off
-    claims: list[tuple[Any, ...]] = [
-        ("The pseudo-inverse drops singular values below 1.332e-15", "paper",
-         f"max(size(A)) eps(norm(A)) = {threshold:.3e}; the smaller singular value is {sigma[-1]:.1e}",
-         f"{threshold:.3e}" == "1.332e-15" and bool(sigma[-1] < threshold)),
-        ("The zero policy never leaves the singularity", "paper",
-         said(lambda r: f"error stays {final(r):.3g} m", "zero"), final(zero) > 2.9),
-        ("The attractor arrives", "paper",
-         said(lambda r: f"final error {final(r):.2g} m", "attractor"), final(attractor) < REACHED),
-        ("... but comes near another singularity on its way", "paper",
-         said(lambda r: f"mu {dip(r)[1]:.2g}, up to {fastest(r):.0f} rad/s", "attractor"), dip(attractor)[1] < 0.1),
-        ("... after around 70 steps", "paper",
-         "lowest at step " + ", ".join(f"{step} at {1.0 / dt:.0f} Hz" for dt, step in dips.items()), in_time[0], late),
-        ("The manipulability policy arrives and stays away from singularities", "paper",
-         said(lambda r: f"final error {final(r):.2g} m, mu >= {dip(r)[1]:.3f} from step 3", "manipulability"),
-         final(climb) < REACHED and dip(climb)[1] > 0.5),
-        ("The manipulability policy's velocities could be followed by an arm (pi rad/s)", "check",
-         said(lambda r: f"first steps up to {fastest(r):.0f} rad/s", "manipulability"),
-         max(fastest(rollouts["manipulability"]) for rollouts in paper_law.values()) < np.pi),
+    threshold = f"{matlab_tolerance(sigma, A.shape):.3e}"
+    is_below = bool(sigma[-1] < float(threshold))
+    measured = f"max(size(A)) eps(norm(A)) = {threshold}; the smaller singular value is {sigma[-1]:.1e}"
+    dips, near_70 = seen("lowest at step {lowest_step}", attractor), [60 <= n["lowest_step"] <= 80 for n in attractor]
+    verdict = "**no** at the paper's 50 Hz, yes at 100 Hz" if near_70 == [False, True] else ""
+    stays = seen("error stays {final_error:.3g} m", zero), zero[0]["final_error"] > 2.9
+    arrives = seen("final error {final_error:.2g} m", attractor), attractor[0]["final_error"] < REACHED
+    nears = seen("mu {min_manipulability:.2g}, up to {max_velocity:.0f} rad/s", attractor)
+    climbs = seen("final error {final_error:.2g} m, mu >= {min_manipulability:.3f} from step 3", climb)
+    is_away = climb[0]["final_error"] < REACHED and climb[0]["min_manipulability"] > 0.5
+    return [
+        Claim(
+            "The pseudo-inverse drops singular values below 1.332e-15", measured, threshold == "1.332e-15" and is_below
+        ),
+        Claim("The zero policy never leaves the singularity", *stays),
+        Claim("The attractor arrives", *arrives),
+        Claim("... but comes near another singularity on its way", nears, attractor[0]["min_manipulability"] < 0.1),
+        Claim("... after around 70 steps", dips, near_70[0], verdict),
+        Claim("The manipulability policy arrives and stays away from singularities", climbs, is_away),
     ]
-    # fmt: on
-    return [Claim(*claim) for claim in claims]
 
 
-def near_singular_claims(paper_law: Laws, rounding: dict[str, list[Numbers]]) -> list[Claim]:
-    """Of the second comparison, and what the leap depends on.
+def near_singular_claims(rollouts: dict[str, Rollout], rounding: dict[str, Numbers]) -> list[Claim]:
+    """Return the claims of the second comparison.
 
     What Figure 2 shows is judged over starts that differ by rounding: a single one is chance after such a leap.
     """
-    rollouts = paper_law[STEPS[0]]
-    after = np.abs(rollouts["zero"].q[1])
+    after = np.abs(rollouts[law_name("zero", STEPS[0])].q[1])
     others = 10.0 ** np.ceil(np.log10(after[[0, 2]].max()) + 1)
-    n = len(rounding["zero"])
-    rest = {p: sum(r["final_error"] < REACHED and r["late_speed"] < _SETTLED for r in rounding[p]) for p in rounding}
-    slow = min(r["late_speed"] for r in rounding["attractor"])
-    first = {p: float(np.max(np.abs(r.u[0]))) for p, r in rollouts.items()}
-    other = replace(NEAR_SINGULAR, target=(1.0, 1.0)).law("zero", true_constraint("x y"))(NEAR_SINGULAR.start)
-    speed = float(np.max(np.abs(other.velocity)))
-    # fmt: off
-    claims: list[tuple[Any, ...]] = [
-        ("The next state is beyond 1e9 rad for each joint", "paper",
-         f"joint 2 at {after[1]:.1e} rad, joints 1 and 3 below {others:.0e} rad", bool(np.all(after > 1e9))),
-        ("Figure 2: under the zero and the manipulability policy the arm moves away from the singularity", "paper",
-         f"both arrive at rest, from {rest['zero']} and {rest['manipulability']} of {n} starts that differ by rounding",
-         rest["zero"] == n and rest["manipulability"] == n),
-        ("Figure 2: the attractor is highly unstable", "paper",
-         f"beyond 1e{np.floor(np.log10(slow)):.0f} rad/s at some time after the first second from all {n}, at rest "
-         f"on the target from {rest['attractor']}: chaotic", slow > _SETTLED and rest["attractor"] == 0),
-        ("The manipulability policy avoids the first leap, which is A^+ b alone", "check",
-         ", ".join(f"{p} {v:.1e}" for p, v in first.items()) + " rad/s", first["manipulability"] < 1e3),
-        ("The leap does not depend on r*, which is not stated", "check",
-         f"r* = (1, 1): {speed:.2g} rad/s", speed > 1e9),
+    (zero, attractor, climb), n = (rounding[p]["at_rest"] for p in POLICIES), rounding["zero"]["n"]
+    slow = rounding["attractor"]["least_late_speed"]
+    leap = f"joint 2 at {after[1]:.1e} rad, joints 1 and 3 below {others:.0e} rad"
+    both = f"both arrive at rest, from {zero} and {climb} of {n} starts that differ by rounding"
+    wild = f"beyond 1e{np.floor(np.log10(slow)):.0f} rad/s at some time after the first second from all {n}, at rest "
+    wild += f"on the target from {attractor}: chaotic"
+    away = "Figure 2: under the zero and the manipulability policy the arm moves away from the singularity"
+    return [
+        Claim("The next state is beyond 1e9 rad for each joint", leap, bool(np.all(after > 1e9))),
+        Claim(away, both, zero == climb == n),
+        Claim("Figure 2: the attractor is highly unstable", wild, slow > _SETTLED and attractor == 0),
     ]
-    # fmt: on
-    return [Claim(*claim) for claim in claims]
-
-
-FROM_SINGULAR, FROM_NEAR_SINGULAR = _compare(SINGULAR, singular_claims), _compare(NEAR_SINGULAR, near_singular_claims)
 
 
 def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, float]) -> Figure:
-    """One column a law: the arm at some moments, early ones pale, and the manipulability of every sample.
+    """Draw one column per law: the arm at some moments, early ones pale, and the manipulability of every sample.
 
     Args:
         columns: Title -> rollout at 0.02 s, and at 0.01 s for the paper's law.
@@ -338,22 +205,107 @@ def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, 
     reach = (-3.15, 3.15)  # [m]; the arm is 3 m long
     figure, axes = new_figure(12.0, 6.6, 2, len(columns), sharey="row", height_ratios=[1.5, 1.0])
     for (above, below), (title, rollouts) in zip(axes.T, columns.items(), strict=True):
-        shown = [i for i in moments if i < len(rollouts[0])]
-        angles = np.cumsum(rollouts[0].q[shown], axis=1)
+        angles = np.cumsum(rollouts[0].q[list(moments)], axis=1)
         joints = np.cumsum(np.stack([np.cos(angles), np.sin(angles)], axis=-1), axis=1)
-        for shade, arm, i in zip(shades, np.pad(joints, [(0, 0), (1, 0), (0, 0)]), shown, strict=False):
+        for shade, arm, i in zip(shades, np.pad(joints, [(0, 0), (1, 0), (0, 0)]), moments, strict=True):
             above.plot(*arm.T, "-o", color=shade, linewidth=1.3, markersize=2.5, label=f"{STEPS[0] * i:.3g} s")
         above.plot(*target, "x", color=INK, markersize=7, linestyle="none", label="target r*")
         above.set_title(title, fontsize=9)
         above.set(xlabel="x of the links [m]", aspect="equal", xlim=reach, ylim=reach)
-        for rollout, look, said in zip(rollouts, ("-", ":"), ("0.02 s (50 Hz)", "0.01 s (100 Hz)"), strict=False):
-            colour = COLOURS["blue"] if look == "-" else INK
-            below.plot(rollout.time, rollout.manipulability, look, color=colour, label=f"step {said}")
+        for rollout, dt, style, colour in zip(rollouts, STEPS, ("-", ":"), (COLOURS["blue"], INK), strict=False):
+            label = f"step {dt:g} s ({1.0 / dt:.0f} Hz)"
+            below.plot(rollout.time, rollout.manipulability, style, color=colour, label=label)
         below.legend(loc="upper right", fontsize=7)
         below.set_xlabel("time [s]")
     highest = max(float(np.max(r.manipulability)) for rollouts in columns.values() for r in rollouts)
-    axes[1, 0].set_ylim(0.0, 1.3 * highest)  # room for the key
     axes[0, 0].set_ylabel("y of the links [m]")
-    axes[1, 0].set_ylabel("manipulability of x, y [m$^2$]")
     axes[0, -1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7)
+    axes[1, 0].set(ylabel="manipulability of x, y [m$^2$]", ylim=(0.0, 1.3 * highest))  # room for the key
     return figure
+
+
+@final
+@dataclass(frozen=True)
+class BadStart:
+    """Settings of a comparison.
+
+    Attributes:
+        name: For files and figures.
+        start: Posture [rad].
+        rest: psi* of the attractor [rad].
+        inverse: How A is inverted.
+        judge: (rollouts, outcomes from starts that differ by rounding) -> claims.
+        target: r* [m], rows x, y. The paper does not state that of the second comparison.
+    """
+
+    name: str
+    start: tuple[float, ...]
+    rest: tuple[float, ...]
+    inverse: Literal["truncated", "exact"]
+    judge: Callable[[dict[str, Rollout], dict[str, Numbers]], list[Claim]]
+    target: tuple[float, float] = (0.0, 0.0)
+
+    def law(self, policy: str, learnt: Constraint, *, product: bool = False) -> ResolvedRateController:
+        """Return the paper's bare law with one policy, or our controller with its limits.
+
+        Truncation fires only if the row space is right to 1e-16: the task uses the true A, the policy the learnt one.
+        """
+        null: dict[str, NullSpacePolicy] = {
+            "zero": ZeroPolicy(3),
+            "attractor": JointAttractor(self.rest),
+            "manipulability": ManipulabilityAscent(learnt, logarithmic=product),
+        }
+        bare: dict[str, Any] = {} if product else {"inverse": self.inverse, "limits": False}
+        task = PointAttractor([*self.target, 0.0], gain=1.0)
+        return ResolvedRateController(true_constraint("x y"), task, null[policy], **bare)
+
+    def rollout(self, policy: str, learnt: Constraint, dt: float, q: Any = None, *, product: bool = False) -> Rollout:
+        """Return five seconds from the start, or from another posture."""
+        law = self.law(policy, learnt, product=product)
+        return simulate(planar_arm(), law, self.start if q is None else q, DURATION, dt)
+
+    def size(self, _trials: int) -> int:
+        """Return 0: nothing is repeated."""
+        return 0
+
+    def run(self, _trials: int, rng: np.random.Generator, *_options: object) -> StartResult:
+        """Compare three policies at 50 and 100 Hz, and our controller.
+
+        Args:
+            rng: For the demonstrations that Lambda is learnt from, and for starts that differ by rounding.
+        """
+        true = true_constraint("x y")
+        demos = demonstrate(Setup("x y"), true.selection, rng)
+        selection, _ = learn(_LEARNT, true.features, demos, true.selection, 0)
+        learnt = Constraint(selection, true.features)
+        rollouts = {law_name(p, dt): self.rollout(p, learnt, dt) for dt in STEPS for p in POLICIES}
+        rollouts |= {law_name(p): self.rollout(p, learnt, STEPS[0], product=True) for p in POLICIES}
+        rounding: dict[str, Numbers] = {}
+        if numbers_of(rollouts[law_name("attractor", STEPS[0])])["chaotic"]:
+            starts = np.array(self.start) * (1.0 + np.finfo(np.float64).eps * rng.standard_normal((20, 3)))
+            for policy in POLICIES:
+                runs = [numbers_of(self.rollout(policy, learnt, STEPS[0], q)) for q in starts]
+                at_rest = sum(n["final_error"] < REACHED and n["late_speed"] < _SETTLED for n in runs)
+                slowest = min(n["late_speed"] for n in runs)
+                rounding[policy] = {"n": len(runs), "at_rest": at_rest, "least_late_speed": slowest}
+        return StartResult(self, rollouts, self.judge(rollouts, rounding), rounding)
+
+
+def _radians(*degrees: float) -> tuple[float, ...]:
+    return tuple(np.deg2rad(degrees))
+
+
+SINGULAR = BadStart(
+    "singular-start",
+    _radians(90.0 + 1e-12, 360.0, -360.0),  # stretched out straight
+    _radians(-190.0, 9.0, -307.0),
+    "truncated",
+    singular_claims,
+)
+NEAR_SINGULAR = BadStart(
+    "near-singular-start",
+    _radians(90.0, -180.0, -180.0 + 1e-10),  # folded
+    _radians(-33.0, -283.0, 193.0),
+    "exact",
+    near_singular_claims,
+)

@@ -1,573 +1,846 @@
-"""One constraint from one part of the recordings: an estimate for each feature map, the choice among these, what shows
-that each row is held, and the mechanism.
-"""
+"""Constraints from hypotheses that explain the recordings, each with its evidence and its doubts."""
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass
-from itertools import combinations
-from typing import Any, Literal, final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.features.curve_rows import CurveRows
-from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.feature_map import FeatureMap, sum_in_words
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
-from manip_learn.errors import NotIdentifiableError, advice, counted, listed, number_if_known
-from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
-from manip_learn.learning.checks import check_samples
-from manip_learn.learning.estimate import (
-    CLEAR_GAP,
-    EQUALLY_GOOD,
-    EXPLAINED,
-    SOFT_ENERGY,
-    Estimate,
-    estimate_null_space,
-    gaps_of_levels,
-    levels,
+from manip_learn.constraint.features.mechanism_rows import PlaceRows
+from manip_learn.constraint.mechanism import CURVE, Grip, Mechanism
+from manip_learn.errors import (
+    ManipLearnError,
+    NotIdentifiableError,
+    RecordingError,
+    advice,
+    counted,
+    named,
+    number_if_known,
 )
-from manip_learn.learning.explanation.evidence import CHANGE_SECONDS, Stretch
-from manip_learn.learning.explanation.findings import DISAGREES, LONGEST_SLIP_SECONDS, NEARLY_SAME_DEG, Findings, Part
-from manip_learn.learning.imposed import estimate_imposed
-from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_curve, find_mechanism
-from manip_learn.learning.mechanisms.one_place import at_one_place
-from manip_learn.learning.policy import held_nats
-from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, recombination_test
-from manip_learn.learning.repeats import once_each
-from manip_learn.learning.samples import Samples
-from manip_learn.learning.separate import estimate_separate
+from manip_learn.learning.checks import REST_SPEED, unusable
+from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit, gaps_of, levels_on
+from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once, steady
+from manip_learn.learning.imposed import Imposed, learn_imposed
+from manip_learn.learning.place import Placed, is_named, placed
+from manip_learn.learning.search import LEAST_GAIN, Explanation, Hypothesis, candidates, explain
+from manip_learn.learning.shape import reshaped
+from manip_learn.learning.table import (
+    SHORTEST,
+    Settings,
+    Stretch,
+    Table,
+    View,
+    place_maps,
+    still_joints,
+    surface_maps,
+    whole_maps,
+)
+from manip_learn.learning.uncertainty import Errors, angles, errors_of, groups_of, misfit
+from manip_learn.learning.whole_hand import KEPT, asked_rows, held_kind, whole_fit
 from manip_learn.linalg import row_space_angle
-from manip_learn.recordings.trajectory import Demonstrations, evenly
 
-EstimatorName = Literal["auto", "joint", "null-space", "separate"]
-# ratio of gaps from which on another number of rows contradicts the one that is answered. Of guided hands
-# (benchmarks/guided_hands.py, even seeds 61000 to 61138) three of 59 are contradicted, by 2 to 4.3, and all three are
-# wrong; of right ones none is
-CONTRADICTED = 2.0
-SURER_NATS = 5.0  # odds of 150 to 1, from which other features are more likely than the first by more than chance
-_KEPT = "kept, not shown to be held"
-# trajectories beyond this number add nothing to a mechanism but time
-MOST_PATHS = 16
-# rows of a mechanism that concern the position of the frame alone, for features without rotations
-POSITION_ROWS = {
-    "hinge": ("radial", "axial"),
-    "screw": ("radial", "helical"),
-    "ball": ("spherical",),
-    "other": ("radial",),
-}
-
-
-@final
-@dataclass(frozen=True)
-class LearnerSettings:
-    """What the user asked for, by the names and with the meaning of `ConstraintLearner`."""
-
-    n_constraints: int | None
-    estimator: EstimatorName
-    policy_model: str
-    seed: int
-    mechanism: bool = True
-    strength: float = BELIEVED_STRENGTH
-    habits: bool = False
-    arm: ArmErrors = AS_DESCRIBED
+CONTRADICTED = 2.0  # ratio of gaps from which another number of rows contradicts the answered one
+SOFT_ENERGY = 1e-2  # share of the motion that breaks rows, above which they are called soft
+SHORT_STRETCH = 0.25  # of the usual length, below which a stretch is chance
+OTHER_VIEW = 20.0  # [nats] from which other features are likelier than plainer ones
+SHOWN_BY = 0.6  # share of the recordings that must show a constraint before one that does not is called odd
+# residual over the noise; scatter of the place between recordings over that within each
+ABSOLUTE, PLACE_RATIO = 3.0, 3.0
+GIVING = (
+    4.0  # times the variance of the place's rows that those of the whole hand leave, above which the grip gives way
+)
+BY_THE_ARM = np.radians(10.0)  # between rows that errors of the arm may have turned apart
+BEYOND_NOISE = 1.1  # residual over the noise from which another shape is looked for
+LEAST_SAID = 1e-3  # [m] by which a hand must leave what fits best in the same way before it is said
+STATED = 0.68  # share of cases within what is stated
+ADVISED = ("weak-gap", "no-evidence", "no-freedom")  # codes of refusals that other recordings may lift
+DISAGREES = "does not agree with the other recordings"
+IN_ONE_ONLY = "appears in one recording only"
+FEW_JOINTS_AT_ONCE = 1.6  # as of a hand-guided arm with friction
+ALONE = 0.03  # share of the free velocity that breaks rows, up to which one recording alone shows them held
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """What was learnt with one feature map.
+class Rows(NamedTuple):
+    """Lambda in the rows of a feature map, with the levels of all directions and the gap of each number of rows."""
 
-    Attributes:
-        samples: What it was learnt from: all samples, or a choice of them.
-        estimate: Lambda with the evidence.
-        warnings: Doubts so far.
-        rng: For the steps that follow.
-    """
+    features: FeatureMap
+    selection: Float[np.ndarray, "s p"]
+    levels: Float[np.ndarray, " r"]
+    gaps: dict[int, float]
 
-    samples: Samples
-    estimate: Estimate
-    warnings: tuple[str, ...]
-    rng: np.random.Generator
+    @property
+    def gap(self) -> float:
+        """Gap of its number of rows."""
+        return self.gaps.get(len(self.selection), 0.0)
 
 
-def learn_best(feature_maps: Sequence[FeatureMap], part: Part, settings: LearnerSettings) -> Candidate:
-    """An estimate with each feature map; the first, unless a later one is better by more than chance.
-
-    Raises:
-        NotIdentifiableError: The data determine no constraint for any of them; the reason for the first.
-        RecordingError: Outliers.
-    """
-    best: Candidate | None = None
-    refusals: list[NotIdentifiableError] = []
-    for features in feature_maps:
-        try:
-            samples = Samples.collect(features, part.table)
-            warnings = check_samples(samples, part.demonstrations.joint_names, settings.n_constraints)
-            # rows held beyond doubt: the same motion is not self-imposed in other features
-            is_held = best is not None and best.estimate.is_held
-            if best is not None and (is_held and settings.estimator == "auto" or settings.estimator == "null-space"):
-                table = gaps_of_levels(levels(samples)[0], samples.nv)
-                if table.gap(settings.n_constraints or table.best) <= EQUALLY_GOOD * best.estimate.gap:
-                    continue  # the gap depends on the levels alone
-            rng = np.random.default_rng(settings.seed)
-            estimate = _estimate(samples, settings, rng, is_held)
-            warnings += doubts_of_estimate(estimate, samples.nv, settings.n_constraints)
-        except NotIdentifiableError as error:
-            refusals.append(error)
-            continue
-        if best is not None and estimate.name == best.estimate.name == "joint":  # the same velocities
-            better = estimate.nats > best.estimate.nats + SURER_NATS
-        else:
-            better = best is None or estimate.gap > EQUALLY_GOOD * best.estimate.gap
-        if better:
-            best = Candidate(samples, estimate, tuple(warnings), rng)
-    if best is None:
-        raise refusals[0]
-    return best
-
-
-def _estimate(samples: Samples, settings: LearnerSettings, rng: np.random.Generator, rival_is_held: bool) -> Estimate:
-    """By the estimator asked for, or the one that the data select.
-
-    That is the null-space one if the world holds the rows (b = 0), the joint one if the demonstrator moves them:
-    whichever makes the same motion more likely.
-    """
-    if settings.estimator == "joint":
-        return _joint(samples, settings, rng)
-    if settings.estimator == "separate":
-        return estimate_separate(samples, settings.n_constraints, rng)
-    held = estimate_null_space(samples, settings.n_constraints)
-    if settings.estimator == "null-space" or held.is_held or rival_is_held or samples.n_trajectories < 2:
-        return held
-    try:
-        joint = _joint(samples, settings, rng, EXPLAINED)
-    except NotIdentifiableError:
-        return held  # no policy predicts this motion: the evidence is how little some directions are used
-    return joint if joint.nats > held_nats(samples, held.whitened_selection) else held
-
-
-def _joint(
-    samples: Samples, settings: LearnerSettings, rng: np.random.Generator, unexplained: float = np.inf
-) -> Estimate:
-    try:
-        return estimate_imposed(samples, settings.n_constraints, rng, settings.policy_model, unexplained)
-    except np.linalg.LinAlgError as error:
-        raise NotIdentifiableError(
-            "the motion is too short, or too much the same in all recordings, for a model of the null-space policy: "
-            "move further, and differently",
-            code="too-few-samples",
-        ) from error
-
-
-def doubts_of_estimate(estimate: Estimate, nv: int, n_constraints: int | None) -> list[str]:
-    """Warnings about the number of rows, and about what the estimate leaves unexplained.
-
-    Raises:
-        NotIdentifiableError: It was to be found and the data support none, or no joint motion is left free.
-    """
-    warnings = []
-    s, table, gap = estimate.n_rows, estimate.table, estimate.gap
-    verdict = table.verdict(s)
-    if verdict == "none" and n_constraints is None:
-        raise NotIdentifiableError(
-            f"the recordings do not show a constraint: the largest gap is {gap:.2g}, for {counted(s, 'row')}, and "
-            f"{table.weak_from:g} is the least that counts",
-            code="weak-gap",
-            gaps=table.by_count,
-        )
-    if s >= nv:
-        raise NotIdentifiableError(f"{s} constraints leave no null space for {nv} joints", code="no-freedom")
-    if verdict != "clear":
-        warnings.append(
-            f"weak gap: {gap:.2g} for {counted(s, 'row')}, {CLEAR_GAP:g} is clear; the constraint may be "
-            "soft, or the recordings noisy"
-        )
-    if n_constraints is not None and table.best != s and table.verdict(table.best) != "none":
-        warnings.append(
-            f"{counted(s, 'row')} learnt, but the gap supports {table.best}: "
-            f"{table.gap(table.best):.3g} against {gap:.3g}"
-        )
-    if estimate.name == "null-space" and estimate.unexplained > SOFT_ENERGY:
-        warnings.append(
-            f"{100 * estimate.unexplained:.2g} % of the motion's energy breaks the constraint: it is soft, or the "
-            "demonstrator moves the constrained directions on purpose"
-            + advice(" (then use {})", "estimator='joint'", "--estimator joint")
-        )
-    if estimate.name == "joint" and estimate.held_out > EXPLAINED:
-        warnings.append(
-            f"the policy model predicts only {100 * (1 - estimate.held_out):.0f} % of left-out trajectories: the "
-            "null-space motion is not a function of the posture"
-        )
-    return warnings
-
-
-@final
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Answer:
-    """A constraint with all that supports it.
+    """Constraint with its evidence.
 
     Attributes:
-        part: What it was learnt from.
-        candidate: Lambda with the evidence of the fit.
-        evidence: Evidence for each row; None where the demonstrator moves the rows (b unknown).
-        mechanism: What the hand's path says of the mechanism; None if it was not asked for.
-        warnings: Doubts beside those of the candidate and of the mechanism.
+        view, rows: View, and whitened rows (s, r) of the position of the hand, or of the requested features.
+        stretches: Stretches in which the rows are constrained.
+        levels, gaps: See `levels_on` and `gaps_of`.
+        unexplained, held_out: Share of the energy that violates the rows, and the same on held-out recordings.
+        fit, errors, uncertainty: Fit by displacements, draws of its error, and parts of the uncertainty [deg].
+        placed, shape: Mechanism with its place; shape that replaces the rows where no constant rows fit.
+        misfit: See `uncertainty.misfit`.
+        firm: Fit and view of rows of the whole hand, for a firm grip.
+        whole, asked: All rows that constrain the hand, and the rows in the requested axes.
     """
 
-    part: Part
-    candidate: Candidate
-    evidence: RowEvidence | None
-    mechanism: MechanismFit | None
-    warnings: tuple[str, ...]
+    view: View
+    stretches: list[Stretch]
+    rows: np.ndarray
+    levels: np.ndarray
+    gaps: dict[int, float]
+    unexplained: float = 0.0
+    held_out: float = float("nan")
+    estimator: str = "null-space"
+    evidence: Any = None  # Evidence, and RowFit: of rows that are held
+    fit: Any = None
+    errors: Errors | None = None
+    uncertainty: dict[str, float | None] = field(default_factory=dict)
+    mu_uncertainty: float | None = None
+    placed: Placed | None = None
+    shape: Placed | CurveRows | None = None
+    misfit: tuple[float, float] = (0.0, 0.0)
+    warnings: list[str] = field(default_factory=list)
+    policy_model: str | None = None
+    policy_residuals: dict[str, float] = field(default_factory=dict)
+    firm: tuple[RowFit, View] | None = None
+
+    def __post_init__(self) -> None:
+        self.whole = self.asked = Rows(self.view.features, self.view.selection(self.rows), self.levels, self.gaps)
 
     @property
-    def features(self) -> dict[str, Any]:
-        """Phi, described."""
-        return self.candidate.samples.features.describe()
+    def s(self) -> int:
+        """Number of rows."""
+        return len(self.rows)
 
     @property
-    def selection(self) -> Float[np.ndarray, "s p"]:
-        """Lambda, with orthonormal rows."""
-        return self.candidate.samples.selection(self.candidate.estimate.whitened_selection)
+    def gap(self) -> float:
+        """Gap of its number of rows."""
+        return self.gaps.get(self.s, 0.0)
+
+    @property
+    def mechanism(self) -> Mechanism | None:
+        """Mechanism, or None."""
+        if isinstance(self.shape, CurveRows):
+            return Mechanism("other", name=CURVE)
+        return None if self.placed is None else self.placed.mechanism
+
+    @property
+    def uncertainty_deg(self) -> float | None:
+        """Error of the rows that is not exceeded in 68 % of cases [deg]; of the axis if no further row is possible."""
+        known = [part for part in self.uncertainty.values() if part is not None]
+        total = float(np.linalg.norm(known)) if known else None
+        if self.mechanism is not None and len(self.whole.selection) == self.whole.features.n_rows:
+            return self.mechanism.uncertainty.get("axis", total)
+        return total
 
     @property
     def contradiction(self) -> str:
-        """What its own tests say against it, in words; empty if they support it."""
-        estimate, table, evidence = self.candidate.estimate, self.candidate.estimate.table, self.evidence
-        n, best = estimate.n_rows, table.best
-        if evidence is not None and evidence.n_rows < n:
-            return f"the recombination test supports {evidence.n_rows}: {evidence.sentence()}"
-        if best != n and table.gap(best) >= CONTRADICTED * estimate.gap:
-            return f"the gap supports {best}: {table.gap(best):.3g} against {estimate.gap:.3g}"
+        """Contradiction by its own tests, in words; empty if there is none."""
+        if self.firm is not None:  # more rows than were asked of the tests
+            return ""
+        best = max(self.gaps, key=lambda s: self.gaps[s])
+        if self.evidence is not None and self.evidence.n_rows < self.s:
+            return f"the recombination test supports {self.evidence.n_rows}: {self.evidence.sentence()}"
+        if best < self.s and self.gaps[best] >= CONTRADICTED * self.gap:
+            return f"the gap supports {best}: {self.gaps[best]:.3g} against {self.gap:.3g}"
         return ""
 
     @property
     def clear(self) -> bool:
-        """Whether gap and recombination are, and agree."""
-        estimate = self.candidate.estimate
-        told = self.evidence is None or self.evidence.verdict == "clear"
-        return told and estimate.table.verdict(estimate.n_rows) == "clear" and not self.contradiction
-
-    def refusal(self) -> NotIdentifiableError:
-        """Why it is not believed, where something contradicts it."""
-        estimate = self.candidate.estimate
-        rows = counted(estimate.n_rows, "row")
-        return _no_evidence(estimate, f"{rows} would explain the recordings, but {self.contradiction}")
+        """True if evidence and gap are clear."""
+        told = self.evidence is None or self.evidence.verdict(self.s) == "clear"
+        return told and self.gap >= CLEAR_GAP and not self.contradiction
 
 
-def _no_evidence(estimate: Estimate, why: str) -> NotIdentifiableError:
-    """The refusal of rows that nothing shows to be held."""
-    advised = "vary the way and the posture between recordings" + number_if_known(estimate.n_rows)
-    return NotIdentifiableError(why, code="no-evidence", gaps=estimate.table.by_count, advice=(advised,))
+@dataclass(eq=False)
+class Found:
+    """Answers, and the other stretches of the recordings.
 
-
-def find_answers(findings: Findings, everything: Part, settings: LearnerSettings) -> tuple[list[Answer], Findings]:
-    """Learn a constraint from each part; or one from everything as one part, if the demonstrator imposes it.
-
-    The answers are returned clear ones first, then best supported first, with the findings that have a part for each of
-    them. Beside a clear one, those that are not are named and not learnt, unless habits are asked for.
-
-    Raises:
-        NotIdentifiableError: No part determines a constraint; the reason for the first.
+    Attributes:
+        answers: Answers, clear ones first.
+        free: Stretches of free motion.
+        unlearnt: Stretches from which nothing is learnt, with the reason.
+        odd: Number of a recording that does not agree -> the difference in words.
+        warnings: Doubts about all recordings.
     """
-    if not findings.explained:
-        return [_undivided(findings.parts[0], settings, elsewhere=findings.elsewhere)], findings
-    answers, refused = list[Answer](), list[tuple[Part, NotIdentifiableError]]()
-    located, apart = _by_place(findings.parts, settings)
-    for one in located:
-        try:
-            answers.append(_explained(one, settings))
-        except NotIdentifiableError as refusal:
-            refused.append((one.part, refusal))
-    if not answers:
-        raise refused[0][1]
-    best = answers[0]
-    confirmed = best.evidence is not None and best.evidence.verdict == "clear"
-    if settings.estimator == "auto" and not confirmed and not best.candidate.estimate.is_held:
-        # rows that are moved on purpose, if a model of the null-space policy explains all recordings better
-        with suppress(NotIdentifiableError):
-            imposed = learn_best(everything.feature_maps, everything, settings)
-            if imposed.estimate.name == "joint":
-                answer = Answer(everything, imposed, None, None, ())
-                return [answer], dataclasses.replace(findings, parts=(everything,), free=(), odd=(), unlearnt=())
-    if settings.n_constraints is None:
-        refused += [(a.part, a.refusal()) for a in answers if a.contradiction]
-        answers = [a for a in answers if not a.contradiction]
-        if not answers:
-            raise best.refusal()
-    answers.sort(key=lambda a: not a.clear)
-    habits = [a for a in answers if answers[0].clear and not a.clear and not settings.habits]
-    said = [f"a further constraint is not learnt: {refusal}" for _, refusal in refused]
-    for a in habits:
-        rows = counted(a.candidate.estimate.n_rows, "row")
-        said.append(
-            f"{rows} in {counted(len(a.part.stretches), 'stretch')} may be kept by the way of moving rather than held "
-            f"(gap {a.candidate.estimate.gap:.3g}), and are not learnt beside what is clear"
-            + advice("; {} learns them too", "habits=True", "--habits")
-        )
-    unlearnt = (*findings.unlearnt, *((s, DISAGREES) for s in apart))
-    unlearnt += tuple((s, _KEPT) for a in habits for s in a.part.stretches)
-    answers = [a for a in answers if a not in habits]
-    parts = (*(a.part for a in answers), *(part for part, _ in refused))
-    warnings = (*findings.warnings, *_several(answers), *said)
-    moved = {s.trajectory for x in located if x.example for s in x.part.stretches}
-    odd = tuple((i, why) for i, why in findings.odd if i not in moved)
-    return answers, dataclasses.replace(findings, parts=parts, unlearnt=unlearnt, odd=odd, warnings=warnings)
+
+    answers: list[Answer]
+    free: list[Stretch] = field(default_factory=list)
+    unlearnt: list[tuple[Stretch, str]] = field(default_factory=list)
+    odd: dict[int, str] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def is_weak(self, table: Table) -> bool:
+        """Return True if rows that are moved on purpose may explain as much."""
+        best = self.answers[0]
+        told = best.evidence is not None and best.evidence.verdict(best.s) == "clear"
+        told |= best.gap >= CLEAR_GAP and best.unexplained < 1e-4
+        return not told or 2 * len({s.recording for a in self.answers for s in a.stretches}) < len(table)
 
 
-def _several(answers: Sequence[Answer]) -> list[str]:
-    """Warnings about constraints that are nearly the same, and about recordings of different tasks."""
-    said = []
-    for (i, a), (j, b) in combinations(enumerate(answers, start=1), 2):
-        angle = math.degrees(row_space_angle(a.selection, b.selection)) if a.features == b.features else 90.0
-        if angle < NEARLY_SAME_DEG:
-            said.append(
-                f"constraints {i} and {j} differ by {angle:.1f} deg only: two contacts that nearly coincide, or one "
-                "that is not quite constant; they are kept apart, not averaged"
-            )
-    tasks = [{s.trajectory for s in a.part.stretches} for a in answers]
-    if len(tasks) > 1 and not set.intersection(*tasks):
-        shown = listed(counted(len(task), "recording") for task in tasks)
-        said.append(f"the recordings are of {len(tasks)} tasks, {shown}: each constraint is learnt from its own")
-    return said
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class _Located:
-    """A part, the mechanism that holds its stretches, and the stretch whose place is told if each has its own."""
-
-    part: Part
-    mechanism: MechanismFit | None
-    example: Part | None = None
-
-
-def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_Located], list[Stretch]]:
-    """The parts, divided where mechanisms at several places explain one much better than a single one; and stretches
-    that have a place of their own, beside others that share theirs.
-
-    Where most have a place of their own, what holds the hand was moved between recordings: parts of other recordings,
-    with as many rows, are of the same thing.
-    """
-    out, alone, waiting = list[_Located](), list[Stretch](), list(parts)
-    divided = list[Stretch]()
-    # What falls: stretches that were divided from others three times, as two tests may disagree for ever, are joined no
-    # more. So each division leaves fewer divisions for stretches that can be joined, or fewer stretches in a part, and
-    # each join leaves fewer parts.
-    while waiting:
-        part = waiting.pop(0)
-        found = _mechanism(part, settings)
-        places = () if found is None else found.places
-        recordings = [s.trajectory for s in part.stretches]
-        several = len(set(recordings)) > 1  # else the stretches of the only one count as such
-        shared = [group for group in places if len({recordings[i] for i in group} if several else group) > 1]
-        if 2 * sum(map(len, shared)) > sum(map(len, places)):
-            divided += part.stretches
-            waiting[:0] = [_with_own_rows(part.of([part.stretches[i] for i in group])) for group in shared]
-            alone += [part.stretches[i] for group in places if group not in shared for i in group]
-        elif found is not None and places:
-            for other in [x for x in waiting if _same_rows(part, x)]:
-                waiting.remove(other)
-                part = part.of((*part.stretches, *other.stretches))
-            last = max(s.trajectory for s in part.stretches)
-            example = _with_own_rows(part.of([s for s in part.stretches if s.trajectory == last]))
-            there = _mechanism(example, settings)
-            moved = (
-                f"{found.reason}; it was moved between recordings, and is learnt as it stood in "
-                f"{example.demonstrations[0].name}"
-                + advice(": {} says where it stands when the task is repeated", "repeat(moved=...)", "--moved")
-            )
-            out.append(_Located(part, there and dataclasses.replace(there, warnings=(moved,)), example))
-        else:
-            for one in [x for x in out if x.example is None and _same_rows(x.part, part)]:
-                both = (*one.part.stretches, *part.stretches)
-                fits = one.mechanism and one.mechanism.fit, found and found.fit
-                if max(map(divided.count, both)) < 3 and at_one_place(*fits):
-                    # apart for an arm that is not quite its description
-                    out.remove(one)
-                    waiting.insert(0, _with_own_rows(part.of(both)))
-                    break
-            else:
-                out.append(_Located(part, found))
-    return _as_one_curve(out), alone
-
-
-def _as_one_curve(located: list[_Located]) -> list[_Located]:
-    """A single part in the place of those that follow each other without a pause, where the hand goes along one curve
-    that is nearer to its places than the mechanisms of all of them.
-
-    The search sees velocities, and takes a bent rail for several mechanisms in turn.
-    """
-    spans = [(s, x) for x in located for s in x.part.stretches if x.mechanism is not None]
-    runs = list[tuple[Stretch, set[int]]]()
-    for s, x in sorted(spans, key=lambda span: (span[0].trajectory, span[0].start)):
-        last, parts = runs[-1] if runs else (None, set())
-        if last is None or last.trajectory != s.trajectory or s.start - last.end > LONGEST_SLIP_SECONDS:
-            runs.append((s, {id(x)}))
-        else:
-            runs[-1] = Stretch(s.trajectory, last.start, max(last.end, s.end)), parts | {id(x)}
-    longest = {run.trajectory: run for run, parts in sorted(runs, key=lambda r: r[0].duration) if len(parts) > 1}
-    inside = [
-        x
-        for x in located
-        if x.mechanism is not None
-        and all(s.trajectory in longest and s.shared(longest[s.trajectory]) == s.duration for s in x.part.stretches)
-    ]
-    if len(inside) < 2:
-        return located
-    whole = inside[0].part.of(tuple(longest.values()))
-    seconds = [sum(s.duration + 2.0 * CHANGE_SECONDS for s in x.part.stretches) for x in inside]
-    variance = np.average([x.mechanism.variance for x in inside if x.mechanism is not None], weights=seconds)
-    share = min(1.0, sum(seconds) / sum(s.duration for s in whole.stretches))
-    features = inside[0].part.asked[0]
-    if not isinstance(features, FrameJacobian):
-        return located
-    found = find_curve(features.robot, features.frame.name, whole.demonstrations, float(variance), share)
-    if found is None:
-        return located
-    return [_Located(whole, found), *(x for x in located if x not in inside)]
-
-
-def _same_rows(one: Part, other: Part) -> bool:
-    """Whether both have as many rows of the same features, in different recordings."""
-    apart = not {s.trajectory for s in one.stretches} & {s.trajectory for s in other.stretches}
-    alike = one.found is not None and other.found is not None and len(one.found) == len(other.found)
-    return apart and alike
-
-
-def _with_own_rows(part: Part) -> Part:
-    """The part with as many rows as it has, those that its own motion uses least."""
-    if part.found is None:
-        return part
-    samples = Samples.collect(part.feature_maps[0], part.table)
-    return dataclasses.replace(part, found=samples.selection(levels(samples)[1][: len(part.found)]))
-
-
-def _explained(located: _Located, settings: LearnerSettings) -> Answer:
-    """The constraint of a part in which rows are known to be held.
-
-    Raises:
-        NotIdentifiableError: The part determines no constraint.
-    """
-    asked, part, mechanism = settings.n_constraints, located.part, located.mechanism
-    there = located.example or part
-    features, n = part.feature_maps[0], None if part.found is None else len(part.found)
-    rows = mechanism_rows(mechanism, part.asked, there.demonstrations) if asked is None else None
-    evidence = None if rows is None else _evidence(rows, part, settings)
-    if rows is not None and evidence is not None and evidence.n_rows == rows.n_rows:
-        features, n = rows, rows.n_rows
-    elif asked is None and isinstance(features, PlaceRows):
-        features, n = _straight(mechanism, part) or (features, n)
-    held = dataclasses.replace(settings, estimator="null-space", n_constraints=asked or n)
-    candidate = learn_best((features,), there, held)
-    if isinstance(features, PlaceRows) and candidate.estimate.table.verdict(candidate.estimate.n_rows) == "none":
-        # a contact that gives way does not determine few rows among many: plainer ones it does
-        candidate = learn_best(part.asked, there, held)
-    if evidence is None or candidate.samples.features is not rows:
-        evidence = _evidence(candidate.samples.features, part, settings)
-    return Answer(part, candidate, evidence, mechanism, _doubts(evidence, candidate.estimate.n_rows, asked))
-
-
-def _straight(found: MechanismFit | None, part: Part) -> tuple[FeatureMap, int] | None:
-    """The rows asked for along the base's axes, and how many of them a line, a plane or an orientation holds."""
-    if found is None or found.rival or not isinstance(found.features, FrameJacobian):
-        return None
-    maps = [f for f in part.asked if isinstance(f, FrameJacobian) and f.reference == "world"]
-    if not maps or found.selection is None:
-        return None
-    held = dict(zip(found.features.row_names, found.selection.T, strict=True))
-    columns = [held.get(name, np.zeros(len(found.selection))) for name in maps[0].row_names]
-    return maps[0], int(np.linalg.matrix_rank(np.stack(columns), 1e-6))
-
-
-def _undivided(part: Part, settings: LearnerSettings, *, elsewhere: bool) -> Answer:
-    """The constraint of recordings that nothing explains: one that the demonstrator imposes, or too few recordings.
-
-    Raises:
-        NotIdentifiableError: There is none.
-    """
-    candidate = learn_best(part.feature_maps, part, settings)
-    if candidate.estimate.name != "null-space":
-        return Answer(part, candidate, None, None, ())
-    evidence, s = _evidence(candidate.samples.features, part, settings), candidate.estimate.n_rows
-    answer = Answer(part, candidate, evidence, None, _doubts(evidence, s, settings.n_constraints))
-    if settings.n_constraints is not None or not evidence.strengths or (elsewhere and evidence.n_rows == s):
-        return answer
-    if evidence.enough:
-        unused = f"{counted(s, 'direction')}, gap {candidate.estimate.gap:.3g}"
-        raise _no_evidence(
-            candidate.estimate,
-            f"nothing shows that what the motion leaves unused ({unused}) is held rather than never tried: "
-            f"{evidence.sentence()}",
-        )
-    said = (
-        f"record 3, better 5, that differ: {counted(evidence.n_trajectories, 'recording')} cannot show that "
-        f"{counted(s, 'row')} held rather than never tried"
+def _moved_on_purpose(found: Imposed) -> Answer:
+    """Return the answer for rows that the demonstrator drives."""
+    stretches = [Stretch(i, *map(float, found.view.table.ends[i])) for i in range(len(found.view.table))]
+    return Answer(
+        found.view,
+        stretches,
+        found.fit.rows,
+        found.levels,
+        found.gaps,
+        found.fit.unexplained,
+        found.held_out,
+        found.estimator,
+        uncertainty=found.uncertainty,
+        warnings=found.warnings,
+        policy_model=found.policy_model,
+        policy_residuals=found.policy_residuals,
+        mu_uncertainty=None if found.errors is None else mu_within(found.view, found.fit, found.errors),
     )
-    mechanism = _mechanism(part, settings) if evidence.n_rows else None
-    return dataclasses.replace(answer, mechanism=mechanism, warnings=(said,))
 
 
-def _evidence(features: FeatureMap, part: Part, settings: LearnerSettings) -> RowEvidence:
-    pieces = [part.demonstrations[k] for k in once_each(part.stretches, part.demonstrations)]
-    rng = np.random.default_rng(settings.seed)
-    tested = recombination_test(features, pieces, rng, part.choices, settings.strength)
-    return dataclasses.replace(tested, firm=part.firm)
+def learn(
+    table: Table,
+    asked: Sequence[FeatureMap],
+    settings: Settings,
+    progress: Callable[[str, float], None],
+    facts: Sequence[str] = (),
+) -> Found:
+    """Return an answer for each part of the recordings, clear ones first.
 
+    Args:
+        table: The samples.
+        asked: Feature maps, among which the evidence decides.
+        settings: Settings of the fit.
+        progress: Function of the name of a stage and its completed share.
+        facts: Facts about the recordings, added to a refusal.
 
-def _doubts(evidence: RowEvidence, s: int, asked: int | None) -> tuple[str, ...]:
-    if evidence.n_rows == s or not evidence.strengths:
-        return () if evidence.verdict == "clear" else (f"weak evidence: {evidence.sentence()}",)
-    wanted = "asked for" if asked is not None else "explain the recordings"
-    return (f"{counted(s, 'row')} {wanted}, the recombination test supports {evidence.n_rows}: {evidence.sentence()}",)
-
-
-def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
-    """What holds the frame of the features, where they are the rows of one."""
-    maps = [f for f in part.feature_maps if isinstance(f, FrameJacobian | PlaceRows)]
-    if not settings.mechanism or not maps or settings.estimator not in ("auto", "null-space"):
-        return None
-    motion = [part.demonstrations[i] for i in evenly(len(part.demonstrations), MOST_PATHS).tolist()]
-    rng = np.random.default_rng(settings.seed)
-    try:
-        held = None if part.found is None else (part.feature_maps[0], part.found)
-        believed = {"strength": settings.strength, "arm": settings.arm}
-        return find_mechanism(maps[0].robot, maps[0].frame.name, motion, rng, held=held, **believed)
-    except NotIdentifiableError:
-        return None
-
-
-def mechanism_rows(
-    found: MechanismFit | None, feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations
-) -> MechanismRows | CurveRows | None:
-    """The rows of a mechanism that depend on the place, in the axes asked for and in which the arm can move.
-
-    Rows across the axis about which alone the hand may turn are constant, but the path of the hand tells that axis
-    better than its velocity does where the hand sways: what sways to and fro has a large rate and a small angle.
+    Raises:
+        NotIdentifiableError: There is no answer; says what to do, and why.
+        RecordingError: An outlier, or features for another number of joints.
     """
-    if found is None or found.mechanism is None:
+    found = _learn(table, replace(settings, asked=tuple(asked)), progress)
+    if isinstance(found, Found):
+        return found
+    raise advised(found, table, settings, facts) if isinstance(found, NotIdentifiableError) else found
+
+
+def advised(
+    refusal: NotIdentifiableError, table: Table, settings: Settings, facts: Sequence[str]
+) -> NotIdentifiableError:
+    """Return the refusal with advice: the likeliest remedies first, then the reason and the facts."""
+    causes, few = list(refusal.advice), len(table) < FEWEST
+    if refusal.code in ADVISED:
+        if few:
+            differ = f"that differ in way and posture, not {counted(len(table), 'recording')}"
+            causes.append(f"record at least {FEWEST}, better 5, {differ}")
+        if not settings.phases:
+            allowed = advice(", or allow {}", "phases='auto'", "--phases auto")
+            whole = "since no single constraint fits them as a whole"
+            causes.append(f"cut the recordings to the contact, {whole}{allowed}")
+        if still := still_joints(table.joint_names, table.u):
+            locked = advice(" ({})", f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still))
+            causes.append(f"move {named('joint', still)} too, or lock what shall hardly move{locked}")
+        if (fastest := float(np.max(np.abs(table.u)))) < REST_SPEED:
+            causes.append(f"move faster, noise hides a motion in which no joint exceeds {fastest:.2g} rad/s")
+        if not causes:
+            causes.append(
+                "record the task again, with the hand at what holds it, from other starts: no stretch of the "
+                "recordings obeys a constraint that several confirm, as in free motion"
+            )
+    if not causes and not facts:
+        return refusal
+    why = "; ".join([str(refusal), *facts])
+    said = f"{'; or '.join(causes[:2])}. {why[0].upper()}{why[1:]}" if causes else why
+    return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*causes, *facts))
+
+
+def _learn(table: Table, settings: Settings, progress: Callable[[str, float], None]) -> Found | ManipLearnError:
+    """Return the answers, or a refusal without advice."""
+    acting = {f.nv for f in settings.asked} - {table.u.shape[1]}
+    if acting:
+        moved, nv = table.u.shape[1], min(acting)
+        return RecordingError(
+            f"the demonstrations have {moved} joint velocities, the features act on {nv}", code="shape"
+        )
+    asked = [v for v in (View(f, table) for f in settings.asked) if v.r]
+    if not asked:
+        return NotIdentifiableError(
+            "all rows are zero on these demonstrations: choose axes in which the frame can move", code="zero-features"
+        )
+    if refusal := unusable(table, asked[0].r, settings.n_constraints):
+        return refusal
+    if settings.estimator in ("joint", "separate"):
+        imposed = learn_imposed(asked, settings)
+        return Found([_moved_on_purpose(imposed)]) if isinstance(imposed, Imposed) else imposed
+    general = settings.mechanism and settings.n_constraints is None
+    maps = (place_maps(settings.asked, table), whole_maps(settings.asked, table)) if general else (settings.asked, ())
+    first, whole = ([v for v in (View(f, table) for f in some) if v.largest > 0] for some in maps)
+    switch = settings.switch if settings.phases else np.inf
+    curved = [View(f, table) for f in surface_maps(settings.asked, table)] if general and len(table) >= FEWEST else []
+    gates = {
+        view: Gate(rivals, settings.seed, settings.strength)
+        for views, rivals in ((first, first), (whole, [*first, *whole]), (curved, curved))
+        for view in views
+    }
+
+    def believed(view: View, h: Hypothesis, stretches: list[Stretch]) -> bool:
+        return (view not in curved or h.s < 3) and gates[view](view, h.rows, h.scale[1], stretches)
+
+    # the place of the hand first; then its whole twist, if that does not explain; then curved surfaces
+    out, refusal = None, None
+    for share, views in enumerate(([*first, *whole], whole if first else [], curved)):
+        progress("searching", 0.2 * share)
+        if not views:
+            continue
+        found = explain(views, believed, switch, len(first) if views[0] in first else 0)
+        if found.hypotheses:
+            progress("fitting", 0.2 * share + 0.1)
+            now = _divided(found, [*first, *whole, *curved], whole, gates[views[-1]], settings)
+            if isinstance(now, Found):
+                out = now
+                break
+            refusal = refusal or now
+    if settings.estimator == "auto" and len(table) > 1 and (out is None or out.is_weak(table)):
+        imposed = learn_imposed(asked, settings, rival=None if out is None else out.answers[0])
+        if isinstance(imposed, Imposed):
+            return Found([_moved_on_purpose(imposed)])
+    if out is None:
+        return refusal or _undivided(asked, Gate(asked, settings.seed, settings.strength), settings)
+    out.answers = [completed(a, settings) for a in out.answers]
+    return out
+
+
+# ------------------------------------------------------------------------------------------- recordings with parts
+
+
+def _divided(
+    found: Explanation, views: list[View], whole: list[View], gate: Gate, settings: Settings
+) -> Found | NotIdentifiableError:
+    """Return the answers for an explanation: fitted by displacements, and divided by place."""
+    table, states = found.views[0].table, found.fine_states()
+    parts: list[tuple[View, np.ndarray, float, list[Stretch]]] = []
+    for k in np.argsort(-found.supports):
+        h = found.hypotheses[k]
+        view = found.views[h.view]
+        spans = [sharpened(view, h.rows, s) for s in found.stretches(k + 1, states)]
+        usual = np.median([s.duration for s in spans]) if spans else 0.0
+        spans = [s for s in spans if s.duration >= SHORT_STRETCH * usual and len(table.piece(s)) > 2]
+        if spans:
+            parts.append((view, h.rows, h.scale[1], spans))
+    out, refused, waiting = Found([]), [], list(parts)
+    done: list[tuple[RowFit, View, float, list[Stretch]]] = []
+    while waiting:
+        view, rows, share, spans = waiting.pop(0)
+        alike = [v for v in views if has_turns(v) == has_turns(view)]
+        given, spans = spans, steady(view, rows, spans)
+        fit, view = best_fit(alike, view, rows, spans, settings)
+        if len(spans) < len(given) and len(again := steady(view, fit.rows, given)) > len(spans):
+            spans = again
+            fit, view = best_fit(alike, view, fit.rows, spans, settings)
+        slipped = [s for s in given if s not in spans]
+        for s in slipped:
+            out.odd[s.recording] = differs(table, s.recording, view, fit, [s], {x.recording for x in spans})
+        out.unlearnt += [(s, DISAGREES) for s in slipped]
+        shared = None
+        for j, (other, v, _, theirs) in enumerate(done):  # apart for an arm that is not quite its description
+            if (
+                v is view
+                and other.rows.shape == fit.rows.shape
+                and row_space_angle(v.selection(other.rows), v.selection(fit.rows)) < BY_THE_ARM
+                and not {s.recording for s in theirs} & {s.recording for s in spans}
+            ):
+                both, _ = best_fit([view], view, other.rows, [*theirs, *spans], settings)
+                if len(groups_of(both)) == 1:
+                    shared = j
+                    fit, spans = both, [*theirs, *spans]
+                    break
+        if shared is not None:
+            done[shared] = (fit, view, share, spans)
+            continue
+        groups = groups_of(fit)
+        several = [g for g in groups if len(g) > 1]
+        if len(groups) > 1 and 2 * sum(map(len, several)) > len(set(fit.motion.recs)):
+            for g in several:
+                own = [s for s in spans if s.recording in g]
+                done.append((*best_fit([view], view, fit.rows, own, settings)[:1], view, share, own))
+            for g in groups:
+                if len(g) == 1:
+                    (i,) = g
+                    out.odd[i] = differs(
+                        table, i, view, done[-len(several)][0], [s for s in spans if s.recording == i], several[0]
+                    )
+                    out.unlearnt += [(s, DISAGREES) for s in spans if s.recording == i]
+        elif len(groups) > 1:
+            last = max(fit.motion.recs)
+            own = [s for s in spans if s.recording == last]
+            done.append((best_fit([view], view, fit.rows, own, settings)[0], view, share, spans))
+            out.warnings.append(
+                f"what holds the hand is not at the same place in all recordings ({len(groups)} places of "
+                f"{len(set(fit.motion.recs))}): it was moved between recordings, and is learnt as it stood in "
+                f"{table.moved[last].name}"
+            )
+        else:
+            done.append((fit, view, share, spans))
+    for fit, view, share, spans in done:
+        answer = answered(fit, view, spans, share, gate, whole, settings)
+        if isinstance(answer, NotIdentifiableError):
+            refused.append((spans, answer))
+        else:
+            out.answers.append(answer)
+    if not out.answers:
+        return refused[0][1]
+    out.answers.sort(key=lambda a: (not a.clear, a.gap < CLEAR_GAP))
+    if out.answers[0].gap >= CLEAR_GAP and not settings.habits:
+        for a in [a for a in out.answers if not a.clear and (out.answers[0].clear or a.gap < CLEAR_GAP)]:
+            out.answers.remove(a)
+            out.unlearnt += [(s, "kept, not shown to be held") for s in a.stretches]
+            out.warnings.append(
+                f"{counted(a.s, 'row')} in {counted(len(a.stretches), 'stretch')} may be kept by the way of moving "
+                f"rather than held (gap {a.gap:.3g}), and are not learnt beside what is clear"
+            )
+    out.warnings += [f"a further constraint is not learnt: {r}" for _, r in refused]
+    for spans, _ in refused:
+        out.unlearnt += [(s, "what several recordings show here could not be learnt") for s in spans]
+    tasks = [{s.recording for s in a.stretches} for a in out.answers]
+    if len(tasks) > 1 and not set.intersection(*tasks):
+        shown = " and ".join(counted(len(t), "recording") for t in tasks)
+        out.warnings.append(
+            f"the recordings are of {len(tasks)} tasks, {shown}: each constraint is learnt from its own"
+        )
+    for i, (a, b) in enumerate(pairwise(out.answers)):
+        if (
+            a.view is b.view
+            and a.s == b.s
+            and (deg := np.degrees(row_space_angle(a.view.selection(a.rows), b.view.selection(b.rows)))) < 5.0
+        ):
+            out.warnings.append(
+                f"constraints {i + 1} and {i + 2} differ by {deg:.1f} deg only: they are kept apart, not averaged"
+            )
+    _odd_ones(out, table)
+    taken = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
+    if settings.phases and len(table) > 1:
+        lone = [s for s in lone_contacts(found, gate) if not any(overlap(s, other) > 0.0 for other in taken)]
+        out.unlearnt += [(s, IN_ONE_ONLY) for s in lone]
+        taken += lone
+    held = table.inside(taken)
+    out.free = found.stretches(0, np.where(held, 1, 0))
+    return out
+
+
+def overlap(a: Stretch, b: Stretch) -> float:
+    """Return the time that two stretches share [s]."""
+    return min(a.end, b.end) - max(a.start, b.start) if a.recording == b.recording else 0.0
+
+
+def lone_contacts(found: Explanation, gate: Gate) -> list[Stretch]:
+    """Return further stretches in which rows are firmly constrained in one recording alone.
+
+    They are named, so that they can be recorded again, and not learnt.
+    """
+    out = list[Stretch]()
+    for i in range(len(found.views[0].table)):
+        views = [v.of_recording(i) for v in found.views]
+        rest = Explanation(views, found.hypotheses, found.switch)
+        places = [k for k, v in enumerate(views) if not has_turns(v) and not is_surface(v)]
+        free = np.sum(views[0].thin.weight[(rest.states == 0) & views[0].thin.moving()])
+        found_alone = candidates(rest, places) if free > SHORTEST else []
+        firm = [h for h in found_alone if h.scale[1] <= ALONE and h.support > LEAST_GAIN]
+        if not firm:
+            continue
+        h = max(firm, key=lambda h: h.support)
+        alone, k = rest.with_([*found.hypotheses, h]), len(found.hypotheses)
+        values, time = alone.values[:, k + 1] - alone.others(k), views[0].thin.time
+        for s in alone.stretches(k + 1, alone.fine_states()):
+            # less the quarter that gains most, the price, and the change into it and out of it
+            parts = [values[(time >= a) & (time < b)].sum() for a, b in pairwise(np.linspace(s.start, s.end, 5))]
+            worth = sum(parts) - max(parts) - h.price(s.duration) - found.switch
+            there = s._replace(recording=i)
+            if worth > LEAST_GAIN and gate.evidence(found.views[h.view], [there]).n_rows >= h.s:
+                out.append(there)
+    return out
+
+
+def _odd_ones(out: Found, table: Table) -> None:
+    """Name recordings that do not show a constraint of most, and those with an interrupted contact, as by a slip."""
+    elsewhere = [s for a in out.answers for s in a.stretches]
+    for a in out.answers:
+        shown = {s.recording for s in a.stretches}
+        others = {s.recording for s in elsewhere} - shown
+        if len(shown) >= max(2.0, SHOWN_BY * len(table)):
+            for i in set(range(len(table))) - shown - set(out.odd) - (others if len(out.answers) > 1 else set()):
+                out.odd[i] = differs(table, i, a.view, a.fit, [Stretch(i, *table.ends[i])], shown)
+        usual = np.median([sum(s.recording == i for s in a.stretches) for i in shown])
+        m = a.view.all
+        for i in shown:
+            own = sorted(s for s in a.stretches if s.recording == i)
+            for x, y in pairwise(own if len(own) > usual else ()):
+                gap = Stretch(i, x.end, y.start)
+                if gap.duration > 1.5 or any(
+                    s.recording == i and s.start < y.start and s.end > x.end for s in elsewhere if s not in own
+                ):
+                    continue
+                inside = table.inside([gap])
+                way = np.cumsum(m.rates[inside] * m.weight[inside, None], axis=0) @ a.rows.T
+                held = np.median([np.ptp(a.fit.motion.y[p] @ a.rows.T, axis=0).max() for p in a.fit.motion.parts])
+                if len(way) and np.ptp(way, axis=0).max() > 5.0 * held:
+                    out.odd.setdefault(
+                        i,
+                        f"its contact is interrupted from {x.end:.2f} s to {y.start:.2f} s, as by a slip: "
+                        f"{differs(table, i, a.view, a.fit, [gap], shown)}",
+                    )
+
+
+def differs(table: Table, i: int, view: View, fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
+    """Return the motion of a recording along rows that others constrain, in words.
+
+    Args:
+        table: The samples.
+        i: Number of the recording.
+        view: View of the rows of the others.
+        fit: Their fit.
+        spans: Stretches of the recording.
+        others: Numbers of the others.
+    """
+    rows, inside = view.selection(fit.rows), table.inside(spans)
+    rates = np.einsum("npv,nv->np", view.Phi[inside], table.u[inside]) @ rows.T
+    way = np.cumsum(rates * table.weight[inside, None], axis=0)
+    worst = np.linalg.svd(way - way.mean(axis=0), full_matrices=False)[2][0] if len(way) else np.eye(len(rows))[0]
+    still = fit.motion.y @ np.linalg.pinv(view.W).T @ rows.T @ worst
+    held = [np.ptp(still[p]) for p, j in zip(fit.motion.parts, fit.motion.recs, strict=True) if j in others]
+    row, unit = worst @ rows, "mm (or mrad)" if has_turns(view) else "mm"
+    words = sum_in_words(row * np.sign(row[np.argmax(np.abs(row))]), view.features.row_names, "+.2f", 0.05)
+    when = f", fastest at {table.time[inside][np.argmax(np.abs(rates @ worst))]:.2f} s" if len(way) else ""
+    return (
+        f"{table.moved[i].name} moves {1e3 * np.ptp(way @ worst) if len(way) else 0.0:.3g} {unit} along a direction "
+        f"({words}) that {len(others)} others hold still (median {1e3 * np.median(held) if held else 0.0:.2g}){when}"
+    )
+
+
+def sharpened(view: View, rows: np.ndarray, s: Stretch) -> Stretch:
+    """Return the stretch without ends that have moved along the rows further than its inner part.
+
+    A hand that leaves a surface at a flat angle has moved along the rows before its velocity shows it.
+    """
+    m, inside = view.all, view.table.inside([s])
+    time = m.time[inside]
+    inner = (time >= s.start + SHORTEST) & (time <= s.end - SHORTEST)
+    if s.duration < 4.0 * SHORTEST or np.count_nonzero(inner) < 10:
+        return s
+    way = np.cumsum(m.rates[inside] * m.weight[inside, None], axis=0) @ rows.T
+    away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
+    left = time[(away > 2.5 * np.quantile(away[inner], 0.9)) & ~inner]
+    before, after = left[left < s.start + SHORTEST], left[left > s.end - SHORTEST]
+    first, last = view.table.ends[s.recording]
+    start = float(time[time > before[-1]][0]) if len(before) and s.start > first else s.start
+    end = float(time[time < after[0]][-1]) if len(after) and s.end < last else s.end
+    return Stretch(s.recording, start, end)
+
+
+def has_turns(view: View) -> bool:
+    """Return True if the view has rows of rotation."""
+    return "rad/s" in view.features.row_units
+
+
+def is_surface(view: View) -> bool:
+    """Return True if surfaces of second order are constant rows of the view."""
+    return getattr(view.features, "form", "") == "surface"
+
+
+def best_fit(
+    candidates: Sequence[View], view: View, rows: np.ndarray, spans: Sequence[Stretch], settings: Settings
+) -> tuple[RowFit, View]:
+    """Return the fit by displacements, in the plainest features that explain these stretches as well as any.
+
+    Args:
+        candidates: Views to compare.
+        view: View of the rows.
+        rows: shape (s, r), whitened, where the fit begins.
+        spans: Stretches in which they are constrained.
+        settings: Settings of the fit.
+    """
+    s = settings.n_constraints or len(rows)
+    table = view.table
+
+    def fitted(v: View) -> RowFit:
+        start = rows if v is view and s == len(rows) else np.linalg.qr(levels_on(v, spans)[1][:s].T)[0].T
+        return RowFit(Motion.of(v, spans, settings), start).best()
+
+    fits = [(fitted(v), v) for v in candidates if (v.largest >= s or v is view) and (v is view or not is_surface(v))]
+    best = fits[0]
+    for fit, v in fits[1:]:
+        if fit.nats(best[0]) > OTHER_VIEW:
+            best = fit, v
+    curved = [v for v in candidates if is_surface(v) and v is not view] if s == 1 else []
+    if curved and min(misfit(best[0])[0] / LEAST_GAIN, misfit(best[0])[1] / LEAST_SAID) > 1.0:
+        fit = fitted(curved[0])  # what has another shape, beyond what the arm's own errors explain
+        gaps = gaps_of(levels_on(curved[0], spans)[0], table.u.shape[1])
+        if fit.nats(best[0]) > LEAST_GAIN and gaps.get(s, 0.0) >= WEAK_GAP:
+            return fit, curved[0]
+    near = [(f, v) for f, v in fits if best[0].nats(f) < OTHER_VIEW]
+    return next((x for x in near if is_named(*x)), near[0]) if near else best
+
+
+def answered(
+    fit: RowFit, view: View, spans: list[Stretch], share: float, gate: Gate, whole: Sequence[View], settings: Settings
+) -> Answer | NotIdentifiableError:
+    """Return the constraint of stretches, with its evidence and its doubts; or a refusal.
+
+    Args:
+        fit: Rows, fitted by displacements.
+        view: Their view.
+        spans: Stretches in which they are constrained.
+        share: Share of the free velocity that violates them, see `Hypothesis.scale`.
+        gate: Test of the evidence.
+        whole: Views of the whole twist of the hand.
+        settings: Settings of the fit.
+    """
+    table = view.table
+    levels, _ = levels_on(view, spans)
+    a = Answer(view, spans, fit.rows, levels, gaps_of(levels, table.u.shape[1]), fit=fit)
+    m, inside = view.all, table.inside([table.learnt_from(s) for s in spans])
+    A, r = fit.rows @ (view.W @ view.Phi[inside]), m.rates[inside] @ fit.rows.T
+    gram = A @ A.transpose(0, 2, 1) + 1e-14 * np.eye(a.s)
+    energy = max(float(np.sum(table.u[inside] ** 2)), 1e-300)
+    a.unexplained = a.held_out = float(np.sum(r * np.linalg.solve(gram, r[:, :, None])[:, :, 0])) / energy
+    a.evidence = gate.evidence(view, spans)
+    if is_firm(view, fit.rows, share, spans):
+        a.evidence = replace(a.evidence, firm=a.s)
+    known = placed(view, fit, None) if settings.mechanism else None
+    if whole and not has_turns(view) and (known is None or "axis" in known.kind.unknowns):
+        a.firm = whole_fit(whole, fit, lambda f, v: gate.evidence(v, spans).verdict(len(f.rows)) == "clear")
+        if a.firm and known is not None and held_kind(known, fit.motion)[0] is not known.kind:
+            # a grip that gives way turns more than it slides: where the place tells as much, it tells it better
+            a.firm = a.firm if a.firm[0].variance <= GIVING * fit.variance else None
+    refusal = _refused(a, settings)
+    if refusal is not None:
+        return refusal
+    a.misfit = misfit(fit)
+    last, seen = a.firm or (fit, view)
+    a.errors = errors_of(last, settings.arm, np.random.default_rng(settings.seed))
+    if a.errors is not None:
+        for part, B in (("noise", a.errors.noise), ("joint zeros", a.errors.arm)):
+            off = float(np.degrees(np.quantile(angles(last.rows, seen.W, B), STATED)))
+            a.uncertainty[part] = off if part == "noise" or off > 1e-9 else 0.0
+        a.mu_uncertainty = mu_within(seen, last, a.errors, inside)
+    if settings.mechanism:
+        a.placed = placed(seen, last, a.errors)
+        if a.firm is None and a.misfit[0] > LEAST_GAIN and over_noise(a) > BEYOND_NOISE:
+            a.shape = reshaped(fit, a.placed, a.uncertainty.get("joint zeros") or 0.0)
+            a.placed = a.placed if a.shape is None else a.shape if isinstance(a.shape, Placed) else None
+    a.warnings += _doubts(a, settings)
+    return a
+
+
+def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
+    """Return the refusal of rows, or None."""
+    nv, rows = a.view.table.u.shape[1], counted(a.s, "row")
+    if a.s >= nv:
+        return NotIdentifiableError(f"{a.s} constraints leave no null space for {nv} joints", code="no-freedom")
+    if settings.n_constraints is not None or a.firm is not None:
         return None
-    features, mechanism = found.features, found.mechanism
-    if isinstance(features, CurveRows):
-        return features
-    if isinstance(features, FrameJacobian) and mechanism.type == "held-orientation" and mechanism.axis is not None:
-        # the rows across the axis
-        features = MechanismRows(features.robot, features.frame.name, ("turn-1", "turn-2"), axis=mechanism.axis)
-    if not isinstance(features, MechanismRows):
-        return None
-    units = {unit for f in feature_maps for unit in f.row_units if unit != "m^2/s"}
-    names = tuple(n for n, unit in zip(features.row_names, features.row_units, strict=True) if unit in units)
-    if units == {"m/s"}:
-        names = POSITION_ROWS.get(mechanism.type, ())
-    if names:
-        # whether the arm can move the frame along each row, somewhere on the recordings
-        few = np.concatenate([t.q[:: max(1, len(t) // 10)] for t in demonstrations])
-        size = np.linalg.norm(features.with_rows(names, features.radius).batch(few), axis=2).max(axis=0)
-        names = tuple(n for n, moves in zip(names, size > BLIND, strict=True) if moves)
-    return features.with_rows(names, features.radius) if names else None
+    if a.gap < WEAK_GAP:
+        return NotIdentifiableError(
+            f"the recordings do not show a constraint: the gap is {a.gap:.2g} for {rows}, and {WEAK_GAP:g} is the "
+            "least that counts",
+            code="weak-gap",
+            gaps=a.gaps,
+        )
+    told = a.evidence is None or a.evidence.n_pieces < FEWEST or a.evidence.verdict(a.s) == "clear"
+    soft = a.gap < CLEAR_GAP and not at_one_place(a.fit, a.view)
+    if over_noise(a) > ABSOLUTE and (soft or (not told and a.gap < CONTRADICTED * CLEAR_GAP)):
+        return NotIdentifiableError(
+            f"{rows} would be soft (gap {a.gap:.2g}), and what holds the hand would be elsewhere in each recording, as "
+            "in free motion",
+            code="no-evidence",
+            gaps=a.gaps,
+        )
+    if a.contradiction:
+        return NotIdentifiableError(
+            f"{rows} would explain the recordings, but {a.contradiction}",
+            code="no-evidence",
+            gaps=a.gaps,
+            advice=("vary the way and the posture between recordings" + number_if_known(a.s),),
+        )
+    return None
+
+
+def _doubts(a: Answer, settings: Settings) -> list[str]:
+    """Return doubts about an answer, in sentences."""
+    out, rows, fit = list[str](), counted(a.s, "row"), a.fit
+    best = max(a.gaps, key=lambda s: a.gaps[s])
+    if a.firm is None:
+        if settings.n_constraints is not None and best != a.s and a.gaps[best] >= WEAK_GAP:
+            out.append(f"{rows} learnt, but the gap supports {best}: {a.gaps[best]:.3g} against {a.gap:.3g}")
+        if settings.n_constraints is None and best > a.s and a.gaps[best] >= CONTRADICTED * a.gap:
+            out.append(
+                f"{counted(best - a.s, 'row')} more {'is' if best - a.s == 1 else 'are'} kept, softly (gap "
+                f"{a.gaps[best]:.3g}): by the way of moving, or by something that gives way"
+            )
+    if a.unexplained > SOFT_ENERGY:
+        out.append(
+            f"{100 * a.unexplained:.2g} % of the motion's energy breaks the constraint: it is soft, or the "
+            "demonstrator moves the constrained directions on purpose"
+        )
+    if len(a.evidence.strengths) and a.evidence.n_rows < a.s:
+        asked = "asked for" if settings.n_constraints else "explain the recordings"
+        out.append(f"{rows} {asked}, the recombination test supports {a.evidence.n_rows}: {a.evidence.sentence()}")
+    elif a.evidence.verdict(a.s) != "clear":
+        out.append(f"weak evidence: {a.evidence.sentence()}")
+    table = a.view.table
+    noise = table.noise[table.first[:-1]]
+    together = np.median(
+        [joints_at_once(t, noise[s.recording]) for t, s in zip(map(table.piece, a.stretches), a.stretches, strict=True)]
+    )
+    if together < FEW_JOINTS_AT_ONCE and table.u.shape[1] > 3:
+        out.append(
+            f"only {together:.1f} joints move at a time: friction of a hand-guided arm looks like a constraint; move "
+            "all joints together"
+        )
+    if a.errors is not None and a.errors.beyond and settings.arm.zeros:
+        off, ratio = np.degrees(a.errors.beyond), a.errors.beyond / settings.arm.zeros
+        out.append(
+            f"joints' zeros {off:.2g} degrees off, or links {1e3 * ratio * settings.arm.links:.2g} mm, would explain "
+            f"what is left: {ratio:.0f} times what joint_offset_std and link_error_std say. Is this the robot that was "
+            "recorded?"
+        )
+    (gain, left), times = a.misfit, over_noise(a)
+    if a.shape is not None:
+        return out
+    if left > LEAST_SAID and gain > LEAST_GAIN:
+        out.append(
+            f"the hand leaves what fits best by {1e3 * left:.2g} mm (or mrad) in the same way in all recordings: what "
+            "holds it has another shape, and is near to this one only there"
+        )
+    elif left > LEAST_SAID and fit.alike > 2.0 and times > ABSOLUTE:
+        out.append(
+            f"the hand leaves what fits best by {1e3 * left:.2g} mm (or mrad), {times:.0f} times what the encoders' "
+            "noise explains: it gives way, or has another shape"
+        )
+    if is_surface(a.view) and not is_named(fit, a.view):
+        out.append(
+            "what holds the hand is a curved surface of no simple kind: its rows are right near the places that were "
+            "shown"
+        )
+    return out
+
+
+def completed(a: Answer, settings: Settings) -> Answer:
+    """Return the answer with all rows of the hand, its grip, and the rows in the requested axes."""
+    table, known, (fit, view) = a.view.table, a.placed, a.firm or (a.fit, a.view)
+    if a.firm is not None:
+        levels = fit.motion.levels
+        a.whole = a.asked = Rows(view.features, view.selection(fit.rows), levels, gaps_of(levels, table.u.shape[1]))
+    if known is not None:
+        if known.doubt:
+            a.warnings.append(known.doubt)
+        kind, rms, apart = held_kind(known, fit.motion)
+        kept = rms < min(KEPT, apart / WEAK_GAP)
+        grip: Grip = "firm" if kind.orientation != "free" else "kept" if kept else "loose"
+        known = known.of_kind(kind)
+        a.placed = replace(known, mechanism=replace(known.mechanism, grip=grip, orientation_rms=rms))
+        if isinstance(view.features, PlaceRows) or a.firm or a.shape or grip == "firm":
+            features, selection = a.placed.rows(view)
+            gaps = a.whole.gaps if a.firm is not None else {len(selection): a.gap}
+            a.whole = a.asked = a.whole._replace(features=features, selection=selection, gaps=gaps)
+    if isinstance(a.shape, CurveRows):
+        a.whole = a.asked = a.whole._replace(features=a.shape, selection=np.eye(2))
+    features, selection = asked_rows(*a.whole[:2], a.mechanism, settings.asked, table.q)
+    if len(selection) == len(a.whole.selection) and features.n_rows >= a.whole.features.n_rows:
+        a.asked = a.whole._replace(features=features, selection=selection)
+    else:
+        v = View(features, table)
+        levels = fit.motion.seen_as(features, v.W).levels if a.firm else levels_on(v, a.stretches)[0]
+        a.asked = Rows(features, selection, levels, gaps_of(levels, table.u.shape[1]))
+    if (gap := a.asked.gap) < CLEAR_GAP:
+        a.warnings.append(
+            f"weak gap: {gap:.2g} for {counted(len(selection), 'row')}, {CLEAR_GAP:g} is clear; the constraint may be "
+            "soft, or the recordings noisy"
+        )
+    return a
+
+
+def at_one_place(fit: RowFit, view: View) -> bool:
+    """Return True if the rows are at one place in all recordings, within the scatter of each.
+
+    Rows other than constant rows of the position are not judged.
+    """
+    f, motion = view.features, fit.motion
+    if not isinstance(f, FrameJacobian) or f.reference != "world" or not f.only_linear or motion.place is None:
+        return True
+    along = motion.place[:, [("x", "y", "z").index(n) for n in f.row_names]] @ view.selection(fit.rows).T
+    centres = np.array([along[p].mean(axis=0) for p in motion.parts])
+    within = np.median([np.sqrt(np.mean((along[p] - c) ** 2)) for p, c in zip(motion.parts, centres, strict=True)])
+    return float(np.sqrt(np.mean((centres - np.median(centres, axis=0)) ** 2))) <= PLACE_RATIO * within
+
+
+def over_noise(a: Answer) -> float:
+    """Return the residual of the rows over the noise of recorded positions, estimated from third differences."""
+    e = np.concatenate([np.diff(a.view.table.moved[s.recording].q, 3, axis=0) for s in a.stretches])
+    noise = np.sqrt(np.median(e**2) / 0.455 / 20.0) if len(e) else 0.0
+    return float(np.sqrt(a.fit.variance) / (noise + 1e-6))
+
+
+def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray | slice = slice(None)) -> float:
+    """Return |d log mu| that is not exceeded in 68 % of draws and postures.
+
+    d log mu = tr(A^+ dA) - tr(Lambda^+ dLambda).
+    """
+    few = np.arange(len(view.Phi))[inside]
+    few = few[:: max(1, len(few) // 48)]
+    Lambda, beside = fit.rows @ view.W, fit.perp @ view.W
+    Phi = view.Phi[few]
+    back = np.linalg.pinv(Lambda @ Phi, rcond=1e-6)
+    by_rows = (beside @ Phi @ back).transpose(0, 2, 1) - (beside @ np.linalg.pinv(Lambda)).T
+    change = errors.both @ by_rows.reshape(len(few), -1).T
+    turned = view.features.batch_with_derivative(view.table.q[few])[1]
+    by_zeros = np.einsum("nvp,npve->en", back @ Lambda, turned)
+    return float(np.quantile(np.abs(change + errors.delta[:, : len(by_zeros)] @ by_zeros), STATED))
+
+
+# --------------------------------------------------------------------------------------- recordings without parts
+
+
+def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | NotIdentifiableError:
+    """Return the answer of too few recordings, or of a given number of rows; else the refusal."""
+    table = views[0].table
+    whole = [Stretch(i, *map(float, table.ends[i])) for i in range(len(table))]
+    best: Any = None
+    for v in [v for v in views if isinstance(v.features, FrameJacobian) or v is views[0]]:
+        gaps = gaps_of(levels_on(v, whole)[0], table.u.shape[1])
+        s = settings.n_constraints or max(gaps, key=lambda k: gaps[k])
+        if s < v.r + 1 and (best is None or gaps.get(s, 0.0) > 1.1 * best[2]):
+            best = v, s, gaps.get(s, 0.0)
+    v, s, gap = best
+    kept, pieces = gate.pieces(whole)
+    evidence = gate.evidence(v, whole, 1.0)
+    if settings.n_constraints is None and (len(pieces) >= FEWEST or gap < WEAK_GAP):
+        return NotIdentifiableError(
+            f"nothing shows that what the motion leaves unused ({counted(s, 'direction')}, gap {gap:.3g}) is held "
+            f"rather than never tried: {evidence.sentence()}",
+            gaps=gaps_of(levels_on(v, whole)[0], table.u.shape[1]),
+            code="no-evidence" if gap >= WEAK_GAP else "weak-gap",
+        )
+    fit, v = best_fit([v], v, np.eye(s, v.r), whole, replace(settings, n_constraints=s))
+    a = answered(fit, v, whole, 1.0, gate, (), replace(settings, n_constraints=s))
+    if isinstance(a, NotIdentifiableError):
+        return a
+    if len(table) < FEWEST:
+        a.warnings.append(
+            f"record 3, better 5, that differ: {counted(len(table), 'recording')} cannot show that "
+            f"{counted(s, 'row')} held rather than never tried"
+        )
+    return Found([a])

@@ -1,4 +1,4 @@
-"""Constant errors of the arm itself, of its joints' zeros and of its links, and how they move the rates of features.
+"""Constant errors of the arm, joint offsets and links, and their effect on the rates of features.
 
 A link that is not as described displaces all that comes after it, as a joint would that has a rigid motion there. With
 the twist (v, w) that one such error makes of the frame, seen at its origin, the joints behind it turn with w, and the
@@ -27,13 +27,13 @@ from manip_learn.robot.batch.batch_kinematics import batch_kinematics, link_twis
 @final
 @dataclass(frozen=True)
 class ArmErrors:
-    """What is thought of an arm's errors before its residual is looked at: standard deviations of Gaussian ones.
+    """Prior standard deviations of the errors of an arm.
 
     Attributes:
-        zeros: Of each joint's zero [rad, of sliding joints m]; 0: what no residual shows is taken for none, of links
-            too.
-        links: Of the place [m] and of the turn [rad], along each axis, of each joint behind the first seen from the
-            link before it, and of the frame seen from the last link.
+        zeros: Of each joint offset [rad, sliding joints m]; with 0, errors that no residual shows are taken for zero,
+            of links too.
+        links: Of position [m] and orientation [rad], along each axis, of each joint after the first in the frame of the
+            previous link, and of the frame in that of the last link.
     """
 
     zeros: float = 0.0
@@ -41,7 +41,7 @@ class ArmErrors:
 
     @property
     def ratio(self) -> float:
-        """Error of a link for each unit of that of a zero, beforehand."""
+        """Prior ratio of an error of a link to a joint offset."""
         return self.links / self.zeros if self.zeros > 0.0 else 0.0
 
 
@@ -51,8 +51,9 @@ AS_DESCRIBED = ArmErrors()
 def changes_by_links(
     features: FeatureMap, q: Float[np.ndarray, "n nv"], u: Float[np.ndarray, "n nv k"]
 ) -> Float[np.ndarray, "n p k e"]:
-    """Change of Phi(q) u by unit errors of the links, for k velocities at each of n postures; of no links (e = 0) where
-    the features are not those of one frame in the base.
+    """Return the change of Phi(q) u by unit errors of e links, for k velocities at each of n postures.
+
+    There are none (e = 0) if the features are not of one frame in the base.
     """
     n, p, k = len(q), features.n_rows, u.shape[2]
     if not isinstance(features, FrameJacobian | WeighedVelocity):

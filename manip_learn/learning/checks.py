@@ -1,16 +1,13 @@
-"""Recordings and samples that nothing can be learnt from are refused; what is doubtful is said."""
+"""Refusal of recordings and samples from which nothing can be learnt."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named
-from manip_learn.learning.samples import STILL_ENERGY, Samples
+from manip_learn.learning.table import Table
 from manip_learn.recordings.clock import MOVED
 from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.recordings.velocities import FEWEST_JUDGED, position_noise
@@ -18,8 +15,6 @@ from manip_learn.robot.tips import likely_tips
 
 # ratio to the usual speed, or distance from the middle, beyond which a sample is a fault of the recording. Set by hand
 OUTLIER_FACTOR = 1e4
-# [joints] fewer than this that move at a time, in the mean, is how a hand-guided arm with stiction moves. Set by hand
-FEW_JOINTS_AT_ONCE = 1.6
 # [rad/s or m/s] of the fastest joint, below which it is at rest: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
 REST_SPEED = 0.02
 # standard deviations between the least and the largest of a million numbers by chance, and some more
@@ -27,11 +22,6 @@ SHOWN = 1e-3  # [rad or m] that some joint moves in any motion shown by hand: ha
 BEYOND_NOISE = 12.0
 # postures closer together than this share of their size are one and the same, and less of it in a second is no motion
 _SAME = 1e-9
-
-
-def energy_shares(energy: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
-    """Share of each joint in the sum; sums to 1."""
-    return energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
 
 
 def check_fastest(demonstrations: Demonstrations) -> None:
@@ -57,7 +47,7 @@ def check_fastest(demonstrations: Demonstrations) -> None:
 
 
 def refuse_noise(recorded: Demonstrations) -> None:
-    """Refuse recordings in which no joint moves farther than its encoder's noise does, and than anyone shows by hand.
+    """Refuse recordings in which no joint moves beyond the noise of its encoder, or as far as in any demonstration.
 
     Raises:
         NotIdentifiableError: In none of them.
@@ -80,80 +70,8 @@ def refuse_noise(recorded: Demonstrations) -> None:
     )
 
 
-def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: int | None) -> list[str]:
-    """Refuse what no estimator can learn from; warnings for what is doubtful.
-
-    Raises:
-        NotIdentifiableError: Nothing moves, the posture never changes, or too few different samples.
-        RecordingError: A posture is far out of line with all others.
-    """
-    speed = np.linalg.norm(samples.u, axis=1)
-    if not np.any(moving := speed > _SAME):
-        raise NotIdentifiableError("nothing moves in these demonstrations: all velocities are zero", code="no-motion")
-    check_postures(samples)
-    median = float(np.median(speed[moving]))
-    r = samples.n_rows
-    s = n_constraints or 1
-    needed = max(r + 2, s * (r - s) + 2, 5)
-    moving = np.concatenate([samples.q, samples.u], axis=1)[speed > 1e-9 * median]
-    # an even choice is soon counted
-    few = moving[:: max(1, len(moving) // (10 * needed))]
-    if len(np.unique(few, axis=0)) < needed and (different := len(np.unique(moving, axis=0))) < needed:
-        raise NotIdentifiableError(
-            f"record more: {counted(different, 'different moving sample')} cannot determine a constraint on "
-            f"{counted(r, 'row')}, {needed} can and many more are better",
-            code="too-few-samples",
-        )
-    warnings = []
-    squares = samples.u**2
-    shares = energy_shares(squares.mean(axis=0))
-    still = [name for name, part in zip(joint_names, shares, strict=True) if part < STILL_ENERGY]
-    if still and len(still) < samples.nv:
-        warnings.append(
-            f"{named('joint', still)} hardly moved: what the arm did not try cannot be told from what it could not do"
-        )
-    norm = squares.sum(axis=1)
-    moving = norm > 1e-4 * np.mean(norm)
-    # participation number: 1 if a single joint moves, nv if all move equally
-    together = float(np.mean(norm[moving] ** 2 / np.sum(squares[moving] ** 2, axis=1)))
-    if samples.nv > 3 and together < FEW_JOINTS_AT_ONCE:
-        warnings.append(
-            f"only {together:.1f} joints move at a time on average: friction of a hand-guided arm looks like a "
-            "constraint; move all joints together"
-        )
-    return warnings
-
-
-def check_postures(samples: Samples) -> None:
-    """Refuse recordings whose postures cannot belong to their velocities.
-
-    Raises:
-        NotIdentifiableError: The posture never changes, or there is a single joint.
-        RecordingError: A posture is far out of line with all others.
-    """
-    if samples.nv < 2:
-        raise NotIdentifiableError("a constraint leaves no null space for a single joint", code="no-freedom")
-    middle = np.median(samples.q, axis=0)
-    distance = np.linalg.norm(samples.q - middle, axis=1)
-    farthest = int(np.argmax(distance))
-    if distance[farthest] <= _SAME * (1.0 + float(np.linalg.norm(middle))):
-        raise NotIdentifiableError(
-            "the posture never changes although the velocities are not zero: give each sample the posture that it was "
-            "recorded at",
-            code="constant-posture",
-        )
-    # standing still at the median posture for long is no reason to call all motion far out
-    usual = float(np.quantile(distance, 0.9)) or float(np.mean(np.delete(distance, farthest)))
-    if 0.0 < usual * OUTLIER_FACTOR < distance[farthest]:
-        raise RecordingError(
-            f"the posture of sample {farthest} (trajectory {samples.trajectory[farthest]}) is "
-            f"{distance[farthest] / usual:.1e} times farther out than nearly all others: remove the outlier",
-            code="outlier",
-        )
-
-
 def refuse_still_hand(features: FeatureMap, demonstrations: Demonstrations) -> None:
-    """Refuse motions of joints none of which moves the frame.
+    """Refuse motions of joints that do not move the frame.
 
     Raises:
         NotIdentifiableError: Code `still-hand`; says which hand moved.
@@ -172,4 +90,49 @@ def refuse_still_hand(features: FeatureMap, demonstrations: Demonstrations) -> N
         f"{frame!r} stood still: its joints changed by {np.max(span[own]):.2g} (rad or m) at most in a recording, "
         f"{MOVED:g} is a motion; what moved is {named('joint', moved)}{which if hands else ''}",
         code="still-hand",
+    )
+
+
+def unusable(table: Table, r: int, n_constraints: int | None) -> NotIdentifiableError | RecordingError | None:
+    """Return why nothing can be learnt of r independent rows from these samples; None if something can.
+
+    Args:
+        table: The samples.
+        r: Number of independent rows of the features.
+        n_constraints: Number of rows to learn, if it was asked for.
+    """
+    nv = table.u.shape[1]
+    if nv < 2:
+        return NotIdentifiableError("a constraint leaves no null space for a single joint", code="no-freedom")
+    speed = np.linalg.norm(table.u, axis=1)
+    if not np.any(moving := speed > _SAME):
+        return NotIdentifiableError("nothing moves in these demonstrations: all velocities are zero", code="no-motion")
+    middle = np.median(table.q, axis=0)
+    distance = np.linalg.norm(table.q - middle, axis=1)
+    farthest = int(np.argmax(distance))
+    if distance[farthest] <= _SAME * (1.0 + float(np.linalg.norm(middle))):
+        return NotIdentifiableError(
+            "the posture never changes although the velocities are not zero: give each sample the posture that it was "
+            "recorded at",
+            code="constant-posture",
+        )
+    # standing still at the median posture for long is no reason to call all motion far out
+    usual = float(np.quantile(distance, 0.9)) or float(np.mean(np.delete(distance, farthest)))
+    if 0.0 < usual * OUTLIER_FACTOR < distance[farthest]:
+        return RecordingError(
+            f"the posture of sample {farthest} (trajectory {table.recording[farthest]}) is "
+            f"{distance[farthest] / usual:.1e} times farther out than nearly all others: remove the outlier",
+            code="outlier",
+        )
+    s = n_constraints or 1
+    needed = max(r + 2, s * (r - s) + 2, 5)
+    samples = np.concatenate([table.q, table.u], axis=1)[speed > _SAME * float(np.median(speed[moving]))]
+    # an even choice is soon counted
+    few = samples[:: max(1, len(samples) // (10 * needed))]
+    if len(np.unique(few, axis=0)) >= needed or (different := len(np.unique(samples, axis=0))) >= needed:
+        return None
+    return NotIdentifiableError(
+        f"record more: {counted(different, 'different moving sample')} cannot determine a constraint on "
+        f"{counted(r, 'row')}, {needed} can and many more are better",
+        code="too-few-samples",
     )

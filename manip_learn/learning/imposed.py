@@ -1,408 +1,620 @@
-"""The constraint that the demonstrator imposes: Lambda and the null-space policy together, from raw (q, u), b unknown.
+"""Rows that the demonstrator drives on purpose (b unknown): Lambda and the null-space policy together, from (q, u).
 
-A Lambda of s rows accounts for all of u_n = Q_n c_n + Z_n w_n, Q_n and Z_n orthonormal bases of the rows and of the
+A Lambda of s rows accounts for all of u_n = Q_n c_n + Z_n w_n, Q_n and Z_n orthonormal bases of the row space and the
 null space of A_n = Lambda Phi(q_n). w_n is a policy of the posture and white noise of variance sigma^2; c_n is the
 task's own motion, of which nothing is known but that it is a signal in time. [Q Z] is orthonormal, so that the
 likelihoods of all Lambda, whatever their number of rows, are those of the same numbers: in nats
 
     l(Lambda) = - sum_k N_k / 2 (log S_k + 1) - d / 2 log n + log N(Z^T u; 0, sigma^2 I + K T K^T)
 
-S_k is the mean square, per row, of Q c in octave k of the cosine transform of each trajectory, which has N_k entries;
-d is the number of these octaves and of the entries of Lambda (Schwarz, 1978). A row too many takes a direction that the
+S_k is the mean square, per row, of Q c in octave k of the cosine transform of each recording, which has N_k entries; d
+is the number of these octaves and of the entries of Lambda (Schwarz, 1978). A row too many takes a direction that the
 policy predicts to the noise for one of which nothing is known: it costs log(S / sigma^2) / 2 a sample. Rows that are
 held are judged by the same l, with Z w for the signal in time and c for the noise.
 
-The policy is pi(q) = Theta^T beta(q), Theta ~ N(0, T) with one variance tau_g^2 for all parameters of grade g (the
-monomials of one degree, the waves of one frequency), K = d (Z^T pi) / d Theta; Theta is integrated out. With
-C = K^T K = sum beta beta^T (x) N, P = sigma^2 T^-1 and theta the posterior mean of Theta,
+The policy is pi(q) = Theta^T beta(q), Theta ~ N(0, T) with one variance for all parameters of a grade (the monomials
+of one degree, the waves of one frequency), K = d (Z^T pi) / d Theta; Theta is integrated out. With C = K^T K,
+P = sigma^2 T^-1 and theta the posterior mean of Theta,
 
     - 2 log N = n z log sigma^2 + log |C + P| - log |P| + (|Z^T (u - pi)|^2 + theta^T P theta) / sigma^2
 
-tau and sigma by maximum likelihood too (MacKay, 1992, Neural Computation 4(3), eq. (2.33) and following). No degree has
-to be chosen: one that the data do not need has tau = 0, one of which they cannot tell widens the angle. Lambda moves by
-Gauss-Newton steps on the Grassmann manifold with Theta eliminated (Golub and Pereyra, 1973; Kaufman, 1975).
+The variances are of maximum likelihood too (MacKay, 1992, Neural Computation 4(3), eq. (2.33) and following): a degree
+that the data do not need has variance 0. Without noise the policy is of least squares by an orthonormal basis (variable
+projection: Golub and Pereyra, 1973). Lambda moves by Gauss-Newton steps on the Grassmann manifold (Kaufman, 1975).
 
-Noise may be stronger in some joints than in others. With covariance L L^T all this holds for L^-1 u, Phi L^-T and
-L^-1 pi, and l less log |L| a sample is the likelihood of the same u.
+`estimator="separate"` is the method of Towell, Howard and Vijayakumar (2010), equation (8) of Manavalan and Howard:
+
+    min over the parameters of w~ of  sum_n ( w^_n . u_n - |w~_n| )^2,   w^ = w~ / |w~|
+
+and then Lambda from A w~ = 0, equation (10). A low cost does not certify w~: w~ = 0 costs nothing, and where the null
+space has more than one dimension so does any w~ on the sphere over w in it.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import itertools
 import math
 from collections.abc import Iterable, Sequence
-from statistics import NormalDist
-from typing import final
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from itertools import combinations_with_replacement
+from typing import Any, Self
 
 import numpy as np
-from jaxtyping import Float
-from scipy.linalg import eigh
+from scipy.cluster.vq import kmeans2
+from scipy.fft import dct
+from scipy.linalg import LinAlgError, cholesky, eigh, solve_triangular
+from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
-from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.descent import descend
-from manip_learn.learning.estimate import Estimate, GapTable, PolicyPrior
-from manip_learn.learning.policy import (
-    GRADES,
-    LEAST,
-    MODELS,
-    MOST_COLUMNS,
-    OWN,
-    POLYNOMIALS,
-    ExactPolicy,
-    Grade,
-    Posterior,
-    Regressors,
-    grades_of,
-    n_columns,
-    parts_of,
-    resolved,
-)
-from manip_learn.learning.samples import CUBIC, Samples, runs
-from manip_learn.linalg import orthonormal_rows
+from manip_learn.errors import NotIdentifiableError, advice, counted
+from manip_learn.learning.fit import WEAK_GAP, gaps_of, levels_on, solve
+from manip_learn.learning.table import STILL_ENERGY, Settings, Stretch, Table, View
+from manip_learn.learning.uncertainty import Errors, angles
+from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned
 
-# samples that the search looks at; more of them only sharpen what it found
-COMPARE_LIMIT = 1_500
-MOST_LEFT_OUT = 10  # that are left out in turn, at most
-# left-out motion over that of no policy up to which a policy predicts it: 1 where there is noise alone to predict
-PREDICTS = 1.2
-# variance over that of the noise up to which a fit leaves noise alone: 22 % in amplitude. Set by hand
-ABOVE_NOISE = 1.5
-# share of the motion below which a residual is no noise, and least squares answer; and that is rounding
-NO_NOISE, _ROUNDING = 1e-8, 1e-24
-VANISHING = 1e-16  # share of the energy that is rounding where nothing moves in the null space
-_SETTLED = 1e-6  # squared length of the last step in standard errors
-LOOK_STEPS, _STEPS = 6, 40  # of a first look at a start, and of a descent
-RICHER = 0.5  # of what a smaller model leaves without noise, that a richer one may leave to be taken
-EXACT_STEPS = 30  # of the descent by least squares, which ends by itself before
-RANDOM_STARTS, SUBSPACES = 3, 4  # starts where no closed-form one leads to the noise; within the rows that were found
-# a rest posture for each trajectory makes the cost bumpy: many starts on a few trajectories and samples
-_FEW, FEW_SAMPLES, MANY_STARTS = 16, 600, 40
-OWN_SHARE = 1e-6  # of what is noise enough elsewhere
-COVARIANCES = 2  # of the noise, each by the residual of a fit with the one before
-# largest variance of a joint's noise over the least below which equal weights cost a few per cent at most
-UNEQUAL_NOISE = 2.0
-NOISE_RANGE = (1e-2, 1e2)  # variances of the joints' noise beside their mean. Set by hand
-PRIOR = 1e-3  # weight of the isotropic covariance in samples per sample, for entries that the null spaces hardly show
-RESIDUALS_PER_ENTRY, TYLER_STEPS = 20, 10  # differences for each joint, below which no shape is estimated; its steps
-DIFFERENCES = CUBIC - 1  # of neighbouring samples: motion that is a parabola over four samples leaves nothing
-MEDIAN = NormalDist().inv_cdf(0.75)  # of the absolute value of a standard normal variable
-# root mean square distance from a path over its extent within which a motion repeats it: replays with 3 % of another
-# motion in them have 0.05 to 0.14, generated reaches in threes and more 0.32 and above (12, 192 sets, seeds from 30000)
-SAME_PATH = 0.15
-MOST_POSTURES = 2_000  # between the samples of a path, against noise that makes it long
+POLYNOMIALS = ("constant", "affine", "quadratic", "cubic", "quartic", "quintic")
+# grades of each policy model; "affine-offset" has a rest posture for each recording; those of "auto" are taken in this
+# order while there is room
+MODELS: dict[str, tuple[str, ...]] = {name: POLYNOMIALS[: degree + 1] for degree, name in enumerate(POLYNOMIALS)}
+MODELS |= {"rbf": ("rbf32",), "affine-offset": ("affine", "offset"), "harmonic1": (*POLYNOMIALS[:2], "harmonic1")}
+MODELS |= {"harmonic2": (*MODELS["harmonic1"], "harmonic2")}
+MODELS |= {"auto": (*MODELS["harmonic1"], "quadratic", "cubic", "harmonic2")}
+EXACT = ("affine", "harmonic1", "quadratic", "harmonic2", "cubic", "quartic", "quintic")  # fewest parameters first
+HOPELESS, FEW = 0.6, 500  # share of left-out motion that a plain policy leaves of some samples, beyond hope
+MOST_COLUMNS = 400  # parameters of the general policy: the time of a step grows with their cube
+COMPARED, MOST = 4500, 60_000  # velocities that the search looks at, and the last fit: more only sharpen the answer
+OWN_RECORDINGS, OWN_STARTS = 16, 100  # rest postures of their own make the cost bumpy: many starts on few samples
+RANDOM_STARTS, SUBSPACES = 3, 10  # where no closed-form start leads to the noise; within the rows that were found
+PREDICTS = 1.2  # left-out motion over that without a policy, up to which a policy predicts it
+ABOVE_NOISE, UNEQUAL = 1.5, 2.0  # variance over that of the noise that is more than noise; over the least of all joints
+NO_NOISE, ROUNDING = 1e-8, 1e-24  # shares of the energy: below, least squares answer; and that is rounding
+RESOLVED, OWN_RESOLVED = 1e-6, 1e-12  # shares of the energy that are noise enough; with rest postures of their own
+LEAST, SETTLED = 1e-12, 1e-6  # least variances over the mean square of u; squared last step in standard errors
+EXPLAINED, SURER = 0.3, 5.0  # share of left-out motion that a policy may leave; nats by which other features are better
+SAME_PATH = 0.15  # root mean square distance from a path, over its standard deviation, within which a motion repeats it
+CLEAR_GAP, MOST_UNCERTAIN = 10.0, 30.0  # [deg]
+DRAWS, TINY = 400, 1e-300
+FEWEST_CENTRES, MOST_CENTRES, SAMPLES_PER_CENTRE = 4, 96, 10  # radial functions that separate
+STAGES = ((1e-6, 1e-3), (1e-8, 1e-3), (1e-10, 1e-9))  # least share of regressors' strength; gain of a step that ends
 
 
-def conditional_pca(samples: Samples, beta: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "r r"]:
-    """A closed-form start: directions of whitened feature space by how much the task moved along them, most first.
+def regressors(table: Table, grade: str, seed: int) -> np.ndarray:
+    """Return beta of all postures, one grade of a policy: monomials of a degree, waves, offsets, radial functions.
 
-    g = (Phi Phi^T)^-1 Phi u = G pi(q) + Lambda^T c, so that what a regression of g on the posture leaves over lies in
-    the row space of Lambda. Its covariance C is compared with that of isotropic noise: C x = e (sum G G^T) x, and the
-    row space is spanned by (sum G G^T) x of the largest e.
+    With x, the posture shifted and scaled to about [-1, 1], monomials have sum beta(x) beta(y) = (x . y / m)^degree.
     """
-    r = samples.n_rows
-    Phi = np.concatenate([block.Phi for block in samples.blocks()])
-    gram = np.einsum("npv,nqv->npq", Phi, Phi, optimize=True)
-    GG = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
-    g = np.einsum("npq,nqv,nv->np", GG, Phi, samples.u, optimize=True)
-    # near-singular postures count little
-    weight = 1.0 / np.maximum(np.einsum("npp->n", GG), np.finfo(np.float64).tiny)
-    root = np.sqrt(weight)[:, None]
-    left = g * root - beta * root @ np.linalg.lstsq(beta * root, g * root, rcond=1e-12)[0]
-    S = np.einsum("n,nij->ij", weight, GG, optimize=True)
-    S += 1e-14 * np.trace(S) / r * np.eye(r)
-    eigenvalues, vectors = eigh(left.T @ left, S)
-    return (S @ vectors[:, ::-1]).T
+    low, high = table.q.min(axis=0), table.q.max(axis=0)
+    angle, m = table.q - 0.5 * (low + high), table.q.shape[1]
+    x = angle / np.maximum(0.5 * (high - low), 1e-9)
+    if grade in POLYNOMIALS:
+        degree = POLYNOMIALS.index(grade)
+        terms = list(combinations_with_replacement(range(m), degree))
+        orders = [math.prod(math.factorial(t.count(i)) for i in set(t)) * m**degree for t in terms]
+        columns = x[:, np.array(terms, dtype=int).reshape(len(terms), degree)]
+        return np.prod(columns, axis=2) * np.sqrt(math.factorial(degree) / np.array(orders))
+    if grade == "offset":  # a constant for each recording
+        return np.eye(len(table))[table.recording]
+    if grade.startswith("harmonic"):
+        wave = int(grade[-1]) * angle
+        return np.concatenate([np.sin(wave), np.cos(wave)], axis=1) / math.sqrt(2.0 * m)
+    rng = np.random.default_rng(seed)
+    few = x if len(x) <= 4000 else x[rng.choice(len(x), 4000, replace=False)]
+    centres, _ = kmeans2(few, min(int(grade[3:]), len(np.unique(few, axis=0))), minit="++", seed=rng)
+    nearest = cKDTree(centres).query(centres, 2)[0][:, 1] if len(centres) > 1 else np.ones(1)
+    # eight times as wide as centres are apart
+    d2 = np.sum((x[:, None] - centres) ** 2, axis=2) / (2.0 * (8.0 * max(float(nearest.mean()), 1e-6)) ** 2)
+    phi = np.exp(d2.min(axis=1, keepdims=True) - d2)  # the nearest centre always counts
+    return phi / phi.sum(axis=1, keepdims=True)
 
 
-def noise_in_time(samples: Samples) -> float:
-    """Variance of what in u is no smooth motion, mean over the joints; bursts do not count [(rad/s)^2]."""
-    e = _differences(samples)
-    return float(np.mean((np.median(np.abs(e), axis=0) / MEDIAN) ** 2)) if len(e) else 0.0
+@dataclass(eq=False)
+class Data:
+    """Samples in whitened rows, with the regressors of a policy and the grade of each."""
 
+    Phi: np.ndarray
+    u: np.ndarray
+    beta: np.ndarray
+    grades: np.ndarray
+    recording: np.ndarray
+    noise: float  # variance of what in u is no smooth motion
+    own: bool
+    mixing: np.ndarray | None = None  # L^-1 of the noise's covariance L L^T, by which u was multiplied
 
-def _differences(samples: Samples) -> Float[np.ndarray, "k nv"]:
-    """Of neighbouring samples of a trajectory, with the variance of white noise."""
-    inside = samples.trajectory[DIFFERENCES:] == samples.trajectory[:-DIFFERENCES]
-    return np.diff(samples.u, DIFFERENCES, axis=0)[inside] / np.sqrt(math.comb(2 * DIFFERENCES, DIFFERENCES))
+    @staticmethod
+    def of(view: View, names: Sequence[str], seed: int, some: np.ndarray, mixing: np.ndarray | None = None) -> Data:
+        """Return some samples of a view, with the regressors of some grades."""
+        table, beta = view.table, [regressors(view.table, name, seed)[some] for name in names]
+        numbers = np.repeat(np.arange(len(beta)), [part.shape[1] for part in beta])
+        recording, L = np.unique(table.recording[some], return_inverse=True)[1], mixing
+        Phi, u, noise = view.W @ view.Phi[some], table.u[some], float(np.median(table.noise[some]))
+        Phi, u = (Phi, u) if L is None else (Phi @ L.T, u @ L.T)
+        return Data(Phi, u, np.concatenate(beta, axis=1), numbers, recording, noise, "offset" in names, mixing)
 
-
-def shape_in_time(samples: Samples) -> Float[np.ndarray, "nv nv"] | None:
-    """Covariance over its mean variance of what in u is no smooth motion; None for too few neighbouring samples.
-
-    Whatever moves the arm, policy or task, moves it smoothly, and noise does not: differences of neighbouring samples
-    show it without any model. Bursts at singular postures have their direction, not their length, in it (Tyler, 1987,
-    Annals of Statistics 15(1): the shape S with mean e e^T / (e^T S^-1 e) = S / nv).
-    """
-    e, nv = _differences(samples), samples.nv
-    e = e[np.any(e != 0.0, axis=1)]
-    if len(e) < RESIDUALS_PER_ENTRY * nv:
-        return None
-    S = np.eye(nv)
-    for _ in range(TYLER_STEPS):
-        length = np.einsum("ni,ni->n", e, np.linalg.solve(S, e.T).T)
-        S = (e / length[:, None]).T @ e
-        S *= nv / np.trace(S)
-    return S
-
-
-def shape_of_residual(fit: Posterior) -> Float[np.ndarray, "nv nv"]:
-    """Least squares of e e^T = N Sigma N over all samples, drawn to the unit matrix where they say nothing."""
-    N, e = fit.at.N, fit.at.project(fit.y) / math.sqrt(fit.noise)
-    n, nv = e.shape
-    M = np.einsum("nij,nkl->ikjl", N, N, optimize=True).reshape(nv * nv, nv * nv) / n
-    right = (e.T @ e / n).reshape(-1) - M @ np.eye(nv).reshape(-1)
-    deviation = np.linalg.solve(M + PRIOR * np.eye(nv * nv), right).reshape(nv, nv)
-    values, vectors = np.linalg.eigh(np.eye(nv) + 0.5 * (deviation + deviation.T))
-    Sigma = (vectors * np.clip(values, *NOISE_RANGE)) @ vectors.T
-    return Sigma * nv / np.trace(Sigma)
-
-
-def whitened(samples: Samples, Sigma: Float[np.ndarray, "nv nv"]) -> Samples:
-    """The samples as L^-1 u and Phi L^-T, Sigma = L L^T: A u = 0 does not hold for these."""
-    back = np.linalg.inv(np.linalg.cholesky(Sigma))
-    mixing = back.T if samples.mixing is None else samples.mixing @ back.T
-    return dataclasses.replace(samples, u=samples.u @ back.T, mixing=mixing)
-
-
-@final
-class Search:
-    """Lambda of each number of rows, on some samples, with the grades of a prior.
-
-    Args:
-        samples: Few enough for many descents.
-        grades: Of the prior.
-        rng: For the random starts.
-        own: Whether these are offsets of each trajectory, which make the cost bumpy, and follow nearly anything: what
-            they leave of the true motion alone is rounding.
-    """
-
-    def __init__(self, samples: Samples, grades: Sequence[Grade], rng: np.random.Generator, own: bool):
-        floor = OWN_SHARE * resolved(samples) if own else resolved(samples)
-        self._samples, self._floor, self._left_out = samples, floor, dict[Posterior, float]()
-        self._parts = parts_of(samples, MOST_LEFT_OUT, own)
-        self._regressors = Regressors.of(samples, grades)
-        self.enough = ABOVE_NOISE * (floor if own else max(noise_in_time(samples), floor))
-        beta, affine = self._regressors.values, np.concatenate([np.ones((len(samples), 1)), samples.x], axis=1)
-        starts = [conditional_pca(samples, one) for one in (affine, beta) if 2 * one.shape[1] < len(samples)]
-        self.found = {s: self._look(one[:s] for one in starts) for s in range(min(samples.n_rows, samples.nv - 1) + 1)}
-        if self.best.noise > self.enough:
-            for s, before in self.found.items():
-                random = (
-                    rng.standard_normal((s, samples.n_rows)) for _ in range(MANY_STARTS if own else RANDOM_STARTS)
-                )
-                self.found[s] = self._look(random, before)
-        # one row less, within the rows of the best: they hold the true ones where these are fewer. What falls: the
-        # number of rows of the best, for nothing but what has one row less is found anew
-        while (s := len(self.best.Lambda)) > 1:
-            rows, before = self.best.Lambda, self.found[s - 1]
-            self.found[s - 1] = self._look((rng.standard_normal((s - 1, s)) @ rows for _ in range(SUBSPACES)), before)
-            if len(self.best.Lambda) == s:
-                break
+    @cached_property
+    def mean_square(self) -> float:
+        """Mean square of u."""
+        return float(np.mean(self.u**2))
 
     @property
-    def best(self) -> Posterior:
-        """The one with the most evidence, of those whose policy predicts recordings that it was not fitted to.
+    def floor(self) -> float:
+        """Variance that is noise enough: what is resolved below it is how well features approximate the policy."""
+        return (OWN_RESOLVED if self.own else RESOLVED) * self.mean_square
 
-        Evidence alone believes in a rich policy that follows each of a few recordings.
-        """
-        n, nv = len(self._samples), self._samples.nv
-        predicting = [
-            s
-            for s, one in self.found.items()
-            if self.left_out(s) <= PREDICTS * max(one.energy / n, (nv - s) * resolved(self._samples))
-        ]
-        if not predicting:
-            return self.found[min(self.found, key=self.left_out)]
-        return max((self.found[s] for s in predicting), key=lambda one: one.nats(self._floor))
+    def parts(self, most: int) -> list[np.ndarray]:
+        """Return groups of recordings, or samples dealt out in turn where each recording has an offset of its own."""
+        n = self.recording[-1] + 1
+        group = np.arange(len(self.u)) % most if self.own else self.recording * min(n, most) // n
+        return [np.flatnonzero(group == g) for g in np.unique(group)]
 
-    def left_out(self, s: int) -> float:
-        """Mean of |Z^T (u - pi)|^2 on recordings that the policy of s rows was not fitted to."""
-        one = self.found[s]
-        if one not in self._left_out:
-            self._left_out[one] = one.held_out(self._parts)
-        return self._left_out[one]
 
-    def gaps(self) -> GapTable:
-        """Ratio by which each row lowers what is left of left-out recordings [root mean square per direction].
+def mixing_of(table: Table) -> np.ndarray | None:
+    """Return L^-1 for noise of covariance L L^T; None where it is alike in all joints.
 
-        A ratio that is no chance, three standard deviations of the variances of so many samples, is weak evidence.
-        """
-        nv, n, least = self._samples.nv, len(self._samples), LEAST * self._samples.energy
-        left = [math.sqrt(max(self.left_out(s), least) / (nv - s)) for s in sorted(self.found)]
-        gaps = tuple(before / after for before, after in itertools.pairwise(left))
-        weak_from = math.sqrt(1.0 + 6.0 * math.sqrt(2.0 / n))
-        return GapTable(tuple(range(1, len(left))), gaps, weak_from, max(len(self.best.Lambda), 1))
+    Policy and task move the arm smoothly, noise does not: differences of neighbouring samples show it. Bursts have
+    their direction, not their length, in it (Tyler, 1987: the S with mean e e^T / (e^T S^-1 e) = S / nv).
+    """
+    e, nv = np.diff(table.u, 3, axis=0)[table.recording[3:] == table.recording[:-3]], table.u.shape[1]
+    e, S = e[np.any(e != 0.0, axis=1)], np.eye(nv)
+    for _ in range(10 if len(e) >= 20 * nv else 0):
+        S = (e / np.einsum("ni,ni->n", e, np.linalg.solve(S, e.T).T)[:, None]).T @ e
+        S *= nv / np.trace(S)
+    return np.linalg.inv(np.linalg.cholesky(S)) if np.linalg.cond(S) >= UNEQUAL else None
 
-    def _look(self, starts: Iterable[Float[np.ndarray, "s r"]], best: Posterior | None = None) -> Posterior:
-        """The most likely after a few steps, from one start after the other until noise alone is left."""
-        for start in starts:
-            if best is not None and (best.noise <= self.enough or len(start) in (0, start.shape[1])):
+
+class HeldFit:
+    """Equation (10): Lambda of the least share of u in its rows, e = A^+ A u.
+
+    N (n, nv, nv) are the projectors, duals A^{+T} (n, s, nv), free N (Lambda_perp Phi)^T (n, nv, k); J (n nv, m) is the
+    derivative of e by B of Lambda + B Lambda_perp, K (n nv, c) with K K^T what other unknowns take up of it.
+    """
+
+    def __init__(self, d: Data, rows: np.ndarray):
+        self.d, self.rows, self.perp = d, rows, complement_rows(rows)
+        Q, R = row_bases((rows @ d.Phi).transpose(2, 1, 0))
+        Q = Q.transpose(2, 0, 1)
+        self.N = np.eye(d.u.shape[1]) - Q @ Q.transpose(0, 2, 1)
+        self.duals = inverse_triangles_beside(R).transpose(2, 0, 1) @ Q.transpose(0, 2, 1)
+        self.free = self.N @ (self.perp @ d.Phi).transpose(0, 2, 1)
+        self.m, self.null = len(rows) * len(self.perp), np.einsum("nij,nj->ni", self.N, d.u)
+        self.D, self.back, self.e = np.zeros((d.u.size, 0)), np.zeros((0, 0)), (d.u - self.null).reshape(-1)
+        self.cost = float(np.sum(self.e**2))
+        self.noise, self.unexplained = self.cost / max(len(d.u) * len(rows), 1) + TINY, self.cost / np.sum(d.u**2)
+
+    @cached_property
+    def J(self) -> np.ndarray:
+        """Derivative of the residual."""
+        along = np.einsum("nvk,nv->nk", self.free, self.d.u)
+        return np.einsum("nsv,nk->nvsk", self.duals, along).reshape(-1, self.m)
+
+    @cached_property
+    def hessian(self) -> np.ndarray:
+        """Gauss-Newton Hessian of half the cost, the other unknowns eliminated."""
+        KJ = self.taken(self.J)
+        return self.J.T @ self.J - KJ.T @ KJ
+
+    def taken(self, x: np.ndarray) -> np.ndarray:
+        """Return K^T x."""
+        return self.back @ (self.D.T @ x)
+
+    def moved(self, B: np.ndarray) -> Self:
+        """Return the fit after a step."""
+        return type(self)(self.d, turned(self.rows, B))
+
+    def best(self, steps: int = 40) -> Self:
+        """Return the Lambda of least cost from here: Levenberg and Marquardt."""
+        here, damping = self, 0.0
+        for _ in range(steps if self.m else 0):
+            H = here.hessian
+            B = -solve(H + damping * np.diag(np.diag(H)), here.J.T @ here.e)
+            if not np.all(np.isfinite(B)) or B @ H @ B < SETTLED * here.noise or damping > 1e6:
                 break
-            here = descended(Posterior(self._samples, self._regressors, orthonormal_rows(start)), LOOK_STEPS)
-            best = here if best is None or here.cost < best.cost else best
-        if best is None:
-            raise ValueError("there is no start")
+            there = here.moved(B)
+            if there.cost < here.cost:
+                here, damping = there, 0.1 * damping if damping > 1e-9 else 0.0
+            else:
+                damping = max(1e-3, 10.0 * damping)
+        return here
+
+    def part(self, x: np.ndarray, some: np.ndarray) -> np.ndarray:
+        """Return the rows of some samples."""
+        return x.reshape(len(self.d.u), -1)[some].reshape(-1, *x.shape[1:])
+
+    def errors(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Draw errors B: recordings with replacement, each by its share of the step.
+
+        The residual of a recording is too small, since the fit follows it: (I - K K^T)^(-1/2) e is as large as the
+        noise (Bell and McCaffrey, 2002).
+        """
+        parts, moves = self.d.parts(100), []
+        if len(parts) < 2 or not self.m:
+            return {}
+        values, vectors = np.linalg.eigh(self.hessian)
+        K = self.D @ self.back.T
+        off = self.J - K @ (K.T @ self.J)
+        both = np.concatenate([K, off @ (vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1] + TINY)))], axis=1)
+        for some in parts:
+            e, (U, sigma, _) = self.part(self.e, some), np.linalg.svd(self.part(both, some), full_matrices=False)
+            e = e + U @ ((np.maximum(1.0 - sigma**2, 1e-3) ** -0.5 - 1.0) * (U.T @ e))
+            moves.append(solve(self.hessian, self.part(off, some).T @ e))
+        w = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), size=DRAWS) - 1.0
+        return {"noise": w @ np.array(moves) * math.sqrt(len(parts) / (len(parts) - 1.0))}
+
+    def nats(self, floor: float) -> float:
+        """Return l of rows that are held: A u is noise, and what moves in the null space a signal in time."""
+        noise, n, s = max(self.noise, floor), len(self.d.u), len(self.rows)
+        free = signal_nats(self.d, self.null, self.d.u.shape[1] - s, floor)
+        return free - 0.5 * s * (len(self.perp) * math.log(n) + n * (math.log(noise) + self.noise / noise))
+
+
+class PolicyFit(HeldFit):
+    """A Lambda with its policy: the posterior of Theta with the most likely variances, or least squares (`exact`)."""
+
+    def __init__(self, d: Data, rows: np.ndarray, before: PolicyFit | None = None, exact: bool = False):
+        super().__init__(d, rows)
+        self.exact, null, (n, nv) = exact, self.null.reshape(-1), d.u.shape
+        self.n_residuals = n * (nv - len(rows))
+        D = np.einsum("nk,nvw->nvkw", d.beta, self.N).reshape(n * nv, -1)
+        if exact:
+            basis, T = np.linalg.qr(D)
+            U, sigma, Vt = np.linalg.svd(T)
+            kept = sigma > 1e-13 * sigma[0]
+            self.D, self.back = basis @ U[:, kept], np.eye(int(np.count_nonzero(kept)))
+            self._with(Vt[kept].T @ (self.D.T @ null / sigma[kept]))
+            self.e = null - self.D @ (self.D.T @ null)
+            self.e -= self.D @ (self.D.T @ self.e)
+            self.cost = self.residual = float(np.sum(self.e**2))
+            self.noise = self.cost / self.n_residuals + TINY
+        else:
+            self._settle(D.T @ D, D.T @ null, before)
+            self.D, self.cost = D, self.deviance(0.0)
+        self.energy = max(float(np.sum(null**2)), 1e-16 * float(np.sum(d.u**2)))
+        self.unexplained = self.residual / self.energy
+
+    def _settle(self, C: np.ndarray, pulled: np.ndarray, before: PolicyFit | None) -> None:
+        grade, size = np.repeat(self.d.grades, self.d.u.shape[1]), self.d.grades.max() + 1
+        scale, least = self.d.mean_square, LEAST * self.d.mean_square
+        first = (0.1 * scale, np.full(size, 4.0 * scale)) if before is None else (before.noise, before.variances[:size])
+        self.noise, self.variances = first
+        for i in range(5 if before is None else 3):
+            if i:  # sums of squares over the numbers that the data determine
+                used = np.bincount(grade, 1.0 - self.precision * np.sum(self.back**2, axis=0), size)
+                self.determined = np.maximum(used, 1e-6)
+                self.variances = np.maximum(np.bincount(grade, self.theta**2, size) / self.determined, least)
+                self.noise = max(self.residual / max(self.n_residuals - float(self.determined.sum()), 1.0), least)
+            self.precision = self.noise / self.variances[grade]
+            size_of = 1.0 / np.sqrt(np.diag(C) + self.precision)
+            M = size_of[:, None] * (C + np.diag(self.precision)) * size_of + 1e-11 * np.eye(len(C))
+            self.back = solve_triangular(cholesky(M, lower=True), np.diag(size_of), lower=True)  # of (C + P)^-1
+            self._with(self.back.T @ (self.back @ pulled))
+
+    def _with(self, theta: np.ndarray) -> None:
+        self.theta, self.y = theta, self.d.u - self.d.beta @ theta.reshape(self.d.beta.shape[1], -1)
+        self.e = np.einsum("nij,nj->ni", self.N, self.y).reshape(-1)
+        self.residual = float(np.sum(self.e**2))
+
+    @cached_property
+    def J(self) -> np.ndarray:
+        """Derivative of the residual, with the policy fixed."""
+        a = np.einsum("nsv,nv->ns", self.duals, self.y)
+        return -(a[:, None, :, None] * self.free[:, :, None, :]).reshape(-1, self.m)
+
+    def moved(self, B: np.ndarray) -> PolicyFit:
+        """Return the fit after a step, without the grades that are not needed."""
+        d, rows = self.d, turned(self.rows, B)
+        if self.exact:
+            return PolicyFit(d, rows, exact=True)
+        kept = (self.determined >= min(0.1, float(self.determined.max())))[d.grades]
+        return PolicyFit(replace(d, beta=d.beta[:, kept], grades=d.grades[kept]), rows, self)
+
+    def deviance(self, floor: float) -> float:
+        """Return - 2 log N, see the module, with a noise of at least this variance."""
+        noise, penalty = max(floor, self.noise), float(np.sum(self.precision * self.theta**2))
+        volume = -2.0 * float(np.sum(np.log(np.diag(self.back)))) - float(np.sum(np.log(self.precision)))
+        return self.n_residuals * math.log(noise) + volume + (self.residual + penalty) / noise
+
+    def nats(self, floor: float) -> float:
+        """Return l, see the module, with a noise of at least this variance [(rad/s)^2]."""
+        d, n = self.d, len(self.d.u)
+        volume = 0.0 if d.mixing is None else n * float(np.linalg.slogdet(d.mixing)[1])
+        task = signal_nats(d, d.u - self.null, len(self.rows), floor) - 0.5 * self.m * math.log(n)
+        return task + volume - 0.5 * self.deviance(floor)
+
+    @cached_property
+    def held_out(self) -> float:
+        """Sum of |Z^T (u - pi)|^2 over groups of recordings, each left out of the policy in its turn."""
+        total, K_all = 0.0, self.D @ self.back.T
+        for some in self.d.parts(10):
+            K, e = self.part(K_all, some), self.part(self.e, some)
+            rest = (1.0 + 1e-12) * np.eye(K.shape[1]) - K.T @ K
+            total += float(np.sum((e + K @ np.linalg.solve(rest, K.T @ e)) ** 2))
+        return total
+
+    def errors(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Draw errors B by the noise, and those of a policy that is drawn towards zero: (C + P)^-1 P Theta."""
+        out = super().errors(rng)
+        if out and not self.exact:
+            drawn = rng.standard_normal((DRAWS, len(self.back))) * np.sqrt(self.precision * self.noise)
+            out["policy"] = solve(self.hessian, (drawn @ self.back.T @ self.taken(self.J)).T).T
+        return out
+
+
+def signal_nats(d: Data, signal: np.ndarray, size: int, floor: float) -> float:
+    """Return the log-likelihood of a signal in time in so many directions of each sample, less the octaves' price."""
+    squares, counts = np.zeros(64), np.zeros(64)
+    for own in np.split(signal, np.flatnonzero(np.diff(d.recording)) + 1) if size else ():
+        octave = np.frexp(np.arange(len(own)))[1]  # 0, then 1, 2-3, 4-7, ...
+        squares += np.bincount(octave, np.sum(dct(own, axis=0, norm="ortho") ** 2, axis=1), 64)
+        counts += size * np.bincount(octave, minlength=64)
+    used = counts > 0
+    mean = squares[used] / counts[used]
+    variance, cost = np.maximum(mean, floor), np.count_nonzero(used) * math.log(len(signal))
+    return -0.5 * float(np.sum(counts[used] * (np.log(variance) + mean / variance)) + cost)
+
+
+def conditional_pca(d: Data, beta: np.ndarray) -> np.ndarray:
+    """Return whitened directions by how much the task moved along them, most first: a closed-form start.
+
+    g = (Phi Phi^T)^-1 Phi u = G pi(q) + Lambda^T c, so that what a regression of g on the posture leaves over lies in
+    the row space; its covariance C is compared with that of isotropic noise: C x = e (sum G G^T) x.
+    """
+    GG = np.linalg.pinv(d.Phi @ d.Phi.transpose(0, 2, 1), rcond=1e-10, hermitian=True)
+    g = np.einsum("npq,nqv,nv->np", GG, d.Phi, d.u, optimize=True)
+    weight = 1.0 / np.maximum(np.einsum("npp->n", GG), TINY)  # near-singular postures count little
+    root = np.sqrt(weight)[:, None]
+    left = g * root - beta * root @ np.linalg.lstsq(beta * root, g * root, rcond=1e-12)[0]
+    S = np.einsum("n,nij->ij", weight, GG)
+    S += 1e-14 * np.trace(S) / len(S) * np.eye(len(S))
+    return (S @ eigh(left.T @ left, S)[1][:, ::-1]).T
+
+
+class Search:
+    """The most likely Lambda of each number of rows, on few samples."""
+
+    def __init__(self, d: Data, rng: np.random.Generator):
+        self.d, self.enough = d, ABOVE_NOISE * (d.floor if d.own else max(d.noise, d.floor))
+        starts = [conditional_pca(d, b) for b in (d.beta[:, d.grades < 2], d.beta) if 2 * b.shape[1] < len(d.u)]
+        r = d.Phi.shape[1]
+        self.fits = {s: self._look([x[:s] for x in starts]) for s in range(min(r, d.u.shape[1] - 1) + 1)}
+        if self.best.noise > self.enough:
+            for s, before in self.fits.items():
+                self.fits[s] = self._look(rng.standard_normal((OWN_STARTS if d.own else RANDOM_STARTS, s, r)), before)
+        # one row less, within the rows of the best: they hold the true ones where these are fewer
+        while (s := len(self.best.rows)) > 1:
+            self.fits[s - 1] = self._look(rng.standard_normal((SUBSPACES, s - 1, s)) @ self.best.rows, self.fits[s - 1])
+            if len(self.best.rows) == s:
+                break
+
+    def _look(self, starts: Iterable[np.ndarray], best: Any = None) -> PolicyFit:
+        for start in starts:
+            if best is None or (best.noise > self.enough and best.m):
+                here = PolicyFit(self.d, orthonormal_rows(start)).best(6)
+                best = here if best is None or here.cost < best.cost else best
         return best
 
+    @property
+    def best(self) -> PolicyFit:
+        """The likeliest, of those whose policy predicts recordings that it was not fitted to.
 
-def descended(here: Posterior, steps: int = _STEPS) -> Posterior:
-    """The most likely Lambda from here."""
-    s, r = here.Lambda.shape
-    steps = steps if 0 < s < r else 0
-    return descend(here, Posterior.moved, steps, settled=lambda _, step, H: float(step @ H @ step) < _SETTLED)
-
-
-def estimate_imposed(
-    samples: Samples,
-    n_constraints: int | None,
-    rng: np.random.Generator,
-    policy_model: str = "auto",
-    unexplained: float = math.inf,
-) -> Estimate:
-    """Number of rows by evidence on a choice of samples, then the most likely Lambda on all.
-
-    Args:
-        samples: What was recorded.
-        n_constraints: Number of rows; found from the data by default.
-        rng: For k-means and the random starts.
-        policy_model: `"auto"` (the general prior), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`, `"quartic"`,
-            `"quintic"` or `"rbf"`; or `"affine-offset"`: affine, with an offset per trajectory, where demonstrators
-            rest in different postures.
-        unexplained: Share of the energy of left-out recordings that a policy may leave.
-
-    Raises:
-        NotIdentifiableError: One trajectory or motion only, too few samples for an affine policy, no task in them, or
-            no policy explains them.
-    """
-    refuse_what_cannot_show_it(samples, n_constraints)
-    floor, own, given = resolved(samples), policy_model == OWN, samples
-    few = _few(samples) if own else samples.thinned(COMPARE_LIMIT)
-    grades = grades_of(few, policy_model, rng)
-
-    def searched(some: Samples) -> tuple[Search, Posterior]:
-        search = Search(some, list(grades.values()), rng, own)
-        return search, descended(search.best if n_constraints is None else search.found[n_constraints])
-
-    search, chosen = searched(few)
-    is_noisy = chosen.noise > NO_NOISE * samples.energy
-    S = shape_in_time(samples) if is_noisy else None
-    if S is not None and np.linalg.cond(S) >= UNEQUAL_NOISE:
-        other, weighted = searched(whitened(few, S))
-        if weighted.nats(floor) > chosen.nats(floor):
-            search, chosen, samples = other, weighted, whitened(samples, S)
-    if len(chosen.Lambda) == 0:
-        raise NotIdentifiableError(
-            "a policy of the posture alone explains the motion: nothing in it is steered on purpose, or too few "
-            "trajectories show what is; record more, from other starts to other targets",
-            code="no-task",
-        )
-    if policy_model == "auto" and chosen.noise > search.enough and _rest_apart(samples, chosen.Lambda, grades):
-        return estimate_imposed(given, n_constraints, rng, OWN, unexplained)
-    regressors = Regressors.of(samples, list(grades.values()))
-    if is_noisy:
-        fit = _with_its_noise(descended(Posterior(samples, regressors, chosen.Lambda)), floor)
-        # of the general prior, the largest degree of which the data determine a parameter, and the waves
-        used = [name for name, number in zip(grades, fit.determined, strict=False) if number >= 1.0]
-        said = [name for name in used if name in POLYNOMIALS][-1:] + [name for name in used if name not in POLYNOMIALS]
-        nats, name = fit.nats(floor), "+".join(said) or next(iter(grades))
-    else:
-        models = [(next(iter(grades)), list(grades.values()))]
-        if policy_model == "auto":  # those that may describe a policy exactly, fewest parameters first
-            sizes = {name: n_columns(few, some) for name, some in MODELS.items() if name not in ("constant", OWN)}
-            names = [name for name in sorted(sizes, key=lambda name: sizes[name]) if sizes[name] <= MOST_COLUMNS]
-            models = [(name, [GRADES[one] for one in MODELS[name]]) for name in names]
-        name, fit = without_noise(samples if own else few, chosen.Lambda, models)
-        nats = Posterior(samples, regressors, fit.Lambda).nats(floor)
-    name = name if policy_model in ("auto", "rbf") else policy_model
-    gradients, hessians = fit.scores()
-    prior = None
-    if isinstance(fit, Posterior):
-        prior = PolicyPrior(np.append(fit.precision, np.zeros(hessians.shape[1] - len(fit.precision))), fit.noise)
-    energy = max(fit.energy / len(fit.samples), VANISHING * samples.energy)
-    held_out = fit.held_out(parts_of(fit.samples, MOST_LEFT_OUT, own)) / energy
-    if held_out > unexplained:
-        raise NotIdentifiableError("no policy explains left-out recordings", code="unexplained")
-    left = fit.residual / len(fit.samples) / energy
-    residuals = {name: held_out}
-    return Estimate(
-        "joint", fit.Lambda, search.gaps(), left, held_out, gradients, hessians, name, residuals, nats, prior
-    )
+        Likelihood alone believes in a rich policy that follows each of a few recordings.
+        """
+        least = RESOLVED * self.d.mean_square
+        some = [f for f in self.fits.values() if f.held_out <= PREDICTS * max(f.energy, f.n_residuals * least)]
+        return max(some or self.fits.values(), key=lambda f: f.nats(self.d.floor) if some else -f.held_out)
 
 
-def _few(samples: Samples) -> Samples:
-    return samples.subset(samples.trajectory < _FEW).thinned(FEW_SAMPLES)
+@dataclass(eq=False)
+class Imposed:
+    """Rows that the demonstrator drives, with the policy beside them."""
+
+    view: View
+    fit: Any
+    gaps: dict[int, float]
+    likeliest: int  # number of rows
+    weak_gap: float  # from which a number of rows is weakly supported
+    policy_model: str
+    policy_residuals: dict[str, float]
+    held_out: float
+    nats: float = 0.0
+    estimator: str = "joint"
+    levels: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    uncertainty: dict[str, float | None] = field(default_factory=dict)
+    errors: Errors | None = None
+    warnings: list[str] = field(default_factory=list)
 
 
-def _rest_apart(samples: Samples, Lambda: Float[np.ndarray, "s r"], grades: dict[str, Grade]) -> bool:
-    """Whether offsets of each trajectory explain more than the general prior, where this leaves more than noise."""
-    few, floor = _few(samples), OWN_SHARE * resolved(samples)
-    own = [GRADES[name] for name in MODELS[OWN]]
-    shared, apart = (Posterior(few, Regressors.of(few, one), Lambda) for one in (list(grades.values()), own))
-    return apart.nats(floor) > shared.nats(floor)
-
-
-def _with_its_noise(fit: Posterior, floor: float) -> Posterior:
-    """The fit with the covariance of the noise that its residual shows, where that makes the motion more likely."""
-    for _ in range(COVARIANCES):
-        Sigma = shape_of_residual(fit)
-        if np.linalg.cond(Sigma) < UNEQUAL_NOISE:
-            break
-        other = descended(Posterior(whitened(fit.samples, Sigma), fit.regressors, fit.Lambda))
-        if other.nats(floor) <= fit.nats(floor):
-            break
-        fit = other
-    return fit
-
-
-def without_noise(
-    samples: Samples, Lambda: Float[np.ndarray, "s r"], models: Iterable[tuple[str, Sequence[Grade]]]
-) -> tuple[str, ExactPolicy]:
-    """The first model that leaves rounding alone, or the one that leaves least, by least squares; with its name."""
-    best: tuple[str, ExactPolicy] | None = None
-    s, r = Lambda.shape
-    for name, grades in models:
-        here = ExactPolicy(samples, Regressors.of(samples, grades), Lambda)
-        here = descend(here, ExactPolicy.moved, EXACT_STEPS if 0 < s < r else 0, tolerance=1e-13, gain=1e-9)
-        best = (name, here) if best is None or here.cost < RICHER * best[1].cost else best
-        if here.cost <= _ROUNDING * len(samples) * samples.energy:
-            break
+def learn_imposed(views: list[View], settings: Settings, rival: Any = None) -> Imposed | NotIdentifiableError:
+    """Return the likeliest rows with a policy beside them, in the features where they are likeliest; or a refusal."""
+    table, best = views[0].table, None
+    nothing = NotIdentifiableError("no features to learn from", code="zero-features")
+    refused = _unidentifiable(table, settings)
+    for v in [v for v in views if v.r == views[0].r and refused is None]:
+        try:
+            one = _separate(v, settings) if settings.estimator == "separate" else _joint(v, settings)
+        except LinAlgError:
+            why = "the motion is too short, or too much alike, for a model of the policy: move further, and differently"
+            one = NotIdentifiableError(why, code="too-few-samples")
+        if isinstance(one, NotIdentifiableError):
+            refused = one
+        elif best is None or one.nats > best.nats + SURER:
+            best = one
     if best is None:
-        raise ValueError("there is no model")
-    return best
+        return refused or nothing
+    if settings.estimator == "auto":
+        known = rival is not None and rival.view is best.view
+        rows = rival.rows if known and rival is not None else levels_on(best.view, _whole(table))[1]
+        d = Data.of(best.view, ["constant"], 0, _few(table, MOST, False))
+        held = HeldFit(d, orthonormal_rows(rows[: len(best.fit.rows)])).nats(d.floor)
+        if best.held_out > EXPLAINED or best.nats <= held:
+            return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
+    return _doubted(best, settings)
 
 
-def refuse_what_cannot_show_it(samples: Samples, n_constraints: int | None) -> None:
-    """Refuse recordings in which nothing tells the policy from the task.
+def _whole(table: Table) -> list[Stretch]:
+    return [Stretch(i, *map(float, ends)) for i, ends in enumerate(table.ends)]
 
-    Raises:
-        NotIdentifiableError: One trajectory or motion only, or too few samples for an affine policy.
-    """
-    if samples.n_trajectories < 2:
-        raise NotIdentifiableError(
-            "one trajectory does not identify a constraint whose task velocity is unknown: give several, from "
-            "different starts to different targets",
-            code="one-trajectory",
-        )
-    # whether all trajectories lie on the path of the longest one, whatever their time, direction and rate
-    paths = [samples.q[part] for _, part in runs(samples.trajectory)]
-    extents = [float(np.sum(np.var(path, axis=0))) ** 0.5 for path in paths]
-    longest, most = paths[int(np.argmax(extents))], SAME_PATH * max(extents)
-    # with postures added between its samples, until none are farther apart than that [rad]
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(longest, axis=0), axis=1)))
-    n = min(int(along[-1] / most) + 1, MOST_POSTURES) if most > 0.0 else 0
-    places = np.union1d(along, np.linspace(0.0, along[-1], n + 1))
-    tree = cKDTree(np.column_stack([np.interp(places, along, column) for column in longest.T]))
-    if all(float(np.mean(tree.query(path)[0] ** 2)) <= most**2 for path in paths):
-        raise NotIdentifiableError(
-            f"the {samples.n_trajectories} recordings repeat one motion: like a single one they cannot show which part "
-            "of it is steered on purpose; record motions that differ, from other starts to other targets",
-            code="repeated-motion",
-        )
-    if len(samples) * (samples.nv - (n_constraints or 1)) < 2 * samples.nv * (1 + samples.q.shape[1]):
-        raise NotIdentifiableError(
-            f"{len(samples)} samples are too few for the joint estimator on {samples.n_rows} rows and {samples.nv} "
-            "joints: record more trajectories, or name fewer axes",
-            code="too-few-samples",
-        )
+
+def _unidentifiable(table: Table, settings: Settings) -> NotIdentifiableError | None:
+    """Return why nothing in the recordings tells the policy from the task; None if something may."""
+    (n, nv), s, known, separate = table.u.shape, settings.n_constraints or 1, MODELS, settings.estimator == "separate"
+    one = "one trajectory does not identify a constraint whose task velocity is unknown: give several"
+    same = f"the {len(table)} recordings repeat one motion: like one they cannot show which part of it is steered"
+    asked, differ = f"unknown policy model {settings.policy_model!r}", "from other starts to other targets"
+    for code, wrong, why in (
+        ("policy-model", settings.policy_model not in known, f"{asked}: use {', '.join(map(repr, known))}"),
+        ("no-freedom", s >= nv, f"{s} constraints leave no null space for {nv} joints"),
+        ("one-trajectory", not separate and len(table) < 2, f"{one}, {differ}"),
+        ("repeated-motion", not separate and is_one_path(table), f"{same}; record motions that differ, {differ}"),
+        ("too-few-samples", n * (nv - s) < 2 * nv * (1 + table.q.shape[1]), f"{n} samples are too few: record more"),
+    ):
+        if wrong:
+            return NotIdentifiableError(why, code=code)
+    return None
+
+
+def is_one_path(table: Table) -> bool:
+    """Return True for one motion that is repeated: it shows a policy no configuration beside its path."""
+    kept: list[cKDTree] = []
+    for t in table.moved:
+        few, most = t.q[:: max(1, len(t) // 100)], SAME_PATH * float(np.linalg.norm(np.std(t.q, axis=0)))
+        if not any(np.sqrt(np.mean(path.query(few)[0] ** 2)) < most for path in kept):
+            kept.append(cKDTree(np.linspace(few[:-1], few[1:], 5).reshape(-1, t.q.shape[1])))
+    return len(kept) < min(3, len(table))
+
+
+def _few(table: Table, most: int, own: bool) -> np.ndarray:
+    """Return at most so many velocities, evenly; where recordings have offsets of their own, of few recordings."""
+    few = np.flatnonzero(table.recording < (OWN_RECORDINGS if own else np.inf))
+    return few[:: -(-len(few) * table.u.shape[1] // most)]
+
+
+def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
+    """Return the most likely Lambda on all samples, with the number of rows that is likeliest on few; or a refusal."""
+    table, s, model, seed = v.table, settings.n_constraints, settings.policy_model, settings.seed
+    own, auto, names = model == "affine-offset", model == "auto", list(MODELS[model])
+    few, rng, nv = _few(table, COMPARED // (3 if own else 1), own), np.random.default_rng(seed), table.u.shape[1]
+    while auto and nv * sum(regressors(table, g, seed).shape[1] for g in names) > MOST_COLUMNS:
+        names.pop()
+
+    if settings.estimator == "auto":  # where a plain policy foretells hardly anything, no richer one is tried
+        plain = Search(Data.of(v, MODELS["affine"], seed, few[:: -(-len(few) // FEW)], None), rng)
+        if min(fit.held_out / max(fit.energy, TINY) for fit in plain.fits.values()) > HOPELESS:
+            return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
+
+    def searched(mixing: np.ndarray | None) -> tuple[Search, PolicyFit]:
+        search = Search(Data.of(v, names, seed, few, mixing), rng)
+        return search, (search.fits[s] if s in search.fits else search.best).best()
+
+    search, chosen = searched(None)
+    floor, noisy = search.d.floor, chosen.noise > NO_NOISE * nv * search.d.mean_square
+    if noisy and (mixing := mixing_of(table)) is not None:
+        other = searched(mixing)
+        search, chosen = other if other[1].nats(floor) > chosen.nats(floor) else (search, chosen)
+    if len(chosen.rows) == 0:
+        why = "a policy of the posture alone explains the motion: nothing in it is steered on purpose, or too few"
+        return NotIdentifiableError(f"{why} recordings show it; record more, from other starts", code="no-task")
+    if auto and chosen.noise > search.enough:
+        some = _few(table, COMPARED // 3, True)
+        shared, apart = (PolicyFit(Data.of(v, g, seed, some), chosen.rows) for g in (names, MODELS["affine-offset"]))
+        if apart.nats(apart.d.floor) > shared.nats(apart.d.floor):  # a rest posture of each recording explains more
+            return _joint(v, replace(settings, policy_model="affine-offset"))
+    names = [g for i, g in enumerate(names) if i in chosen.d.grades]
+    fit = PolicyFit(Data.of(v, names, seed, _few(table, MOST, False), chosen.d.mixing), chosen.rows)
+    if noisy:
+        fit = fit.best()
+        used = [g for g, number in zip(names, fit.determined, strict=False) if number >= 1.0] or names
+        name = "+".join([g for g in used if g in POLYNOMIALS][-1:] + [g for g in used if g not in POLYNOMIALS])
+    nats = fit.nats(floor)
+    best, energy = None, len(few) * nv * search.d.mean_square
+    for one in () if noisy else EXACT if auto else [model]:  # the first that leaves rounding alone, or little
+        d = Data.of(v, MODELS[one], seed, few)
+        if best is None or (best.cost > ROUNDING * energy and nv * d.beta.shape[1] <= MOST_COLUMNS):
+            there = PolicyFit(d, chosen.rows, exact=True).best(30)
+            best, name = (there, one) if best is None or there.cost < 0.5 * best.cost else (best, name)
+    fit = best or fit
+    name = "rbf32" if model == "rbf" else name if auto else model
+    share, weak = fit.held_out / fit.energy, math.sqrt(1.0 + 6.0 * math.sqrt(2.0 / len(few)))
+    left = [math.sqrt(max(f.held_out, LEAST * energy) / f.n_residuals) for f in search.fits.values()]
+    gaps = {k: left[k - 1] / left[k] for k in range(1, len(left))}
+    return Imposed(v, fit, gaps, max(len(search.best.rows), 1), weak, name, {name: share}, share, nats)
+
+
+def _doubted(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableError:
+    """Return the answer with its uncertainty and its doubts; or a refusal."""
+    rows, given, s = a.fit.rows, settings.n_constraints is not None, counted(len(a.fit.rows), "row")
+    gap, better = a.gaps.get(len(rows), 0.0), a.gaps.get(a.likeliest, 0.0)
+    for part, B in a.fit.errors(np.random.default_rng(settings.seed)).items():
+        a.uncertainty[part] = float(np.degrees(np.quantile(angles(rows, a.view.W, B), 0.68)))
+        total = B if a.errors is None else B + a.errors.noise
+        a.errors = Errors(total, 0.0 * B, np.zeros((len(B), a.view.table.u.shape[1])))
+    if a.estimator == "joint" and (deg := math.hypot(*(x or 0.0 for x in a.uncertainty.values()))) > MOST_UNCERTAIN:
+        why = f"record more, from other starts to other targets: these tell the rows to {deg:.0f} degrees only, and"
+        return NotIdentifiableError(f"{why} beyond {MOST_UNCERTAIN:g} that is no answer", code="uncertain")
+    if not given and gap < a.weak_gap:
+        why = f"the recordings do not show a constraint: the largest gap is {gap:.2g}, for {s}, and {a.weak_gap:.3g}"
+        return NotIdentifiableError(f"{why} is the least that counts", code="weak-gap", gaps=a.gaps)
+    if gap < CLEAR_GAP:
+        why = "the constraint may be soft, or the recordings noisy"
+        a.warnings.append(f"weak gap: {gap:.2g} for {s}, {CLEAR_GAP:g} is clear; {why}")
+    if given and a.likeliest != len(rows) and better >= a.weak_gap:
+        a.warnings.append(f"{s} learnt, but the gap supports {a.likeliest}: {better:.3g} against {gap:.3g}")
+    if a.held_out > EXPLAINED and a.estimator == "joint":
+        why = "the null-space motion is not a function of the posture"
+        a.warnings.append(f"the policy predicts only {100 * (1 - a.held_out):.0f} % of left-out trajectories: {why}")
+    return a
+
+
+# ------------------------------------------------------------------------------------------ the method of the paper
+
+
+def separated(view: View, seed: int) -> np.ndarray | NotIdentifiableError:
+    """Return the null-space part of the motion (n, nv), by consistency alone; or a refusal."""
+    u, n = view.table.u, min(MOST_CENTRES, len(view.table.q) // SAMPLES_PER_CENTRE)
+    if n < FEWEST_CENTRES:
+        why = f"{len(u)} samples are too few to separate task and null-space part: at least "
+        return NotIdentifiableError(f"{why}{FEWEST_CENTRES * SAMPLES_PER_CENTRE} are needed", code="too-few-samples")
+    beta, few = regressors(view.table, f"rbf{n}", seed), slice(None, None, -(-len(u) // 4000))
+    # orthonormal combinations of the regressors, from coarse to fine: the finest alone ends in poor minima
+    basis, sigma, Vt = np.linalg.svd(beta[few], full_matrices=False)
+    x = np.zeros(0)
+    for share, gain in STAGES:
+        own = basis[:, sigma > share * sigma[0]]
+        x = np.append(x, np.zeros(own.shape[1] * u.shape[1] - x.size)) if x.size else (own.T @ u[few]).reshape(-1)
+        both = partial(residual_and_jacobian, own, u=u[few])
+        e, J = (lambda x, f=both, i=i: f(x)[i] for i in (0, 1))
+        x = least_squares(e, x, J, method="lm", ftol=gain, max_nfev=200).x
+    k = x.size // u.shape[1]
+    w = beta @ ((Vt[:k].T / sigma[:k]) @ x.reshape(k, -1))
+    if np.sum(w**2) < STILL_ENERGY * np.sum(u**2):
+        why = "the separation finds no null-space motion: what is left of the motion after the task is nothing to learn"
+        why += advice(" from; use {}", "estimator='joint'", "--estimator joint")
+        return NotIdentifiableError(why, code="no-null-motion")
+    return w
+
+
+def residual_and_jacobian(basis: np.ndarray, weights: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return e = w^ . u - |w~| and its derivative by the weights, d e / d w~ = (u - (w^ . u) w^) / |w~| - w^."""
+    w = basis @ weights.reshape(basis.shape[1], -1)
+    length = np.linalg.norm(w, axis=1)
+    safe = np.maximum(length, TINY**0.5)[:, None]
+    direction = w / safe
+    along = np.einsum("nv,nv->n", direction, u)
+    slope = (u - along[:, None] * direction) / safe - direction
+    return along - length, (basis[:, :, None] * slope[:, None, :]).reshape(len(u), -1)
+
+
+def _separate(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
+    """Separate u into task and null-space part, then learn Lambda from A w~ = 0."""
+    w, table, u = separated(v, settings.seed), copy(v.table), v.table.u
+    if isinstance(w, NotIdentifiableError):
+        return w
+    table.u, name = w, f"rbf{min(MOST_CENTRES, len(w) // SAMPLES_PER_CENTRE)}"
+    null, length = View(v.features, table), np.maximum(np.linalg.norm(w, axis=1), TINY**0.5)
+    cost = float(np.sum((np.einsum("nv,nv->n", w, u) / length - length) ** 2) / np.sum(u**2))
+    levels, directions = levels_on(null, _whole(table))
+    gaps = gaps_of(levels, u.shape[1])
+    likeliest = max(gaps, key=lambda s: gaps[s])
+    d = Data.of(null, ["constant"], 0, np.arange(len(w)))
+    fit = HeldFit(d, orthonormal_rows(directions[: settings.n_constraints or likeliest])).best()
+    out = Imposed(v, fit, gaps, likeliest, WEAK_GAP, name, {name: cost}, fit.unexplained)
+    return replace(out, estimator="separate", levels=levels)

@@ -1,17 +1,13 @@
-"""Demonstrations -> Constraint, with the evidence."""
+"""From demonstrations to a constraint, its evidence, and the skill that was shown."""
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 import math
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, final, get_args
-
-import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
@@ -19,23 +15,20 @@ from manip_learn.constraint.skill import Skill
 from manip_learn.errors import (
     FeatureError,
     NotFittedError,
-    NotIdentifiableError,
     NumberOfConstraintsError,
     RecordingError,
     advice,
     an,
     listed,
 )
-from manip_learn.learning.answer import EstimatorName, LearnerSettings, find_answers
+from manip_learn.learning.answer import learn
 from manip_learn.learning.arm_errors import ArmErrors
 from manip_learn.learning.checks import check_fastest, refuse_noise, refuse_still_hand
-from manip_learn.learning.explanation.evidence import SWITCH_NATS
-from manip_learn.learning.explanation.findings import Findings, Part, find
 from manip_learn.learning.origin import made
-from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
+from manip_learn.learning.report import Context, LearningReport, reports
 from manip_learn.learning.skill import skill_of
+from manip_learn.learning.table import BELIEVED, SWITCH, EstimatorName, Settings, Table
 from manip_learn.learning.thinning import MOST_SAMPLES, EvenChoice, read_evenly
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.given import Given, check_joints, parts_of, recordings_given
@@ -46,55 +39,65 @@ from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
-_ESTIMATORS = ("auto", "joint", "null-space", "separate")
 Switch = Literal["auto", "off"]
 SWITCHES = ("auto", "off")
-_LEARNT = ("constraint_", "constraints_", "report_", "reports_", "skill_")  # there after `fit` only
+_LEARNT = ("constraint_", "constraints_", "report_", "reports_", "skill_")  # exist after `fit` only
+_ALIASES = {  # of arguments, until 0.4
+    "zeros": "joint_offset_std",
+    "links": "link_error_std",
+    "most_samples": "max_samples",
+    "switch": "switching_cost",
+    "habits": "keep_habits",
+}
 
 
 @final
 class ConstraintLearner:
-    """Learns Lambda of A(q) = Lambda Phi(q) from demonstrations.
+    """Learner of the selection matrix Lambda in A(q) = Lambda Phi(q) from demonstrations.
+
+    The whole twist of the end effector is searched and fitted, whatever axes the features have; the axes select the
+    rows of `constraint_`, and `skill_` keeps the whole.
 
     Args:
-        features: Phi; or several candidates (e.g. the same axes in the world's and in the tool's frame), of which the
-            one with the larger gap wins.
-        n_constraints: Number of rows s; found from the data by default.
-        estimator: `"null-space"` for motions that the world constrains (b = 0); `"joint"` for motions whose
-            constrained rows the demonstrator moves on purpose (b unknown, a null-space policy that depends on the
-            posture); `"separate"` for the paper's own route; `"auto"` selects the first or the second from the data.
-        policy_model: Joint estimator: `"auto"` (a general prior), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`,
-            `"rbf"`, or `"affine-offset"` (affine, with a separate rest posture for each trajectory).
-        velocities: `"auto"` and `"derive"`: derived from the positions, whatever was recorded; `"recorded"`: recorded
-            ones as they are.
-        phases: `"auto"` looks for the stretches in which a constraint holds where no single one fits the recordings;
-            `"off"` takes every recording as a whole.
-        mechanism: `"auto"` looks for a mechanism (line, plane, hinge, ball, screw, held orientation) where Phi is a
-            `FrameJacobian`; `"off"` does not.
-        strength: How much less than by chance a row must be used, with 99 % confidence, to be believed. A larger number
-            refuses more, a smaller one believes more; free motion reaches 1.5 now and then.
-        switch: What a change between a contact and free motion costs [nats]. A larger number finds fewer and longer
-            phases: 16 is a chance of exp(-16) for each tenth of a second, that of a change in some months.
-        habits: Whether rows that may be kept by the way of moving only are learnt beside those that are clearly held;
-            they are named in any case.
-        most_samples: Of more samples so many are chosen evenly. More of them take time and teach next to nothing:
-            their half turns a drawer by 0.0005 degrees.
-        zeros: Standard deviation [deg] of the errors of the joints' zeros, as it is thought of the arm beforehand: an
-            industrial arm has 0.05 to 0.2, one of hobby servos 1. The recordings correct it where they show the errors.
-            0: an arm whose joints and links are as described, unless the recordings show that they are not.
-        links: The same of its links [mm and mrad]: of the place and the turn of each joint seen from the one before.
-        seed: Seed of everything random (bootstrap, recombination, random starts, k-means).
+        features: Phi; or several candidates (e.g. the same axes in the world and in the tool frame), among which the
+            evidence decides.
+        n_constraints: Number of rows s; by default it follows from the data.
+        estimator: `"null-space"` for motions constrained by the world (b = 0); `"joint"` for motions whose constrained
+            rows the demonstrator drives on purpose (b unknown, a null-space policy that depends on the configuration);
+            `"separate"` for the method of the paper; `"auto"` selects the first or the second from the data.
+        policy_model: Null-space policy of the joint estimator: `"auto"` (a general prior), `"constant"`, `"affine"`,
+            `"quadratic"`, `"cubic"`, `"rbf"`, or `"affine-offset"` (affine, with a rest configuration of its own for
+            each trajectory).
+        velocities: `"auto"` and `"derive"`: derived from the positions; `"recorded"`: recorded velocities as they are.
+        phases: `"auto"` finds the stretches in which a constraint acts where no single constraint fits the recordings;
+            `"off"` treats every recording as one stretch.
+        mechanism: `"auto"` identifies a mechanism (line, plane, hinge, ball, screw, held orientation); `"off"` does
+            not.
+        strength: Smallest ratio between the use of a row by recombined motions and by the recorded ones, at 99 %
+            confidence, at which a row is accepted. A larger value refuses more; free motion occasionally reaches 1.5.
+        switching_cost: Cost of a transition between contact and free motion [nats]. A larger value gives fewer and
+            longer phases; 16 is a probability of exp(-16) for each tenth of a second.
+        keep_habits: True to also learn rows that may only be habits of the demonstrator; they are named in any case.
+        max_samples: Largest number of samples used; larger sets are subsampled evenly. Using half of the samples
+            changes the direction of a drawer by 0.0005 degrees.
+        joint_offset_std: Prior standard deviation of the joint offsets [deg]: 0.05 to 0.2 for industrial arms, 1 for
+            hobby servos. The data correct it where they show the offsets. 0: joints and links as described, unless
+            the data show otherwise.
+        link_error_std: Prior standard deviation of the errors of the links [mm and mrad]: of the position and the
+            orientation of each joint in the frame of its predecessor.
+        seed: Seed of all random draws (recombination, uncertainty, random starts).
+        **renamed: Former names of arguments, valid until 0.4: `zeros`, `links`, `most_samples`, `switch`, `habits`.
 
     Attributes:
         constraint_: The learnt `Constraint`, after `fit`: the best supported one.
-        constraints_: Every constraint that was found, clear ones first, then best supported first.
-        report_: The evidence for the first, a `LearningReport`, after `fit`.
+        constraints_: All constraints, clear ones first, then by support.
+        report_: Evidence for the first constraint, a `LearningReport`.
         reports_: One report per constraint.
-        skill_: The constraints in the order in which they were shown, with what was done along each: a `Skill`.
+        skill_: All constraints with all their rows, in the order in which they were shown: a `Skill`.
 
     Raises:
-        FeatureError: No features, features that are something else, or settings out of range.
-        NotFittedError: What was learnt is asked for before `fit`.
+        FeatureError: No features, features of another type, or settings out of range.
+        NotFittedError: An attribute with a trailing underscore is read before `fit`.
 
     Example:
         >>> import numpy as np
@@ -103,7 +106,7 @@ class ConstraintLearner:
         >>> demos = ml.load_demonstrations("sawyer_drawer", robot)[:6]  # or a folder of your own
         >>> features = ml.FrameJacobian(robot, "right_gripper_tip", axes="xyz")
         >>> learner = ml.ConstraintLearner(features).fit(demos)
-        >>> learner.report_.n_constraints, learner.report_.gap > 10.0  # two directions are held, clearly
+        >>> learner.report_.n_constraints, learner.report_.gap > 10.0  # two directions are constrained, clearly
         (2, True)
         >>> np.abs(learner.report_.free_directions).round(2)  # the drawer opens along this one
         array([[0.91, 0.42, 0.  ]])
@@ -125,83 +128,90 @@ class ConstraintLearner:
         velocities: Velocities = "auto",
         phases: Switch = "auto",
         mechanism: Switch = "auto",
-        strength: float = BELIEVED_STRENGTH,
-        switch: float = SWITCH_NATS,
-        habits: bool = False,
-        most_samples: int = MOST_SAMPLES,
-        zeros: float = 0.1,
-        links: float = 0.5,
+        strength: float = BELIEVED,
+        switching_cost: float = SWITCH,
+        keep_habits: bool = False,
+        max_samples: int = MOST_SAMPLES,
+        joint_offset_std: float = 0.1,
+        link_error_std: float = 0.5,
         seed: int = 0,
+        **renamed: Any,
     ):
-        for name, value in (("phases", phases), ("mechanism", mechanism)):
-            if value not in SWITCHES:
-                asked = advice("{}", name, f"--{name}") or name
-                raise FeatureError(f"{asked} must be 'auto' or 'off', not {value!r}")
-        if estimator not in _ESTIMATORS:
-            asked = advice("{}", "estimator", "--estimator") or "estimator"
-            raise FeatureError(f"{asked} must be one of {', '.join(_ESTIMATORS)}, not {estimator!r}")
-        self.features = features
-        self.n_constraints = n_constraints
+        self.features, self.n_constraints, self.policy_model, self.seed = features, n_constraints, policy_model, seed
         self.estimator: EstimatorName = estimator
-        self.policy_model = policy_model
-        if velocities not in (choices := get_args(Velocities)):
-            raise FeatureError(f"velocities must be one of {', '.join(choices)}, not {velocities!r}")
         self.velocities: Velocities = velocities
         self.phases: Switch = phases
         self.mechanism: Switch = mechanism
-        for name, number, what, least in (
-            ("strength", strength, "", 1),
-            ("switch", switch, " of nats", 0),
-            ("zeros", zeros, " of degrees", 0),
-            ("links", links, " of mm and mrad", 0),
-        ):
-            if isinstance(number, bool) or not isinstance(number, int | float) or not least <= number < math.inf:
-                raise FeatureError(f"{name} must be a finite number{what} of at least {least}, got {number!r}")
-        if isinstance(most_samples, bool) or not isinstance(most_samples, int) or most_samples < 100:
-            raise FeatureError(f"most_samples must be an integer of at least 100, got {most_samples!r}")
-        self.strength, self.switch, self.most_samples = float(strength), float(switch), most_samples
-        self.zeros, self.links = float(zeros), float(links)
-        self.habits, self.seed = bool(habits), seed
-        candidates = [features] if not isinstance(features, Sequence) else list(features)
-        if not candidates:
+        self.strength, self.switching_cost = strength, switching_cost
+        self.keep_habits, self.max_samples = keep_habits, max_samples
+        self.joint_offset_std, self.link_error_std = joint_offset_std, link_error_std
+        for name, value in renamed.items():
+            if name not in _ALIASES:
+                raise TypeError(f"{type(self).__name__}() got an unexpected keyword argument {name!r}")
+            setattr(self, _ALIASES[name], value)
+        self._feature_maps = list(features) if isinstance(features, Sequence) else [features]
+        self._check()
+
+    def _check(self) -> None:
+        """Refuse settings out of range."""
+        choices = {"phases": SWITCHES, "mechanism": SWITCHES, "estimator": get_args(EstimatorName)}
+        for name, allowed in (choices | {"velocities": get_args(Velocities)}).items():
+            if (value := getattr(self, name)) not in allowed:
+                called = advice("{}", name, f"--{name}") or name
+                said = " or ".join(map(repr, allowed)) if len(allowed) < 3 else f"one of {', '.join(allowed)}"
+                raise FeatureError(f"{called} must be {said}, not {value!r}")
+        least = {"strength": 1, "switching_cost": 0, "joint_offset_std": 0, "link_error_std": 0}
+        units = {"switching_cost": " of nats", "joint_offset_std": " of degrees", "link_error_std": " of mm and mrad"}
+        for name, lowest in least.items():
+            number = getattr(self, name)
+            if isinstance(number, bool) or not isinstance(number, int | float) or not lowest <= number < math.inf:
+                unit = units.get(name, "")
+                raise FeatureError(f"{name} must be a finite number{unit} of at least {lowest}, got {number!r}")
+        most, s = self.max_samples, self.n_constraints
+        if isinstance(most, bool) or not isinstance(most, int) or most < 100:
+            raise FeatureError(f"max_samples must be an integer of at least 100, got {most!r}")
+        if not self._feature_maps:
             raise FeatureError("give the learner at least one feature map")
-        for given in candidates:
+        for given in self._feature_maps:
             if not isinstance(given, FeatureMap):
                 raise FeatureError(
                     f'call ConstraintLearner(features), e.g. of FrameJacobian(robot, frame="tool"): got {an(given)} '
                     "where features belong"
                 )
-        if n_constraints is not None and (isinstance(n_constraints, bool) or not isinstance(n_constraints, int)):
-            raise FeatureError(f"n_constraints must be an integer or None, got {n_constraints!r}")
-        for candidate in candidates:
+        if s is not None and (isinstance(s, bool) or not isinstance(s, int)):
+            raise FeatureError(f"n_constraints must be an integer or None, got {s!r}")
+        for candidate in self._feature_maps:
             most = min(candidate.n_rows, candidate.nv)
-            if n_constraints is not None and not 1 <= n_constraints <= most:
-                raise NumberOfConstraintsError(n_constraints, most, repr(candidate))
-        self._feature_maps = candidates
+            if s is not None and not 1 <= s <= most:
+                raise NumberOfConstraintsError(s, most, repr(candidate))
 
     def fit(
         self, demonstrations: Given, *others: object, client: Any = None, progress: Progress | None = None
     ) -> ConstraintLearner:
-        """Learn from demonstrations; a second fit forgets the first.
+        """Learn from demonstrations; a second fit replaces the first.
 
-        At most 20,000 samples are learnt from. Of more, that many are chosen evenly while they are read, so that
-        recordings that are not in memory need none.
+        At most `max_samples` samples are used. Larger sets are subsampled while they are read, so that recordings that
+        are not in memory need none.
 
         Args:
             demonstrations: `Demonstrations`; or a trajectory; or arrays `(time, q)` or `(time, q, u)`, one column per
                 joint in the robot's order [s, rad or m]; or a data frame of pandas; or a list of these; or an iterable
                 of motions, which is read once; or a `manip_learn.RecordingSource`, for files larger than memory.
-            others: Nothing: `fit(q, u)`, as other libraries have it, is answered with what to write.
-            client: A `dask.distributed.Client` whose workers read the parts of a source and choose from them; the
-                answer does not depend on their number. What is in memory needs none.
-            progress: Called with what is being done and the share of it that is done.
+            others: None; `fit(q, u)`, the form of other libraries, raises an error with the correct call.
+            client: A `dask.distributed.Client` whose workers read and subsample the parts of a source; the result does
+                not depend on their number.
+            progress: Called with the name of each stage and its completed share, 0 to 1.
+
+        Returns:
+            The learner itself.
 
         Raises:
-            NotIdentifiableError: The demonstrations do not determine a constraint; says why.
+            NotIdentifiableError: The demonstrations do not determine a constraint; the message gives the reason.
             RecordingError: They cannot be used (no velocities to be had, outliers, another robot's joints).
-            ManipLearnError: Workers of the client die again and again, or their scheduler does.
+            ManipLearnError: The workers of the client or its scheduler died.
         """
-        self._forget()
+        for learnt in _LEARNT:  # a fit that raises must not leave the result of other demonstrations behind
+            vars(self).pop(learnt, None)
         if others:  # fit(X, y), as other libraries have it
             raise RecordingError(
                 f"fit takes all recordings as one argument: got {listed(map(an, (demonstrations, *others)))}; "
@@ -212,104 +222,74 @@ class ConstraintLearner:
         given = self._given(demonstrations)
         if not isinstance(given, Demonstrations):
             given = read_evenly(self._choose, given, client, progress).demonstrations
-        self._learn(given)
-        if progress is not None:
-            progress("learning", 1.0)
+        with one_thread():
+            self._learn(given, progress or (lambda stage, share: None))
         return self
 
     def _given(self, demonstrations: Given) -> Demonstrations | list[Reader]:
-        """What was given, with the joints of the features."""
+        """Return what was given, with the joints of the features."""
         for features in self._feature_maps:
             robot = getattr(features, "robot", None)
             if robot is not None and self._robot is not None:
                 check_joints(self._robot.joint_names, robot)
         return recordings_given(demonstrations, self._robot, self._feature_maps[0].nv, self.velocities)
 
-    def _learn(self, given: Demonstrations) -> None:
-        """What repeats counts once -> one table -> what explains it -> a constraint for each part -> reports."""
-        with one_thread():
-            started = time.perf_counter()
-            recordings = IndependentRecordings.of(given)
-            demonstrations = with_velocities(recordings.demonstrations, self._robot, self.velocities)
-            refuse_noise(recordings.demonstrations)
-            check_fastest(demonstrations)
-            refuse_still_hand(self._feature_maps[0], demonstrations)
-            few = self._choose(*parts_of(demonstrations))
-            demonstrations, recordings = few.demonstrations, recordings.only([k.number for k in few.kept])
-            everything = Part.of_all(demonstrations, self._feature_maps)
-            arm = ArmErrors(math.radians(self.zeros), 1e-3 * self.links)
-            settings = LearnerSettings(
-                self.n_constraints,
-                self.estimator,
-                self.policy_model,
-                self.seed,
-                mechanism=self.mechanism == "auto",
-                strength=self.strength,
-                habits=self.habits,
-                arm=arm,
-            )
-            findings = self._explained(everything)
-            findings = dataclasses.replace(findings, warnings=(*recordings.warnings, *findings.warnings))
-            try:
-                answers, findings = find_answers(findings, everything, settings)
-            except NotIdentifiableError as refusal:
-
-                def fits(rows: FeatureMap) -> bool:
-                    other = dataclasses.replace(everything, feature_maps=(rows,), asked=(rows,))
-                    found = self._explained(other)
-                    with suppress(NotIdentifiableError):
-                        return found.explained and bool(find_answers(found, other, settings)[0])
-                    return False
-
-                why = advise(refusal, everything, findings, fits, recordings=recordings, phases=self.phases)
-                raise why from refusal
-            overview = RecordingOverview.of(answers, findings, recordings)
-            names = demonstrations.joint_names
-            origin = made(given, self._settings)
-            learnt = [build_report(answer, overview, names, arm, started, origin) for answer in answers]
-            self.constraints_, self.reports_ = zip(*learnt, strict=True)
-            self.constraint_, self.report_ = learnt[0]
-            self.skill_ = skill_of(self.constraints_, answers)
-
-    def _explained(self, everything: Part) -> Findings:
-        """What explains the recordings; everything is one part where the demonstrator is said to impose the rows."""
-        if self.estimator in ("joint", "separate"):
-            return Findings((everything,))
-        return find(
-            everything,
-            np.random.default_rng(self.seed),
-            switch=self.switch if self.phases == "auto" else math.inf,
-            mechanisms=self.mechanism == "auto" and self.n_constraints is None,
-            strength=self.strength,
+    def _learn(self, given: Demonstrations, progress: Progress) -> None:
+        """Learn: independent recordings -> one table -> hypotheses -> answers -> reports, constraints and a skill."""
+        started = time.perf_counter()
+        recordings = IndependentRecordings.of(given)
+        demonstrations = with_velocities(recordings.demonstrations, self._robot, self.velocities)
+        refuse_noise(recordings.demonstrations)
+        check_fastest(demonstrations)
+        refuse_still_hand(self._feature_maps[0], demonstrations)
+        few = self._choose(*parts_of(demonstrations))
+        recordings = recordings.only([k.number for k in few.kept])
+        table = Table(list(few.demonstrations))
+        arm = ArmErrors(math.radians(self.joint_offset_std), 1e-3 * self.link_error_std)
+        settings = Settings(
+            self.n_constraints,
+            self.estimator,
+            self.policy_model,
+            self.phases == "auto",
+            self.mechanism == "auto",
+            float(self.strength),
+            float(self.switching_cost),
+            bool(self.keep_habits),
+            arm,
+            self.seed,
+            self.velocities == "recorded" or self._robot is None or all(t.exact for t in recordings.demonstrations),
         )
+        context = Context(table, recordings, few.demonstrations.notes, made(given, self._settings), arm, started)
+        found = learn(table, self._feature_maps, settings, progress, recordings.warnings)
+        wholes, self.constraints_, self.reports_ = zip(*reports(found, context), strict=True)
+        self.constraint_, self.report_ = self.constraints_[0], self.reports_[0]
+        self.skill_ = skill_of(wholes, found, table)
+        progress("learning", 1.0)
 
     @property
     def _settings(self) -> dict[str, Any]:
-        """Arguments of the constructor, as they can be written down; the features stand in the constraint itself."""
-        names = [name for name in inspect.signature(type(self)).parameters if name != "features"]
+        """Arguments of the constructor for the provenance; the features are stored in the constraint itself."""
+        names = [name for name in inspect.signature(type(self)).parameters if name not in ("features", "renamed")]
         return {name: getattr(self, name) for name in names}
 
     @property
     def _choose(self) -> partial[EvenChoice]:
         derive = partial(with_velocities, robot=self._robot, velocities=self.velocities)
-        return partial(EvenChoice, self.most_samples, derive)
+        return partial(EvenChoice, self.max_samples, derive)
 
     @property
     def _robot(self) -> Robot | None:
         return getattr(self._feature_maps[0], "robot", None)
 
-    if not TYPE_CHECKING:  # else every name would be an attribute
+    if not TYPE_CHECKING:  # otherwise every name would be an attribute
 
         def __getattr__(self, name: str) -> Any:
             if name in _LEARNT:
                 raise NotFittedError(name)
+            if name in _ALIASES:
+                return getattr(self, _ALIASES[name])
             gone = ": keep the recordings in a list and call fit again" if name == "partial_fit" else ""  # until 0.4
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}{gone}", name=name, obj=self)
-
-    def _forget(self) -> None:
-        """A fit that refuses must not leave the answer to other demonstrations behind."""
-        for learnt in _LEARNT:
-            vars(self).pop(learnt, None)
 
     def __repr__(self) -> str:
         return f"ConstraintLearner({self.features!r}, n_constraints={self.n_constraints}, estimator={self.estimator!r})"

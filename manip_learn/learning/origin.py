@@ -1,4 +1,4 @@
-"""Where an answer comes from: the version of the library, the day, the recordings, the settings."""
+"""Provenance of an answer: version of the library, date, recordings and settings."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ PACKAGE = "manip-learn"
 
 
 def made(demonstrations: Demonstrations, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """What `provenance["made"]` says of an answer.
+    """Return the entry `provenance["made"]` of a constraint.
 
     Args:
-        demonstrations: All that were given.
-        settings: The learner's.
+        demonstrations: All recordings.
+        settings: Settings of the learner.
     """
     names = distinct_names(demonstrations)
     return {
@@ -36,13 +36,13 @@ def made(demonstrations: Demonstrations, settings: Mapping[str, Any]) -> dict[st
 
 
 def _plain(value: Any) -> Any:
-    """A setting as JSON has it."""
+    """Return a setting as JSON represents it."""
     number = value.item() if isinstance(value, np.generic) else value
     return number if number is None or isinstance(number, str | int | float) else str(number)
 
 
 def checksum(trajectory: Trajectory) -> str:
-    """SHA-256 of the file that a trajectory was read from; of its numbers, where it was not read from one."""
+    """Return the SHA-256 of the file of a trajectory; of its numbers if it was not read from a file."""
     if trajectory.sha256:
         return trajectory.sha256
     numbers = (trajectory.time, trajectory.q, *trajectory.arrays.values())
@@ -51,7 +51,7 @@ def checksum(trajectory: Trajectory) -> str:
 
 @functools.cache
 def version() -> str:
-    """The version of the library, with the commit where it is known: `"0.1.0+d8918b7f"`, `-dirty` if changed since."""
+    """Return the version of the library, with the commit if known: `"0.1.0+d8918b7f"`, `-dirty` if changed since."""
     try:
         package = importlib.metadata.distribution(PACKAGE)
     except importlib.metadata.PackageNotFoundError:  # a folder on the path

@@ -1,4 +1,4 @@
-"""Recordings that repeat each other, or themselves: what lies on a path that is known is evidence once.
+"""Recordings that repeat each other, or themselves: a known path is evidence only once.
 
 A posture says nothing of when it was passed. So recordings are compared as paths in the space of the joints, whatever
 their direction, rate, start and clock: one repeats another if its path lies on the other's, within what the encoders'
@@ -27,7 +27,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import listed
-from manip_learn.learning.explanation.evidence import Stretch
+from manip_learn.learning.table import Stretch
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names
 from manip_learn.recordings.velocities import noise_variance
 
@@ -69,7 +69,7 @@ _SEAM, SEAM_SHARE = (3, 10), 16
 @final
 @dataclass(frozen=True, eq=False)
 class IndependentRecordings:
-    """Recordings of which none repeats another, or itself.
+    """Recordings without repeats of each other, or of themselves.
 
     Attributes:
         demonstrations: To learn from.
@@ -86,8 +86,10 @@ class IndependentRecordings:
 
     @staticmethod
     def of(given: Demonstrations) -> IndependentRecordings:
-        """Pieces put together, of recordings that repeat each other the longest or first one, and of one that repeats
-        itself its beginning.
+        """Join pieces, keep the longest or first of recordings that repeat each other, and the first round of one.
+
+        Args:
+            given: All recordings.
         """
         if len({t.q.shape[1] for t in given}) > 1:  # refused where the samples are collected
             return IndependentRecordings(given, tuple(((i, 0.0),) for i in range(len(given))), given)
@@ -123,17 +125,17 @@ class IndependentRecordings:
         return IndependentRecordings(demonstrations, tuple(chains[i] for i in kept), given, tuple(warnings))
 
     def only(self, numbers: Sequence[int]) -> IndependentRecordings:
-        """Some of them."""
+        """Return the recordings with these numbers."""
         demonstrations = Demonstrations([self.demonstrations[i] for i in numbers], self.demonstrations.notes)
         return dataclasses.replace(self, demonstrations=demonstrations, origins=tuple(self.origins[i] for i in numbers))
 
     def places(self, stretch: Stretch) -> tuple[Stretch, ...]:
-        """Where a stretch of `demonstrations` lies in the given recordings, on their own clocks."""
+        """Return the stretches of the given recordings, on their own clocks, that make up one of `demonstrations`."""
         out = []
-        for number, added in self.origins[stretch.trajectory]:
+        for number, added in self.origins[stretch.recording]:
             time = self.given[number].time
             start, end = max(stretch.start - added, float(time[0])), min(stretch.end - added, float(time[-1]))
-            if start < end or len(self.origins[stretch.trajectory]) == 1:
+            if start < end or len(self.origins[stretch.recording]) == 1:
                 out.append(Stretch(number, start, end))
         return tuple(out)
 
@@ -145,13 +147,13 @@ def _near(within: float) -> str:
 @final
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """Where a recording has been, postures of shape (T, n) [rad or m]."""
+    """Path of a recording: postures of shape (T, n) [rad or m]."""
 
     trajectory: Trajectory
 
     @cached_property
     def way(self) -> Float[np.ndarray, " T"]:
-        """Length of the way to each posture, of means over neighbours, in which noise averages out [rad]."""
+        """Length of the path to each posture, of means over neighbours so that noise averages out [rad]."""
         q = self.trajectory.q
         edges = np.unique(np.linspace(0, len(q), WAY_PARTS + 1).astype(int))
         lengths = np.diff(edges)
@@ -161,7 +163,7 @@ class _Path:
 
     @cached_property
     def extent(self) -> float:
-        """Length of the diagonal of the box that it fills [rad]."""
+        """Diagonal of its bounding box [rad]."""
         return float(np.linalg.norm(np.ptp(self.trajectory.q, axis=0)))
 
     @cached_property
@@ -171,19 +173,20 @@ class _Path:
         return REPEATED_RAD**2 + (float(np.sum(noise_variance(t.time, t.q))) if len(t) > 5 else 0.0)
 
     def evenly(self, n: int) -> Int[np.ndarray, " m"]:
-        """So many of the samples, evenly over the way."""
+        """Return the numbers of n samples, evenly spaced along the path."""
         return np.searchsorted(self.way, np.linspace(0.0, self.way[-1], n)).clip(0, len(self.way) - 1)
 
     def near(self, probes: cKDTree) -> Int[np.ndarray, " k"]:
-        """At a first look, the numbers of the paths that pass near it, by PROBES postures of each."""
+        """Return the numbers of paths that may pass near it, by PROBES postures of each."""
         within = NEAREST_PATH_SHARE * self.extent + self.way[-1] / POSTURES
         hits = probes.query_ball_point(self.trajectory.q[self.evenly(POSTURES)], within).tolist()
         found = np.unique(np.array([i for some in hits for i in some], dtype=np.int64))
         return np.flatnonzero(np.bincount(found // PROBES) >= PROBES_NEAR)
 
     def distance_from(self, other: _Path, share: float = REPEATED_SHARE, way: int = 0) -> float | None:
-        """Largest distance of the postures that lie on the other path [rad]; None if these are less than a share of the
-        way, gone in the same direction (`way` 1), in the opposite one (-1) or in either (0).
+        """Return the largest distance of the postures that lie on the other path [rad].
+
+        None if these are less than a share of it, in the same direction (`way` 1), the opposite one (-1) or either (0).
         """
         q, few = other.trajectory.q, self.evenly(POSTURES)
         chosen, heading, headings = self.trajectory.q[few], _heading(self.trajectory.q)[few], _heading(q)
@@ -205,8 +208,10 @@ class _Path:
         return float(np.max(distance[lies])) if np.mean(lies) >= share else None
 
     def known_from(self, *, alone: bool) -> tuple[int, float] | None:
-        """The sample from which on it goes where it has gone, and the largest distance [rad]; None if the last part of
-        its way is new. Among others, what goes there and back on one path is a hand at work, not a round.
+        """Return the sample from which on it repeats itself, and the largest distance [rad].
+
+        None if the last part of the path is new. Among other recordings, motion back and forth on one path is a hand at
+        work, not a round.
         """
         q, last = self.trajectory.q, int(np.searchsorted(self.way, REPEATED_SHARE * self.way[-1]))
         # at a first look one posture of the last part is enough
@@ -230,23 +235,23 @@ class _Path:
 
 
 def _heading(q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
-    """Where the path goes at each sample."""
+    """Return the direction of the path at each sample, not normalised."""
     i, w = np.arange(len(q)), max(1, round(HEADING_SHARE * len(q)))
     return q[np.minimum(i + w, len(q) - 1)] - q[np.maximum(i - w, 0)]
 
 
 def once_each(stretches: Sequence[Stretch], pieces: Sequence[Trajectory]) -> list[int]:
-    """The numbers of those pieces, each the samples of a stretch, that repeat no other one of the same recording."""
+    """Return the numbers of pieces, each of a stretch, that repeat no other one of the same recording."""
     repeated = set[int]()
-    for recording in {s.trajectory for s in stretches}:
-        own = [k for k, s in enumerate(stretches) if s.trajectory == recording]
+    for recording in {s.recording for s in stretches}:
+        own = [k for k, s in enumerate(stretches) if s.recording == recording]
         if len(own) > 1:
             repeated |= {own[k] for k in _repeats([_Path(pieces[k]) for k in own])}
     return [k for k in range(len(pieces)) if k not in repeated]
 
 
 def _repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
-    """Recordings whose path lies on another's -> that one, which repeats none, and the largest distance [rad]."""
+    """Return the recordings that repeat another -> that one, which repeats none, and the largest distance [rad]."""
     probes = cKDTree(np.concatenate([p.trajectory.q[p.evenly(PROBES)] for p in paths]))
     pairs = sorted((int(i), j) for j, path in enumerate(paths) for i in path.near(probes) if i != j)
     lies = {(i, j): d for i, j in pairs if (d := paths[i].distance_from(paths[j])) is not None}
@@ -269,8 +274,9 @@ def _repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
 
 
 def _chains(paths: Sequence[_Path]) -> tuple[tuple[tuple[int, float], ...], ...]:
-    """Recordings that go on from each other, in order, each alone if it touches none: their numbers, each with what is
-    added to its clock to go on one step after the one before [s].
+    """Return chains of recordings that continue each other, in order: numbers, each with the offset of its clock [s].
+
+    With the offset a recording begins one step after the previous one.
     """
     follows: dict[int, int] = {}
     seams = _seams(paths)
@@ -295,8 +301,9 @@ def _chains(paths: Sequence[_Path]) -> tuple[tuple[tuple[int, float], ...], ...]
 
 
 def _seams(paths: Sequence[_Path]) -> list[tuple[int, int, bool]]:
-    """Where recordings touch and go on smoothly, the likeliest first: the numbers of the one before and the one after,
-    and whether a motion was cut there, or one clock goes on.
+    """Return pairs of recordings that continue each other smoothly, the likeliest first.
+
+    Each is (number before, number after, True if a motion was cut there or one clock goes on).
     """
     long = [i for i, path in enumerate(paths) if len(path.way) > 2 * _SEAM[0]]  # one is left after a shared sample
     starts, told = np.array([paths[i].trajectory.q[0] for i in long]), max(path.extent for path in paths)
@@ -320,7 +327,7 @@ def _seams(paths: Sequence[_Path]) -> list[tuple[int, int, bool]]:
 
 
 def _left_by_cubics(q: Float[np.ndarray, "T n"], width: int) -> Float[np.ndarray, " k"]:
-    """Root mean square of the rest that a cubic leaves of each window of `width` samples [rad]."""
+    """Return the RMS residual of a cubic in each window of `width` samples [rad]."""
     basis = np.linalg.qr(np.linspace(-1.0, 1.0, width)[:, None] ** np.arange(4))[0]
     windows = np.lib.stride_tricks.sliding_window_view(q, width, axis=0)
     left = windows - (windows @ basis) @ basis.T
@@ -328,12 +335,12 @@ def _left_by_cubics(q: Float[np.ndarray, "T n"], width: int) -> Float[np.ndarray
 
 
 def _shared(before: Trajectory, after: Trajectory) -> int:
-    """1 if the second piece begins with the last sample of the first; else 0."""
+    """Return 1 if the second piece begins with the last sample of the first; else 0."""
     return int(np.array_equal(before.q[-1], after.q[0]))
 
 
 def joined_pieces(trajectories: Sequence[Trajectory], origin: Sequence[tuple[int, float]]) -> Trajectory:
-    """The pieces of a recording as one, on the clock of the first."""
+    """Return the pieces of a recording as one, on the clock of the first."""
     pieces = [trajectories[i] for i, _ in origin]
     if len(pieces) == 1:
         return pieces[0]

@@ -1,53 +1,33 @@
-"""The report: where each constraint holds, with the evidence for it; or why none was found, and what to try next."""
+"""Report on a constraint: its evidence, its stretches in the recordings, and warnings."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.curve_rows import CurveRows
-from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.intention import intention_of
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions, known_to, said_by_rows
 from manip_learn.constraint.shown import shown_by
-from manip_learn.errors import (
-    NotIdentifiableError,
-    advice,
-    counted,
-    error_in_words,
-    listed,
-    named,
-    number_if_known,
-    printable,
-)
-from manip_learn.learning.answer import Answer
+from manip_learn.errors import counted, error_in_words, listed, named, printable
+from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
 from manip_learn.learning.arm_errors import ArmErrors
-from manip_learn.learning.checks import REST_SPEED, energy_shares
-from manip_learn.learning.estimate import CLEAR_GAP
-from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, Part, held_throughout
-from manip_learn.learning.recombination import FEWEST_TRAJECTORIES, RowSupport
+from manip_learn.learning.fit import CLEAR_GAP
+from manip_learn.learning.gate import RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.samples import STILL_ENERGY
-from manip_learn.learning.uncertainty import (
-    PARTS,
-    Uncertainty,
-    mu_within_place,
-    parts_in_words,
-    total_deg,
-    uncertainty_of,
-)
-from manip_learn.recordings.trajectory import Demonstrations, distinct_names, evenly
+from manip_learn.learning.table import Stretch, Table, energy_shares, still_joints
+from manip_learn.recordings.trajectory import distinct_names, evenly
 from manip_learn.robot import html_card
+
+NOISE, JOINT_ZEROS, POLICY = PARTS = ("noise", "joint zeros", "policy")
+Uncertainty = dict[str, float | None]
 
 # recordings from which on nothing is said of their number: what several do by chance, five hardly do
 _ENOUGH = 5
@@ -63,8 +43,6 @@ PROVENANCE = set(
     "estimator kind gap uncertainty_deg uncertainty mu_uncertainty n_samples n_trajectories sentence warnings phases "
     "odd_trajectories mechanism evidence row_evidence held_out_residual n_constraints".split()
 )
-ADVICES_SAID = 2  # in the sentence, the likeliest ones; more would hide them
-ADVISED = ("weak-gap", "no-evidence", "no-freedom")
 
 
 class _Phase(NamedTuple):
@@ -72,9 +50,9 @@ class _Phase(NamedTuple):
 
     Attributes:
         trajectory: Name of the recording.
-        start, end: On the recording's own clock [s].
-        constraint: Number of the constraint that holds, counted from 0 in `constraints_`; None for free motion.
-        reason: Why nothing is learnt from a stretch in which something seems to be held; else empty.
+        start, end: Times on the clock of the recording [s].
+        constraint: Number of the constraint, counted from 0 in `constraints_`; None for free motion.
+        reason: Reason not to learn from a stretch in which something seems to be constrained; else empty.
     """
 
     trajectory: str
@@ -99,12 +77,12 @@ class OddTrajectory(NamedTuple):
 @final
 @dataclass(frozen=True)
 class RecordingOverview:
-    """What the recordings show as a whole, the same for every constraint.
+    """Overview of the recordings, the same for every constraint.
 
     Attributes:
-        phases: Every stretch that moves.
-        odd_trajectories: Recordings that do not agree with the others.
-        warnings: Doubts about the findings.
+        phases: All stretches that move.
+        odd_trajectories: Recordings that disagree with the others.
+        warnings: Doubts about the recordings.
     """
 
     phases: tuple[_Phase, ...] = ()
@@ -112,32 +90,27 @@ class RecordingOverview:
     warnings: tuple[str, ...] = ()
 
     @staticmethod
-    def of(answers: Sequence[Answer], findings: Findings, recordings: IndependentRecordings) -> RecordingOverview:
-        """The phases with the names of the recordings, on the clocks of those that were given."""
+    def of(found: Found, recordings: IndependentRecordings) -> RecordingOverview:
+        """Return the overview with the names of the recordings, on the clocks of those that were given."""
         names, given = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
-        number = {id(answer.part): k for k, answer in enumerate(answers)}
-        held = [(s, number.get(id(part)), NO_ANSWER) for part in findings.parts for s in part.stretches]
-        beside = [*((s, None, "") for s in findings.free), *((s, None, why) for s, why in findings.unlearnt)]
+        stretches = [(s, k, "") for k, answer in enumerate(found.answers) for s in answer.stretches]
+        stretches += [(s, None, "") for s in found.free] + [(s, None, why) for s, why in found.unlearnt]
         phases = []
-        for s, constraint, why in sorted([*held, *beside], key=lambda x: (x[0].trajectory, x[0].start)):
-            reason = why if constraint is None else ""
-            phases += [_Phase(given[p.trajectory], p.start, p.end, constraint, reason) for p in recordings.places(s)]
-        odd = dict(findings.odd)
-        warnings = [*findings.warnings, *lone_contacts(findings, recordings)]
+        for s, constraint, why in sorted(stretches, key=lambda x: (x[0].recording, x[0].start)):
+            phases += [_Phase(given[p.recording], p.start, p.end, constraint, why) for p in recordings.places(s)]
+        odd = tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(found.odd.items()))
+        lone = [s for s, why in found.unlearnt if why == IN_ONE_ONLY]
+        warnings = [*recordings.warnings, *found.warnings, *record_again(lone, recordings)]
         if odd:
-            listed = "; ".join(f"{names[i]}: {why}" for i, why in sorted(odd.items()))
+            reasons = "; ".join(f"{o.trajectory}: {o.reason}" for o in odd)
             warnings.append(
                 f"{len(odd)} of {len(names)} recordings do not agree with the others; what does not agree was "
-                f"left out of the first constraint: {listed}"
+                f"left out of the first constraint: {reasons}"
             )
-        return RecordingOverview(
-            tuple(phases),
-            tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(odd.items())),
-            tuple(warnings),
-        )
+        return RecordingOverview(tuple(phases), odd, tuple(warnings))
 
     def sentences(self) -> tuple[str, ...]:
-        """Where each constraint holds, in words."""
+        """Return the stretches of each constraint in words."""
         numbers = sorted({p.constraint for p in self.phases if p.constraint is not None})
         free = sum(p.constraint is None and not p.reason for p in self.phases)
         unlearnt = [p for p in self.phases if p.reason]
@@ -156,63 +129,57 @@ class RecordingOverview:
         return tuple(map(printable, out))
 
 
-def lone_contacts(findings: Findings, recordings: IndependentRecordings) -> tuple[str, ...]:
-    """Advice about contacts that one recording alone shows."""
-    alone = [p for s, why in findings.unlearnt if why == IN_ONE_ONLY for p in recordings.places(s)]
+def record_again(lone: Sequence[Stretch], recordings: IndependentRecordings) -> list[str]:
+    """Return the advice about contacts that one recording alone shows."""
     names = distinct_names(recordings.given)
-    contacts = [f"in {names[p.trajectory]} from {p.start:.1f} s to {p.end:.1f} s" for p in alone]
-    if not contacts:
-        return ()
-    more = f" and {len(contacts) - SPANS_SHOWN} more" if len(contacts) > SPANS_SHOWN else ""
-    seen = counted(len(contacts), "contact")
-    return (
-        f"record again, at least twice, {seen} that one recording alone shows: "
-        f"{', '.join(contacts[:SPANS_SHOWN])}{more}",
-    )
+    alone = [p for s in lone for p in recordings.places(s)]
+    where = [f"in {names[p.recording]} from {p.start:.1f} s to {p.end:.1f} s" for p in alone]
+    more = f" and {len(where) - SPANS_SHOWN} more" if len(where) > SPANS_SHOWN else ""
+    again = f"record again, at least twice, {counted(len(where), 'contact')} that one recording alone shows: "
+    return [f"{again}{', '.join(where[:SPANS_SHOWN])}{more}"] if where else []
 
 
 @final
 @dataclass(frozen=True, repr=False)
 class LearningReport:
-    """What was learnt, and why it should be believed.
+    """Constraint in words and numbers, with the evidence for it.
 
     Attributes:
         sentence: The result in words.
         estimator: `"null-space"`, `"joint"` or `"separate"`.
-        kind: `"motion-constrained"` (b = 0: the world holds the rows) or `"self-imposed"` (the demonstrator moves
+        kind: `"motion-constrained"` (b = 0: the world constrains the rows) or `"self-imposed"` (the demonstrator drives
             them).
         n_constraints: Number of rows s.
         row_names: Names of the feature rows.
         reference: `"world"`, `"local"`, or None for features without a frame.
-        free_directions: Unit vectors over the rows that the constraint leaves free.
-        gap: Ratio that supports n_constraints; 10 and above is clear, below 3 says little (joint estimator: 1.5).
+        free_directions: Unit vectors of the directions that the constraint leaves free.
+        gap: Ratio that supports n_constraints; 10 and above is clear, below 3 is refused (joint estimator: about 1.5).
         gap_table: Number of rows -> gap.
         levels: Null-space and separate estimator: root mean square of the motion along each whitened direction, least
             first, relative to a motion that is equally strong in all joints [1]. Empty for the joint estimator.
-        energy_fraction: Share of the motion's energy that breaks A u = 0, for the best A of n_constraints rows.
-        held_out_residual: Root of the share of energy that is not explained, on trajectories that were left out.
+        energy_fraction: Share of the energy of the motion that violates A u = 0.
+        held_out_residual: Square root of the unexplained share of the energy, on held-out trajectories.
         uncertainty_deg: In 68 % of cases the row space is within this angle of the true one: the root of the sum of
             the squares of the parts in `uncertainty`; None with a single trajectory or where there is only one
-            possible row space. A base that stands turned turns all recordings alike, which none of them shows: it is
-            not included.
-        excitation: Joint name -> its share of the motion's energy.
-        policy_model: Joint estimator: what the data determine of the null-space policy, or the model asked for.
+            possible row space. A rotated base rotates all recordings alike, which none of them shows: it is not
+            included.
+        excitation: Joint name -> share of the energy of the motion.
+        policy_model: Joint estimator: grades of the null-space policy that the data determine, or the given model.
         policy_residuals: Joint estimator: model -> held-out share of unexplained energy.
-        n_samples, n_trajectories: What was learnt from.
+        n_samples, n_trajectories: Numbers of samples and recordings of the constraint.
         seconds: Time for the fit [s].
-        notes: What was done to the recordings.
-        warnings: What should make you careful.
-        row_evidence: Evidence for each row, most firmly held first; empty where the demonstrator moves the rows.
+        notes: Changes made to the recordings.
+        warnings: Doubts.
+        row_evidence: Evidence for each row, most firmly constrained first; empty if the demonstrator drives the rows.
         evidence: The same in words.
-        phases: Stretches of the recordings, each held by a constraint or free.
-        odd_trajectories: Recordings that do not agree with the others, and why.
-        mechanism: What holds the hand, if that was found out.
-        uncertainty: The parts of `uncertainty_deg` [deg]: `"noise"`, the scatter over trajectories (bootstrap);
-            `"joint zeros"`, what the residual says of constant errors of the joints' zeros (null-space estimator);
-            `"policy"`, the part of the policy that the data leave open (joint estimator, where its parameters are
-            integrated out). None where a part does not apply.
-        mu_uncertainty: In 68 % of cases, at the postures that were shown, the manipulability of the true constraint is
-            within this share of the learnt one's; None with a single trajectory.
+        phases: Stretches of the recordings, each with its constraint or free.
+        odd_trajectories: Recordings that do not agree with the others, with the difference.
+        mechanism: Mechanism that constrains the hand, or None.
+        uncertainty: The parts of `uncertainty_deg` [deg]: `"noise"`, by encoder noise and the scatter between
+            recordings; `"joint zeros"`, by constant errors of the arm (null-space estimator); `"policy"`, by the part
+            of the policy that the data do not determine (joint estimator). None where a part does not apply.
+        mu_uncertainty: In 68 % of cases, at the demonstrated configurations, the manipulability of the true constraint
+            is within this share of that of the learnt one; None with a single trajectory.
     """
 
     sentence: str
@@ -245,7 +212,7 @@ class LearningReport:
     mu_uncertainty: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, for JSON; None where there is no number."""
+        """Return plain numbers, strings and lists for JSON; None in place of NaN."""
         content = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         for name in ("phases", "odd_trajectories", "row_evidence"):
             content[name] = [entry._asdict() for entry in content[name]]
@@ -287,7 +254,7 @@ class LearningReport:
         )
 
     def _facts(self) -> list[tuple[str, object]]:
-        """Name -> value in words, with units and what would be good; None where there is nothing to say."""
+        """Return names with values in words, with units and good values; None where nothing applies."""
         residual = self.held_out_residual
         unexplained = f"{100 * residual:.2g} % of the motion on recordings that were left out"
         return [
@@ -306,13 +273,13 @@ class LearningReport:
         ]
 
     def known_to(self) -> str:
-        """The uncertainty in words, as in the sentence: which quantity is known how well; empty if none is."""
+        """Return the uncertainty of each quantity in words, as in the sentence; empty if none is known."""
         said = known_to(self.uncertainty_deg, self.mechanism, self._is_told)
         mu = "" if self.mu_uncertainty is None else f", mu to {error_in_words(100.0 * self.mu_uncertainty, '%')}"
         return f"{said}{mu} (68 %, {parts_in_words(self.uncertainty, self.reference)})" if said else ""
 
     def mechanism_in_words(self) -> str:
-        """What holds the hand, without the place if the sentence tells it; empty if nothing was found."""
+        """Return the mechanism in words, without its place if the sentence has it; empty without a mechanism."""
         m = self.mechanism
         return "" if m is None else f"{m.noun}; {m.turns}" if self._is_told else m.sentence
 
@@ -332,180 +299,107 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def build_report(
-    answer: Answer,
-    overview: RecordingOverview,
-    joint_names: tuple[str, ...],
-    arm: ArmErrors,
-    started: float,
-    made: Mapping[str, Any],
-) -> tuple[Constraint, LearningReport]:
-    """The constraint, and the evidence for it; the fit started when the clock `time.perf_counter` was at `started`.
+class Context(NamedTuple):
+    """Data that all reports of a fit share; `started` is a reading of `time.perf_counter` [s]."""
 
-    The constraint's provenance says what it was `made` from.
+    table: Table
+    recordings: IndependentRecordings
+    notes: Sequence[str]
+    made: Mapping[str, Any]
+    arm: ArmErrors
+    started: float
 
-    Raises:
-        NotIdentifiableError: A joint estimate that is known too badly for an answer.
+
+def parts_in_words(parts: Uncertainty, reference: str | None) -> str:
+    """Return the parts of an uncertainty in words, with those not included: `"noise 0.002 degrees; not included: ..."`.
+
+    Rows in the axes of the tool (reference `"local"`) do not depend on the orientation of the base.
     """
-    best, evidence, found = answer.candidate, answer.evidence, answer.mechanism
-    samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
-    features, mechanism = samples.features, found and found.mechanism
-    selection = answer.selection
-    uncertainty, mu_uncertainty = uncertainty_of(samples, estimate, best.rng, arm)
-    uncertainty_deg = total_deg(uncertainty)
-    if isinstance(features, MechanismRows | CurveRows) and len(selection) == features.n_rows:
-        selection = np.eye(features.n_rows)  # all of the rows: any basis of theirs will do, so the plainest
-        off = None if found is None else found.errors
-        if off is not None and isinstance(features, MechanismRows):
-            mu_uncertainty = mu_within_place(features, samples.q, off.numbers, off.radius, off.arm, arm)
-    used = np.linalg.norm(samples.whitening, axis=0) > 0.0
+    known = [f"{name} {error_in_words(part, 'degrees')}" for name, part in parts.items() if part is not None]
+    missing = ["joint zeros that are off"] if known and parts[JOINT_ZEROS] is None else []
+    missing += [] if reference == "local" else ["a base that stands turned, which no recording can show"]
+    said = ", ".join(known) or "scatter of the samples"
+    return f"{said}; not included: {listed(missing)}" if missing else said
+
+
+Learnt = tuple[Constraint, Constraint, LearningReport]
+
+
+def reports(found: Found, context: Context) -> list[Learnt]:
+    """Return the whole constraint of each answer, the rows asked for, and the report on these."""
+    overview = RecordingOverview.of(found, context.recordings)
+    return [_report(answer, overview, context) for answer in found.answers]
+
+
+def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Learnt:
+    table, mechanism = context.table, answer.mechanism
+    features, selection = answer.asked.features, answer.asked.selection
+    warnings, notes = list(answer.warnings), tuple(dict.fromkeys(map(printable, context.notes)))
+    used = np.linalg.norm(features.batch(table.q[evenly(len(table.q), 200)]), axis=2).max(axis=0) > 1e-9
     unused = [n for n, u in zip(features.row_names, used, strict=True) if not u]
     if unused:
         warnings.append(f"always zero for this robot and frame, so left out: {listed(unused)}")
-    if (n := len(answer.part.demonstrations)) < _ENOUGH:
+    recordings = {s.recording for s in answer.stretches}
+    if (n := len(recordings)) < _ENOUGH:
         count = "one trajectory" if n == 1 else f"{n} trajectories"
         warnings.append(f"only {count}: evidence from so few is thin; record {_ENOUGH} or more")
-    notes = tuple(dict.fromkeys(map(printable, answer.part.demonstrations.notes)))
     if len(notes) > MOST_NOTES:  # of thousands of files, not thousands of sentences
         notes = (*notes[:MOST_NOTES], f"and {len(notes) - MOST_NOTES} more notes of this kind")
-    kind = "motion-constrained" if estimate.name == "null-space" else "self-imposed"
+    inside = table.inside(answer.stretches)
+    shares = energy_shares(np.sum(table.u[inside] ** 2, axis=0))
+    excitation = dict(zip(table.joint_names, shares.tolist(), strict=True))
+    if still := still_joints(table.joint_names, table.u[inside]):
+        warnings.append(
+            f"{named('joint', still)} hardly moved: what the arm did not try cannot be told from what it could not do"
+        )
+    kind = "motion-constrained" if answer.estimator == "null-space" else "self-imposed"
     free = free_directions(selection, used)
+    total = answer.uncertainty_deg
+    evidence = answer.evidence
     report = LearningReport(
-        sentence=printable(describe(kind, free, features, used, uncertainty_deg, mechanism)),
-        estimator=estimate.name,
+        sentence=printable(describe(kind, free, features, used, total, mechanism)),
+        estimator=answer.estimator,
         kind=kind,
-        n_constraints=selection.shape[0],
+        n_constraints=len(selection),
         row_names=features.row_names,
         reference=getattr(features, "reference", None),
-        free_directions=tuple(tuple(float(c) for c in row) for row in free),
-        gap=estimate.gap,
-        gap_table=estimate.table.by_count,
-        levels=tuple(float(level) for level in estimate.levels),
-        energy_fraction=float(estimate.unexplained),
-        held_out_residual=float(np.sqrt(estimate.held_out)),
-        uncertainty_deg=uncertainty_deg,
-        excitation=dict(
-            zip(joint_names, energy_shares(np.einsum("nv,nv->v", samples.u, samples.u)).tolist(), strict=True)
-        ),
-        policy_model=estimate.policy_model,
-        policy_residuals=estimate.policy_residuals,
-        n_samples=len(samples),
-        n_trajectories=samples.n_trajectories,
-        seconds=time.perf_counter() - started,
+        free_directions=tuple(tuple(map(float, row)) for row in free),
+        gap=answer.asked.gap,
+        gap_table=answer.asked.gaps,
+        levels=tuple(map(float, answer.asked.levels)),
+        energy_fraction=answer.unexplained,
+        held_out_residual=math.sqrt(answer.held_out),
+        uncertainty_deg=total,
+        excitation=excitation,
+        policy_model=answer.policy_model,
+        policy_residuals=answer.policy_residuals,
+        n_samples=int(inside.sum()),
+        n_trajectories=len(answer.stretches),
+        seconds=time.perf_counter() - context.started,
         notes=notes,
-        warnings=tuple(
-            map(printable, (*warnings, *answer.warnings, *(found.warnings if found else ()), *overview.warnings))
-        ),
+        warnings=tuple(map(printable, dict.fromkeys((*warnings, *overview.warnings)))),
         row_evidence=() if evidence is None else evidence.rows,
         evidence="" if evidence is None else evidence.sentence(),
         phases=overview.phases,
         odd_trajectories=overview.odd_trajectories,
         mechanism=mechanism,
-        uncertainty=uncertainty,
-        mu_uncertainty=mu_uncertainty,
+        uncertainty={part: answer.uncertainty.get(part) for part in PARTS},
+        mu_uncertainty=answer.mu_uncertainty,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
-    provenance["made"] = dict(made)
-    kept = evenly(len(samples), KEPT_POSTURES)
-    provenance["postures"] = np.round(samples.q[kept], 5).tolist()
-    provenance["posture_trajectories"] = samples.trajectory[kept].tolist()
+    provenance["made"] = dict(context.made)
+    kept = np.flatnonzero(inside)[evenly(int(inside.sum()), KEPT_POSTURES)]
+    provenance["postures"] = np.round(table.q[kept], 5).tolist()
+    provenance["posture_trajectories"] = table.recording[kept].tolist()
+    whole = answer.whole
     if kind == "motion-constrained":
-        mechanism = Constraint(selection, features, provenance).mechanism
-        part, whole = answer.part, answer.part.source
-        contacts = (
-            part.demonstrations if whole is None else [whole[s.trajectory][s.start : s.end] for s in part.stretches]
-        )
-        shown = shown_by(features, selection, mechanism, contacts)  # to their ends, which rows are not learnt from
+        contacts = [table.moved[s.recording][s.start : s.end] for s in answer.stretches]
+        shown = shown_by(whole.features, whole.selection, mechanism, contacts)
         provenance["shown"] = None if shown is None else shown.to_dict()
     else:
-        recordings = [(t.q, t.u) for t in answer.part.demonstrations if t.u is not None]
-        meant = intention_of(features, selection, recordings)
+        meant = intention_of(features, selection, [(t.q, np.asarray(t.u)) for t in table.moved])
         provenance["intention"] = None if meant is None else meant.to_dict()
-    return Constraint(selection, features, provenance), report
-
-
-def advise(
-    refusal: NotIdentifiableError,
-    everything: Part,
-    findings: Findings,
-    fits: Callable[[FeatureMap], bool],
-    *,
-    recordings: IndependentRecordings,
-    phases: str,
-) -> NotIdentifiableError:
-    """The refusal with its likely causes and the next thing to try for each; others than those of the evidence pass.
-
-    Other rows are advised if the recordings fit them (`fits`): if they are answered, as by `ConstraintLearner.fit`. Of
-    the recordings, the independent ones are learnt from; phases are looked for (`"auto"`) or not (`"off"`).
-    """
-    if refusal.code not in ADVISED:
-        return _advised(refusal, (), recordings.warnings) if recordings.warnings else refusal
-    table, names = everything.table, everything.demonstrations.joint_names
-    n, wanted = len(recordings.demonstrations), f"record at least {FEWEST_TRAJECTORIES}, better 5, that differ"
-    few = f"{wanted} in way and posture, not {counted(n, 'recording')}"
-    speed, shares = float(np.max(np.abs(table.u))), energy_shares(np.sum(table.u**2, axis=0))
-    slow = f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"
-    still = [name for name, share in zip(names, shares, strict=True) if share < STILL_ENERGY] if speed else []
-    locked = advice(" ({})", f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still))
-    causes = [
-        *([few] if n < FEWEST_TRAJECTORIES else []),
-        *lone_contacts(findings, recordings),
-        *_several_phases(findings, everything.demonstrations, phases),
-        *_other_rows(everything, fits),
-        *([f"move {named('joint', still)} too, or lock what shall hardly move{locked}"] if still else []),
-        *([slow] if speed < REST_SPEED else []),
-    ]
-    # where something seems held, or nearly so: each recording with its times
-    given, times = distinct_names(recordings.given), dict[str, list[str]]()
-    for place in (p for s in findings.held or findings.refused for p in recordings.places(s)):
-        times.setdefault(given[place.trajectory], []).append(f"{place.start:.1f} to {place.end:.1f} s")
-    what = "what seems held" if findings.held else "the likeliest contact, if anything was touched"
-    spans = ", ".join(f"{name} {listed(of_one)}" for name, of_one in times.items())
-    facts = [*recordings.warnings, *([f"{what}: {spans}"] if spans else [])]
-    if not causes and refusal.code == "weak-gap":  # what usually helps
-        causes, facts = ["record more varied motions, try other axes or the other reference" + number_if_known(2)], []
-    return _advised(refusal, causes, facts if causes else ())
-
-
-def _advised(refusal: NotIdentifiableError, causes: Sequence[str], facts: Sequence[str] = ()) -> NotIdentifiableError:
-    """What to do, then why and the facts, in two sentences; the first advices are said, all are kept."""
-    everything = (*refusal.advice, *causes)
-    why = "; ".join([str(refusal), *facts])
-    said = f"{'; or '.join(everything[:ADVICES_SAID])}. {why[0].upper()}{why[1:]}" if everything else why
-    return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*everything, *facts))
-
-
-def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: str) -> list[str]:
-    whole = ", since no single constraint fits {} as a whole"
-    if phases == "off":
-        allowed = advice(", or allow {}", "phases='auto'", "--phases auto")
-        return ["cut the recordings to the contact" + whole.format("them") + allowed]
-    spans = {(s.trajectory, s.start, s.end) for s in findings.refused}
-    is_whole = all((i, float(t.time[0]), float(t.time[-1])) in spans for i, t in enumerate(demonstrations))
-    if findings.unlearnt or is_whole:
-        return []
-    if findings.held:
-        return ["cut the recordings more closely to what seems held, each stretch in a file of its own"]
-    if len(demonstrations) < 2:
-        how = advice(" with {}", "trajectory[start:until]", "--from and --until")
-        return ["cut the recording to the contact" + how + whole.format("it")]
-    how = advice(" ({})", "trajectory[start:until]", "--from and --until")
-    unconfirmed = ", for no stretch of them obeys a constraint that several confirm, as in free motion"
-    return ["cut the recordings to the contact" + how + unconfirmed]
-
-
-def _other_rows(everything: Part, fits: Callable[[FeatureMap], bool]) -> list[str]:
-    """Whether rows that were not asked for are held."""
-    first = everything.asked[0]
-    if not isinstance(first, FrameJacobian) or len(everything.demonstrations) < 2:
-        return []
-    tried = {(f.row_names, f.reference) for f in everything.asked if isinstance(f, FrameJacobian)}
-    for axes in ("xyz", "rotation", "pose"):
-        for reference in ("world", "local"):
-            other = FrameJacobian(first.robot, first.frame.name, axes, reference)
-            # few of those that stay still are found to be held
-            is_new = (other.row_names, reference) not in tried
-            if is_new and held_throughout([other], everything.table) and fits(other):
-                python, flags = f"axes={axes!r}, reference={reference!r}", f"--axes {axes} --reference {reference}"
-                return [f"try other rows{advice(', {}', python, flags)}, with which one constraint does fit"]
-    return []
+    everything = Constraint(whole.selection, whole.features, provenance)
+    if whole is answer.asked:
+        return everything, everything, report
+    return everything, Constraint(selection, features, provenance | {"whole": len(whole.selection)}), report

@@ -1,4 +1,4 @@
-"""From what was learnt of each constraint to a skill: the order in which the recordings show them."""
+"""Skill from constraints: their order in the recordings, the grasps and the end."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.shown import poses_of, shown_by
 from manip_learn.constraint.skill import Skill, Step
 from manip_learn.errors import counted
-from manip_learn.learning.answer import Answer
+from manip_learn.learning.answer import Answer, Found
+from manip_learn.learning.table import Table
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
@@ -24,16 +25,17 @@ PRESSES = 0.5  # share of its largest effort by which that of a gripper's joint 
 
 
 class _Contact(NamedTuple):
-    """A contact in a recording: the number of its constraint, when it begins [s], and its samples."""
+    """Contact in a recording: number of its constraint, start [s], and samples."""
 
     constraint: int
     start: float
     piece: Trajectory
 
 
-def skill_of(constraints: Sequence[Constraint], answers: Sequence[Answer]) -> Skill:
-    """The constraints in the order in which most recordings show them, each with what was shown there."""
-    order = _contacts_in_order(answers)
+def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> Skill:
+    """Return the constraints in the order in which most recordings show them, each with the motion shown there."""
+    answers = found.answers
+    order = _contacts_in_order(answers, table)
     sequences = Counter(tuple(c.constraint for c in contacts) for contacts in order.values())
     if not sequences:
         return Skill(tuple(constraints), ())
@@ -49,23 +51,24 @@ def skill_of(constraints: Sequence[Constraint], answers: Sequence[Answer]) -> Sk
         shown = constraint.shown
         if usual.count(number) > 1:
             shown = shown_by(constraint.features, constraint.selection, constraint.mechanism, pieces)
-        grip = _gripping(answers, chosen, place)
+        grip = _gripping(constraints, table, chosen, place)
         steps.append(_reach(constraint, grips))
         way = Step("way", constraint, shown)
         steps.append(way if grip is None else replace(way, gripper="close", fingers=grip.closed))
         grips = grip
-    end = _end_of(constraints[usual[-1]], answers, chosen)
+    end = _end_of(constraints[usual[-1]], table, chosen)
     if end is not None:
         steps.append(replace(_reach(None, grips), place=end))
     return Skill(tuple(constraints), tuple(steps), notes)
 
 
-def _contacts_in_order(answers: Sequence[Answer]) -> dict[int, list[_Contact]]:
-    """The contacts of each recording; of contacts with one constraint that follow each other, the longest."""
+def _contacts_in_order(answers: Sequence[Answer], table: Table) -> dict[int, list[_Contact]]:
+    """Return the contacts of each recording in order; of successive contacts with one constraint, the longest."""
     found: dict[int, list[_Contact]] = {}
     for number, answer in enumerate(answers):
-        for stretch, piece in zip(answer.part.stretches, answer.part.demonstrations, strict=True):
-            found.setdefault(stretch.trajectory, []).append(_Contact(number, stretch.start, piece))
+        for stretch in answer.stretches:
+            contact = _Contact(number, stretch.start, table.piece(stretch))
+            found.setdefault(stretch.recording, []).append(contact)
     out: dict[int, list[_Contact]] = {}
     for recording, contacts in found.items():
         kept: list[_Contact] = []
@@ -79,23 +82,22 @@ def _contacts_in_order(answers: Sequence[Answer]) -> dict[int, list[_Contact]]:
 
 
 class _Grip(NamedTuple):
-    """Joints of a gripper, where they are while it holds something, and where they were before [rad or m]."""
+    """Positions of the joints of a gripper during a grasp, and before [rad or m]."""
 
     closed: dict[str, float]
     opened: dict[str, float]
 
 
 def _reach(constraint: Constraint | None, grip: _Grip | None) -> Step:
-    """Away from a way, whose grip is opened first."""
+    """Return the step to a constraint; a closed gripper is opened first."""
     return Step("reach", constraint) if grip is None else Step("reach", constraint, None, "open", None, grip.opened)
 
 
-def _gripping(answers: Sequence[Answer], chosen: dict[int, list[_Contact]], place: int) -> _Grip | None:
-    """The gripper, where a joint that does not move the hand moves or presses as the contact begins, in most."""
-    source = answers[0].part.source
-    if source is None:
-        return None
-    features = answers[next(iter(chosen.values()))[place].constraint].candidate.samples.features
+def _gripping(
+    constraints: Sequence[Constraint], table: Table, chosen: dict[int, list[_Contact]], place: int
+) -> _Grip | None:
+    """Return the gripper, if in most recordings joints that do not move the hand move or press as contact begins."""
+    features = constraints[next(iter(chosen.values()))[place].constraint].features
     robot: Robot | None = getattr(features, "robot", None)
     frame = getattr(features, "frame", None)
     if robot is None or frame is None or robot.nq != robot.nv:
@@ -107,7 +109,7 @@ def _gripping(answers: Sequence[Answer], chosen: dict[int, list[_Contact]], plac
         return None
     grips: list[tuple[np.ndarray, np.ndarray]] = []
     for recording, contacts in chosen.items():
-        piece, whole = contacts[place].piece, source[recording]
+        piece, whole = contacts[place].piece, table.moved[recording]
         since = contacts[place - 1].piece.time[-1] if place else -np.inf
         before = (since < whole.time) & (whole.time < piece.time[0])
         held = (piece.time[0] <= whole.time) & (whole.time <= piece.time[-1])
@@ -129,16 +131,11 @@ def _gripping(answers: Sequence[Answer], chosen: dict[int, list[_Contact]], plac
     return _Grip(*(dict(zip(names, map(float, values), strict=True)) for values in (closed, opened)))
 
 
-def _end_of(
-    constraint: Constraint, answers: Sequence[Answer], chosen: dict[int, list[_Contact]]
-) -> Float[np.ndarray, " 3"] | None:
-    """Where the hand was when recordings ended, if it was taken away from the last contact [m]."""
-    source = answers[0].part.source
-    if source is None:
-        return None
+def _end_of(constraint: Constraint, table: Table, chosen: dict[int, list[_Contact]]) -> Float[np.ndarray, " 3"] | None:
+    """Return the position of the hand at the end of the recordings, if it left the last contact [m]."""
     ends, away = [], []
     for recording, contacts in chosen.items():
-        both = np.stack([contacts[-1].piece.q[-1], source[recording].q[-1]])
+        both = np.stack([contacts[-1].piece.q[-1], table.moved[recording].q[-1]])
         poses = poses_of(constraint.features, both)
         if poses is None:
             return None

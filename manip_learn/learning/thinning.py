@@ -1,9 +1,9 @@
-"""Of more samples than are learnt from an even choice, made while recordings are read, here or by dask's workers.
+"""Even subsampling of large sets while recordings are read, here or by workers of dask.
 
 Neighbours tell the same story, so they are left out first: every second sample of each recording, every fourth, and so
 on. Where that would leave too few samples a second to see phases, recordings are left out. What is chosen depends on
 all recordings together, and on nothing else: not on the order or the parts in which they are read, nor on who reads.
-Of 16,361 evenly chosen samples of fifty drawers half turn the answer by 0.0005 degrees, less than is stated of it.
+Using half of 16,361 samples of fifty drawers turns the answer by 0.0005 degrees, less than its uncertainty.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from zlib import crc32
 import numpy as np
 
 from manip_learn.errors import ManipLearnError, MissingExtraError, counted
-from manip_learn.learning.explanation.row_motion import SCAN_RATE
+from manip_learn.learning.table import SCAN_RATE
 from manip_learn.recordings.load import Progress, Reader
 from manip_learn.recordings.options import refuse_unmatched
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
@@ -29,7 +29,7 @@ PATIENCE = "10s"  # for a scheduler that is elsewhere
 
 
 class Kept(NamedTuple):
-    """A recording of which every `step`-th sample is left; at its coarsest every `coarsest`-th, `least` samples."""
+    """Recording of which every `step`-th sample is kept; at its coarsest every `coarsest`-th, `least` samples."""
 
     motion: Trajectory
     number: int
@@ -41,17 +41,17 @@ class Kept(NamedTuple):
 
 @final
 class EvenChoice:
-    """An even choice of the samples of some files, which grows by `merge`; as they were recorded while all fit.
+    """Even choice of the samples of some files, which grows by `merge`; unchanged while all fit.
 
     Args:
         most: Number of samples that are chosen at most.
         derive: Gives recordings velocities, before samples are left out.
-        part: Reads recordings; none without.
+        part: Reader of recordings; None for an empty choice.
 
     Attributes:
-        kept: Recordings, and how many samples are left of each.
-        n_recordings: Number of all that were chosen from.
-        notes: Sentences of their readers.
+        kept: Recordings with the samples kept of each.
+        n_recordings: Number of all recordings.
+        notes: Remarks of their readers.
 
     Raises:
         RecordingError: Recordings that cannot be used, velocities that cannot be derived.
@@ -75,7 +75,7 @@ class EvenChoice:
         self._thin()
 
     def merge(self, later: EvenChoice) -> None:
-        """Choose from all that another choice was made of too, which is left as it is."""
+        """Add the recordings of another choice, which is not changed."""
         self._totals += later._totals
         self.kept += later.kept
         self.n_recordings += later.n_recordings
@@ -83,7 +83,7 @@ class EvenChoice:
         self._thin()
 
     def _thin(self) -> None:
-        """Leave out samples, and whole recordings if need be, until the rest is few enough."""
+        """Leave out samples, and whole recordings if necessary, until the rest is small enough."""
         steps, kept = STEPS[self._totals <= self._most], self.kept
         if not steps.size:
             order = np.argsort([k.rank for k in kept], kind="stable")
@@ -100,7 +100,7 @@ class EvenChoice:
 
     @property
     def demonstrations(self) -> Demonstrations:
-        """As they were recorded if all fit; else those chosen.
+        """Chosen recordings; unchanged if all fit.
 
         Raises:
             RecordingError: There are none.
@@ -113,7 +113,7 @@ class EvenChoice:
 
 
 def read_evenly(choose: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None) -> EvenChoice:
-    """Return the choice from parts that are read once; the same for any number of workers, and for none.
+    """Return the choice from parts, each read once; it does not depend on the number of workers.
 
     Raises:
         RecordingError: Recordings that cannot be used; or a setting that no part has a use for.
@@ -127,7 +127,7 @@ def read_evenly(choose: Callable[..., Any], parts: list[Reader], client: Any, pr
 
 
 def each_part(work: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None) -> Iterator[Any]:
-    """Yield work(part) of each part, in their order; the workers of a client do it where there are several.
+    """Yield work(part) of each part, in order; by the workers of a client if there are several parts.
 
     Raises:
         ManipLearnError: Workers die again and again, or their scheduler does.
@@ -155,8 +155,11 @@ def dask_client(address: str | None, n_workers: int | None = None) -> AbstractCo
     """Connect to a scheduler, or start a cluster on this machine that nobody else can reach.
 
     Args:
-        address: `"local"`, or where the scheduler listens, e.g. `"tcp://10.0.0.1:8786"`; None for no client.
-        n_workers: Of a local cluster; one per processor by default, each a process with one thread.
+        address: `"local"`, or the address of a scheduler, e.g. `"tcp://10.0.0.1:8786"`; None for no client.
+        n_workers: Number of workers of a local cluster, processes with one thread; one per processor by default.
+
+    Returns:
+        Context manager of the client, or of None.
 
     Raises:
         ManipLearnError: Nobody answers at the address.

@@ -144,13 +144,8 @@ def learn(
     from manip_learn.recordings import load_demonstrations
 
     demos = load_demonstrations(files, robot)
-    learner = None
-    for axes in ("xyz", "pose"):  # the point held; and where the hand turns with it, all of the hand
-        rows = [FrameJacobian(robot, tip, axes, reference) for reference in ("world", "local")]
-        learner = ConstraintLearner(rows).fit(demos, progress=said)
-        found = learner.report_.mechanism
-        if found is None or found.grip != "firm":
-            break
+    rows = [FrameJacobian(robot, tip, "xyz", reference) for reference in ("world", "local")]
+    learner = ConstraintLearner(rows).fit(demos, progress=said)
     report = learner.report_
     skill = held_by_handles(learner.skill_, handles)
     skill.save(out)

@@ -1,0 +1,121 @@
+"""Figures of the experiments in one style, made with matplotlib (extra `experiments`)."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from manip_learn.atomic_write import write_atomically
+from manip_learn.errors import MissingExtraError
+from manip_learn.playback.palette import COLOURS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INK, GRID = "#2b2f36", "#d9dde3"
+STYLE: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.edgecolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "svg.hashsalt": "manip_learn",  # the same bytes every time
+    "figure.constrained_layout.use": True,
+}
+
+
+def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: object):
+    """Return a figure of a size [inch] and its grid of axes, without a display.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtraError("drawing figures", "experiments") from error
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(width, height))
+        return figure, figure.subplots(rows, columns, squeeze=False, **options)  # type: ignore[arg-type]
+
+
+def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write PNG and SVG, whole or not at all (OutputError); the same figure gives the same bytes."""
+    import matplotlib
+
+    # no dates or versions, so that the bytes are the same
+    kinds: dict[str, Any] = {"png": {"dpi": 110, "metadata": {"Software": None}}, "svg": {"metadata": {"Date": None}}}
+    paths = []
+    for kind, options in kinds.items():
+        stream = io.BytesIO()
+        with matplotlib.rc_context(STYLE):
+            figure.savefig(stream, format=kind, **options)
+        paths.append(write_atomically(folder / f"{name}.{kind}", stream.getvalue()))
+    return paths
+
+
+@final
+@dataclass(frozen=True)
+class Panel:
+    """One part of a chart.
+
+    Attributes:
+        values: Label of a column -> its values.
+        label: Of the vertical axis, with its unit.
+        title: Above the panel.
+        paper: The paper's mean, drawn as a line.
+    """
+
+    values: Mapping[str, Sequence[float]]
+    label: str
+    title: str = ""
+    paper: float | None = None
+
+
+def strips(panels: Sequence[Sequence[Panel]], label: str, width: float = 11.0, height: float = 4.8) -> Figure:
+    """Draw every value as a dot on a logarithmic axis, with the median of each column as a bar.
+
+    Values of exactly zero are triangles on the edge of the axis.
+
+    Args:
+        panels: Lines of panels, all of one length and with the same columns; those of a line share their axis.
+        label: Label of the horizontal axis: the meaning of a column and of a dot.
+        width: Of the figure [inch].
+        height: Of the figure [inch].
+    """
+    figure, axes = new_figure(width, height, len(panels), len(panels[0]), sharex="col", sharey="row")
+    for line, row in zip(axes, panels, strict=True):
+        for ax, panel in zip(line, row, strict=True):
+            _draw_strip(ax, panel)
+        line[0].set_ylabel(row[0].label)
+    figure.supxlabel(label, fontsize=9)
+    return figure
+
+
+def _draw_strip(axes: Axes, panel: Panel) -> None:
+    for i, values in enumerate(panel.values.values()):
+        y = np.array(values, dtype=np.float64)
+        # spread sideways in a fixed pattern: overlapping dots stay countable
+        x, positive = i + 0.56 * ((np.arange(y.size) * 0.618034) % 1.0 - 0.5), y > 0.0
+        blue: dict[str, Any] = {"color": COLOURS["blue"], "alpha": 0.45, "markersize": 4.5, "markeredgewidth": 0}
+        axes.plot(x[positive], y[positive], ".", **blue)
+        axes.plot(x[~positive], y[~positive], "v", transform=axes.get_xaxis_transform(), **blue)
+        if np.any(positive):
+            axes.plot([i - 0.36, i + 0.36], [np.median(y)] * 2, color=COLOURS["vermilion"], linewidth=2)
+    if panel.paper is not None:
+        axes.axhline(panel.paper, color=INK, linestyle="--", linewidth=1)
+        edge, style = axes.get_yaxis_transform(), {"ha": "right", "va": "bottom", "fontsize": 7.5, "color": INK}
+        axes.text(0.99, panel.paper * 1.6, "paper's mean", transform=edge, **style)
+    axes.set(title=panel.title, yscale="log", xlim=(-0.6, len(panel.values) - 0.4))
+    axes.set_xticks(range(len(panel.values)), list(panel.values), rotation=40, ha="right")
+    axes.grid(False, axis="x")

@@ -1,0 +1,103 @@
+"""Result of an experiment, its statistics, and its tables in Markdown."""
+
+from __future__ import annotations
+
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class ExperimentResult(ABC):
+    """Numbers with those of the paper, as a table and as figures; the children are frozen dataclasses."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return numbers and strings for JSON, with `paper` and `ours`."""
+
+    @abstractmethod
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one dictionary per line of the CSV file."""
+
+    @abstractmethod
+    def markdown(self) -> str:
+        """Return tables for the documentation."""
+
+    @abstractmethod
+    def figures(self) -> dict[str, Figure]:
+        """Draw the figures, name -> figure."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrialsResult(ExperimentResult):
+    """Outcome of every trial of some cases.
+
+    Attributes:
+        outcomes: Name of a case -> one dictionary of plain values per trial.
+    """
+
+    outcomes: dict[str, list[dict[str, Any]]]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one line per trial: its case, and every number under its key; nested keys are joined by dots."""
+        named = [(case, i, trial) for case, trials in self.outcomes.items() for i, trial in enumerate(trials)]
+        return [{"case": case, "trial": i} | dict(_flat(trial)) for case, i, trial in named]
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, json.dumps(value) if isinstance(value, list) else value
+
+
+def summary(values: Iterable[float | None]) -> dict[str, Any]:
+    """Return statistics of some numbers; None, a refused answer, is left out.
+
+    Returns:
+        `mean`, `sd` (of the sample; 0 for a single number), `median`, `worst` (largest) and `n`; None without numbers.
+    """
+    x = np.array([v for v in values if v is not None], dtype=np.float64)
+    statistics = (np.mean, lambda x: np.std(x, ddof=1) if x.size > 1 else 0.0, np.median, np.max)
+    numbers = [float(statistic(x)) if x.size else None for statistic in statistics]
+    return {**dict(zip(("mean", "sd", "median", "worst"), numbers, strict=True)), "n": int(x.size)}
+
+
+def share(flags: Iterable[bool]) -> float | None:
+    """Return the share of the flags that are true; None without any."""
+    flags = list(flags)
+    return sum(flags) / len(flags) if flags else None
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """Return a number for a table: 1.2e-07, 0.31, 12, or a dash for None."""
+    if value is None:
+        return "-"
+    if value == 0.0:
+        return "0"
+    if 0.01 <= abs(value) < 1000.0:
+        return f"{value:.{max(digits, 1)}g}" if abs(value) < 10 else f"{value:.0f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def mean_and_sd(statistics: Mapping[str, Any]) -> str:
+    """Return `mean +- s.d.` of a summary."""
+    return f"{number(statistics['mean'])} +- {number(statistics['sd'])}"
+
+
+def row_words(rows: str) -> str:
+    """Return constrained rows in words: `x, theta` for `"x rz"`."""
+    return rows.replace("rz", "theta").replace(" ", ", ")
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table in Markdown."""
+    lines = ["| " + " | ".join(map(str, cells)) + " |" for cells in (header, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * len(header), *lines[1:]])

@@ -1,0 +1,305 @@
+"""Fit of rows to displacements along the recorded positions, from which the evidence and the uncertainty follow.
+
+With y the rates of the rows integrated along the recorded positions (dy = Phi dq), constrained rows keep Lambda y
+constant along each stretch. White noise sigma of the encoders gives Lambda y the covariance sigma^2 Lambda Phi Phi^T
+Lambda^T, so that
+
+    E(Lambda) = sum_n | W_n Lambda (y_n - c_stretch) |^2,     W_n = (Lambda Phi Phi^T Lambda^T)^(-1/2)
+
+is maximum likelihood: equation (10) with displacements instead of velocities. Joint offsets and errors of the links
+change y by K_n delta, K = int dPhi[delta] dq. With the columns J (by B of Lambda + B Lambda_perp), K and the residual
+r, less their best constants, the rest is algebra on the sums X^T X of each recording, X = [J K r]: the Gauss-Newton
+step, the noise, groups of recordings that share a place, the effect of errors of the arm, and the angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.learning.arm_errors import ArmErrors, changes_by_links
+from manip_learn.learning.search import least_used
+from manip_learn.learning.table import Settings, Stretch, View, displacements
+from manip_learn.linalg import complement_rows, orthonormal_rows
+from manip_learn.recordings.trajectory import evenly
+from manip_learn.recordings.velocities import positions_along
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.robot import Robot
+
+MOST, LEAST = 4000, 60  # samples of all stretches, and of each
+# between the use of rows and of the next one: below the first nothing is told, from the second on it is clear
+WEAK_GAP, CLEAR_GAP = 3.0, 10.0
+LEAST_RAD = 4e-5  # less is no difference: rails, tables and encoders are no better
+WORST_ZEROS = np.radians(1.0)  # [rad] of arms of hobby servos: what may explain a difference between recordings
+FLOOR = 0.05  # share of the mean variance that every sample has besides
+DRAWS = 1000
+TAU = np.geomspace(1e-6, 3e-2, 60)  # [rad] zeros to be thought of beyond what is thought beforehand
+NONE_TO_SOME = 20.0  # odds of no such zeros
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Samples of some stretches in one feature map, in whitened rows.
+
+    Attributes:
+        features: Feature map Phi.
+        W: shape (r, p), whitening matrix.
+        arm: Prior of the errors of the arm.
+        x: shape (n, nv), recorded positions [rad or m].
+        y: shape (n, r), displacements along the rows.
+        Phi: shape (n, r, nv), whitened features.
+        place: shape (n, 3), position of the hand [m]; None without a frame.
+        way: shape (n, nv), recorded velocities times a duration, as large as displacements; None if positions are
+            used. What is held is then zero in each sample, not constant in each stretch.
+        parts: Samples of each stretch.
+        recs: Recording of each stretch.
+    """
+
+    features: FeatureMap
+    W: np.ndarray
+    arm: ArmErrors
+    x: np.ndarray
+    y: np.ndarray
+    Phi: np.ndarray
+    place: np.ndarray | None
+    way: np.ndarray | None
+    hand: Any  # kinematics of the frame; None for other features
+    parts: list[slice]
+    recs: list[int]
+
+    @staticmethod
+    def of(view: View, stretches: Sequence[Stretch], settings: Settings) -> Motion:
+        """Return evenly spaced samples of the stretches of a table."""
+        features, table, out = view.features, view.table, []
+        robot, frame = getattr(features, "robot", None), getattr(features, "frame", None)
+        for t in map(table.piece, stretches):
+            u = np.asarray(t.u)
+            x = t.q if robot is None else positions_along(t, robot)
+            x = t.q if x is None else x
+            way = u * (t.time[-1] - t.time[0]) / np.sqrt(12.0)  # the spread of a steady motion
+            y = displacements(features, x, way if settings.by_rates else None)
+            k = evenly(len(x), max(LEAST, MOST // len(stretches)))
+            out.append((y[k], x[k], way[k]))
+        y, x, way = (np.concatenate(z) for z in zip(*out, strict=True))
+        hand = batch_kinematics(robot, frame) if isinstance(robot, Robot) and frame is not None else None
+        return Motion(
+            features,
+            view.W,
+            settings.arm,
+            x,
+            y @ view.W.T,
+            view.W @ features.batch(x),
+            None if hand is None else hand.pose(x)[:, :3, 3],
+            way if settings.by_rates else None,
+            hand,
+            slices([len(z) for z, *_ in out]),
+            [s.recording for s in stretches],
+        )
+
+    def by_the_arm(self, x: np.ndarray, way: np.ndarray | None = None) -> np.ndarray:
+        """Return the change of y along postures by unit joint offsets and, in proportion, errors of links (n, r, e)."""
+        each = way is not None
+        middle, step = (x, way) if each else (0.5 * (x[1:] + x[:-1]), np.diff(x, axis=0))
+        change = np.einsum("npvk,nv->npk", self.features.batch_with_derivative(middle)[1], step, optimize=True)
+        if self.arm.ratio:
+            links = changes_by_links(self.features, middle, step[:, :, None])[:, :, 0]
+            change = np.concatenate([change, self.arm.ratio * links], axis=2)
+        if not each:
+            change = np.concatenate([np.zeros((1, *change.shape[1:])), np.cumsum(change, axis=0)])
+        return self.W @ change
+
+    def seen_as(self, features: FeatureMap, W: np.ndarray) -> Motion:
+        """Return the same motion in another feature map."""
+        ways = [None if self.way is None else self.way[p] for p in self.parts]
+        y = np.concatenate([displacements(features, self.x[p], w) for p, w in zip(self.parts, ways, strict=True)])
+        return replace(self, features=features, W=W, y=y @ W.T, Phi=W @ features.batch(self.x))
+
+    def _centred(self, x: np.ndarray) -> np.ndarray:
+        return np.concatenate([x[p] - x[p].mean(axis=0) for p in self.parts])
+
+    @cached_property
+    def _least(self) -> tuple[np.ndarray, np.ndarray]:
+        y = self.y if self.way is not None else self._centred(self.y)
+        gram = np.einsum("npv,nqv->pq", self.Phi, self.Phi)
+        sizes, directions = least_used((y.T @ y)[None], gram[None], np.zeros(1))
+        return sizes[0], directions[0]
+
+    def least_displaced(self, s: int) -> np.ndarray:
+        """Return s orthonormal rows (s, r) with the least displacement, relative to the rows of its postures."""
+        return np.linalg.qr(self._least[1][:s].T)[0].T
+
+    @cached_property
+    def levels(self) -> np.ndarray:
+        """RMS displacement along each direction, smallest first, over that of equally strong joints [1]; shape (r,)."""
+        x = self.way if self.way is not None else self._centred(self.x)
+        return self._least[0] / max(float(np.sqrt(np.mean(x**2))), 1e-12)
+
+
+def slices(lengths: Sequence[int]) -> list[slice]:
+    """Return slices of these lengths, one after the other."""
+    edges = np.cumsum([0, *lengths])
+    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+class RowFit:
+    """Fit of a Lambda (whitened, orthonormal rows) to a motion, with its residual and derivatives.
+
+    Attributes:
+        motion: Samples.
+        rows, perp: shape (s, r) and (r - s, r), rows of Lambda and their orthonormal complement.
+        r: shape (n, s), weighted residual [rad].
+        cost: Sum of squares of the residual.
+        m: Number of parameters B of Lambda + B Lambda_perp.
+        dof: Degrees of freedom of the residual.
+    """
+
+    def __init__(self, motion: Motion, rows: np.ndarray):
+        self.motion, self.rows, self.perp = motion, rows, complement_rows(rows)
+        A = rows @ motion.Phi
+        S = A @ A.transpose(0, 2, 1)
+        S = S + FLOOR * np.mean(np.einsum("nii->ni", S), axis=0).max() * np.eye(len(rows))
+        self.root = np.linalg.inv(np.linalg.cholesky(S))
+        s, k = rows.shape[0], len(self.perp)
+        J = np.einsum("nai,nj->naij", self.root, motion.y @ self.perp.T).reshape(len(A), s, s * k)
+        r = np.einsum("nai,ni->na", self.root, motion.y @ rows.T)
+        self.m, self._A = s * k, A
+        self._JR = self.without_constants(np.concatenate([J, r[:, :, None]], axis=2))
+        self.r = self._JR[:, :, -1]
+        self.cost = float(np.sum(self.r**2))
+        constants = s * len(motion.parts) if motion.way is None else 0
+        self.dof = max(self.r.size - constants - self.m, 1)
+
+    def without_constants(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns (n, s, c) less their best constants of each stretch."""
+        out = np.empty_like(columns)
+        for p in self.motion.parts if self.motion.way is None else ():
+            own = self.root[p]
+            best = np.linalg.solve(np.einsum("nai,naj->ij", own, own), np.einsum("nai,nac->ic", own, columns[p]))
+            out[p] = columns[p] - own @ best
+        return out if self.motion.way is None else columns
+
+    def sums(self, X: np.ndarray | None = None) -> np.ndarray:
+        """Return X^T X of each stretch."""
+        X = self.X if X is None else X
+        return np.stack([np.tensordot(X[p], X[p], axes=([0, 1], [0, 1])) for p in self.motion.parts])
+
+    def shortest_way_back(self) -> np.ndarray:
+        """Return the smallest change of each posture that cancels its residual, shape (n, nv) [rad or m]."""
+        off = np.linalg.solve(self.root, self.r[:, :, None])  # along the rows
+        gram = self._A @ self._A.transpose(0, 2, 1)
+        gram += 1e-9 * np.trace(gram, axis1=1, axis2=2).mean() * np.eye(gram.shape[1])
+        return (self._A.transpose(0, 2, 1) @ np.linalg.solve(gram, off))[:, :, 0]
+
+    @cached_property
+    def X(self) -> np.ndarray:
+        """Columns [J K r], shape (n, s, m + e + 1).
+
+        The pattern K of errors of the arm is evaluated at the nearest postures on the mechanism: at the recorded ones
+        it would contain the residual itself (errors in variables).
+        """
+        dq = self.shortest_way_back()
+        y = self.motion.y - np.einsum("nrv,nv->nr", self.motion.Phi, dq)
+        J = np.einsum("nai,nj->naij", self.root, y @ self.perp.T).reshape(*self.r.shape, self.m)
+        K = self.root @ (self.rows @ self.motion.by_the_arm(self.motion.x - dq, self.motion.way))
+        return np.concatenate([self.without_constants(np.concatenate([J, K], axis=2)), self._JR[:, :, -1:]], axis=2)
+
+    @property
+    def e(self) -> int:
+        """Number of errors of the arm."""
+        return self.X.shape[2] - self.m - 1
+
+    @cached_property
+    def G(self) -> np.ndarray:
+        """Sums X^T X of each stretch."""
+        return self.sums()
+
+    def moved(self, B: np.ndarray) -> RowFit:
+        """Return the fit of Lambda + B Lambda_perp."""
+        return RowFit(self.motion, orthonormal_rows(self.rows + B.reshape(len(self.rows), -1) @ self.perp))
+
+    def best(self, steps: int = 25) -> RowFit:
+        """Return the fit with the least cost, by Levenberg-Marquardt on the Grassmann manifold."""
+        here, damping = self, 0.0
+        for _ in range(steps if self.m else 0):
+            total = np.tensordot(here._JR, here._JR, axes=([0, 1], [0, 1]))
+            H, g = total[: self.m, : self.m], total[: self.m, -1]
+            B = -solve(H + damping * np.diag(np.diag(H)), g)
+            if B @ H @ B <= 1e-6 * here.cost / here.dof:
+                break
+            there = here.moved(B)
+            if there.cost < here.cost:
+                gain, here, damping = here.cost - there.cost, there, 0.1 * damping
+                if gain < 1e-9 * here.cost:
+                    break
+            else:
+                damping = max(10.0 * damping, 1e-4)
+                if damping > 1e6:
+                    break
+        return here
+
+    @cached_property
+    def alike(self) -> float:
+        """Factor by which correlated neighbours increase a variance."""
+        return autocorrelation(self.r, self.motion.parts)
+
+    @cached_property
+    def variance(self) -> float:
+        """Variance of the residual, of at least `LEAST_RAD` squared [rad^2]."""
+        return self.cost / self.dof + LEAST_RAD**2
+
+    def nats(self, other: RowFit) -> float:
+        """Return the gain over another fit of as many rows, net of the price of parameters [nats]."""
+        n = self.dof / min(self.alike, other.alike) if self.alike > 1 else self.dof
+        n = self.dof / self.alike
+        floor = self.dof * LEAST_RAD**2
+        return 0.5 * n * float(np.log((other.cost + floor) / (self.cost + floor))) - 0.5 * (self.m - other.m) * np.log(
+            max(n, 2.0)
+        )
+
+
+def solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """Return H^+ g, with each unknown scaled by its own curvature."""
+    size = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    out = np.linalg.pinv(H * np.outer(size, size), rcond=1e-12, hermitian=True) @ (
+        size[:, None] * g if g.ndim > 1 else size * g
+    )
+    return size[:, None] * out if g.ndim > 1 else size * out
+
+
+def autocorrelation(r: np.ndarray, parts: Sequence[slice]) -> float:
+    """Return the factor by which correlated neighbours in each part increase a variance, at least 1."""
+    total, square = 1.0, float(np.sum(r**2))
+    for k in range(1, 101):
+        pairs = [(r[p][k:], r[p][:-k]) for p in parts]
+        n = sum(len(a) for a, _ in pairs)
+        if n < 2 * k or square <= 0.0:
+            break
+        share = sum(float(np.sum(a * b)) for a, b in pairs) / n * len(r) / square
+        if share < 2.0 / np.sqrt(n):
+            break
+        total += 2.0 * share
+    return total
+
+
+def levels_on(view: View, stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.ndarray]:
+    """Return how much the velocities use each direction, smallest first, and the directions as whitened rows (r, r).
+
+    Levels are relative to a motion that is equally strong in all joints [1], shape (r,).
+    """
+    m, inside = view.all, view.table.inside([view.table.learnt_from(s) for s in stretches])
+    u = view.table.u[inside]
+    M, S = m.rates[inside].T @ m.rates[inside], m.gram[inside].sum(axis=0)
+    sizes, directions = least_used(M[None], S[None], np.zeros(1))
+    energy = max(float(np.sum(u**2)), 1e-300)
+    return sizes[0] * np.sqrt(view.table.u.shape[1] / energy * len(u)) * 1.0, directions[0]
+
+
+def gaps_of(levels: np.ndarray, nv: int) -> dict[int, float]:
+    """Return the gap of each number of rows below nv: the ratio of the next level to its largest level."""
+    padded = np.maximum(np.append(levels, 1.0), 3e-8 * max(float(levels[-1]), 1.0))
+    return {s: float(padded[s] / padded[s - 1]) for s in range(1, len(levels) + 1) if s < nv}

@@ -1,0 +1,381 @@
+"""Acceptance of rows: those that exchanging the joints between recordings breaks, or that rest at one place.
+
+The recordings are aligned in phase (the share of the way covered) and their joints exchanged at random: joint 1 moves
+as in recording a, joint 2 as in b, and so on. Each joint keeps its own motion, only the coordination that a contact
+enforces is lost. The strength of a row is how much more it is used then; the rank of the recorded level is its p-value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.learning.repeats import once_each
+from manip_learn.learning.table import BELIEVED, LEAST_SLIP, OVER_NOISE, Stretch, Table, View, displacements
+from manip_learn.linalg import whitener
+from manip_learn.recordings.trajectory import Trajectory
+
+FEWEST = 3  # recordings, below which nothing is clear
+CHANCE = 0.01  # of so little motion by independent joints, above which nothing is shown
+CLEAR, LEANING = 4.0, 1.3  # strengths with 99 % confidence, the choice paid for; of a row ranked before
+# postures in a bin of phase; bins; their length [s]; recombinations of pieces
+NODES, MOST_BINS, BIN_SECONDS = 4, 24, 0.25
+RECOMBINATIONS, MOST_RECOMBINATIONS, MOST_PIECES = 199, 3184, 16  # at first, until decided; pieces that take part
+FLOOR = 1e-5  # levels below this may be what interpolation leaves
+SURE = NormalDist().inv_cdf(0.995)
+SLIPS = 4.0  # times as far along held rows as most recordings go, from which the hand has slipped
+FIRM_GAP, FIRM_SHARE, SAME_PLACE = 40.0, 0.01, 0.02  # free motion of people's hands reaches gaps of 11
+
+
+class RowSupport(NamedTuple):
+    """Evidence that one row is constrained, from the recombination test.
+
+    Attributes:
+        strength: How many times more motion the row would show if the joints moved independently.
+        p_value: Probability of so little motion along it if the joints moved independently.
+        state: `"held"`, `"free"` or `"untried"`.
+    """
+
+    strength: float
+    p_value: float
+    state: str
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Evidence from the recombination test for each row, most firmly constrained first.
+
+    Attributes:
+        strengths, lower: Strength, and its lower bound with 99 % confidence.
+        chances: p-value.
+        levels: RMS displacement of the recorded motion, relative to that of the joints [1].
+        n_pieces: Number of pieces of recordings.
+        believed: Smallest accepted lower bound.
+        firm: Number of rows that rest at one place, accepted without exchange.
+    """
+
+    strengths: np.ndarray
+    lower: np.ndarray
+    chances: np.ndarray
+    levels: np.ndarray
+    n_pieces: int
+    believed: float = BELIEVED
+    firm: int = 0
+
+    @property
+    def n_rows(self) -> int:
+        """Number of supported rows, from the first one on."""
+        n = 0
+        for i, (strength, lower, p) in enumerate(zip(self.strengths, self.lower, self.chances, strict=True)):
+            if strength < LEANING and self._never_tried(i):
+                continue  # nothing to exchange: it counts with a held row after it
+            if p > CHANCE or strength < LEANING:
+                break
+            n = i + 1 if lower >= self.believed else n
+        return max(n, min(self.firm, len(self.strengths)))
+
+    def _never_tried(self, i: int) -> bool:
+        """Return True if exchanged joints use a row as little, and no more than the least used row."""
+        return (
+            self.levels[i] <= LEANING * self.levels[0]
+            and self.strengths[i] * self.levels[i] <= LEANING * LEANING * self.levels[0]
+        )
+
+    def clear(self, s: int) -> bool:
+        """Return True if s rows are clearly constrained."""
+        return 0 < s <= self.n_rows and self.lower[s - 1] >= max(CLEAR, self.believed)
+
+    def verdict(self, s: int) -> str:
+        """Return `"none"`, `"weak"` or `"clear"` for s rows."""
+        return "none" if not self.n_rows else "clear" if self.clear(s) and self.n_pieces >= FEWEST else "weak"
+
+    @property
+    def states(self) -> list[str]:
+        """State of each row: `"held"`, `"free"` or `"untried"`."""
+        most = max(self.levels, default=0.0)
+        return [
+            "held" if i < self.n_rows else "free" if level >= most / 6.0 and level > 0.0 else "untried"
+            for i, level in enumerate(self.levels)
+        ]
+
+    @property
+    def rows(self) -> tuple[RowSupport, ...]:
+        """Evidence for each row, most firmly held first."""
+        found = zip(self.strengths, self.chances, self.states, strict=True)
+        return tuple(RowSupport(float(s), float(p), state) for s, p, state in found)
+
+    def sentence(self) -> str:
+        """Return the evidence in words."""
+        if not len(self.strengths):
+            return "the recordings do not move, so nothing shows which rows are held"
+        n = self.n_rows
+        if not n:
+            return (
+                f"no row is shown to be held (best strength {self.strengths[0]:.2g}, with 99 % confidence above "
+                f"{self.lower[0]:.2g}; {self.believed:g} is the least that counts)"
+            )
+        how = (
+            "held"
+            if self.verdict(n) == "clear"
+            else "held firmly at one place each time, or never tried"
+            if n == self.firm
+            else "held softly, or by the way of moving only"
+        )
+        few = (
+            "" if self.n_pieces >= FEWEST else f"; too few to be sure with {self.n_pieces} recordings, record 5 or more"
+        )
+        strengths = ", ".join(f"{x:.3g}" for x in self.strengths[:n])
+        return f"{n} row{'s' if n > 1 else ''} {how} (strength {strengths}, p = {max(self.chances[:n]):.2g}){few}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Phase:
+    """Piece at evenly spaced phases: postures, displacements relative to its length, weight of each bin."""
+
+    q: np.ndarray
+    steps: np.ndarray
+    weight: np.ndarray
+
+    @staticmethod
+    def of(t: Trajectory, scale: np.ndarray, n_bins: int) -> _Phase:
+        time, u = t.time, np.asarray(t.u)
+        half = 0.5 * np.diff(time)[:, None]
+        way = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(half * (u[1:] + u[:-1]), axis=0)])
+        rate = np.linalg.norm(u / scale, axis=1)
+        rate = rate + 1e-6 * rate.mean()
+        phase = np.append(0.0, np.cumsum(half[:, 0] * (rate[1:] + rate[:-1])))
+        length, n = phase[-1], NODES * n_bins
+        at = np.interp(np.linspace(0.0, 1.0, 2 * n + 1), phase / length, time)
+        nodes = np.stack([np.interp(at[::2], time, w) for w in way.T], axis=1)
+        q = np.stack([np.interp(at[1::2], time, x) for x in t.q.T], axis=1)
+        weight = 1.0 / np.maximum(np.diff(at[:: 2 * NODES]), 1e-12 * (time[-1] - time[0]))
+        return _Phase(q, np.diff(nodes, axis=0) / length, length**2 * weight / weight.mean())
+
+    def aligned(self, common: np.ndarray, scale: np.ndarray) -> _Phase:
+        """Reverse backward strokes, and a piece that mostly runs backward: A u = 0 also holds for -u."""
+        bins = self.steps.reshape(len(self.weight), NODES, -1).sum(axis=1) / scale
+        own = np.linalg.svd(bins, full_matrices=False)[2][0]
+        along = bins @ (own if own @ common >= 0.0 else -own)
+        steps = self.steps * np.repeat(np.where(along < 0.0, -1.0, 1.0), NODES)[:, None]
+        if along.sum() < -0.5 * np.abs(along).sum():
+            return _Phase(self.q[::-1], steps[::-1], self.weight[::-1])
+        return _Phase(self.q, steps, self.weight)
+
+
+def recombined(
+    features: FeatureMap, pieces: Sequence[Trajectory], seed: int = 0, choices: float = 1.0, believed: float = BELIEVED
+) -> Evidence:
+    """Return the evidence that rows of Phi are constrained, by exchanging the joints between pieces.
+
+    Args:
+        features: Feature map Phi.
+        pieces: Motions during contact.
+        seed: Seed of the exchanges.
+        choices: Number of hypotheses among which this one was selected (Bonferroni).
+        believed: Smallest accepted lower bound of a strength.
+    """
+    rng, none = np.random.default_rng(seed), np.zeros(0)
+    pieces = [t for t in pieces if len(t) > 2 and np.any(t.u)]
+    if len(pieces) > MOST_PIECES:
+        pieces = [pieces[i] for i in np.sort(rng.choice(len(pieces), MOST_PIECES, replace=False))]
+    if not pieces:
+        return Evidence(none, none, none, none, 0)
+    size = np.sqrt(np.mean([np.mean(np.square(np.asarray(t.u)), axis=0) for t in pieces], axis=0))
+    scale = np.maximum(size, 0.3 * size.max())
+    most = int(min(MOST_BINS, max(np.median([len(t) for t in pieces]) // 2, 1)))
+    n_bins = int(np.clip(round(float(np.median([t.duration for t in pieces])) / BIN_SECONDS), min(4, most), most))
+    paths = [_Phase.of(t, scale, n_bins) for t in pieces]
+    bins = np.stack([p.steps.reshape(n_bins, NODES, -1).sum(axis=1) for p in paths]) / scale
+    common = np.linalg.svd(bins.reshape(-1, bins.shape[2]), full_matrices=False)[2][0]
+    paths, g = [p.aligned(common, scale) for p in paths], len(paths)
+    Phi = np.stack([features.batch(p.q) for p in paths])
+    S, units = (
+        np.einsum("gnpv,gnqv->pq", Phi, Phi, optimize=True) / (Phi.shape[0] * Phi.shape[1]),
+        np.array(features.row_units),
+    )
+    moves = np.array(
+        [np.sqrt(S[i, i]) > 1e-6 * np.sqrt(np.diag(S)[units == unit].max()) for i, unit in enumerate(units)]
+    )
+    W = whitener(S * np.outer(moves, moves), 1e-12)
+    if not len(W):
+        return Evidence(none, none, none, none, g)
+    steps = [p.steps for p in paths]
+    if g < FEWEST:  # too few to exchange between: joints are shifted in phase against each other too
+        steps += [np.roll(p.steps, round(k * NODES * n_bins / 8), axis=0) for k in range(1, 8) for p in paths]
+    moved = np.stack(steps)  # (a, n, v)
+    parts = (
+        np.einsum("gnpv,anv->gnvap", W @ Phi, moved)
+        .reshape(g, n_bins, NODES, features.nv, len(steps), len(W))
+        .sum(axis=2)
+    )
+    weight = np.stack([p.weight for p in paths])
+    parts *= np.sqrt(weight)[:, :, None, None, None]
+    energy = float(
+        np.mean(weight[:, :, None] * np.stack([p.steps.reshape(n_bins, NODES, -1).sum(axis=1) for p in paths]) ** 2)
+    )
+
+    def moments(order: np.ndarray) -> np.ndarray:
+        """Return the mean of r r^T over the bins of each piece, for m arrangements of the joints (m, nv, g)."""
+        each, out = np.arange(g), []
+        for some in np.array_split(order, -(-len(order) // 64)):
+            motion = np.sum([parts[each, :, v, some[:, v]] for v in range(features.nv)], axis=0)
+            out.append(motion.transpose(0, 1, 3, 2) @ motion / n_bins)
+        return np.concatenate(out)
+
+    (recorded,) = moments(np.broadcast_to(np.arange(g), (1, features.nv, g)))
+    held_out = np.zeros(len(W))
+    if g > 1:  # a few strokes leave some direction unused by chance; the next stroke uses it
+        others = np.linalg.eigh((recorded.sum(axis=0) - recorded) / (g - 1))[1]
+        held_out = np.sqrt(
+            np.maximum(np.mean(np.einsum("dis,dij,djs->ds", others, recorded, others), axis=0), 0.0) / energy
+        )
+    z = -NormalDist().inv_cdf(max(CHANCE / choices, 1e-300))
+    directions, all_moments, n = np.linalg.eigh(recorded.mean(axis=0))[1].T, recorded.mean(axis=0)[None], 0
+    while True:
+        n = max(RECOMBINATIONS, 4 * n)
+        shape = (n + 1 - len(all_moments), features.nv, g)
+        order = np.argsort(rng.random(shape), axis=2) if len(steps) == g else rng.integers(0, len(steps), shape)
+        all_moments = np.concatenate([all_moments, moments(order).mean(axis=1)])
+        # row s is looked for outside rows 1 .. s-1 of the recorded motion, in all motions alike
+        turned = directions @ all_moments @ directions.T
+        least = np.stack([np.linalg.eigvalsh(turned[:, s:, s:])[:, 0] for s in range(len(W))], axis=1)
+        levels = np.maximum(np.sqrt(np.maximum(least, 0.0) / energy), FLOOR)
+        ratios = levels[1:] / np.maximum(held_out, levels[0])
+        strengths, spread = np.median(ratios, axis=0), np.std(np.log(np.maximum(ratios, FLOOR)), axis=0)
+        chances = (1.0 + np.count_nonzero(levels[1:] <= levels[0], axis=0)) / (1.0 + n)
+        found = Evidence(strengths, strengths * np.exp(-z * spread), chances, levels[0], g, believed)
+        error = SURE * math.sqrt((0.5 * math.pi + 0.5 * z**2) / n) * spread
+        near = np.abs(np.log(np.maximum(found.lower, 1e-300) / believed)) < error
+        near |= (np.abs(chances - CHANCE) < SURE * math.sqrt(CHANCE / n)) & (chances * (n + 1) > 1.5)
+        decided = (chances > CHANCE) | (strengths < LEANING)
+        until = int(np.argmax(decided)) + 1 if decided.any() else len(near)
+        if n >= MOST_RECOMBINATIONS or not near[:until].any():
+            return found
+
+
+def joints_at_once(t: Trajectory, noise: float) -> float:
+    """Return the effective number of joints that move at the same time, 1 for a single one; 0 at rest."""
+    u = np.asarray(t.u)
+    squares = u[np.sum(u**2, axis=1) > OVER_NOISE**2 * noise * u.shape[1]] ** 2
+    return float(np.median(np.sum(squares, axis=1) ** 2 / np.sum(squares**2, axis=1))) if len(squares) else 0.0
+
+
+def others_move(t: Trajectory, noise: float) -> float:
+    """Return the mean square velocity of all joints but the fastest one, over the variance of the noise."""
+    square = np.sort(np.mean(np.asarray(t.u) ** 2, axis=0))[:-1]
+    return float(square.mean() / max(noise, 1e-300))
+
+
+def steady(view: View, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[Stretch]:
+    """Return the stretches that rest along the rows as most do; in the others the hand slips."""
+    m, moved, noise = view.all, [], []
+    for x in stretches:
+        inside = view.table.inside([x])
+        way = np.cumsum(m.rates[inside] * m.weight[inside, None], axis=0) @ rows.T
+        moved.append(float(np.sqrt(np.mean(np.sum((way - way.mean(axis=0)) ** 2, axis=1)))) if len(way) else 0.0)
+        noise.append(2.0 * OVER_NOISE * float(np.sqrt(len(rows) * np.sum(m.noise[inside] * m.weight[inside] ** 2))))
+    usual = SLIPS * float(np.median(moved)) if moved else 0.0
+    most = [max(usual, LEAST_SLIP, min(least, 2.0 * usual)) for least in noise]
+    kept = [x for x, way, least in zip(stretches, moved, most, strict=True) if way <= least]
+    return kept if 2 * len(kept) > len(stretches) else list(stretches)
+
+
+def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stretch]) -> bool:
+    """Return True if rows rest at one place in at least three recordings, each time reached from elsewhere.
+
+    They move no more than the noise, and far less than free rows. A joint at rest has no motion to exchange, so that
+    the recombination test does not apply.
+    """
+    table, m, s = view.table, view.all, len(rows)
+    if (
+        len({x.recording for x in stretches}) < FEWEST
+        or share > FIRM_SHARE
+        or table.q.shape != table.u.shape
+        or s >= view.r
+    ):
+        return False
+    inside = table.inside(stretches)
+    w = m.weight * inside
+    from manip_learn.learning.search import least_used
+
+    sizes, _ = least_used(
+        ((m.rates.T * w) @ m.rates)[None], np.tensordot(w, m.gram, axes=1)[None], m.noise[inside].mean()[None]
+    )
+    if sizes[0, s] < FIRM_GAP * sizes[0, s - 1]:
+        return False
+    middles, came = [], []
+    for x in stretches:
+        before = (m.recording == x.recording) & (m.time < x.start)
+        way = np.cumsum(m.rates[before] * m.weight[before, None], axis=0) @ rows.T
+        came.append(float(np.linalg.norm(np.ptp(way, axis=0))) if len(way) else 0.0)
+        t = table.moved[x.recording]
+        middles.append(t.q[np.searchsorted(t.time, 0.5 * (x.start + x.end))])
+    straight = [middles[0] + np.linspace(0.0, 1.0, 21)[:, None] * (q - middles[0]) for q in middles[1:]]
+    off = [np.linalg.norm(rows @ view.W @ displacements(view.features, line)[-1]) for line in straight]
+    return bool(max(off) <= SAME_PLACE * float(np.median(came)))
+
+
+def ways_to_choose(table: Table, view: View, stretches: Sequence[Stretch]) -> float:
+    """Return the number of choices of as many stretches, as long as these, from all recordings."""
+    m = view.thin
+    moving = m.weight * m.moving()
+    whole = np.bincount(m.recording, moving, minlength=len(table))
+    recs = {s.recording for s in stretches}
+    ways = float(math.comb(len(table), len(recs)))
+    for i in recs:
+        own = [s for s in stretches if s.recording == i]
+        spans = [float(np.sum(moving[(m.recording == i) & (m.time >= s.start) & (m.time <= s.end)])) for s in own]
+        ways *= math.prod(whole[i] / span for span in spans if span > 0.0) / math.factorial(len(spans))
+    return max(ways, 1.0)
+
+
+class Gate:
+    """Test of a hypothesis that was selected among several views and numbers of rows."""
+
+    def __init__(self, views: Sequence[View], seed: int = 0, believed: float = BELIEVED):
+        self.table, self.tried, self.seed, self.believed = views[0].table, sum(v.largest for v in views), seed, believed
+
+    def pieces(self, stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Trajectory]]:
+        """Return the stretches that do not repeat each other, with their motions."""
+        both = [(s, self.table.piece(s)) for s in stretches]
+        both = [(s, p) for s, p in both if len(p) > 2]
+        kept = once_each([s for s, _ in both], [p for _, p in both])
+        return [both[k][0] for k in kept], [both[k][1] for k in kept]
+
+    def evidence(self, view: View, stretches: Sequence[Stretch], choices: float | None = None) -> Evidence:
+        """Return the evidence of stretches; `choices` is counted by default, see `recombined`."""
+        stretches, pieces = self.pieces(stretches)
+        choices = self.tried * ways_to_choose(self.table, view, stretches) if choices is None else choices
+        return recombined(view.features, pieces, self.seed, choices, self.believed)
+
+    def __call__(self, view: View, rows: np.ndarray, share: float, stretches: Sequence[Stretch]) -> bool:
+        """Return True if rows are constrained in stretches, by the recombination test or by one place.
+
+        Args:
+            view: View of the rows.
+            rows: shape (s, r), whitened.
+            share: Share of the free velocity that may violate the rows.
+            stretches: Stretches in which they are constrained.
+        """
+        noise = self.table.noise[self.table.first[:-1]]
+        agreeing = steady(view, rows, stretches)
+        for some in (stretches, agreeing) if len(agreeing) < len(stretches) else (stretches,):
+            recs = {s.recording for s in some}
+            if not recs or len(recs) < min(2, len(self.table)):
+                return False
+            kept, pieces = self.pieces(some)
+            each = [(p, float(noise[s.recording])) for s, p in zip(kept, pieces, strict=True)]
+            if pieces and (
+                np.median([joints_at_once(*x) for x in each]) >= 1.1
+                or np.median([others_move(*x) for x in each]) >= OVER_NOISE**2
+            ):
+                found = self.evidence(view, some)
+                if found.n_rows >= len(rows) and (len(recs) >= FEWEST or found.clear(len(rows))):
+                    return True
+        return is_firm(view, rows, share, stretches)

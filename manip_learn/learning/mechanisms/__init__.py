@@ -1,1 +1,0 @@
-"""Mechanisms that hold the hand: lines, planes, hinges, balls, screws and held orientations."""

@@ -1,0 +1,289 @@
+"""Table of the samples of all recordings, and views of it in feature maps."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
+from manip_learn.learning.arm_errors import ArmErrors
+from manip_learn.linalg import null_basis, pivoted_rows, whitener
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+
+BELIEVED = 1.8  # strength of a row with 99 % confidence, the choice paid for
+SWITCH = 16.0  # [nats] a change of state: a chance of exp(-16) for each tenth of a second
+CHANGE = 0.1  # [s] samples closer together tell the same story; a change of what is held takes as long
+OVER_NOISE = 4.0  # standard deviations beyond which it is motion
+SCAN_RATE = 25.0  # samples a second that are enough to judge a hypothesis
+SHORTEST = 0.3  # [s] a stretch shorter than this is chance
+CUBIC = 4  # directions that a smooth motion fills of a window
+LEAST_SLIP = 1e-3  # [rad] of the joints that a hand must leave what it held, to have slipped: a millimetre
+STILL_ENERGY = 1e-6  # share of the motion below which a joint is not moved
+PRUNE = 1e-6  # rows of Phi below this share of the largest of their unit are copies or zero
+
+
+EstimatorName = Literal["auto", "joint", "null-space", "separate"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of a fit; see the arguments of `ConstraintLearner`."""
+
+    n_constraints: int | None = None
+    estimator: EstimatorName = "auto"
+    policy_model: str = "auto"
+    phases: bool = True
+    mechanism: bool = True
+    strength: float = BELIEVED
+    switch: float = SWITCH
+    habits: bool = False
+    arm: ArmErrors = ArmErrors()
+    seed: int = 0
+    by_rates: bool = False  # recorded velocities have the last word, not positions
+    asked: tuple[FeatureMap, ...] = ()
+
+
+class Stretch(NamedTuple):
+    """A part of a recording, on its own clock [s]."""
+
+    recording: int
+    start: float
+    end: float
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return self.end - self.start
+
+
+class Table:
+    """Samples of all recordings, concatenated."""
+
+    def __init__(self, moved: Sequence[Trajectory]):
+        self.moved, self.joint_names = list(moved), moved[0].joint_names
+        lengths = [len(t) for t in moved]
+        self.time, self.q, self.u = (np.concatenate([getattr(t, a) for t in moved]) for a in ("time", "q", "u"))
+        self.first = np.concatenate([[0], np.cumsum(lengths)])
+        self.recording = np.repeat(np.arange(len(lengths)), lengths)
+        self.noise = np.repeat([velocity_noise(t.time, np.asarray(t.u)) for t in moved], lengths)
+        self.weight = np.concatenate([_weights(t.time) for t in moved])
+        step = max(1, round(len(self.time) / max(self.weight.sum(), 1e-9) / SCAN_RATE))
+        self.thin = np.concatenate([np.arange(a + min(step, b - a) // 2, b, step) for a, b in pairwise(self.first)])
+        self.step = step
+        self.ends = np.stack([self.time[self.first[:-1]], self.time[self.first[1:] - 1]], axis=1)
+        self.seconds = float(self.weight.sum())
+
+    def __len__(self) -> int:
+        return len(self.moved)
+
+    def inside(self, stretches: Sequence[Stretch]) -> np.ndarray:
+        """Return a mask of the samples in any of the stretches."""
+        out = np.zeros(len(self.time), dtype=bool)
+        for s in stretches:
+            own = slice(self.first[s.recording], self.first[s.recording + 1])
+            out[own] |= (self.time[own] >= s.start) & (self.time[own] <= s.end)
+        return out
+
+    def learnt_from(self, s: Stretch) -> Stretch:
+        """Return the stretch without its ends, which belong to a transition, except at the ends of the recording."""
+        low, high = self.ends[s.recording]
+        return Stretch(
+            s.recording, s.start if s.start <= low else s.start + CHANGE, s.end if s.end >= high else s.end - CHANGE
+        )
+
+    def piece(self, s: Stretch) -> Trajectory:
+        """Return the samples of a stretch from which rows are learnt."""
+        s = self.learnt_from(s)
+        return self.moved[s.recording][s.start : s.end]
+
+
+def energy_shares(energy: np.ndarray) -> np.ndarray:
+    """Return the share of each joint in the sum, which is 1."""
+    return energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
+
+
+def still_joints(names: Sequence[str], u: np.ndarray) -> list[str]:
+    """Return the names of the joints that hardly move, if others do."""
+    shares = energy_shares(np.sum(u**2, axis=0))
+    still = [name for name, share in zip(names, shares, strict=True) if share < STILL_ENERGY]
+    return still if len(still) < len(shares) else []
+
+
+def _weights(time: np.ndarray) -> np.ndarray:
+    """Return the time that each sample represents [s]; a gap in a recording is no evidence."""
+    steps = np.minimum(np.diff(time), 0.2) if len(time) > 1 else np.array([0.01])
+    return (0.5 * (np.append(steps, steps[-1]) + np.insert(steps, 0, steps[0])))[: len(time)]
+
+
+def velocity_noise(time: np.ndarray, u: np.ndarray) -> float:
+    """Return the variance of the noise of joint velocities [(rad/s)^2].
+
+    It is the residual of cubics in short windows, or of the four strongest directions of the joints, the smaller one.
+    """
+    T, nv = u.shape
+    length = min(T, max(2 * nv, int(np.searchsorted(time, time[0] + 0.6))))
+    windows = np.stack([u[a : a + length] for a in np.arange(0, T - length + 1, max(1, length // 2))])
+    left = []
+    if nv > CUBIC:
+        values = np.linalg.eigvalsh(np.einsum("wti,wtj->wij", windows, windows) / length)
+        left.append(np.mean(values[:, : nv - CUBIC], axis=1))
+    if length > CUBIC:
+        cubic = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), CUBIC))[0]
+        left.append(np.sum((windows - cubic @ (cubic.T @ windows)) ** 2, axis=(1, 2)) / ((length - CUBIC) * nv))
+    least = min((float(np.median(x)) for x in left), default=0.0)
+    return max(least, 1e-10 * float(np.mean(u**2)), 1e-24)
+
+
+class Samples(NamedTuple):
+    """Samples in whitened rows, by which hypotheses are judged.
+
+    Attributes:
+        rates: shape (n, r), rates r = Phi u.
+        gram: shape (n, r, r), Phi Phi^T.
+        free: shape (n,), energy of u in one row if the joints moved independently [(rad/s)^2].
+        noise: shape (n,), variance of the noise of velocities [(rad/s)^2].
+        weight: shape (n,), time that each sample represents [s].
+        time: shape (n,), on the clock of each recording [s].
+        first: shape (g + 1,), first sample of each of g recordings, and n.
+        recording: shape (n,), number of the recording.
+    """
+
+    rates: np.ndarray
+    gram: np.ndarray
+    free: np.ndarray
+    noise: np.ndarray
+    weight: np.ndarray
+    time: np.ndarray
+    first: np.ndarray
+    recording: np.ndarray
+
+    def of_recording(self, i: int) -> Samples:
+        """Return the samples of one recording."""
+        own = slice(*self.first[i : i + 2])
+        n = len(self.rates[own])
+        some = {name: x[own] for name, x in zip(self._fields, self, strict=True)}
+        return Samples(**some | {"first": np.array([0, n]), "recording": np.zeros(n, dtype=int)})
+
+    def moving(self) -> np.ndarray:
+        """Return a mask of the samples that move beyond the noise."""
+        return self.free > OVER_NOISE**2 * self.noise
+
+
+class View:
+    """Table in one feature map, whitened so that sum Phi Phi^T / n = I.
+
+    Attributes:
+        features, table: Feature map and table.
+        Phi: shape (n, p, nv), features of all samples.
+        W: shape (r, p), whitening matrix; r is 0 if the frame does not move.
+        largest: Largest number of rows that leave a null space.
+        all, thin: All samples, and evenly spaced ones for the search.
+    """
+
+    def __init__(self, features: FeatureMap, table: Table):
+        self.features, self.table = features, table
+        self.Phi = features.batch(table.q)
+        n = len(self.Phi)
+        S = np.einsum("npv,nqv->pq", self.Phi, self.Phi, optimize=True) / n
+        size, units = np.sqrt(np.diag(S)), np.array(features.row_units)
+        moves = np.array([size[i] > PRUNE * size[units == unit].max() for i, unit in enumerate(units)])
+        self.W = whitener(S * np.outer(moves, moves), PRUNE**2)
+        self.r = len(self.W)
+        self.largest = 0
+        if not self.r:
+            return
+        white = self.W @ self.Phi
+        gram = white @ white.transpose(0, 2, 1)
+        regular = gram + 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(self.r)
+        used = np.einsum("npv,npv->nv", white, np.linalg.solve(regular, white))
+        rank = int(np.median(np.linalg.matrix_rank(gram[:: max(1, n // 50)], 1e-8, hermitian=True)))
+        self.largest = min(rank, features.nv) - 1
+        rates = np.einsum("npv,nv->np", white, table.u)
+        free = np.sum(used * table.u**2, axis=1) / max(rank, 1)
+        self.all = Samples(rates, gram, free, table.noise, table.weight, table.time, table.first, table.recording)
+        k, step = table.thin, table.step
+        first = np.searchsorted(k, table.first)
+        self.thin = Samples(
+            rates[k], gram[k], free[k], table.noise[k], table.weight[k] * step, table.time[k], first, table.recording[k]
+        )
+
+    def of_recording(self, i: int) -> View:
+        """Return the view of one recording alone, whitened as that of all."""
+        out = copy.copy(self)
+        out.table, out.all, out.thin = Table([self.table.moved[i]]), self.all.of_recording(i), self.thin.of_recording(i)
+        return out
+
+    def selection(self, rows: np.ndarray) -> np.ndarray:
+        """Return Lambda in the features' own rows, orthonormal, from whitened ones."""
+        return pivoted_rows(rows @ self.W)
+
+    @cached_property
+    def immovable(self) -> np.ndarray:
+        """Rows that the arm cannot move, orthonormal, shape (k, p)."""
+        return null_basis(np.linalg.svd(self.W, full_matrices=False)[2]).T
+
+
+def place_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
+    """Return the rows of the position of the hand, in which the search begins, for any requested axes.
+
+    Features without a row of the position are returned as they are.
+    """
+    linear = [f for f in asked if set(AXES[:3]) & set(f.row_names)]
+    maps = [
+        FrameJacobian(f.robot, f.frame.name, AXES[:3], f.reference)
+        if isinstance(f, FrameJacobian) and f in linear
+        else f
+        for f in asked
+    ]
+    return _distinct([*maps, *(PlaceRows(f.robot, f.frame.name, "point", m) for f, m in _seen_from(linear, table))])
+
+
+def whole_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
+    """Return the rows of the whole twist of the hand in which mechanisms are constant."""
+    frames = [f for f in asked if isinstance(f, FrameJacobian)]
+    maps = [FrameJacobian(f.robot, f.frame.name, AXES, f.reference) for f in frames]
+    forms: tuple[PlaceForm, ...] = ("point and rotation", "twist")
+    seen = _seen_from(asked, table)
+    return _distinct([*maps, *(PlaceRows(f.robot, f.frame.name, form, m) for f, m in seen for form in forms)])
+
+
+def surface_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
+    """Return the rows in which surfaces of second order are constant."""
+    return [PlaceRows(f.robot, f.frame.name, "surface", m) for f, m in _seen_from(asked, table)]
+
+
+def _seen_from(asked: Sequence[FeatureMap], table: Table) -> list[tuple[FrameJacobian, np.ndarray]]:
+    """Return the first requested frame, with the mean of its positions [m]."""
+    for f in asked:
+        if isinstance(f, FrameJacobian):
+            few = table.q[:: max(1, len(table.q) // 500)]
+            return [(f, batch_kinematics(f.robot, f.frame).pose(few)[:, :3, 3].mean(axis=0))]
+    return []
+
+
+def _distinct(maps: Sequence[FeatureMap]) -> list[FeatureMap]:
+    known: list[FeatureMap] = []
+    for f in maps:
+        if not any(f is g or (isinstance(f, FrameJacobian) and f.describe() == g.describe()) for g in known):
+            known.append(f)
+    return known
+
+
+def displacements(features: FeatureMap, x: np.ndarray, way: np.ndarray | None = None) -> np.ndarray:
+    """Return displacements y with dy = Phi dq along positions, from the first sample, shape (n, p).
+
+    With `way`, recorded velocities times a duration: y = Phi way of each sample on its own.
+    """
+    if way is not None:
+        return np.einsum("npv,nv->np", features.batch(x), way)
+    rates = np.einsum("npv,nv->np", features.batch(0.5 * (x[1:] + x[:-1])), np.diff(x, axis=0))
+    return np.concatenate([np.zeros((1, rates.shape[1])), np.cumsum(rates, axis=0)])

@@ -1,0 +1,202 @@
+"""Rows that constrain the orientation of the hand as well as its position, its grip, and the rows in selected axes.
+
+The search uses the position of the hand. A mechanism may also rotate the hand, keep its orientation, or leave it free:
+the orientations in the stretches that were found tell which. Where the position does not move about an axis (a knob, a
+peg), the rows of the whole twist are fitted to displacements instead. Nothing is searched twice, and rotation is never
+compared with translation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceForm, PlaceRows
+from manip_learn.constraint.mechanism import (
+    MECHANISM_KINDS,
+    POSITION_ROWS,
+    Mechanism,
+    MechanismKind,
+    Orientation,
+)
+from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit
+from manip_learn.learning.place import Placed, is_named, movable
+from manip_learn.learning.table import View
+from manip_learn.linalg import null_basis, pivoted_rows
+from manip_learn.recordings.trajectory import evenly
+
+# [deg] RMS orientation of a firmly held hand about the mechanism: grips of a weld in simulation give way by 0.03
+# to 1.5, hands kept straight by habit by 1.6 to 5
+GIVES_WAY = 1.5
+KEPT = 8.0  # [deg] RMS of the orientation above which a hand was free to turn: loose grips reach 5.9 to 30
+ON_THE_SPOT = 5e-3  # [m] radius below which the place of the hand does not tell the angle about an axis
+PURE = 0.2  # share of other columns in a row that lies in some columns
+
+
+def whole_fit(
+    views: Sequence[View], place: RowFit, believed: Callable[[RowFit, View], bool]
+) -> tuple[RowFit, View] | None:
+    """Return the rows of the whole twist that constrain the hand, more than those of its position; None if loose.
+
+    They are rows of a mechanism, or else clear and accepted; they constrain the orientation as well as a grip does, and
+    the position with no fewer rows than were found. Of these, the rows with the largest gap between the displacements
+    along them and along free directions are returned.
+
+    Args:
+        views: Views of the whole twist.
+        place: Fit of the rows that constrain the position of the hand.
+        believed: Function of a fit and a view: True if the recordings show that all rows are constrained.
+    """
+    best, largest = None, (False, WEAK_GAP)
+    for view in views:
+        motion = place.motion.seen_as(view.features, view.W)
+        levels = np.append(motion.levels, 1.0)
+        for s in range(view.largest, len(place.rows), -1):
+            gap = float(levels[s] / max(levels[s - 1], 1e-12))
+            if gap <= WEAK_GAP or (True, gap) <= largest:
+                continue
+            fit = RowFit(motion, motion.least_displaced(s)).best()
+            if turns_away(fit) > gives_way(motion) or held_places(fit) < len(place.rows):
+                continue
+            named = is_named(fit, view)
+            if (named, gap) > largest and (named or (gap > CLEAR_GAP and believed(fit, view))):
+                best, largest = (fit, view), (named, gap)
+    return best
+
+
+def turns_away(fit: RowFit) -> float:
+    """Return the RMS rotation of the hand away from the rows [deg], the median of the contacts."""
+    motion = fit.motion
+    J = motion.hand.jacobian(motion.x)[:, 3:]
+    turned = np.sum(np.einsum("nij,nj->ni", J, fit.shortest_way_back()) ** 2, axis=1)
+    return float(np.degrees(np.median([np.sqrt(np.mean(turned[p])) for p in motion.parts])))
+
+
+def held_places(fit: RowFit) -> int:
+    """Return the number of directions in which the rows constrain the position of the hand, median of the postures."""
+    motion, few = fit.motion, evenly(len(fit.motion.x), 50)
+    J = motion.hand.jacobian(motion.x[few])[:, :3]
+    free = np.stack([J_v @ null_basis(A) for J_v, A in zip(J, fit.rows @ motion.Phi[few], strict=True)])
+    moves = np.count_nonzero(np.linalg.svd(free, compute_uv=False) > ON_THE_SPOT, axis=1)
+    return 3 - int(np.median(moves))
+
+
+def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, float]:
+    """Return the kind of mechanism with the orientation that it constrains, and how well the orientation is kept.
+
+    Args:
+        known: Mechanism that constrains the position of the hand.
+        motion: Contacts.
+
+    Returns:
+        The kind with the most rows from which the hand deviates by no more than a grip gives way; the known one if
+        there is none. The smallest RMS deviation of the orientation from one that is fixed or carried by the mechanism,
+        and that by independent joints [deg], medians of the contacts.
+    """
+    seen = [_turned(known, motion.hand.pose(motion.x[p])) for p in motion.parts]
+    rms = {name: float(np.median([x[name] for x in seen])) for name in seen[0]}
+    kept, apart = min((rms[n] for n in ("fixed", "carried") if n in rms), default=np.inf), turned_by_joints(motion)
+    kinds = [k for k in MECHANISM_KINDS if k.type == known.kind.type and k.n_rows > known.kind.n_rows]
+    firm = [k for k in kinds if rms.get(k.orientation, np.inf) <= gives_way(motion)]
+    firm = [k for k in firm if k.orientation != "about-axis" or kept > KEPT]
+    return max(firm, key=lambda k: (k.n_rows, -rms[k.orientation]), default=known.kind), kept, apart
+
+
+def turned_by_joints(motion: Motion) -> float:
+    """Return the RMS rotation of the hand by independent motions of the joints that are as large as these [deg]."""
+    middles = np.array([motion.x[(p.start + p.stop) // 2] for p in motion.parts])
+    turns = np.sum(motion.hand.jacobian(middles)[:, 3:] ** 2, axis=1)
+    spread = np.array([np.var(motion.x[p], axis=0) for p in motion.parts])
+    return float(np.degrees(np.median(np.sqrt(np.sum(turns * spread, axis=1)))))
+
+
+def gives_way(motion: Motion) -> float:
+    """Return the largest RMS rotation of a hand in a firm grip, far less than by independent joints [deg]."""
+    return min(GIVES_WAY, turned_by_joints(motion) / CLEAR_GAP)
+
+
+def _turned(known: Placed, T: Float[np.ndarray, "T 4 4"]) -> dict[Orientation, float]:
+    """Return the RMS rotation of the hand from each orientation that a mechanism may constrain [deg]."""
+    rotation, place, out = Rotation.from_matrix(T[:, :3, :3]), known.place, dict[Orientation, float]()
+    out["fixed"] = _rms(rotation)
+    if known.kind.type == "ball":
+        out["carried"] = _rms_of_directions(rotation.inv().apply(place.point - T[:, :3, 3]))
+    elif known.kind.type != "line":
+        out["about-axis"] = _rms_of_directions(rotation.inv().apply(place.axis))
+    if known.kind.type in ("hinge", "screw", "other"):
+        first, other = place.across
+        away = T[:, :3, 3] - place.point
+        angle = np.unwrap(np.arctan2(away @ other, away @ first))
+        out["carried"] = _rms(Rotation.from_rotvec(-angle[:, None] * place.axis) * rotation)
+    return out
+
+
+def _rms(rotation: Rotation) -> float:
+    vectors = (rotation * rotation.mean().inv()).as_rotvec()
+    return float(np.degrees(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))))
+
+
+def _rms_of_directions(vectors: Float[np.ndarray, "T 3"]) -> float:
+    units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    mean = units.mean(axis=0)
+    return float(np.degrees(np.sqrt(np.mean(np.arccos(np.clip(units @ mean / np.linalg.norm(mean), -1.0, 1.0)) ** 2))))
+
+
+def asked_rows(
+    features: FeatureMap,
+    selection: Float[np.ndarray, "s p"],
+    mechanism: Mechanism | None,
+    asked: Sequence[FeatureMap],
+    q: np.ndarray,
+) -> tuple[FeatureMap, Float[np.ndarray, "k r"]]:
+    """Return the rows in the requested axes: combinations x Lambda with no share in other columns; else all.
+
+    Args:
+        features: Phi of all rows that constrain the hand.
+        selection: Their Lambda.
+        mechanism: Mechanism, or None.
+        asked: Requested feature maps.
+        q: shape (n, nq), postures.
+
+    Returns:
+        Phi and Lambda.
+    """
+    names = [n for n in AXES if any(n in f.row_names for f in asked)]
+    if not all(isinstance(f, FrameJacobian) for f in asked):
+        return features, selection
+    if isinstance(features, MechanismRows) and mechanism is not None:
+        own = POSITION_ROWS.get(mechanism.type, ()) if names == list(AXES[:3]) else ()
+        if not own or (mechanism.radius is not None and mechanism.radius < ON_THE_SPOT):
+            return features, selection
+        features = movable(features.with_rows(own, None if mechanism.type == "screw" else mechanism.radius), q)
+        return features, np.eye(features.n_rows)
+    if not isinstance(features, FrameJacobian | PlaceRows):
+        return features, selection
+    columns = list(features.row_names)
+
+    def inside(kept: Sequence[str]) -> tuple[list[str], np.ndarray]:
+        """Return the kept columns, and the rows with no share in other columns."""
+        other = [i for i, n in enumerate(columns) if n not in kept]
+        _, sigma, Vt = np.linalg.svd(selection[:, other].T)
+        sizes = np.concatenate([sigma, np.zeros(len(selection) - len(sigma))])
+        own = [n for n in columns if n in kept]
+        return own, Vt[sizes < PURE] @ selection[:, [columns.index(n) for n in own]]
+
+    reference = features.reference if isinstance(features, FrameJacobian) else "world"
+    given = next((f for f in asked if isinstance(f, FrameJacobian) and f.reference == reference), None)
+    own, rows = inside(given.row_names if given is not None else ())
+    if isinstance(features, PlaceRows):
+        form: PlaceForm = "point" if set(names) <= set(AXES[:3]) else "point and rotation"
+        wide = PlaceRows(features.robot, features.frame.name, form, features.middle)
+        if features.form != "twist" and len(among := inside(wide.row_names)[1]) > len(rows):
+            return (wide, pivoted_rows(among)) if wide.row_names != features.row_names else (features, selection)
+    if given is None or not len(rows):
+        return features, selection
+    there = np.zeros((len(rows), given.n_rows))
+    there[:, [given.row_names.index(n) for n in own]] = pivoted_rows(rows)
+    return given, there
