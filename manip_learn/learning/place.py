@@ -92,6 +92,8 @@ def placed(view: View, fit: RowFit, errors: Errors | None) -> Placed | None:
     if read is None:
         return None
     kind, place = read[0], read[1].as_told()
+    if kind.type in ("line", "plane"):  # where the hand was, not where the axes of the rows begin
+        place = replace(place, point=p.mean(axis=0))
     radius = arc_of(kind, place, p)
     if radius is not None and not kind.name.endswith("firm") and radius[0] > FARTHEST:
         return None
