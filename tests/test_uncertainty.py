@@ -151,7 +151,7 @@ def test_the_error_of_lambda_is_linear_in_the_offsets():
     demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 10, 100, 0.01)
     delta = 1e-4 * rng.standard_normal(7)
     view, fit = fitted([replace(t, q=t.q + delta) for t in demos], truth)
-    G, m = fit.G.sum(axis=0), fit.m
+    G, m = np.sum([*fit.G.values()], axis=0), fit.m
     foretold = np.linalg.solve(G[:m, :m], G[:m, m : m + 7]) @ delta
     true = truth.selection @ np.linalg.pinv(view.W)
     # the truth beside the learnt rows: (1, B) with learnt + B perp

@@ -187,7 +187,7 @@ def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tu
 
 def print_learnt(console: Console, learnt: LearntTask, explain: bool = False, more: Sequence[str] = ()) -> None:
     """The sentence, the evidence, the warnings; with `explain` its terms and more."""
-    from manip_learn.learning.answer import CLEAR_GAP
+    from manip_learn.learning.fit import CLEAR_GAP
     from manip_learn.learning.report import RecordingOverview
 
     report = learnt.report

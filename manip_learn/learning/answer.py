@@ -42,7 +42,7 @@ from manip_learn.learning.table import (
     surface_maps,
     whole_maps,
 )
-from manip_learn.learning.uncertainty import Errors, angles, errors_of, groups_of, misfit
+from manip_learn.learning.uncertainty import STATED, Errors, angles, errors_of, groups_of, misfit
 from manip_learn.learning.whole_hand import KEPT, asked_rows, held_kind, whole_fit
 from manip_learn.linalg import row_space_angle
 
@@ -51,15 +51,13 @@ SOFT_ENERGY = 1e-2  # share of the motion that breaks rows, above which they are
 SHORT_STRETCH = 0.25  # of the usual length, below which a stretch is chance
 OTHER_VIEW = 20.0  # [nats] from which other features are likelier than plainer ones
 SHOWN_BY = 0.6  # share of the recordings that must show a constraint before one that does not is called odd
-# residual over the noise; scatter of the place between recordings over that within each
+# residual over the noise, and scatter of the place between recordings over that within each, that are no noise any more
 ABSOLUTE, PLACE_RATIO = 3.0, 3.0
-GIVING = (
-    4.0  # times the variance of the place's rows that those of the whole hand leave, above which the grip gives way
-)
+# times the variance that rows of the position leave, above which rows of the whole hand show how the grip gives way
+GIVING = 4.0
 BY_THE_ARM = np.radians(10.0)  # between rows that errors of the arm may have turned apart
 BEYOND_NOISE = 1.1  # residual over the noise from which another shape is looked for
 LEAST_SAID = 1e-3  # [m] by which a hand must leave what fits best in the same way before it is said
-STATED = 0.68  # share of cases within what is stated
 ADVISED = ("weak-gap", "no-evidence", "no-freedom")  # codes of refusals that other recordings may lift
 DISAGREES = "does not agree with the other recordings"
 IN_ONE_ONLY = "appears in one recording only"
@@ -194,10 +192,9 @@ class Found:
 
 def _moved_on_purpose(found: Imposed) -> Answer:
     """Return the answer for rows that the demonstrator drives."""
-    stretches = [Stretch(i, *map(float, found.view.table.ends[i])) for i in range(len(found.view.table))]
     return Answer(
         found.view,
-        stretches,
+        found.view.table.wholes,
         found.fit.rows,
         found.levels,
         found.gaps,
@@ -327,78 +324,100 @@ def _learn(table: Table, settings: Settings, progress: Callable[[str, float], No
 # ------------------------------------------------------------------------------------------- recordings with parts
 
 
-def _divided(
-    found: Explanation, views: list[View], whole: list[View], gate: Gate, settings: Settings
-) -> Found | NotIdentifiableError:
-    """Return the answers for an explanation: fitted by displacements, and divided by place."""
-    table, states = found.views[0].table, found.fine_states()
-    parts: list[tuple[View, np.ndarray, float, list[Stretch]]] = []
+class _Part(NamedTuple):
+    """Rows that a fit by displacements gave, where they are constrained, and the share of motion that violates them."""
+
+    fit: RowFit
+    view: View
+    share: float
+    spans: list[Stretch]
+
+
+def _fitted(found: Explanation, views: list[View], out: Found, settings: Settings) -> list[_Part]:
+    """Return what the hypotheses are by displacements, apart for each place; names what does not agree in `out`."""
+    table, states, done = found.views[0].table, found.fine_states(), list[_Part]()
     for k in np.argsort(-found.supports):
         h = found.hypotheses[k]
         view = found.views[h.view]
         spans = [sharpened(view, h.rows, s) for s in found.stretches(k + 1, states)]
         usual = np.median([s.duration for s in spans]) if spans else 0.0
         spans = [s for s in spans if s.duration >= SHORT_STRETCH * usual and len(table.piece(s)) > 2]
-        if spans:
-            parts.append((view, h.rows, h.scale[1], spans))
-    out, refused, waiting = Found([]), [], list(parts)
-    done: list[tuple[RowFit, View, float, list[Stretch]]] = []
-    while waiting:
-        view, rows, share, spans = waiting.pop(0)
-        alike = [v for v in views if has_turns(v) == has_turns(view)]
-        given, spans = spans, steady(view, rows, spans)
-        fit, view = best_fit(alike, view, rows, spans, settings)
-        if len(spans) < len(given) and len(again := steady(view, fit.rows, given)) > len(spans):
-            spans = again
-            fit, view = best_fit(alike, view, fit.rows, spans, settings)
-        slipped = [s for s in given if s not in spans]
-        for s in slipped:
-            out.odd[s.recording] = differs(table, s.recording, view, fit, [s], {x.recording for x in spans})
-        out.unlearnt += [(s, DISAGREES) for s in slipped]
-        shared = None
-        for j, (other, v, _, theirs) in enumerate(done):  # apart for an arm that is not quite its description
-            if (
-                v is view
-                and other.rows.shape == fit.rows.shape
-                and row_space_angle(v.selection(other.rows), v.selection(fit.rows)) < BY_THE_ARM
-                and not {s.recording for s in theirs} & {s.recording for s in spans}
-            ):
-                both, _ = best_fit([view], view, other.rows, [*theirs, *spans], settings)
-                if len(groups_of(both)) == 1:
-                    shared = j
-                    fit, spans = both, [*theirs, *spans]
-                    break
-        if shared is not None:
-            done[shared] = (fit, view, share, spans)
+        if not spans:
             continue
-        groups = groups_of(fit)
-        several = [g for g in groups if len(g) > 1]
-        if len(groups) > 1 and 2 * sum(map(len, several)) > len(set(fit.motion.recs)):
-            for g in several:
-                own = [s for s in spans if s.recording in g]
-                done.append((*best_fit([view], view, fit.rows, own, settings)[:1], view, share, own))
-            for g in groups:
-                if len(g) == 1:
-                    (i,) = g
-                    out.odd[i] = differs(
-                        table, i, view, done[-len(several)][0], [s for s in spans if s.recording == i], several[0]
-                    )
-                    out.unlearnt += [(s, DISAGREES) for s in spans if s.recording == i]
-        elif len(groups) > 1:
-            last = max(fit.motion.recs)
-            own = [s for s in spans if s.recording == last]
-            done.append((best_fit([view], view, fit.rows, own, settings)[0], view, share, spans))
-            out.warnings.append(
-                f"what holds the hand is not at the same place in all recordings ({len(groups)} places of "
-                f"{len(set(fit.motion.recs))}): it was moved between recordings, and is learnt as it stood in "
-                f"{table.moved[last].name}"
-            )
+        part = _agreeing(h, view, spans, views, out, settings)
+        for j, other in enumerate(done):  # apart for an arm that is not quite its description
+            if both := _at_the_same_place(other, part, settings):
+                done[j] = both
+                break
         else:
-            done.append((fit, view, share, spans))
-    for fit, view, share, spans in done:
-        answer = answered(fit, view, spans, share, gate, whole, settings)
+            done += _at_each_place(part, out, settings)
+    return done
+
+
+def _agreeing(
+    h: Hypothesis, view: View, given: list[Stretch], views: list[View], out: Found, settings: Settings
+) -> _Part:
+    """Return the fit to the stretches that rest along the rows as most do; names the others in `out`."""
+    alike = [v for v in views if has_turns(v) == has_turns(view)]
+    spans = steady(view, h.rows, given)
+    fit, view = best_fit(alike, view, h.rows, spans, settings)
+    if len(spans) < len(given) and len(again := steady(view, fit.rows, given)) > len(spans):
+        spans = again
+        fit, view = best_fit(alike, view, fit.rows, spans, settings)
+    for s in (s for s in given if s not in spans):
+        out.odd[s.recording] = differs(view.table, s.recording, view, fit, [s], {x.recording for x in spans})
+        out.unlearnt.append((s, DISAGREES))
+    return _Part(fit, view, h.scale[1], spans)
+
+
+def _at_the_same_place(one: _Part, other: _Part, settings: Settings) -> _Part | None:
+    """Return both parts as one, of different recordings that share a place but for errors of the arm; else None."""
+    view, (a, b) = other.view, (one.fit.rows, other.fit.rows)
+    if one.view is not view or a.shape != b.shape:
+        return None
+    if row_space_angle(view.selection(a), view.selection(b)) >= BY_THE_ARM:
+        return None
+    if {s.recording for s in one.spans} & {s.recording for s in other.spans}:
+        return None
+    spans = [*one.spans, *other.spans]
+    both, _ = best_fit([view], view, a, spans, settings)
+    return _Part(both, view, other.share, spans) if len(groups_of(both)) == 1 else None
+
+
+def _at_each_place(part: _Part, out: Found, settings: Settings) -> list[_Part]:
+    """Return the part for each place that several recordings share; names the recordings of no such place in `out`."""
+    fit, view, share, spans = part
+    table, groups, n = view.table, groups_of(fit), len(set(fit.motion.recs))
+    if len(groups) == 1:
+        return [part]
+
+    def of(recordings: set[int]) -> list[Stretch]:
+        return [s for s in spans if s.recording in recordings]
+
+    several = [g for g in groups if len(g) > 1]
+    if 2 * sum(map(len, several)) > n:
+        done = [_Part(best_fit([view], view, fit.rows, of(g), settings)[0], view, share, of(g)) for g in several]
+        for i in (i for g in groups if len(g) == 1 for i in g):
+            out.odd[i] = differs(table, i, view, done[0].fit, of({i}), several[0])
+            out.unlearnt += [(s, DISAGREES) for s in of({i})]
+        return done
+    last = max(fit.motion.recs)
+    out.warnings.append(
+        f"what holds the hand is not at the same place in all recordings ({len(groups)} places of {n}): it was moved "
+        f"between recordings, and is learnt as it stood in {table.moved[last].name}"
+    )
+    return [_Part(best_fit([view], view, fit.rows, of({last}), settings)[0], view, share, spans)]
+
+
+def _divided(
+    found: Explanation, views: list[View], whole: list[View], gate: Gate, settings: Settings
+) -> Found | NotIdentifiableError:
+    """Return the answers for an explanation, with what is said of them together; or the refusal of the first part."""
+    table, out, refused = found.views[0].table, Found([]), list[tuple[list[Stretch], NotIdentifiableError]]()
+    for part in _fitted(found, views, out, settings):
+        answer = answered(part.fit, part.view, part.spans, part.share, gate, whole, settings)
         if isinstance(answer, NotIdentifiableError):
-            refused.append((spans, answer))
+            refused.append((part.spans, answer))
         else:
             out.answers.append(answer)
     if not out.answers:
@@ -484,7 +503,6 @@ def _odd_ones(out: Found, table: Table) -> None:
             for i in set(range(len(table))) - shown - set(out.odd) - (others if len(out.answers) > 1 else set()):
                 out.odd[i] = differs(table, i, a.view, a.fit, [Stretch(i, *table.ends[i])], shown)
         usual = np.median([sum(s.recording == i for s in a.stretches) for i in shown])
-        m = a.view.all
         for i in shown:
             own = sorted(s for s in a.stretches if s.recording == i)
             for x, y in pairwise(own if len(own) > usual else ()):
@@ -494,7 +512,7 @@ def _odd_ones(out: Found, table: Table) -> None:
                 ):
                     continue
                 inside = table.inside([gap])
-                way = np.cumsum(m.rates[inside] * m.weight[inside, None], axis=0) @ a.rows.T
+                way = a.view.way(inside, a.rows)
                 held = np.median([np.ptp(a.fit.motion.y[p] @ a.rows.T, axis=0).max() for p in a.fit.motion.parts])
                 if len(way) and np.ptp(way, axis=0).max() > 5.0 * held:
                     out.odd.setdefault(
@@ -535,12 +553,12 @@ def sharpened(view: View, rows: np.ndarray, s: Stretch) -> Stretch:
 
     A hand that leaves a surface at a flat angle has moved along the rows before its velocity shows it.
     """
-    m, inside = view.all, view.table.inside([s])
-    time = m.time[inside]
+    inside = view.table.inside([s])
+    time = view.table.time[inside]
     inner = (time >= s.start + SHORTEST) & (time <= s.end - SHORTEST)
     if s.duration < 4.0 * SHORTEST or np.count_nonzero(inner) < 10:
         return s
-    way = np.cumsum(m.rates[inside] * m.weight[inside, None], axis=0) @ rows.T
+    way = view.way(inside, rows)
     away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
     left = time[(away > 2.5 * np.quantile(away[inner], 0.9)) & ~inner]
     before, after = left[left < s.start + SHORTEST], left[left > s.end - SHORTEST]
@@ -585,7 +603,8 @@ def best_fit(
         if fit.nats(best[0]) > OTHER_VIEW:
             best = fit, v
     curved = [v for v in candidates if is_surface(v) and v is not view] if s == 1 else []
-    if curved and min(misfit(best[0])[0] / LEAST_GAIN, misfit(best[0])[1] / LEAST_SAID) > 1.0:
+    gain, left = misfit(best[0]) if curved else (0.0, 0.0)
+    if gain > LEAST_GAIN and left > LEAST_SAID:
         fit = fitted(curved[0])  # what has another shape, beyond what the arm's own errors explain
         gaps = gaps_of(levels_on(curved[0], spans)[0], table.u.shape[1])
         if fit.nats(best[0]) > LEAST_GAIN and gaps.get(s, 0.0) >= WEAK_GAP:
@@ -701,10 +720,7 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
     elif a.evidence.verdict(a.s) != "clear":
         out.append(f"weak evidence: {a.evidence.sentence()}")
     table = a.view.table
-    noise = table.noise[table.first[:-1]]
-    together = np.median(
-        [joints_at_once(t, noise[s.recording]) for t, s in zip(map(table.piece, a.stretches), a.stretches, strict=True)]
-    )
+    together = np.median([joints_at_once(table.piece(s), table.noises[s.recording]) for s in a.stretches])
     if together < FEW_JOINTS_AT_ONCE and table.u.shape[1] > 3:
         out.append(
             f"only {together:.1f} joints move at a time: friction of a hand-guided arm looks like a constraint; move "
@@ -759,7 +775,9 @@ def completed(a: Answer, settings: Settings) -> Answer:
     if isinstance(a.shape, CurveRows):
         a.whole = a.asked = a.whole._replace(features=a.shape, selection=np.eye(2))
     features, selection = asked_rows(*a.whole[:2], a.mechanism, settings.asked, table.q)
-    if len(selection) == len(a.whole.selection) and features.n_rows >= a.whole.features.n_rows:
+    if features is a.whole.features and selection is a.whole.selection:
+        a.asked = a.whole
+    elif len(selection) == len(a.whole.selection) and features.n_rows >= a.whole.features.n_rows:
         a.asked = a.whole._replace(features=features, selection=selection)
     else:
         v = View(features, table)
@@ -817,21 +835,21 @@ def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray | slice =
 def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | NotIdentifiableError:
     """Return the answer of too few recordings, or of a given number of rows; else the refusal."""
     table = views[0].table
-    whole = [Stretch(i, *map(float, table.ends[i])) for i in range(len(table))]
+    whole: list[Stretch] = table.wholes
     best: Any = None
     for v in [v for v in views if isinstance(v.features, FrameJacobian) or v is views[0]]:
         gaps = gaps_of(levels_on(v, whole)[0], table.u.shape[1])
         s = settings.n_constraints or max(gaps, key=lambda k: gaps[k])
-        if s < v.r + 1 and (best is None or gaps.get(s, 0.0) > 1.1 * best[2]):
-            best = v, s, gaps.get(s, 0.0)
-    v, s, gap = best
-    kept, pieces = gate.pieces(whole)
+        if s < v.r + 1 and (best is None or gaps.get(s, 0.0) > 1.1 * best[2].get(best[1], 0.0)):
+            best = v, s, gaps
+    v, s, gaps = best
+    gap = gaps.get(s, 0.0)
     evidence = gate.evidence(v, whole, 1.0)
-    if settings.n_constraints is None and (len(pieces) >= FEWEST or gap < WEAK_GAP):
+    if settings.n_constraints is None and (len(gate.pieces(whole)[0]) >= FEWEST or gap < WEAK_GAP):
         return NotIdentifiableError(
             f"nothing shows that what the motion leaves unused ({counted(s, 'direction')}, gap {gap:.3g}) is held "
             f"rather than never tried: {evidence.sentence()}",
-            gaps=gaps_of(levels_on(v, whole)[0], table.u.shape[1]),
+            gaps=gaps,
             code="no-evidence" if gap >= WEAK_GAP else "weak-gap",
         )
     fit, v = best_fit([v], v, np.eye(s, v.r), whole, replace(settings, n_constraints=s))

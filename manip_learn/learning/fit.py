@@ -35,11 +35,7 @@ MOST, LEAST = 4000, 60  # samples of all stretches, and of each
 # between the use of rows and of the next one: below the first nothing is told, from the second on it is clear
 WEAK_GAP, CLEAR_GAP = 3.0, 10.0
 LEAST_RAD = 4e-5  # less is no difference: rails, tables and encoders are no better
-WORST_ZEROS = np.radians(1.0)  # [rad] of arms of hobby servos: what may explain a difference between recordings
 FLOOR = 0.05  # share of the mean variance that every sample has besides
-DRAWS = 1000
-TAU = np.geomspace(1e-6, 3e-2, 60)  # [rad] zeros to be thought of beyond what is thought beforehand
-NONE_TO_SOME = 20.0  # odds of no such zeros
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +97,15 @@ class Motion:
             [s.recording for s in stretches],
         )
 
-    def by_the_arm(self, x: np.ndarray, way: np.ndarray | None = None) -> np.ndarray:
+    def by_the_arm(self, x: np.ndarray) -> np.ndarray:
         """Return the change of y along postures by unit joint offsets and, in proportion, errors of links (n, r, e)."""
-        each = way is not None
-        middle, step = (x, way) if each else (0.5 * (x[1:] + x[:-1]), np.diff(x, axis=0))
+        way = self.way
+        middle, step = (0.5 * (x[1:] + x[:-1]), np.diff(x, axis=0)) if way is None else (x, way)
         change = np.einsum("npvk,nv->npk", self.features.batch_with_derivative(middle)[1], step, optimize=True)
         if self.arm.ratio:
             links = changes_by_links(self.features, middle, step[:, :, None])[:, :, 0]
             change = np.concatenate([change, self.arm.ratio * links], axis=2)
-        if not each:
+        if way is None:
             change = np.concatenate([np.zeros((1, *change.shape[1:])), np.cumsum(change, axis=0)])
         return self.W @ change
 
@@ -118,6 +114,14 @@ class Motion:
         ways = [None if self.way is None else self.way[p] for p in self.parts]
         y = np.concatenate([displacements(features, self.x[p], w) for p, w in zip(self.parts, ways, strict=True)])
         return replace(self, features=features, W=W, y=y @ W.T, Phi=W @ features.batch(self.x))
+
+    @cached_property
+    def turned_by_joints(self) -> float:
+        """RMS rotation of the hand by independent motions of the joints that are as large as these [deg]."""
+        middles = np.array([self.x[(p.start + p.stop) // 2] for p in self.parts])
+        turns = np.sum(self.hand.jacobian(middles)[:, 3:] ** 2, axis=1)
+        spread = np.array([np.var(self.x[p], axis=0) for p in self.parts])
+        return float(np.degrees(np.median(np.sqrt(np.sum(turns * spread, axis=1)))))
 
     def _centred(self, x: np.ndarray) -> np.ndarray:
         return np.concatenate([x[p] - x[p].mean(axis=0) for p in self.parts])
@@ -183,10 +187,12 @@ class RowFit:
             out[p] = columns[p] - own @ best
         return out if self.motion.way is None else columns
 
-    def sums(self, X: np.ndarray | None = None) -> np.ndarray:
-        """Return X^T X of each stretch."""
-        X = self.X if X is None else X
-        return np.stack([np.tensordot(X[p], X[p], axes=([0, 1], [0, 1])) for p in self.motion.parts])
+    def sums(self, X: np.ndarray) -> dict[int, np.ndarray]:
+        """Return X^T X of each recording, by its number."""
+        out = dict.fromkeys(self.motion.recs, np.zeros((X.shape[2], X.shape[2])))
+        for p, i in zip(self.motion.parts, self.motion.recs, strict=True):
+            out[i] = out[i] + np.tensordot(X[p], X[p], axes=([0, 1], [0, 1]))
+        return out
 
     def shortest_way_back(self) -> np.ndarray:
         """Return the smallest change of each posture that cancels its residual, shape (n, nv) [rad or m]."""
@@ -205,7 +211,7 @@ class RowFit:
         dq = self.shortest_way_back()
         y = self.motion.y - np.einsum("nrv,nv->nr", self.motion.Phi, dq)
         J = np.einsum("nai,nj->naij", self.root, y @ self.perp.T).reshape(*self.r.shape, self.m)
-        K = self.root @ (self.rows @ self.motion.by_the_arm(self.motion.x - dq, self.motion.way))
+        K = self.root @ (self.rows @ self.motion.by_the_arm(self.motion.x - dq))
         return np.concatenate([self.without_constants(np.concatenate([J, K], axis=2)), self._JR[:, :, -1:]], axis=2)
 
     @property
@@ -214,9 +220,9 @@ class RowFit:
         return self.X.shape[2] - self.m - 1
 
     @cached_property
-    def G(self) -> np.ndarray:
-        """Sums X^T X of each stretch."""
-        return self.sums()
+    def G(self) -> dict[int, np.ndarray]:
+        """Sums X^T X of each recording, by its number."""
+        return self.sums(self.X)
 
     def moved(self, B: np.ndarray) -> RowFit:
         """Return the fit of Lambda + B Lambda_perp."""
@@ -254,7 +260,6 @@ class RowFit:
 
     def nats(self, other: RowFit) -> float:
         """Return the gain over another fit of as many rows, net of the price of parameters [nats]."""
-        n = self.dof / min(self.alike, other.alike) if self.alike > 1 else self.dof
         n = self.dof / self.alike
         floor = self.dof * LEAST_RAD**2
         return 0.5 * n * float(np.log((other.cost + floor) / (self.cost + floor))) - 0.5 * (self.m - other.m) * np.log(
@@ -296,7 +301,7 @@ def levels_on(view: View, stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.
     M, S = m.rates[inside].T @ m.rates[inside], m.gram[inside].sum(axis=0)
     sizes, directions = least_used(M[None], S[None], np.zeros(1))
     energy = max(float(np.sum(u**2)), 1e-300)
-    return sizes[0] * np.sqrt(view.table.u.shape[1] / energy * len(u)) * 1.0, directions[0]
+    return sizes[0] * np.sqrt(view.table.u.shape[1] / energy * len(u)), directions[0]
 
 
 def gaps_of(levels: np.ndarray, nv: int) -> dict[int, float]:

@@ -17,14 +17,14 @@ import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.learning.repeats import once_each
-from manip_learn.learning.table import BELIEVED, LEAST_SLIP, OVER_NOISE, Stretch, Table, View, displacements
-from manip_learn.linalg import whitener
+from manip_learn.learning.search import least_used
+from manip_learn.learning.table import BELIEVED, LEAST_SLIP, OVER_NOISE, Stretch, Table, View, displacements, whitening
 from manip_learn.recordings.trajectory import Trajectory
 
 FEWEST = 3  # recordings, below which nothing is clear
 CHANCE = 0.01  # of so little motion by independent joints, above which nothing is shown
 CLEAR, LEANING = 4.0, 1.3  # strengths with 99 % confidence, the choice paid for; of a row ranked before
-# postures in a bin of phase; bins; their length [s]; recombinations of pieces
+# postures in a bin of phase, bins at most, and the time that one should cover [s]. Set by hand
 NODES, MOST_BINS, BIN_SECONDS = 4, 24, 0.25
 RECOMBINATIONS, MOST_RECOMBINATIONS, MOST_PIECES = 199, 3184, 16  # at first, until decided; pieces that take part
 FLOOR = 1e-5  # levels below this may be what interpolation leaves
@@ -195,14 +195,7 @@ def recombined(
     common = np.linalg.svd(bins.reshape(-1, bins.shape[2]), full_matrices=False)[2][0]
     paths, g = [p.aligned(common, scale) for p in paths], len(paths)
     Phi = np.stack([features.batch(p.q) for p in paths])
-    S, units = (
-        np.einsum("gnpv,gnqv->pq", Phi, Phi, optimize=True) / (Phi.shape[0] * Phi.shape[1]),
-        np.array(features.row_units),
-    )
-    moves = np.array(
-        [np.sqrt(S[i, i]) > 1e-6 * np.sqrt(np.diag(S)[units == unit].max()) for i, unit in enumerate(units)]
-    )
-    W = whitener(S * np.outer(moves, moves), 1e-12)
+    W = whitening(Phi.reshape(-1, *Phi.shape[2:]), features.row_units)
     if not len(W):
         return Evidence(none, none, none, none, g)
     steps = [p.steps for p in paths]
@@ -277,7 +270,7 @@ def steady(view: View, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[S
     m, moved, noise = view.all, [], []
     for x in stretches:
         inside = view.table.inside([x])
-        way = np.cumsum(m.rates[inside] * m.weight[inside, None], axis=0) @ rows.T
+        way = view.way(inside, rows)
         moved.append(float(np.sqrt(np.mean(np.sum((way - way.mean(axis=0)) ** 2, axis=1)))) if len(way) else 0.0)
         noise.append(2.0 * OVER_NOISE * float(np.sqrt(len(rows) * np.sum(m.noise[inside] * m.weight[inside] ** 2))))
     usual = SLIPS * float(np.median(moved)) if moved else 0.0
@@ -302,8 +295,6 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
         return False
     inside = table.inside(stretches)
     w = m.weight * inside
-    from manip_learn.learning.search import least_used
-
     sizes, _ = least_used(
         ((m.rates.T * w) @ m.rates)[None], np.tensordot(w, m.gram, axes=1)[None], m.noise[inside].mean()[None]
     )
@@ -312,7 +303,7 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
     middles, came = [], []
     for x in stretches:
         before = (m.recording == x.recording) & (m.time < x.start)
-        way = np.cumsum(m.rates[before] * m.weight[before, None], axis=0) @ rows.T
+        way = view.way(before, rows)
         came.append(float(np.linalg.norm(np.ptp(way, axis=0))) if len(way) else 0.0)
         t = table.moved[x.recording]
         middles.append(t.q[np.searchsorted(t.time, 0.5 * (x.start + x.end))])
@@ -363,14 +354,13 @@ class Gate:
             share: Share of the free velocity that may violate the rows.
             stretches: Stretches in which they are constrained.
         """
-        noise = self.table.noise[self.table.first[:-1]]
         agreeing = steady(view, rows, stretches)
         for some in (stretches, agreeing) if len(agreeing) < len(stretches) else (stretches,):
             recs = {s.recording for s in some}
             if not recs or len(recs) < min(2, len(self.table)):
                 return False
             kept, pieces = self.pieces(some)
-            each = [(p, float(noise[s.recording])) for s, p in zip(kept, pieces, strict=True)]
+            each = [(p, float(self.table.noises[s.recording])) for s, p in zip(kept, pieces, strict=True)]
             if pieces and (
                 np.median([joints_at_once(*x) for x in each]) >= 1.1
                 or np.median([others_move(*x) for x in each]) >= OVER_NOISE**2

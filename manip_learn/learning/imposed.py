@@ -48,9 +48,9 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError, advice, counted
-from manip_learn.learning.fit import WEAK_GAP, gaps_of, levels_on, solve
-from manip_learn.learning.table import STILL_ENERGY, Settings, Stretch, Table, View
-from manip_learn.learning.uncertainty import Errors, angles
+from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, gaps_of, levels_on, solve
+from manip_learn.learning.table import STILL_ENERGY, Settings, Table, View
+from manip_learn.learning.uncertainty import STATED, Errors, angles
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned
 
 POLYNOMIALS = ("constant", "affine", "quadratic", "cubic", "quartic", "quintic")
@@ -73,8 +73,8 @@ RESOLVED, OWN_RESOLVED = 1e-6, 1e-12  # shares of the energy that are noise enou
 LEAST, SETTLED = 1e-12, 1e-6  # least variances over the mean square of u; squared last step in standard errors
 EXPLAINED, SURER = 0.3, 5.0  # share of left-out motion that a policy may leave; nats by which other features are better
 SAME_PATH = 0.15  # root mean square distance from a path, over its standard deviation, within which a motion repeats it
-CLEAR_GAP, MOST_UNCERTAIN = 10.0, 30.0  # [deg]
-DRAWS, TINY = 400, 1e-300
+MOST_UNCERTAIN = 30.0  # [deg] beyond that rows are no answer
+DRAWS, TINY = 400, 1e-300  # of the recordings, for the spread of the rows; what keeps a quotient finite
 FEWEST_CENTRES, MOST_CENTRES, SAMPLES_PER_CENTRE = 4, 96, 10  # radial functions that separate
 STAGES = ((1e-6, 1e-3), (1e-8, 1e-3), (1e-10, 1e-9))  # least share of regressors' strength; gain of a step that ends
 
@@ -442,16 +442,12 @@ def learn_imposed(views: list[View], settings: Settings, rival: Any = None) -> I
         return refused or nothing
     if settings.estimator == "auto":
         known = rival is not None and rival.view is best.view
-        rows = rival.rows if known and rival is not None else levels_on(best.view, _whole(table))[1]
+        rows = rival.rows if known and rival is not None else levels_on(best.view, table.wholes)[1]
         d = Data.of(best.view, ["constant"], 0, _few(table, MOST, False))
         held = HeldFit(d, orthonormal_rows(rows[: len(best.fit.rows)])).nats(d.floor)
         if best.held_out > EXPLAINED or best.nats <= held:
             return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
     return _doubted(best, settings)
-
-
-def _whole(table: Table) -> list[Stretch]:
-    return [Stretch(i, *map(float, ends)) for i, ends in enumerate(table.ends)]
 
 
 def _unidentifiable(table: Table, settings: Settings) -> NotIdentifiableError | None:
@@ -544,7 +540,7 @@ def _doubted(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableError:
     rows, given, s = a.fit.rows, settings.n_constraints is not None, counted(len(a.fit.rows), "row")
     gap, better = a.gaps.get(len(rows), 0.0), a.gaps.get(a.likeliest, 0.0)
     for part, B in a.fit.errors(np.random.default_rng(settings.seed)).items():
-        a.uncertainty[part] = float(np.degrees(np.quantile(angles(rows, a.view.W, B), 0.68)))
+        a.uncertainty[part] = float(np.degrees(np.quantile(angles(rows, a.view.W, B), STATED)))
         total = B if a.errors is None else B + a.errors.noise
         a.errors = Errors(total, 0.0 * B, np.zeros((len(B), a.view.table.u.shape[1])))
     if a.estimator == "joint" and (deg := math.hypot(*(x or 0.0 for x in a.uncertainty.values()))) > MOST_UNCERTAIN:
@@ -611,7 +607,7 @@ def _separate(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
     table.u, name = w, f"rbf{min(MOST_CENTRES, len(w) // SAMPLES_PER_CENTRE)}"
     null, length = View(v.features, table), np.maximum(np.linalg.norm(w, axis=1), TINY**0.5)
     cost = float(np.sum((np.einsum("nv,nv->n", w, u) / length - length) ** 2) / np.sum(u**2))
-    levels, directions = levels_on(null, _whole(table))
+    levels, directions = levels_on(null, table.wholes)
     gaps = gaps_of(levels, u.shape[1])
     likeliest = max(gaps, key=lambda s: gaps[s])
     d = Data.of(null, ["constant"], 0, np.arange(len(w)))

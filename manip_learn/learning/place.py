@@ -27,8 +27,8 @@ from manip_learn.linalg import complement_rows
 from manip_learn.recordings.trajectory import evenly
 
 FEW = 200  # draws of an error for which a place is read again
-STATED = 0.683
-# [deg] and shares of the radius: a place that is known worse is known badly, and widely
+STATED = 0.683  # share of draws within what is stated: one standard deviation
+# [deg] and shares of the radius: a place is known badly (a handle would leave the hand), and widely
 POOR_AXIS, POOR_PLACE, WIDE_PLACE = 5.0, 0.2, 0.02
 FARTHEST = 3.0  # [m] beyond this an axis or a centre is not told from a line or a plane
 
@@ -40,6 +40,25 @@ class Placed:
     mechanism: Mechanism
     kind: MechanismKind
     place: Place
+
+    @staticmethod
+    def of(
+        kind: MechanismKind, place: Place, radius: tuple[float, float] | None, uncertainty: dict[str, float]
+    ) -> Placed:
+        """Return the mechanism of a kind at a place, with the radius [m] and the arc [rad] of the hand."""
+        mechanism = Mechanism(
+            kind.type,
+            place.axis if "axis" in kind.unknowns else None,
+            None if kind.type == "held-orientation" else place.point,
+            None if radius is None else radius[0],
+            place.pitch if "pitch" in kind.unknowns else None,
+            "loose" if kind.orientation == "free" else "firm",
+            kind.orientation,
+            uncertainty,
+            None if radius is None else radius[1],
+            kind.name,
+        )
+        return Placed(mechanism, kind, place)
 
     @property
     def doubt(self) -> str:
@@ -103,19 +122,7 @@ def placed(view: View, fit: RowFit, errors: Errors | None) -> Placed | None:
     if kind.name == "screw, firm" and abs(place.pitch) < max(LEAST_PITCH, 3.0 * error):
         kind = KIND_BY_NAME["hinge, firm"]
         uncertainty.pop("pitch", None)
-    mechanism = Mechanism(
-        kind.type,
-        place.axis if "axis" in kind.unknowns else None,
-        None if kind.type == "held-orientation" else place.point,
-        None if radius is None else radius[0],
-        place.pitch if "pitch" in kind.unknowns else None,
-        "loose" if kind.orientation == "free" else "firm",
-        kind.orientation,
-        uncertainty,
-        None if radius is None else radius[1],
-        kind.name,
-    )
-    return Placed(mechanism, kind, place)
+    return Placed.of(kind, place, radius, uncertainty)
 
 
 def is_named(fit: RowFit, view: View) -> bool:

@@ -22,7 +22,7 @@ FAR_OFF = 0.02  # share of held samples that may be far off: bounds the evidence
 SCALES = tuple((steady, share) for steady in (1.0, 3.0, 9.0) for share in (0.003, 0.01, 0.03, 0.1, 0.2))
 FIRST = ((2.0, 0.1), (2.0, 0.01))  # scales by which proposals are compared
 SAME = np.radians(3.0)  # rows closer together are one proposal
-PROPOSAL_GAP = 2.5
+PROPOSAL_GAP = 2.5  # below it nothing is proposed; less than WEAK_GAP, which decides in the end
 MOST_CONSTRAINTS, MOST_TESTED, KEPT, TURNS = 6, 6, 4, 4  # answered; tested by the gate a time; of each kind; of fits
 FEW_HELD = 0.4  # share of the motion, below which what no place explains is looked for in the whole twist
 MOST_OF_WINDOWS = 40  # proposals of windows, and of pairs of them, of each view and number of rows
@@ -191,7 +191,7 @@ def distinct(rows: np.ndarray, most: int | None = None) -> list[int]:
     apart, left, kept = s - P @ P.T > np.sin(SAME) ** 2, np.arange(h), list[int]()
     while len(left) and (most is None or len(kept) < most):
         kept.append(int(left[0]))
-        left = left[apart[left[0], left]]
+        left = left[1:][apart[left[0], left[1:]]]
     return kept
 
 
@@ -293,7 +293,6 @@ class Explanation:
         self.supports = np.array(
             [replace(h, gains=g).support for h, g in zip(self.hypotheses, self.gains.T, strict=True)]
         )
-        self.refused: list[Hypothesis] = []
 
     def _of(self, samples: Sequence[Samples]) -> np.ndarray:
         out = [
@@ -554,9 +553,8 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH, first
         now, refused = added(now, believed, refused, range(first))
     moving = views[0].thin.moving()
     if not first or not moving.any() or np.mean(now.states[moving] > 0) < FEW_HELD:
-        now, refused = added(now, believed, refused, range(first, len(views)) if first else None)
+        now, _ = added(now, believed, refused, range(first, len(views)) if first else None)
     now = now.plainest()
     while now.has_twins():
         now = now.with_([h for k, h in enumerate(now.hypotheses) if k != int(now.supports.argmin())])
-    now.refused = refused
     return now

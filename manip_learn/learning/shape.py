@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from manip_learn.constraint.features.curve_rows import Curve, CurveRows
 from manip_learn.constraint.features.mechanism_rows import Place
-from manip_learn.constraint.mechanism import KIND_BY_NAME, Mechanism, MechanismKind
+from manip_learn.constraint.mechanism import KIND_BY_NAME, MechanismKind
 from manip_learn.errors import FeatureError
 from manip_learn.learning.fit import LEAST_RAD, RowFit, autocorrelation, slices
 from manip_learn.learning.place import Placed, arc_of
@@ -44,7 +44,7 @@ def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | Curv
     if (plain := known) is None:  # rows that are none: those of a plane or of a line
         first, *_, last = np.linalg.svd(p - p.mean(axis=0), full_matrices=False)[2]
         kind, axis = ("plane", last) if len(fit.rows) == 1 else ("line", first)
-        plain = Placed(Mechanism("other"), KIND_BY_NAME[kind], Place(axis, p.mean(axis=0)))
+        plain = Placed.of(KIND_BY_NAME[kind], Place(axis, p.mean(axis=0)), None, {})
     before = float(np.mean(_nearest(plain.kind, plain.place, p, parts)[1] ** 2)) + LEAST_RAD**2
 
     def gain(left: np.ndarray, unknowns: int) -> float:
@@ -118,15 +118,13 @@ def _left(kind: MechanismKind, place: Place, p: Places, parts: list[slice]) -> F
 def _placed(kind: MechanismKind, place: Place, p: Places, C: np.ndarray, arm_deg: float) -> Placed:
     """Return the mechanism with the uncertainty of its place."""
     place = replace(place, point=place.point + ((p.mean(axis=0) - place.point) @ place.axis) * place.axis).as_told()
-    radius, arc = arc_of(kind, place, p) or (0.0, 0.0)
+    around = arc_of(kind, place, p) or (0.0, 0.0)
     spread = {name: math.sqrt(float(np.trace(C[part, part]))) for name, part in KNOWN.items()}
-    point = math.hypot(spread["point"], math.radians(arm_deg) * radius)
+    point = math.hypot(spread["point"], math.radians(arm_deg) * around[0])
     uncertainty = {"axis": math.hypot(math.degrees(spread["axis"]), arm_deg), "point": point, "radius": point}
-    pitch = None
-    if kind.type == "screw":
-        pitch, uncertainty["pitch"] = place.pitch, spread["pitch"]
-    told = (place.axis, place.point, radius, pitch, "loose", kind.orientation, uncertainty, arc, kind.name)
-    return Placed(Mechanism(kind.type, *told), kind, place)
+    if "pitch" in kind.unknowns:
+        uncertainty["pitch"] = spread["pitch"]
+    return Placed.of(kind, place, around, uncertainty)
 
 
 def _curve(p: Places, parts: list[slice]) -> tuple[Curve, Places] | None:
@@ -146,9 +144,8 @@ def _curve(p: Places, parts: list[slice]) -> tuple[Curve, Places] | None:
             off = np.empty_like(p)
             for part in parts:
                 others = _through(curve, np.delete(p, np.arange(part.start, part.stop), axis=0), pieces)
-                off[part] = math.sqrt(1.5) * (
-                    p[part] - others.at(others.nearest(p[part]))
-                )  # in two directions of three
+                away = p[part] - others.at(others.nearest(p[part]))
+                off[part] = math.sqrt(1.5) * away  # in two directions of three
             if best is None or np.mean(off**2) < np.mean(best[1] ** 2):
                 best = curve, off
     except (FeatureError, ValueError):  # more pieces than samples can tell, or a hand that stands still

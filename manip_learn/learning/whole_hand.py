@@ -100,24 +100,16 @@ def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, floa
     """
     seen = [_turned(known, motion.hand.pose(motion.x[p])) for p in motion.parts]
     rms = {name: float(np.median([x[name] for x in seen])) for name in seen[0]}
-    kept, apart = min((rms[n] for n in ("fixed", "carried") if n in rms), default=np.inf), turned_by_joints(motion)
+    kept, apart = min((rms[n] for n in ("fixed", "carried") if n in rms), default=np.inf), motion.turned_by_joints
     kinds = [k for k in MECHANISM_KINDS if k.type == known.kind.type and k.n_rows > known.kind.n_rows]
     firm = [k for k in kinds if rms.get(k.orientation, np.inf) <= gives_way(motion)]
     firm = [k for k in firm if k.orientation != "about-axis" or kept > KEPT]
     return max(firm, key=lambda k: (k.n_rows, -rms[k.orientation]), default=known.kind), kept, apart
 
 
-def turned_by_joints(motion: Motion) -> float:
-    """Return the RMS rotation of the hand by independent motions of the joints that are as large as these [deg]."""
-    middles = np.array([motion.x[(p.start + p.stop) // 2] for p in motion.parts])
-    turns = np.sum(motion.hand.jacobian(middles)[:, 3:] ** 2, axis=1)
-    spread = np.array([np.var(motion.x[p], axis=0) for p in motion.parts])
-    return float(np.degrees(np.median(np.sqrt(np.sum(turns * spread, axis=1)))))
-
-
 def gives_way(motion: Motion) -> float:
     """Return the largest RMS rotation of a hand in a firm grip, far less than by independent joints [deg]."""
-    return min(GIVES_WAY, turned_by_joints(motion) / CLEAR_GAP)
+    return min(GIVES_WAY, motion.turned_by_joints / CLEAR_GAP)
 
 
 def _turned(known: Placed, T: Float[np.ndarray, "T 4 4"]) -> dict[Orientation, float]:
