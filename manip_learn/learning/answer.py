@@ -315,8 +315,9 @@ def _learn(table: Table, settings: Settings, progress: Callable[[str, float], No
         imposed = learn_imposed(asked, settings, rival=None if out is None else out.answers[0])
         if isinstance(imposed, Imposed):
             return Found([_moved_on_purpose(imposed)])
-    if out is None:
-        return refusal or _undivided(asked, Gate(asked, settings.seed, settings.strength), settings)
+    out = out or refusal or _undivided(asked, Gate(asked, settings.seed, settings.strength), settings)
+    if not isinstance(out, Found):
+        return out
     out.answers = [completed(a, settings) for a in out.answers]
     return out
 
