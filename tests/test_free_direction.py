@@ -15,6 +15,7 @@ from manip_learn.constraint.features import (
     MechanismRows,
     RelativeFrameJacobian,
 )
+from manip_learn.constraint.shown import shown_by
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import Limits
@@ -22,8 +23,10 @@ from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection
+from manip_learn.control.tasks.motion import motion
 from manip_learn.control.tasks.motion_profile import MotionProfile
 from manip_learn.errors import ConstraintError, FeatureError, TargetError
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
@@ -139,6 +142,27 @@ def test_cylinder_sleeve_and_ball(robot_of: RobotOf) -> None:
         task, d = moved(rows, 0.5, (0.0, 0.0, 2.0))
         assert task.unit == "rad"
         assert np.ptp(np.linalg.norm(d, axis=1)) < 1e-4
+
+
+def test_a_peg_is_slid_or_turned_but_not_repeated(robot_of: RobotOf) -> None:
+    """A hand on the axis of what it turns cannot follow the path of its place: refused, and the remedy works."""
+    robot = robot_of("panda")
+    features = MechanismRows(
+        robot, TIP, "turn-1 turn-2 slide-1 slide-2", axis=AXIS, point=robot.position(READY, robot.frame(TIP))
+    )
+    slide = FreeDirection(Constraint(np.eye(4), features), -0.05, 0.1, direction="slide")
+    done = run(slide, READY, climb=False)
+    shown = shown_by(features, np.eye(4), slide.learnt.mechanism, [Trajectory(done.time, done.q, done.u)])
+    assert shown is not None
+    peg = Constraint(np.eye(4), features, {"shown": shown.to_dict()})
+    with pytest.raises(
+        ConstraintError, match=r"name one of its two ways \(along=0\.05, direction='slide' or turn=0\.5"
+    ):
+        motion(peg)
+    assert (motion(peg, along=0.05, direction="slide").unit, motion(peg, turn=0.5, direction="turn").unit) == (
+        "m",
+        "rad",
+    )
 
 
 def test_direction_in_a_plane_is_projected(robot_of: RobotOf) -> None:

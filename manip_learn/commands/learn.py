@@ -80,7 +80,7 @@ class LearntTask:
         does, flags = "repeat" if meant is None else "control", ["--html", "run.html"]
         if meant is not None and not meant.common:
             flags = ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]
-        elif constraint.shown is None and meant is None:
+        elif meant is None and not (constraint.shown and _goes(self.whole, {})):
             ways = (("along", "0.1", 0.1), ("turn", "10", math.radians(10.0)))
             goes = [(name, said) for name, said, size in ways if _goes(self.whole, {name: size})]
             if not goes:

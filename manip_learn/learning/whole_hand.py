@@ -19,6 +19,7 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import (
     MECHANISM_KINDS,
+    ON_THE_AXIS,
     POSITION_ROWS,
     Mechanism,
     MechanismKind,
@@ -34,7 +35,6 @@ from manip_learn.recordings.trajectory import evenly
 # to 1.5, hands kept straight by habit by 1.6 to 5
 GIVES_WAY = 1.5
 KEPT = 8.0  # [deg] RMS of the orientation above which a hand was free to turn: loose grips reach 5.9 to 30
-ON_THE_SPOT = 5e-3  # [m] radius below which the place of the hand does not tell the angle about an axis
 PURE = 0.2  # share of other columns in a row that lies in some columns
 
 
@@ -82,7 +82,7 @@ def held_places(fit: RowFit) -> int:
     motion, few = fit.motion, evenly(len(fit.motion.x), 50)
     J = motion.hand.jacobian(motion.x[few])[:, :3]
     free = np.stack([J_v @ null_basis(A) for J_v, A in zip(J, fit.rows @ motion.Phi[few], strict=True)])
-    moves = np.count_nonzero(np.linalg.svd(free, compute_uv=False) > ON_THE_SPOT, axis=1)
+    moves = np.count_nonzero(np.linalg.svd(free, compute_uv=False) > ON_THE_AXIS, axis=1)
     return 3 - int(np.median(moves))
 
 
@@ -163,7 +163,7 @@ def asked_rows(
         return features, selection
     if isinstance(features, MechanismRows) and mechanism is not None:
         own = POSITION_ROWS.get(mechanism.type, ()) if names == list(AXES[:3]) else ()
-        if not own or (mechanism.radius is not None and mechanism.radius < ON_THE_SPOT):
+        if not own or (mechanism.radius is not None and mechanism.radius < ON_THE_AXIS):
             return features, selection
         features = movable(features.with_rows(own, None if mechanism.type == "screw" else mechanism.radius), q)
         return features, np.eye(features.n_rows)

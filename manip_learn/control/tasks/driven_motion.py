@@ -17,6 +17,7 @@ from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, pose_error
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place, across
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.mechanism import ON_THE_AXIS
 from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.control.tasks.motion_profile import PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
@@ -507,7 +508,7 @@ class PathMotion(DrivenMotion):
     The rows are the hand's velocity along the base's axes, and those of its rotation that are held.
 
     Raises:
-        ConstraintError: Features that are not rows of one frame in the base.
+        ConstraintError: Features that are not rows of one frame in the base; a hand that turns where its place rests.
     """
 
     def __init__(self, constraint: Constraint, shown: Shown):
@@ -516,6 +517,14 @@ class PathMotion(DrivenMotion):
             raise ConstraintError(f"a path is followed with a frame in the base, not with {constraint.features!r}")
         mechanism = constraint.mechanism
         orientation = "free" if mechanism is None else mechanism.orientation
+        if mechanism is not None and orientation == "carried" and (mechanism.radius or 0.0) < ON_THE_AXIS:
+            slide = advice("{}", "along=0.05, direction='slide'", "--along 0.05 --direction slide")
+            turn = advice("{}", "turn=0.5, direction='turn'", "--turn 30 --direction turn")
+            ways = f"{slide} or {turn}" if slide else "`manip-learn control` drives each"
+            raise ConstraintError(
+                f"the hand turns where its place rests ({mechanism.sentence}), and such a motion is not repeated as it "
+                f"was shown: name one of its two ways ({ways})"
+            )
         turning = np.zeros((0, 3)) if orientation == "free" else np.eye(3)
         if orientation == "about-axis" and mechanism is not None and mechanism.axis is not None:
             turning = across(mechanism.axis)
