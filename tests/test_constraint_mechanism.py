@@ -111,10 +111,11 @@ def test_what_the_learner_fitted_belongs_to_its_rows(robot_of, tmp_path) -> None
 
 
 def test_rows_of_a_hand_or_of_another_frame(robot_of) -> None:
-    """Seen from another frame a line stays a line, without an axis in the base; of a hand that turns it is none."""
+    """Seen from another frame a line stays a line, along an axis of that frame; of a hand that turns it is none."""
     robot = robot_of("sawyer")
     seen = ml.Constraint(ACROSS, RelativeFrameJacobian(robot, TIP, "right_l1", "xyz")).mechanism
-    assert seen is not None and seen.type == "line" and seen.axis is None
+    assert seen is not None and (seen.type, seen.relative_to) == ("line", "right_l1")
+    assert seen.axis is not None and np.max(np.abs(ACROSS @ seen.axis)) < 1e-12
     assert ml.Constraint(ACROSS, FrameJacobian(robot, TIP, "xyz", "local")).mechanism is None
     assert ml.Constraint([[1.0, 0.0]], ml.CustomFeatures(lambda q: np.eye(2, 7), ("a", "b"), 7)).mechanism is None
 

@@ -77,6 +77,8 @@ def feature_maps(robot: Robot, tip: str, q: np.ndarray) -> Iterator[FeatureMap]:
     yield from (CentreOfMass(robot, axes) for axes in ("xyz", "z y"))
     yield from (RelativeFrameJacobian(robot, tip, other, axes) for axes in ("pose", "y rz"))
     yield from (MechanismRows(robot, tip, tuple(ROW_UNITS), **ABOUT, radius=radius) for radius in (None, 0.3))
+    yield MechanismRows(robot, tip, "radial screw turn-1", **ABOUT, relative_to=other)
+    yield PlaceRows(robot, tip, "point", (0.1, 0.2, 0.5), relative_to=other)
     yield from (PlaceRows(robot, tip, form, (0.1, 0.2, 0.5)) for form in ("point and rotation", "twist", "surface"))
     yield Stacked(
         [FrameJacobian(robot, tip, "x rz", "local"), CentreOfMass(robot, "z"), FrameJacobian(robot, tip, "y")]

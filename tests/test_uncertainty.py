@@ -16,10 +16,9 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.arm_errors import ArmErrors, changes_by_links
-from manip_learn.learning.fit import Motion, RowFit
+from manip_learn.learning.fit import Motion, RowFit, changes_by_links
 from manip_learn.learning.report import JOINT_ZEROS, NOISE, PARTS, POLICY, parts_in_words
-from manip_learn.learning.table import Settings, Stretch, Table, View
+from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View
 from manip_learn.learning.uncertainty import errors_of, groups_of
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot.robot import Robot

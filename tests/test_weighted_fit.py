@@ -8,10 +8,9 @@ from mechanism_motions import about, ball, demonstrate
 
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.learning.arm_errors import ArmErrors
 from manip_learn.learning.fit import Motion, RowFit
 from manip_learn.learning.place import placed
-from manip_learn.learning.table import Settings, Stretch, Table, View
+from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View
 from manip_learn.learning.uncertainty import errors_of
 from manip_learn.recordings.velocities import derive_velocities
 

@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, row_in_words
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.constraint.features.other_features import described_features
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.intention import Intention
 from manip_learn.constraint.mechanism import TURNING, Mechanism, named_rows, on_twist, read_mechanism
 from manip_learn.constraint.shown import Shown
@@ -167,11 +166,8 @@ class Constraint:
             features = f.with_rows((*(name for name in f.row_names if name not in AXES), *AXES[3:]))
             turning = [features.row_names.index(name) for name in AXES[3:]]
             columns = [features.row_names.index(name) for name in f.row_names]
-        elif isinstance(f, FrameJacobian | RelativeFrameJacobian):
-            if isinstance(f, FrameJacobian):
-                features = FrameJacobian(f.robot, f.frame.name, AXES, f.reference)
-            else:
-                features = RelativeFrameJacobian(f.robot, f.frame.name, f.relative_to.name, AXES)
+        elif isinstance(f, PoseRows):
+            features = f.with_axes(AXES)
             turning, columns = [3, 4, 5], [AXES.index(name) for name in f.row_names]
         else:
             raise ConstraintError(f"{f!r} belong to no frame whose orientation could be held")
@@ -188,11 +184,13 @@ class Constraint:
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Constraint:
         """What holds the hand, where it stands elsewhere: p' = R p + t in the base's frame.
 
-        Rows in the hand's own axes, or relative to another frame, move with these and stay.
+        Rows in the hand's own axes move with these, and rows relative to another frame stay as they are.
 
         Args:
             transform: shape (4, 4), a rigid motion [m].
         """
+        if getattr(self.features, "relative_to", None) is not None:
+            return self
         R, named = transform[:3, :3], self.about_its_mechanism()
         provenance = {k: v for k, v in self.provenance.items() if not k.startswith("posture")}
         mechanism, shown = self.mechanism, self.shown
@@ -201,13 +199,7 @@ class Constraint:
         if shown is not None:
             provenance["shown"] = shown.moved(transform).to_dict()
         features, selection = named.features, named.selection
-        if isinstance(features, MechanismRows):
-            g = features.geometry
-            place = {"axis": R @ g.axis, "point": R @ g.point + transform[:3, 3], "pitch": g.pitch}
-            features = MechanismRows(
-                features.robot, features.frame.name, features.row_names, **place, radius=features.radius
-            )
-        elif isinstance(features, CurveRows):
+        if isinstance(features, MechanismRows | CurveRows):
             features = features.moved(transform)
         elif isinstance(features, FrameJacobian) and features.reference == "world":
             twist = on_twist(features.row_names, selection)

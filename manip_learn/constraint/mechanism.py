@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import (
     AT_A_DISTANCE,
     MechanismRows,
@@ -26,9 +26,7 @@ from manip_learn.constraint.features.mechanism_rows import (
     PlaceRows,
     mechanism_weights,
 )
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.linalg import null_basis
-from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import skew
 
 MechanismType = Literal["line", "plane", "hinge", "ball", "screw", "held-orientation", "other"]
@@ -152,7 +150,7 @@ def read_kind(
     """The mechanism that leaves these rows zero, and where it is; None if it is none that a machine has.
 
     Args:
-        features: Rows of the whole pose: of a `FrameJacobian` along the base's axes, or `PlaceRows`.
+        features: Rows of a frame's twist, along axes that rest with what holds it, or `PlaceRows`.
         selection: Lambda, orthonormal rows.
         immovable: Rows that this arm cannot move, orthonormal.
         p: Places of the hand [m].
@@ -163,7 +161,7 @@ def read_kind(
         if features.form == "surface":
             return _of_surface(selection, features.middle, p)
         return of_point_rows(selection, immovable, features.middle)
-    if not isinstance(features, FrameJacobian) or features.reference != "world":
+    if not isinstance(features, PoseRows) or features.own_axes:
         return None
     held, blind = (on_twist(features.row_names, rows, distance=True) for rows in (selection, immovable))
     return of_point_rows(held, blind, p.mean(axis=0))
@@ -180,21 +178,22 @@ def on_twist(
 
 
 def rows_of(
-    kind: MechanismKind, place: Place, radius: float | None, robot: Robot, frame: str
+    kind: MechanismKind, place: Place, radius: float | None, twist: PoseRows
 ) -> tuple[FeatureMap, Float[np.ndarray, "s p"]]:
-    """Phi and Lambda of a mechanism: constant rows where they do, rows about an axis or a centre else.
+    """Phi and Lambda of a mechanism: constant rows of a twist where they do, rows about an axis or a centre else.
 
     Of a helix no radius is said: its row is that of one radius only, and grips differ.
     """
     if not kind.constant:
         of_one = set(kind.rows) & set(AT_A_DISTANCE) and kind.type != "screw"
-        options: dict[str, Any] = {"axis": place.axis, "point": place.point, "pitch": place.pitch}
-        return MechanismRows(robot, frame, kind.rows, **options, radius=radius if of_one else None), np.eye(kind.n_rows)
+        options: dict[str, Any] = {"axis": place.axis, "point": place.point, "pitch": place.pitch, **twist.seen_from}
+        options["radius"] = radius if of_one else None
+        return MechanismRows(twist.robot, twist.frame.name, kind.rows, **options), np.eye(kind.n_rows)
     # the point of the hand that is held is its own origin, wherever that is
     rows = mechanism_weights(kind.rows, Place(place.axis, np.zeros(3)), None).at(np.zeros((1, 3)))[0][0]
     used = [part for part in (slice(0, 3), slice(3, 6)) if np.any(rows[:, part])]
     axes = [name for part in used for name in AXES[part]]
-    return FrameJacobian(robot, frame, axes), np.concatenate([rows[:, part] for part in used], axis=1)
+    return twist.with_axes(axes), np.concatenate([rows[:, part] for part in used], axis=1)
 
 
 def of_point_rows(
@@ -332,6 +331,7 @@ class Mechanism:
         name: Which of the candidates it is, e.g. `"hinge, firm"`; `"curve"` where none of them fits.
         orientation_rms: RMS deviation of the orientation of the hand during contact, seen from the base or from what
             turns with the mechanism, the smaller one [deg]; None if it was not determined.
+        relative_to: Name of the frame in which axis and point are given and the hand is seen; None for the base.
     """
 
     type: MechanismType
@@ -345,6 +345,7 @@ class Mechanism:
     arc: float | None = None
     name: str = ""
     orientation_rms: float | None = None
+    relative_to: str | None = None
 
     def __post_init__(self) -> None:
         for what in ("axis", "point"):
@@ -385,6 +386,7 @@ class Mechanism:
         axis, point = in_words(self.axis), in_words(self.point)
         words = {"line": f"along {axis}", "plane": f"across {axis}", "ball": f"centre {point}", "held-orientation": ""}
         said = words.get(self.type, f"axis {axis} through {point}")
+        said += f" in {self.relative_to!r}" if said and self.relative_to else ""
         if self.pitch is not None:
             said += f", {1e3 * self.pitch:.2f} mm a radian"
         return said if self.radius is None else f"{said}, {self.radius:.3f} m from the hand"
@@ -411,6 +413,8 @@ class Mechanism:
         """Type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""
         values = {name: getattr(self, name) for name in _FIELDS}
         plain = {name: x.tolist() if isinstance(x, np.ndarray) else x for name, x in values.items()}
+        if self.relative_to is None:
+            del plain["relative_to"]
         return plain | {"uncertainty": dict(self.uncertainty), "sentence": self.sentence}
 
     @staticmethod
@@ -444,6 +448,7 @@ def read_mechanism(
             place, the radius and the uncertainty, if it is the mechanism of these rows.
     """
     read, fitted, angle = None, learnt.get("mechanism"), learnt.get("uncertainty_deg")
+    seen_from = getattr(features, "relative_to", None)
     spread = math.radians(angle) if isinstance(angle, int | float) else 0.0
     if isinstance(features, MechanismRows):
         shares = np.einsum("sp,sp->p", selection, selection)
@@ -457,8 +462,10 @@ def read_mechanism(
             read = Mechanism("other", name=CURVE)
     elif isinstance(features, PlaceRows):
         read = _of_place_rows(selection, features, learnt.get("postures"), spread)
-    elif isinstance(features, FrameJacobian | RelativeFrameJacobian):
+    elif isinstance(features, PoseRows):
         read = _of_twist_rows(selection, features, spread)
+    if read is not None and seen_from is not None:
+        read = dataclasses.replace(read, relative_to=seen_from.name)
     if read is None or not isinstance(fitted, Mapping):
         return read
     try:
@@ -475,7 +482,7 @@ def _of_place_rows(selection: np.ndarray, features: PlaceRows, postures: Any, sp
     """The hand is where the postures show it; without them its radius is unknown, and so is a helix."""
     shown = features.middle[None]
     if isinstance(postures, list) and postures:
-        shown = np.array([features.robot.position(q, features.frame) for q in postures])
+        shown = np.array([features.twist.placement(q)[0] for q in postures])
     read = read_kind(features, selection, np.zeros((0, features.n_rows)), shown)
     if read is None or (read[0].name == "screw" and not postures):
         return None
@@ -511,16 +518,13 @@ def named_rows(
     axis = Z if mechanism.axis is None else mechanism.axis
     point = features.middle if mechanism.point is None else mechanism.point
     place = Place(_unit(axis), point, mechanism.pitch or 0.0)
-    return rows_of(kind, place, mechanism.radius, features.robot, features.frame.name)
+    return rows_of(kind, place, mechanism.radius, features.twist)
 
 
-def _of_twist_rows(
-    selection: np.ndarray, features: FrameJacobian | RelativeFrameJacobian, spread: float
-) -> Mechanism | None:
-    """From constant rows of a frame's twist (v, w) of its origin, known to an angle [rad]; of no place in the base."""
-    reference = features.reference if isinstance(features, FrameJacobian) else None
+def _of_twist_rows(selection: np.ndarray, features: PoseRows, spread: float) -> Mechanism | None:
+    """From constant rows of a frame's twist (v, w) of its origin, known to an angle [rad]; of no place."""
     hand, none = np.zeros(3), np.zeros((0, features.n_rows))
-    if reference == "local" and len(selection) == 5 and features.n_rows == len(AXES):
+    if features.own_axes and len(selection) == 5 and features.n_rows == len(AXES):
         read = of_twists(null_basis(on_twist(features.row_names, selection)).T, hand)
         if read is None:
             return None
@@ -535,10 +539,10 @@ def _of_twist_rows(
     if kind.type != "held-orientation":
         if not set(AXES[:3]) <= set(features.row_names):
             return None
-        if reference == "local" and kind.orientation != "fixed":
+        if features.own_axes and kind.orientation != "fixed":
             return None  # directions of a hand that turns are no line and no plane
     axis = place.axis * np.sign(place.axis[np.argmax(np.abs(place.axis))])
-    known = reference == "world" and kind.name != "orientation"
+    known = not features.own_axes and kind.name != "orientation"
     return dataclasses.replace(_of_kind(kind, place, None), axis=axis if known else None, point=None)
 
 

@@ -10,11 +10,9 @@ from jaxtyping import Bool, Float
 from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import NEGLIGIBLE_ENTRY, FeatureMap, row_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES as TWIST
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.other_features import CentreOfMass
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
-from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.mechanism import CURVE, Mechanism, in_words
 from manip_learn.errors import error_in_words, listed
 from manip_learn.linalg import along_axes, null_basis
@@ -80,15 +78,14 @@ def describe(
     """What can move and what is blocked; what it looks like; how sure it is: up to three sentences."""
     names = [n for n, u in zip(features.row_names, used, strict=True) if u]
     held = "blocked" if kind == "motion-constrained" else "steered on purpose"
-    match features:
-        case RelativeFrameJacobian():
-            subject = f"Seen from {features.relative_to.name!r}, the tip"
-        case FrameJacobian(reference="local"):
-            subject = "In its own axes, the tip"
-        case FrameJacobian() | WeighedVelocity():
-            subject = "The tip"
-        case _:
-            subject = "The centre of mass" if isinstance(features, CentreOfMass) else "The motion"
+    if (other := getattr(features, "relative_to", None)) is not None:
+        subject = f"Seen from {other.name!r}, the tip"
+    elif getattr(features, "own_axes", False):
+        subject = "In its own axes, the tip"
+    elif features.twist is not None:
+        subject = "The tip"
+    else:
+        subject = "The centre of mass" if isinstance(features, CentreOfMass) else "The motion"
     sentences = [f"{subject} {_freedom(free[:, used], names, features, held, mechanism)}."]
     told = said_by_rows(mechanism, features.row_names, getattr(features, "reference", None), free)
     if mechanism is not None:
@@ -160,7 +157,7 @@ def _freedom(
     if isinstance(features, CurveRows):
         ends = " to ".join(in_words(end) for end in features.curve.points[[0, -1]])
         return f"can move along a curve of {features.curve.length:.2f} m from {ends} and cannot leave it"
-    if not isinstance(features, FrameJacobian | RelativeFrameJacobian | CentreOfMass):
+    if not isinstance(features, PoseRows | CentreOfMass):
         ways = listed([row_in_words(row, names) for row in free]) if len(free) else ""
         return f"is free along {ways} in ({', '.join(names)}) and {held} in every other way" if ways else f"is {held}"
     small = np.where(np.abs(free) < NEGLIGIBLE_ENTRY, 0.0, free)

@@ -17,13 +17,10 @@ from manip_learn.constraint.features.curve_rows import Curve, CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import across
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
-from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import counted
 from manip_learn.linalg import complement_rows
 from manip_learn.recordings.trajectory import Trajectory, evenly
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.rotations import angles_between, rotation_matrix
 
 Unit = Literal["m", "rad"]
@@ -153,11 +150,7 @@ class FreeCoordinates:
 
 def poses_of(features: FeatureMap, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 4 4"] | None:
     """Poses of the frame of the features [m], those of a relative one in its own base; None of features without one."""
-    if isinstance(features, RelativeFrameJacobian):
-        return np.array([features.pose(row) for row in q])
-    if isinstance(features, FrameJacobian | WeighedVelocity):
-        return batch_kinematics(features.robot, features.frame).pose(q)
-    return None
+    return None if features.twist is None else features.twist.poses(q)
 
 
 def free_coordinates(
@@ -416,9 +409,10 @@ def _force(features: FeatureMap, free: FreeCoordinates, contacts: Sequence[Traje
     exceed it. Efforts that are not in newton metres, or leave weights out, say nothing, and neither do forces that are
     larger across what is free.
     """
-    if not isinstance(features, FrameJacobian | WeighedVelocity) or features.robot.nq != features.robot.nv:
+    twist = features.twist
+    if twist is None or twist.relative_to is not None or twist.robot.nq != twist.robot.nv:
         return None
-    robot, frame, largest = features.robot, features.frame, list[Float[np.ndarray, " 2"]]()
+    robot, frame, largest = twist.robot, twist.frame, list[Float[np.ndarray, " 2"]]()
     for contact in contacts:
         if contact.effort is None:
             return None

@@ -18,8 +18,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, PoseRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.mechanism import MIXED, Mechanism, on_twist
 from manip_learn.errors import ConstraintError
@@ -122,22 +121,25 @@ def task_frame(
         ConstraintError: Features that are no rows of one frame's twist.
         ConfigurationError: q has the wrong size or is not finite.
     """
-    if not isinstance(features, FrameJacobian | RelativeFrameJacobian | WeighedVelocity):
+    if not isinstance(features, PoseRows | WeighedVelocity):
         raise ConstraintError(f"{features!r} are no rows of one frame's twist: a task frame needs a frame of the robot")
     held, seen, base, turns = _on_hand(selection, features, q)
+    told = mechanism
+    if mechanism is not None and features.relative_to is not None:
+        mechanism = mechanism.moved(features.robot.pose(q, features.relative_to))
     hand = features.robot.pose(q, features.frame)
     p, carried = hand[:3, 3], mechanism is None or mechanism.grip == "firm"
     forces, moments, c = _central(held)
     point = origin = p + c
     wishes = [base[:, 2], base[:, 0], base[:, 1]]
-    if mechanism is not None and mechanism.axis is not None and turns == "no":
+    if mechanism is not None and mechanism.axis is not None and turns != "hand":
         wishes.insert(0, mechanism.axis)
     if mechanism is not None and mechanism.point is not None and mechanism.type not in ("line", "plane"):
         out = p - mechanism.point
         out = out if mechanism.axis is None else out - float(mechanism.axis @ out) * mechanism.axis
         origin = origin if carried else p - out
         wishes.insert(0 if mechanism.axis is None else 1, out)
-        turns = "axis"
+        turns = turns if turns == "other frame" else "axis"
     R = _axes(forces.T @ forces + MOMENTS * moments.T @ moments, wishes)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = R, origin
@@ -153,24 +155,24 @@ def task_frame(
     off[[axis == "unknown" for axis in axes]] = UNKNOWN
     for array in (pose, off, rows, hand, point):
         array.setflags(write=False)
-    return TaskFrame(pose, axes, np.minimum(off, UNKNOWN), rows, hand, point, turns, features.frame.name, mechanism)
+    return TaskFrame(pose, axes, np.minimum(off, UNKNOWN), rows, hand, point, turns, features.frame.name, told)
 
 
 def _on_hand(
-    selection: Float[np.ndarray, "s p"], f: FrameJacobian | RelativeFrameJacobian | WeighedVelocity, q: ArrayLike
+    selection: Float[np.ndarray, "s p"], f: PoseRows | WeighedVelocity, q: ArrayLike
 ) -> tuple[Float[np.ndarray, "s 6"], Float[np.ndarray, "k 6"], Float[np.ndarray, "3 3"], Turns]:
     """Held rows of the hand's twist along the base's axes, rows that the features show, and the axes of these."""
-    if isinstance(f, WeighedVelocity):
-        W = f.weights(f.robot.position(q, f.frame)[None])[0][0]
-        # of a mechanism only the held rows are features: whoever saw one translation or rotation of it saw all
-        used = [bool(np.any(W[:, part])) for part in (slice(0, 3), slice(3, 6))]
-        return selection @ W, np.eye(6)[np.repeat(used, 3)], np.eye(3), "no"
     R, turns = np.eye(3), "no"
-    if isinstance(f, RelativeFrameJacobian):
+    if f.relative_to is not None:
         R, turns = f.robot.pose(q, f.relative_to)[:3, :3], "other frame"
-    elif f.reference == "local":
+    elif isinstance(f, FrameJacobian) and f.own_axes:
         R, turns = f.pose(q)[:3, :3], "hand"
     turned = np.kron(np.eye(2), R.T)
+    if isinstance(f, WeighedVelocity):
+        W = f.weights(f.twist.placement(q)[0][None])[0][0]
+        # of a mechanism only the held rows are features: whoever saw one translation or rotation of it saw all
+        used = [bool(np.any(W[:, part])) for part in (slice(0, 3), slice(3, 6))]
+        return selection @ W @ turned, np.eye(6)[np.repeat(used, 3)] @ turned, R, turns
     return on_twist(f.row_names, selection) @ turned, on_twist(f.row_names, np.eye(f.n_rows)) @ turned, R, turns
 
 

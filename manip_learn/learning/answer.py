@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap, sum_in_words
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.constraint.mechanism import CURVE, Grip, Mechanism
 from manip_learn.errors import (
@@ -28,9 +28,8 @@ from manip_learn.learning.checks import REST_SPEED, unusable
 from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit, gaps_of, levels_on
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once, steady
 from manip_learn.learning.imposed import Imposed, learn_imposed
-from manip_learn.learning.place import Placed, is_named, placed
+from manip_learn.learning.place import Placed, is_named, placed, reshaped
 from manip_learn.learning.search import LEAST_GAIN, Explanation, Hypothesis, candidates, explain
-from manip_learn.learning.shape import reshaped
 from manip_learn.learning.table import (
     SHORTEST,
     Settings,
@@ -798,7 +797,7 @@ def at_one_place(fit: RowFit, view: View) -> bool:
     Rows other than constant rows of the position are not judged.
     """
     f, motion = view.features, fit.motion
-    if not isinstance(f, FrameJacobian) or f.reference != "world" or not f.only_linear or motion.place is None:
+    if not isinstance(f, PoseRows) or f.own_axes or not f.only_linear or motion.place is None:
         return True
     along = motion.place[:, [("x", "y", "z").index(n) for n in f.row_names]] @ view.selection(fit.rows).T
     centres = np.array([along[p].mean(axis=0) for p in motion.parts])
@@ -838,7 +837,7 @@ def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | Not
     table = views[0].table
     whole: list[Stretch] = table.wholes
     best: Any = None
-    for v in [v for v in views if isinstance(v.features, FrameJacobian) or v is views[0]]:
+    for v in [v for v in views if isinstance(v.features, PoseRows) or v is views[0]]:
         gaps = gaps_of(levels_on(v, whole)[0], table.u.shape[1])
         s = settings.n_constraints or max(gaps, key=lambda k: gaps[k])
         if s < v.r + 1 and (best is None or gaps.get(s, 0.0) > 1.1 * best[2].get(best[1], 0.0)):

@@ -20,16 +20,17 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.learning.arm_errors import ArmErrors, changes_by_links
+from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.learning.search import least_used
-from manip_learn.learning.table import Settings, Stretch, View, displacements
+from manip_learn.learning.table import ArmErrors, Settings, Stretch, View, displacements, steps_along
 from manip_learn.linalg import complement_rows, orthonormal_rows
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.recordings.velocities import positions_along
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.robot import Robot
+from manip_learn.robot.batch.batch_kinematics import link_twists
 
 MOST, LEAST = 4000, 60  # samples of all stretches, and of each
 # between the use of rows and of the next one: below the first nothing is told, from the second on it is clear
@@ -64,7 +65,7 @@ class Motion:
     Phi: np.ndarray
     place: np.ndarray | None
     way: np.ndarray | None
-    hand: Any  # kinematics of the frame; None for other features
+    hand: Any  # all six rows of the frame, where mechanisms are constant (`PoseRows`); None for other features
     parts: list[slice]
     recs: list[int]
 
@@ -72,7 +73,7 @@ class Motion:
     def of(view: View, stretches: Sequence[Stretch], settings: Settings) -> Motion:
         """Return evenly spaced samples of the stretches of a table."""
         features, table, out = view.features, view.table, []
-        robot, frame = getattr(features, "robot", None), getattr(features, "frame", None)
+        robot, twist = getattr(features, "robot", None), features.twist
         for t in map(table.piece, stretches):
             u = np.asarray(t.u)
             x = t.q if robot is None else positions_along(t, robot)
@@ -82,7 +83,6 @@ class Motion:
             k = evenly(len(x), max(LEAST, MOST // len(stretches)))
             out.append((y[k], x[k], way[k]))
         y, x, way = (np.concatenate(z) for z in zip(*out, strict=True))
-        hand = batch_kinematics(robot, frame) if isinstance(robot, Robot) and frame is not None else None
         return Motion(
             features,
             view.W,
@@ -90,9 +90,9 @@ class Motion:
             x,
             y @ view.W.T,
             view.W @ features.batch(x),
-            None if hand is None else hand.pose(x)[:, :3, 3],
+            None if twist is None else twist.poses(x)[:, :3, 3],
             way if settings.by_rates else None,
-            hand,
+            twist,
             slices([len(z) for z, *_ in out]),
             [s.recording for s in stretches],
         )
@@ -100,7 +100,7 @@ class Motion:
     def by_the_arm(self, x: np.ndarray) -> np.ndarray:
         """Return the change of y along postures by unit joint offsets and, in proportion, errors of links (n, r, e)."""
         way = self.way
-        middle, step = (0.5 * (x[1:] + x[:-1]), np.diff(x, axis=0)) if way is None else (x, way)
+        middle, step = (0.5 * (x[1:] + x[:-1]), steps_along(self.features, x)) if way is None else (x, way)
         change = np.einsum("npvk,nv->npk", self.features.batch_with_derivative(middle)[1], step, optimize=True)
         if self.arm.ratio:
             links = changes_by_links(self.features, middle, step[:, :, None])[:, :, 0]
@@ -119,7 +119,7 @@ class Motion:
     def turned_by_joints(self) -> float:
         """RMS rotation of the hand by independent motions of the joints that are as large as these [deg]."""
         middles = np.array([self.x[(p.start + p.stop) // 2] for p in self.parts])
-        turns = np.sum(self.hand.jacobian(middles)[:, 3:] ** 2, axis=1)
+        turns = np.sum(self.hand.batch(middles)[:, 3:] ** 2, axis=1)
         spread = np.array([np.var(self.x[p], axis=0) for p in self.parts])
         return float(np.degrees(np.median(np.sqrt(np.sum(turns * spread, axis=1)))))
 
@@ -142,6 +142,62 @@ class Motion:
         """RMS displacement along each direction, smallest first, over that of equally strong joints [1]; shape (r,)."""
         x = self.way if self.way is not None else self._centred(self.x)
         return self._least[0] / max(float(np.sqrt(np.mean(x**2))), 1e-12)
+
+
+def changes_by_links(
+    features: FeatureMap, q: Float[np.ndarray, "n nv"], u: Float[np.ndarray, "n nv k"]
+) -> Float[np.ndarray, "n p k e"]:
+    """Return the change of Phi(q) u by unit errors of e links, for k velocities at each of n postures.
+
+    A link that is not as described displaces all that comes after it, as a joint would that has a rigid motion there.
+    With the twist (v, w) that one such error makes of the frame, seen at its origin, the joints behind it turn with w,
+    and the origin moves with v away from those before it. So a motion with the twist V = V_before + V_behind becomes
+
+        dV = (w_before x v + w x v_behind,  w x w_behind)
+
+    as for the derivative by the position of a joint. The rates W V of rows then change by W dV + dW V. Where the first
+    joint stands is where the base stands, which no recording can show: it is left out. There are none (e = 0) if the
+    features are not of one frame in the base.
+    """
+    n, p, k = len(q), features.n_rows, u.shape[2]
+    weighed = isinstance(features, WeighedVelocity)
+    if not (weighed or isinstance(features, PoseRows)) or features.relative_to is not None:
+        return np.zeros((n, p, k, 0))
+    robot, frame, J, pose = features.robot, features.frame, features.twist.batch(q), features.twist.poses(q)
+    twists, model = link_twists(robot, frame, q), robot.pinocchio_model
+    if twists is None:
+        return np.zeros((n, p, k, 0))
+    joints = [j for j in model.supports[frame.parent_joint] if j > 0]
+    behind = {j: number for number, j in enumerate(joints)}
+    # the number of the chain's joint that each velocity moves, -1 if none: those from 1 on are behind the first link
+    place = np.full(robot.nv, -1)
+    for block in robot.blocks:
+        place[block.v] = behind.get(block.index, -1)
+    V, turned = J @ u, isinstance(features, PoseRows) and features.own_axes
+    # W with Phi u = W V, V along the base's axes
+    if weighed:
+        W = features.weights(pose[:, :3, 3])[0]
+    else:
+        W = np.array([np.eye(6)[AXES.index(name)] for name in features.row_names])[None].repeat(n, axis=0)
+        if turned:
+            back = np.zeros((n, 6, 6))
+            back[:, :3, :3] = back[:, 3:, 3:] = pose[:, :3, :3].transpose(0, 2, 1)
+            W = W @ back
+    out = np.zeros((n, p, k, len(twists), 6))
+    for link, E in enumerate(twists):
+        own = place > link
+        moved = J[:, :, own] @ u[:, own]
+        v, w = (E[:, None, part].transpose(0, 1, 3, 2) for part in (slice(0, 3), slice(3, 6)))
+        before, later = (V - moved)[:, 3:].transpose(0, 2, 1)[:, :, None], moved.transpose(0, 2, 1)[:, :, None]
+        dV = np.concatenate([np.cross(before, v) + np.cross(w, later[..., :3]), np.cross(w, later[..., 3:])], axis=3)
+        if turned:  # the frame's own axes turn with it
+            whole = V.transpose(0, 2, 1)[:, :, None]
+            dV -= np.concatenate([np.cross(w, whole[..., :3]), np.cross(w, whole[..., 3:])], axis=3)
+        out[:, :, :, link] = np.einsum("npi,nkei->npke", W, dV)
+        if weighed:
+            dW = features.weights(pose[:, :3, 3])[1]
+            out[:, :, :, link] += np.einsum("npix,nxe,nik->npke", dW, E[:, :3], V, optimize=True)
+    return out.reshape(n, p, k, -1)
 
 
 def slices(lengths: Sequence[int]) -> list[slice]:

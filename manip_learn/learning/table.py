@@ -12,12 +12,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
-from manip_learn.learning.arm_errors import ArmErrors
 from manip_learn.linalg import null_basis, pivoted_rows, whitener
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
 # strength of a row with 99 % confidence, the choice paid for, from which it counts as held: free motion of a real arm
 # that replays itself reaches 1.97, the best of 60 generated sets 1.6, contacts with rails, hinges and tables 15 to 500
@@ -34,6 +32,26 @@ PRUNE = 1e-6  # rows of Phi below this share of the largest of their unit are co
 
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
+
+
+@dataclass(frozen=True)
+class ArmErrors:
+    """Prior standard deviations of the errors of an arm.
+
+    Attributes:
+        zeros: Of each joint offset [rad, sliding joints m]; with 0, errors that no residual shows are taken for zero,
+            of links too.
+        links: Of position [m] and orientation [rad], along each axis, of each joint after the first in the frame of the
+            previous link, and of the frame in that of the last link.
+    """
+
+    zeros: float = 0.0
+    links: float = 0.0
+
+    @property
+    def ratio(self) -> float:
+        """Prior ratio of an error of a link to a joint offset."""
+        return self.links / self.zeros if self.zeros > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -259,45 +277,45 @@ def place_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
 
     Features without a row of the position are returned as they are.
     """
-    linear = [f for f in asked if set(AXES[:3]) & set(f.row_names)]
-    maps = [
-        FrameJacobian(f.robot, f.frame.name, AXES[:3], f.reference)
-        if isinstance(f, FrameJacobian) and f in linear
-        else f
-        for f in asked
-    ]
-    return _distinct([*maps, *(PlaceRows(f.robot, f.frame.name, "point", m) for f, m in _seen_from(linear, table))])
+    linear = {f: f.with_axes(AXES[:3]) for f in asked if isinstance(f, PoseRows) and set(AXES[:3]) & set(f.row_names)}
+    return _distinct([*(linear.get(f, f) for f in asked), *_in_places(list(linear), table, ("point",))])
 
 
 def whole_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
     """Return the rows of the whole twist of the hand in which mechanisms are constant."""
-    frames = [f for f in asked if isinstance(f, FrameJacobian)]
-    maps = [FrameJacobian(f.robot, f.frame.name, AXES, f.reference) for f in frames]
-    forms: tuple[PlaceForm, ...] = ("point and rotation", "twist")
-    seen = _seen_from(asked, table)
-    return _distinct([*maps, *(PlaceRows(f.robot, f.frame.name, form, m) for f, m in seen for form in forms)])
+    frames = [f for f in asked if isinstance(f, PoseRows)]
+    return _distinct(
+        [*(f.with_axes(AXES) for f in frames), *_in_places(frames, table, ("point and rotation", "twist"))]
+    )
 
 
 def surface_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
     """Return the rows in which surfaces of second order are constant."""
-    return [PlaceRows(f.robot, f.frame.name, "surface", m) for f, m in _seen_from(asked, table)]
+    return _in_places([f for f in asked if isinstance(f, PoseRows)], table, ("surface",))
 
 
-def _seen_from(asked: Sequence[FeatureMap], table: Table) -> list[tuple[FrameJacobian, np.ndarray]]:
-    """Return the first requested frame, with the mean of its positions [m]."""
-    for f in asked:
-        if isinstance(f, FrameJacobian):
-            few = table.q[:: max(1, len(table.q) // 500)]
-            return [(f, batch_kinematics(f.robot, f.frame).pose(few)[:, :3, 3].mean(axis=0))]
+def _in_places(frames: Sequence[PoseRows], table: Table, forms: Sequence[PlaceForm]) -> list[FeatureMap]:
+    """Return rows about the mean position of the first frame, seen from where its rows see it."""
+    for f in frames[:1]:
+        middle = f.twist.poses(table.q[:: max(1, len(table.q) // 500)])[:, :3, 3].mean(axis=0)
+        return [PlaceRows(f.robot, f.frame.name, form, middle, **f.seen_from) for form in forms]
     return []
 
 
 def _distinct(maps: Sequence[FeatureMap]) -> list[FeatureMap]:
     known: list[FeatureMap] = []
     for f in maps:
-        if not any(f is g or (isinstance(f, FrameJacobian) and f.describe() == g.describe()) for g in known):
+        if not any(f is g or (isinstance(f, PoseRows) and f.describe() == g.describe()) for g in known):
             known.append(f)
     return known
+
+
+def steps_along(features: FeatureMap, x: np.ndarray) -> np.ndarray:
+    """Return the tangent vectors from each posture to the next, shape (n - 1, nv): differences, but of orientations."""
+    robot = getattr(features, "robot", None)
+    if robot is None or robot.positions_add_up:
+        return np.diff(x, axis=0)
+    return np.array([robot.difference(*pair) for pair in pairwise(x)])
 
 
 def displacements(features: FeatureMap, x: np.ndarray, way: np.ndarray | None = None) -> np.ndarray:
@@ -307,5 +325,5 @@ def displacements(features: FeatureMap, x: np.ndarray, way: np.ndarray | None = 
     """
     if way is not None:
         return np.einsum("npv,nv->np", features.batch(x), way)
-    rates = np.einsum("npv,nv->np", features.batch(0.5 * (x[1:] + x[:-1])), np.diff(x, axis=0))
+    rates = np.einsum("npv,nv->np", features.batch(0.5 * (x[1:] + x[:-1])), steps_along(features, x))
     return np.concatenate([np.zeros((1, rates.shape[1])), np.cumsum(rates, axis=0)])

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import (
     MECHANISM_KINDS,
@@ -72,7 +72,7 @@ def whole_fit(
 def turns_away(fit: RowFit) -> float:
     """Return the RMS rotation of the hand away from the rows [deg], the median of the contacts."""
     motion = fit.motion
-    J = motion.hand.jacobian(motion.x)[:, 3:]
+    J = motion.hand.batch(motion.x)[:, 3:]
     turned = np.sum(np.einsum("nij,nj->ni", J, fit.shortest_way_back()) ** 2, axis=1)
     return float(np.degrees(np.median([np.sqrt(np.mean(turned[p])) for p in motion.parts])))
 
@@ -80,7 +80,7 @@ def turns_away(fit: RowFit) -> float:
 def held_places(fit: RowFit) -> int:
     """Return the number of directions in which the rows constrain the position of the hand, median of the postures."""
     motion, few = fit.motion, evenly(len(fit.motion.x), 50)
-    J = motion.hand.jacobian(motion.x[few])[:, :3]
+    J = motion.hand.batch(motion.x[few])[:, :3]
     free = np.stack([J_v @ null_basis(A) for J_v, A in zip(J, fit.rows @ motion.Phi[few], strict=True)])
     moves = np.count_nonzero(np.linalg.svd(free, compute_uv=False) > ON_THE_AXIS, axis=1)
     return 3 - int(np.median(moves))
@@ -98,7 +98,7 @@ def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, floa
         there is none. The smallest RMS deviation of the orientation from one that is fixed or carried by the mechanism,
         and that by independent joints [deg], medians of the contacts.
     """
-    seen = [_turned(known, motion.hand.pose(motion.x[p])) for p in motion.parts]
+    seen = [_turned(known, motion.hand.poses(motion.x[p])) for p in motion.parts]
     rms = {name: float(np.median([x[name] for x in seen])) for name in seen[0]}
     kept, apart = min((rms[n] for n in ("fixed", "carried") if n in rms), default=np.inf), motion.turned_by_joints
     kinds = [k for k in MECHANISM_KINDS if k.type == known.kind.type and k.n_rows > known.kind.n_rows]
@@ -159,7 +159,7 @@ def asked_rows(
         Phi and Lambda.
     """
     names = [n for n in AXES if any(n in f.row_names for f in asked)]
-    if not all(isinstance(f, FrameJacobian) for f in asked):
+    if not all(isinstance(f, PoseRows) for f in asked):
         return features, selection
     if isinstance(features, MechanismRows) and mechanism is not None:
         own = POSITION_ROWS.get(mechanism.type, ()) if names == list(AXES[:3]) else ()
@@ -167,7 +167,7 @@ def asked_rows(
             return features, selection
         features = movable(features.with_rows(own, None if mechanism.type == "screw" else mechanism.radius), q)
         return features, np.eye(features.n_rows)
-    if not isinstance(features, FrameJacobian | PlaceRows):
+    if not isinstance(features, PoseRows | PlaceRows):
         return features, selection
     columns = list(features.row_names)
 
@@ -179,12 +179,12 @@ def asked_rows(
         own = [n for n in columns if n in kept]
         return own, Vt[sizes < PURE] @ selection[:, [columns.index(n) for n in own]]
 
-    reference = features.reference if isinstance(features, FrameJacobian) else "world"
-    given = next((f for f in asked if isinstance(f, FrameJacobian) and f.reference == reference), None)
+    own_axes = isinstance(features, PoseRows) and features.own_axes
+    given = next((f for f in asked if isinstance(f, PoseRows) and f.own_axes == own_axes), None)
     own, rows = inside(given.row_names if given is not None else ())
     if isinstance(features, PlaceRows):
         form: PlaceForm = "point" if set(names) <= set(AXES[:3]) else "point and rotation"
-        wide = PlaceRows(features.robot, features.frame.name, form, features.middle)
+        wide = PlaceRows(features.robot, features.frame.name, form, features.middle, **features.twist.seen_from)
         if features.form != "twist" and len(among := inside(wide.row_names)[1]) > len(rows):
             return (wide, pivoted_rows(among)) if wide.row_names != features.row_names else (features, selection)
     if given is None or not len(rows):

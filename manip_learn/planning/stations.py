@@ -28,14 +28,12 @@ from scipy.spatial.transform import Rotation
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.limits import Limits
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.tasks.driven_motion import Unit
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.errors import FeatureError
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import angles_between
 
@@ -75,13 +73,9 @@ class _Hand:
         Raises:
             FeatureError: They have none.
         """
-        if isinstance(features, FrameJacobian | WeighedVelocity):
-            kinematics = batch_kinematics(features.robot, features.frame)
-            return _Hand(kinematics.pose, kinematics.jacobian, kinematics.jacobian_and_derivative)
-        if isinstance(features, RelativeFrameJacobian):
-            every = RelativeFrameJacobian(features.robot, features.frame.name, features.relative_to.name)
-            return _Hand(lambda q: np.array([every.pose(x) for x in q]), every.batch, every.batch_with_derivative)
-        raise FeatureError(f"a way is planned for the rows of a frame, not for {features!r}")
+        if (twist := features.twist) is None:
+            raise FeatureError(f"a way is planned for the rows of a frame, not for {features!r}")
+        return _Hand(twist.poses, twist.batch, twist.batch_with_derivative)
 
 
 @final

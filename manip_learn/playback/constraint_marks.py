@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
-from manip_learn.constraint.features.frame_jacobian import AXES
+from manip_learn.constraint.features import MechanismRows
+from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.linalg import null_basis, row_basis
 from manip_learn.playback.guided_motion import MotionSamples
@@ -58,7 +58,7 @@ def held_directions(constraint: Constraint, places: Float[np.ndarray, "T 3"]) ->
 
     Args:
         constraint: A(q).
-        places: Origin of the frame along the motion, in the base frame [m].
+        places: Origin of the frame along the motion, where the features see it: in the base, or in the other frame [m].
     """
     features = constraint.features
     if isinstance(features, WeighedVelocity):
@@ -67,17 +67,16 @@ def held_directions(constraint: Constraint, places: Float[np.ndarray, "T 3"]) ->
         observed = np.eye(3), np.eye(3) if turning else np.zeros((3, 3))
         learnt = not isinstance(features, MechanismRows)  # a mixture, where a mechanism's rows are what they are
         parts = [_parts(constraint.selection @ w, observed, COUPLED if learnt else EXACT) for w in W]
-        return HeldDirections(features.frame, None, *(np.array([p[k] for p in parts]) for k in range(4)))
-    if not isinstance(features, FrameJacobian | RelativeFrameJacobian):
+        stacked = (np.array([p[k] for p in parts]) for k in range(4))
+        return HeldDirections(features.frame, features.relative_to, *stacked)
+    if not isinstance(features, PoseRows):
         return None
     columns = [AXES.index(name) for name in features.row_names]
     rows = np.zeros((constraint.n_constraints, 6))
     rows[:, columns] = constraint.selection
     seen = np.zeros(6)
     seen[columns] = 1.0
-    axes = features.relative_to if isinstance(features, RelativeFrameJacobian) else None
-    if isinstance(features, FrameJacobian) and features.reference == "local":
-        axes = features.frame
+    axes = features.frame if features.own_axes else features.relative_to
     return HeldDirections(features.frame, axes, *_parts(rows, (np.diag(seen[:3]), np.diag(seen[3:])), COUPLED))
 
 
@@ -123,13 +122,11 @@ def constraint_marks(
     if isinstance(n, int) and 0 < n < constraint.n_constraints:  # a task's rows follow those that were learnt
         learnt = Constraint(constraint.selection[:n], constraint.features, constraint.provenance)
     kept = evenly(samples.time.size, most)
-    frame = getattr(constraint.features, "frame", None)
-    if not isinstance(frame, Frame):
+    twist, q = constraint.features.twist, samples.q[kept]
+    if twist is None:
         return None
-    kinematics = batch_kinematics(robot, frame)
-    q = samples.q[kept]
-    poses = kinematics.pose(q)
-    directions, ruled = (held_directions(c, poses[:, :3, 3]) for c in (learnt, constraint))
+    places = twist.poses(q)[:, :3, 3]
+    directions, ruled = (held_directions(c, places) for c in (learnt, constraint))
     if directions is None or ruled is None:
         return None
     # H J_v J_v^T H in the axes of the directions: semi-axes are the tip's speeds along what is held, at |u| = 1, and of
@@ -140,7 +137,7 @@ def constraint_marks(
     driven = ruled.held @ J
     names = {"held": "held", "free": "free", "heldTurns": "held_turns", "freeTurns": "free_turns"}
     return {
-        "tip": _place(robot, frame),
+        "tip": _place(robot, twist.frame),
         "axes": None if directions.axes is None else _place(robot, directions.axes),
         "times": packed(samples.time[kept], "<f8"),
         **{key: packed(getattr(directions, n)[..., *SIX], "<f4") for key, n in names.items()},
@@ -177,9 +174,9 @@ def target_place(
 ) -> dict[str, Any] | None:
     """Place of the target in the frame of a joint; coordinates that the target lacks are those of the start."""
     features = constraint.features
-    if target is None or not isinstance(features, FrameJacobian | RelativeFrameJacobian | WeighedVelocity):
+    if target is None or not isinstance(features, PoseRows | WeighedVelocity):
         return None
-    carrier = features.relative_to if isinstance(features, RelativeFrameJacobian) else None
+    carrier = features.relative_to
     pose = robot.pose(q, features.frame)
     here = pose[:3, 3] if carrier is None else (np.linalg.inv(robot.pose(q, carrier)) @ pose)[:3, 3]
     if target.shape == (4, 4):

@@ -131,12 +131,12 @@ def mechanism_drawing(
     Raises:
         RecordingError: Numbers of a wrong size or not finite.
     """
+    described = mechanism if isinstance(mechanism, Mapping | None) else mechanism.to_dict()
     if shown is not None:
         plain = MechanismDrawing("", "", ()) if mechanism is None else mechanism_drawing(mechanism, held)
-        if isinstance(shown, Intention):
+        if isinstance(shown, Intention) or (described or {}).get("relative_to"):
             return replace(plain, shown=shown.sentence)
         return replace(plain, shown=shown.sentence, way=shown.points, hold=shown.hold is not None)
-    described = mechanism if isinstance(mechanism, Mapping | None) else mechanism.to_dict()
     described = described or {}
     kind = str(described.get("type") or "mechanism")[:_MAX_TEXT]
     sentence = str(described.get("sentence") or kind)[:_MAX_TEXT]

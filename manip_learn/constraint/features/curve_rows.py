@@ -142,6 +142,7 @@ class CurveRows(WeighedVelocity):
         frame: Name of the frame, e.g. the tool's tip.
         points: Of the curve, in order, in the base frame, shape (k, 3) [m].
         rows: Names of the rows, each at most once.
+        relative_to: Frame from which the hand is seen, and in which the points are given; None for the base.
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
@@ -152,8 +153,15 @@ class CurveRows(WeighedVelocity):
     padded = FeatureMap.padded
     value_and_vjp = FeatureMap.value_and_vjp
 
-    def __init__(self, robot: Robot, frame: str, points: ArrayLike | Curve, rows: str | Sequence[str] = CURVE_ROWS[:3]):
-        super().__init__(robot, frame)
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str,
+        points: ArrayLike | Curve,
+        rows: str | Sequence[str] = CURVE_ROWS[:3],
+        relative_to: str | None = None,
+    ):
+        super().__init__(robot, frame, relative_to)
         self.row_names = parsed_rows(rows, CURVE_ROWS, "row")
         self.row_units = tuple("rad/s" if name in AXES else "m/s" for name in self.row_names)
         self.curve = points if isinstance(points, Curve) else Curve(points)
@@ -161,7 +169,7 @@ class CurveRows(WeighedVelocity):
 
     def with_rows(self, rows: Sequence[str]) -> CurveRows:
         """Other rows of the same curve."""
-        return CurveRows(self.robot, self.frame.name, self.curve, rows)
+        return CurveRows(self.robot, self.frame.name, self.curve, rows, **self.twist.seen_from)
 
     def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
         """W(p) and dW/dp at n places [m]."""
@@ -188,25 +196,27 @@ class CurveRows(WeighedVelocity):
         """
         if max(self._rows) >= len(AXES[:3]):
             return super().coordinates(q)
-        place = self.robot.position(q, self.frame)
+        place = self.twist.placement(q)[0]
         s = self.curve.nearest(place[None])
         across = self.curve.frame(s)[0] @ (place - self.curve.at(s)[0])
         return np.append(across, s)[self._rows]
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> CurveRows:
         """The same rows of a curve that stands elsewhere, p' = R p + t."""
-        return CurveRows(self.robot, self.frame.name, self.curve.moved(transform), self.row_names)
+        curve = self.curve.moved(transform)
+        return CurveRows(self.robot, self.frame.name, curve, self.row_names, **self.twist.seen_from)
 
     def describe(self) -> dict[str, Any]:
         """Frame, rows and points, as saved in a constraint file."""
         return {
             "kind": "curve-rows",
             "frame": self.frame.name,
+            **self.twist.seen_from,
             "rows": list(self.row_names),
             "units": list(self.row_units),
             "points": self.curve.points.tolist(),
         }
 
     def __repr__(self) -> str:
-        rows = " ".join(self.row_names)
-        return f"CurveRows({self.robot.name!r}, frame={self.frame.name!r}, {self.curve.length:.3g} m, {rows!r})"
+        what = f"{self.robot.name!r}, frame={self.frame.name!r}, {self.curve.length:.3g} m"
+        return f"CurveRows({what}, {' '.join(self.row_names)!r}{self._seen})"

@@ -36,6 +36,11 @@ class FeatureMap(ABC):
         """Number of rows p."""
         return len(self.row_names)
 
+    @property
+    def twist(self) -> Any:
+        """All six rows of the frame, in axes that rest with what holds it (`PoseRows`); None without a frame."""
+        return None
+
     @abstractmethod
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q)."""

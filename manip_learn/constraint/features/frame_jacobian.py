@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
@@ -26,6 +27,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, parsed_rows
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
@@ -95,10 +97,14 @@ class PoseRows(FeatureMap):
     """Rows of the twist of a frame, seen from the base, from itself or from another frame, and the error of its pose.
 
     Attributes of every child:
+        frame: The frame.
+        relative_to: The frame from which it is seen; None for the robot's base.
         only_linear: Whether the rows are positions along axes that do not turn with the frame.
         own_axes: Whether the rows are along the frame's own axes.
     """
 
+    frame: Frame
+    relative_to: Frame | None = None
     only_linear: bool
     own_axes: bool = False
     _where = ""  # the pose that a target may be, in words
@@ -115,9 +121,22 @@ class PoseRows(FeatureMap):
         self._known_goal: tuple[Any, Any, Any] = (None, None, None)
         self._finite_goal: np.ndarray | None = None
 
+    @property
+    def seen_from(self) -> dict[str, str]:
+        """Argument `relative_to` of rows of the same frame seen from the same; empty for the base."""
+        return {} if self.relative_to is None else {"relative_to": self.relative_to.name}
+
+    @abstractmethod
+    def with_axes(self, axes: str | Sequence[str]) -> PoseRows:
+        """Return other rows of the same frame, seen from the same."""
+
     @abstractmethod
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
         """Pose of the frame."""
+
+    @abstractmethod
+    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
+        """Poses of the frame at n postures, the rows of q [m]."""
 
     @abstractmethod
     def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
@@ -314,9 +333,22 @@ class FrameJacobian(PoseRows):
         kinematics = batch_kinematics(self.robot, self.frame)
         return kinematics.jacobian_and_derivative(q, self.reference, self._row_numbers)
 
+    @cached_property
+    def twist(self) -> FrameJacobian:
+        """All six rows along the axes of the base."""
+        return FrameJacobian(self.robot, self.frame.name, AXES)
+
+    def with_axes(self, axes: str | Sequence[str]) -> FrameJacobian:
+        """Return other rows of the same frame along the same axes."""
+        return FrameJacobian(self.robot, self.frame.name, axes, self.reference)
+
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
         """Pose of the frame in the robot's base."""
         return self.robot.pose(q, self.frame)
+
+    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
+        """Poses of the frame in the robot's base at n postures, the rows of q [m]."""
+        return batch_kinematics(self.robot, self.frame).pose(q)
 
     def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
         """Position [m] and rotation of the frame in the robot's base."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, final, get_args
@@ -57,6 +58,11 @@ class Place:
         """
         sense = 1.0 if self.axis[int(np.argmax(np.abs(self.axis)))] > 0.0 else -1.0
         return Place(sense * self.axis, self.point, self.pitch)
+
+    def at(self, transform: Float[np.ndarray, "4 4"]) -> Place:
+        """This place of what stands elsewhere, p' = R p + t."""
+        R = transform[:3, :3]
+        return Place(R @ self.axis, R @ self.point + transform[:3, 3], self.pitch)
 
     @cached_property
     def across(self) -> Float[np.ndarray, "2 3"]:
@@ -154,6 +160,7 @@ class MechanismRows(WeighedVelocity):
         point: A point on the axis, or the centre, in the base frame [m].
         pitch: Travel along the axis a radian of turning [m/rad], right-handed screws positive.
         radius: Distance of the hand from the axis or the centre on the mechanism [m]; None for any distance.
+        relative_to: Frame from which the hand is seen, and in which axis and point are given; None for the base.
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
@@ -170,8 +177,9 @@ class MechanismRows(WeighedVelocity):
         point: ArrayLike = (0.0, 0.0, 0.0),
         pitch: float = 0.0,
         radius: float | None = None,
+        relative_to: str | None = None,
     ):
-        super().__init__(robot, frame)
+        super().__init__(robot, frame, relative_to)
         self.row_names = parsed_rows(rows, ROW_UNITS, "row")
         self.row_units = tuple(ROW_UNITS[n] for n in self.row_names)
         direction, place = _vector(axis, "axis"), _vector(point, "point")
@@ -188,9 +196,15 @@ class MechanismRows(WeighedVelocity):
     def with_rows(self, rows: Sequence[str], radius: float | None = None) -> MechanismRows:
         """Other rows of the same mechanism, at the radius or, if that is None, at any distance."""
         g = self.geometry
-        return MechanismRows(
-            self.robot, self.frame.name, rows, axis=g.axis, point=g.point, pitch=g.pitch, radius=radius
-        )
+        place: dict[str, Any] = {"axis": g.axis, "point": g.point, "pitch": g.pitch, **self.twist.seen_from}
+        return MechanismRows(self.robot, self.frame.name, rows, **place, radius=radius)
+
+    def moved(self, transform: Float[np.ndarray, "4 4"]) -> MechanismRows:
+        """The same rows of a mechanism that stands elsewhere, p' = R p + t."""
+        out = copy(self)
+        out.geometry = self.geometry.at(transform)
+        out.place_weights = mechanism_weights(self.row_names, out.geometry, self.radius)
+        return out
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Distance from the axis (`radial`) or the centre (`spherical`), place along the axis (`axial`) [m].
@@ -198,7 +212,7 @@ class MechanismRows(WeighedVelocity):
         Raises:
             FeatureError: Other rows are the rate of nothing.
         """
-        d = self.robot.position(q, self.frame) - self.geometry.point
+        d = self.twist.placement(q)[0] - self.geometry.point
         z = float(d @ self.geometry.axis)
         known = {"radial": np.linalg.norm(d - z * self.geometry.axis), "axial": z, "spherical": np.linalg.norm(d)}
         if not set(self.row_names) <= set(known):
@@ -220,6 +234,7 @@ class MechanismRows(WeighedVelocity):
         return {
             "kind": "mechanism-rows",
             "frame": self.frame.name,
+            **self.twist.seen_from,
             "rows": list(self.row_names),
             "units": list(self.row_units),
             "axis": self.geometry.axis.tolist(),
@@ -232,7 +247,7 @@ class MechanismRows(WeighedVelocity):
         a, c = (", ".join(f"{x:.4g}" for x in v) for v in (self.geometry.axis, self.geometry.point))
         pitch = f", pitch={self.geometry.pitch:.4g}" if self.geometry.pitch else ""
         radius = "" if self.radius is None else f", radius={self.radius:.4g}"
-        place = f"axis=({a}), point=({c}){pitch}{radius}"
+        place = f"axis=({a}), point=({c}){pitch}{radius}{self._seen}"
         return f"MechanismRows({self.robot.name!r}, frame={self.frame.name!r}, {' '.join(self.row_names)!r}, {place})"
 
 
@@ -266,17 +281,25 @@ class PlaceRows(WeighedVelocity):
         frame: Name of the frame, e.g. the tool's tip.
         form: Which rows.
         middle: m in the base frame [m].
+        relative_to: Frame from which the hand is seen, and in which the middle is given; None for the base.
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
         FeatureError: Another form, or a middle that is no place.
     """
 
-    def __init__(self, robot: Robot, frame: str, form: PlaceForm, middle: ArrayLike = (0.0, 0.0, 0.0)):
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str,
+        form: PlaceForm,
+        middle: ArrayLike = (0.0, 0.0, 0.0),
+        relative_to: str | None = None,
+    ):
         if form not in get_args(PlaceForm):
             raise FeatureError(f"form must be one of {', '.join(map(repr, get_args(PlaceForm)))}, not {form!r}")
         m = _vector(middle, "middle")
-        super().__init__(robot, frame)
+        super().__init__(robot, frame, relative_to)
         self.form, self.middle = form, m
         unit, none = np.eye(3), np.zeros((3, 3))
         if form == "twist":
@@ -303,6 +326,7 @@ class PlaceRows(WeighedVelocity):
         return {
             "kind": "place-rows",
             "frame": self.frame.name,
+            **self.twist.seen_from,
             "rows": list(self.row_names),
             "units": list(self.row_units),
             "form": self.form,
@@ -311,4 +335,4 @@ class PlaceRows(WeighedVelocity):
 
     def __repr__(self) -> str:
         m = ", ".join(f"{x:.4g}" for x in self.middle)
-        return f"PlaceRows({self.robot.name!r}, frame={self.frame.name!r}, {self.form!r}, middle=({m}))"
+        return f"PlaceRows({self.robot.name!r}, frame={self.frame.name!r}, {self.form!r}, middle=({m}){self._seen})"

@@ -246,6 +246,7 @@ def described_features(described: dict[str, Any], robot: Robot) -> FeatureMap:
         ConstraintMismatchError: A kind of features that this version does not know.
         FeatureError: Settings that this robot does not have, out of range, or that contradict each other.
     """
+    seen_from = described.get("relative_to")
     match described["kind"]:
         case "frame-jacobian":
             features = FrameJacobian(robot, described["frame"], described["axes"], described["reference"])
@@ -256,11 +257,11 @@ def described_features(described: dict[str, Any], robot: Robot) -> FeatureMap:
         case "mechanism-rows":
             place = {name: described[name] for name in ("axis", "point", "pitch")}
             rows, radius = described["rows"], described.get("radius")
-            features = MechanismRows(robot, described["frame"], rows, **place, radius=radius)
+            features = MechanismRows(robot, described["frame"], rows, **place, radius=radius, relative_to=seen_from)
         case "curve-rows":
-            features = CurveRows(robot, described["frame"], described["points"], described["rows"])
+            features = CurveRows(robot, described["frame"], described["points"], described["rows"], seen_from)
         case "place-rows":
-            features = PlaceRows(robot, described["frame"], described["form"], described["middle"])
+            features = PlaceRows(robot, described["frame"], described["form"], described["middle"], seen_from)
         case "stacked":
             features = Stacked([described_features(part, robot) for part in described["parts"]])
         case kind:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.frame_jacobian import PoseRows
+from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.errors import FeatureError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
 
@@ -43,7 +45,7 @@ class RelativeFrameJacobian(PoseRows):
     def __init__(self, robot: Robot, frame: str, relative_to: str, axes: str | Sequence[str] = "pose"):
         super().__init__(robot, axes)
         self.frame = robot.frame(frame)
-        self.relative_to = robot.frame(relative_to)
+        self.relative_to: Frame = robot.frame(relative_to)
         if self.frame.index == self.relative_to.index:
             raise FeatureError(f"frame {frame!r} does not move relative to itself: name two frames")
         self.only_linear = max(self._row_numbers) < 3
@@ -101,6 +103,20 @@ class RelativeFrameJacobian(PoseRows):
         frames = self.frame, self.relative_to
         poses, jacobians = ([f(q, frame)[None] for frame in frames] for f in (self.robot.pose, self.robot.jacobian))
         return _seen(*poses, *jacobians)[0][0]
+
+    @cached_property
+    def twist(self) -> RelativeFrameJacobian:
+        """All six rows."""
+        return self.with_axes(AXES)
+
+    def with_axes(self, axes: str | Sequence[str]) -> RelativeFrameJacobian:
+        """Return other rows of the same frames."""
+        return RelativeFrameJacobian(self.robot, self.frame.name, self.relative_to.name, axes)
+
+    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
+        """Poses of the frame in the other one at n postures, the rows of q [m]."""
+        A, B = (batch_kinematics(self.robot, f).pose(q) for f in (self.frame, self.relative_to))
+        return np.linalg.inv(B) @ A
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
         """Pose of the frame in the other one."""

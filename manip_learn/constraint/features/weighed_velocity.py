@@ -11,7 +11,8 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, PoseRows
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
@@ -64,21 +65,37 @@ class PlaceWeights:
 
 
 class WeighedVelocity(FeatureMap):
-    """Phi(q) = W(p(q)) J(q), with J the frame's Jacobian along the axes of the robot's base and p its origin.
+    """Phi(q) = W(p(q)) J(q), with J the twist of a frame along the axes of the robot's base and p its origin.
+
+    Seen from another frame, J and p are those of `RelativeFrameJacobian`, along the axes of that frame.
 
     Attributes:
         robot: The robot.
         frame: The frame.
+        relative_to: The frame from which it is seen; None for the robot's base.
         place_weights: W.
     """
 
     robot: Robot
     frame: Frame
+    relative_to: Frame | None
     place_weights: PlaceWeights
 
-    def __init__(self, robot: Robot, frame: str):
+    def __init__(self, robot: Robot, frame: str, relative_to: str | None = None):
         self.robot, self.frame, self.nv = robot, robot.frame(frame), robot.nv
-        self._kinematics = robot.frame_kinematics(self.frame)
+        base, other = FrameJacobian, RelativeFrameJacobian
+        self._twist = base(robot, frame, AXES) if relative_to is None else other(robot, frame, relative_to, AXES)
+        self.relative_to = self._twist.relative_to
+
+    @property
+    def twist(self) -> PoseRows:
+        """J: all six rows of the frame, seen from the base or from the other frame."""
+        return self._twist
+
+    @property
+    def _seen(self) -> str:
+        """The other frame, in a representation."""
+        return "" if self.relative_to is None else f", relative_to={self.relative_to.name!r}"
 
     def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
         """W(p) and dW/dp at n places [m]; row i of W weighs (v, w) of the frame."""
@@ -90,7 +107,7 @@ class WeighedVelocity(FeatureMap):
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        return self._weights_at(q)[0] @ self.robot.jacobian(q, self.frame, "world")
+        return self._weights_at(q)[0] @ self._twist(q)
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
         """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k.
@@ -103,7 +120,7 @@ class WeighedVelocity(FeatureMap):
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J."""
         W, dW = self._weights_at(q)
-        J, H = self.robot.jacobian_and_derivative(q, self.frame, "world")
+        J, H = self._twist.value_and_derivative(q)
         turned = W @ H.reshape(6, -1)
         return W @ J, turned.reshape(-1, self.nv, self.nv) + J.T @ (dW @ J[:3])
 
@@ -117,8 +134,8 @@ class WeighedVelocity(FeatureMap):
 
     def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s k"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
-        J, vjp = self._kinematics.weighted_vjp(q, "world", EVERY_ROW)
-        p = self._kinematics.placement(q)[0]  # there already
+        J, vjp = self._twist.value_and_vjp(q, EVERY_ROW)
+        p = self._twist.placement(q)[0]  # there already
         slopes = padded[:, 6:24].reshape(-1, 6, 3)
         mix = padded[:, :6] + slopes.dot(p)
         if self.place_weights.free:
@@ -140,20 +157,19 @@ class WeighedVelocity(FeatureMap):
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        J = batch_kinematics(self.robot, self.frame).jacobian(q, "world")
-        return self._batch_weights(q)[0] @ J
+        return self._batch_weights(q)[0] @ self._twist.batch(q)
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n postures, in bulk; errors as for `batch`."""
         W, dW = self._batch_weights(q)
-        J, H = batch_kinematics(self.robot, self.frame).jacobian_and_derivative(q, "world")
+        J, H = self._twist.batch_with_derivative(q)
         n, nv = len(W), self.nv
         turned = (W @ H.reshape(n, 6, nv * nv)).reshape(n, self.n_rows, nv, nv)
         return W @ J, turned + J.transpose(0, 2, 1)[:, None] @ (dW @ J[:, None, :3])
 
     def _weights_at(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        W, dW = self.weights(self.robot.position(q, self.frame)[None])
+        W, dW = self.weights(self._twist.placement(q)[0][None])
         return W[0], dW[0]
 
     def _batch_weights(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        return self.weights(batch_kinematics(self.robot, self.frame).pose(q)[:, :3, 3])
+        return self.weights(self._twist.poses(q)[:, :3, 3])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -14,9 +14,8 @@ from scipy.linalg import block_diag
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import sum_in_words
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, pose_error
+from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows, pose_error
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place, across
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.mechanism import ON_THE_AXIS
 from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.control.tasks.motion_profile import PathProfile
@@ -77,8 +76,7 @@ class DrivenMotion(ABC):
 
     def origin(self, q: ArrayLike) -> Origin:
         """Return what has to be known of the start posture: the pose of the frame, or the features' coordinates."""
-        features: Any = self.constraint.features
-        return features.robot.pose(q, features.frame)
+        return self.constraint.features.twist.pose(q)
 
     @abstractmethod
     def goal(self, origin: Origin, distance: float) -> Origin:
@@ -197,12 +195,12 @@ class StraightMotion(DrivenMotion):
         self.driven = f / max(linear_size, angular_size)  # a distance counts along the larger part
         self.held = constraint.selection
         self._twist = np.zeros(6)
-        self._features: FrameJacobian | RelativeFrameJacobian | None = None
-        if isinstance(features, FrameJacobian | RelativeFrameJacobian) and not features.only_linear:
+        self._features: PoseRows | None = None
+        if isinstance(features, PoseRows) and not features.only_linear:
             self._features = features
             self._rows = [AXES.index(name) for name in features.row_names]
             self._twist[self._rows] = self.driven
-            self._own_axes = isinstance(features, FrameJacobian) and features.reference == "local"
+            self._own_axes = features.own_axes
 
     def axis_at(self, origin: Origin) -> Float[np.ndarray, " 3"]:
         """The part of f that counts, in the base frame; zero of features that are no rows of a frame."""
@@ -355,9 +353,8 @@ class MechanismMotion(DrivenMotion):
             combined = {"spherical": "radial", "helical": "axial"}
             taken = {driven, *held, *(combined[name] for name in held if name in combined)}
             beside = [name for name in ("radial", "axial", "tangential") if name not in taken]
-        self._rows = MechanismRows(
-            rows.robot, rows.frame.name, (*held, *beside, driven), axis=axis, point=g.point, pitch=g.pitch
-        )
+        place = {"axis": axis, "point": g.point, "pitch": g.pitch, **rows.twist.seen_from}
+        self._rows = MechanismRows(rows.robot, rows.frame.name, (*held, *beside, driven), **place)
         self.constraint = Constraint(np.eye(self._rows.n_rows), self._rows, constraint.provenance)
         self.unit = "rad" if driven in ("turn", "tangential") else "m"
         self._name = driven
@@ -508,13 +505,12 @@ class PathMotion(DrivenMotion):
     The rows are the hand's velocity along the base's axes, and those of its rotation that are held.
 
     Raises:
-        ConstraintError: Features that are not rows of one frame in the base; a hand that turns where its place rests.
+        ConstraintError: Features that are not rows of one frame; a hand that turns where its place rests.
     """
 
     def __init__(self, constraint: Constraint, shown: Shown):
-        robot, frame = constraint.robot, getattr(constraint.features, "frame", None)
-        if robot is None or frame is None or isinstance(constraint.features, RelativeFrameJacobian):
-            raise ConstraintError(f"a path is followed with a frame in the base, not with {constraint.features!r}")
+        if (twist := constraint.features.twist) is None:
+            raise ConstraintError(f"a path is followed with a frame, not with {constraint.features!r}")
         mechanism = constraint.mechanism
         orientation = "free" if mechanism is None else mechanism.orientation
         if mechanism is not None and orientation == "carried" and (mechanism.radius or 0.0) < ON_THE_AXIS:
@@ -528,7 +524,7 @@ class PathMotion(DrivenMotion):
         turning = np.zeros((0, 3)) if orientation == "free" else np.eye(3)
         if orientation == "about-axis" and mechanism is not None and mechanism.axis is not None:
             turning = across(mechanism.axis)
-        self._features = FrameJacobian(robot, frame.name, AXES if len(turning) else AXES[:3])
+        self._features = twist.with_axes(AXES if len(turning) else AXES[:3])
         self._p = self._features.n_rows
         selection = block_diag(np.eye(3), turning[:, : self._p - 3])
         self.constraint = Constraint(selection, self._features, constraint.provenance)

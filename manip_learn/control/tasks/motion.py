@@ -537,7 +537,7 @@ def motion_to(
         )
     if (place := finite(point, 3)) is None:
         raise TargetError(f"the point must be three finite numbers (x, y, z) [m], got {point!r}")
-    g, here = rows.geometry, rows.robot.position(q, rows.frame)
+    g, here = rows.geometry, rows.twist.placement(q)[0].copy()
     angle = place_about(here - g.point, place - g.point, g, 0.0)["tangential"]
     if abs(angle) < 1e-6:
         raise TargetError("the hand is as near to the point as the mechanism allows: name another")
