@@ -111,11 +111,11 @@ ROWS = {
 def test_links_change_the_rates_of_rows(make, rng):
     """As the differences of arms whose joints, or whose tip, stand a little elsewhere on the link before."""
     robot = arm_features().robot
-    tip, q, u = robot.frame("right_gripper_tip"), rng.uniform(-1.0, 1.0, (3, 7)), rng.standard_normal((3, 7, 2))
+    tip, q, u = robot.frame("right_gripper_tip"), rng.uniform(-1.0, 1.0, (3, 7)), rng.standard_normal((3, 7))
     changes = changes_by_links(make(robot), q, u)
     joints, size = [*robot.pinocchio_model.supports[tip.parent_joint]][2:], 1e-6
-    assert changes.shape[3] == 6 * (len(joints) + 1)
-    for number in range(changes.shape[3]):
+    assert changes.shape[2] == 6 * (len(joints) + 1)
+    for number in range(changes.shape[2]):
         rates = []
         for step in (size, -size):
             model, off = pin.Model(robot.pinocchio_model), pin.exp6(step * np.eye(6)[number % 6])
@@ -126,14 +126,14 @@ def test_links_change_the_rates_of_rows(make, rng):
                 model.frames[tip.index].placement = new
             else:
                 places[i] = new
-            rates.append(make(Robot(model, mimics=robot.mimics)).batch(q) @ u)
-        assert np.abs((rates[0] - rates[1]) / (2.0 * size) - changes[..., number]).max() < 1e-7
+            rates.append(make(Robot(model, mimics=robot.mimics)).batch(q) @ u[:, :, None])
+        assert np.abs((rates[0] - rates[1]) / (2.0 * size) - changes[..., number, None]).max() < 1e-7
 
 
 def test_features_of_no_frame_have_no_links():
     """Rows that somebody wrote know nothing of links."""
     features = CustomFeatures(lambda q: np.eye(3) * q[0], "abc", 3)
-    assert changes_by_links(features, np.ones((2, 3)), np.ones((2, 3, 1))).shape == (2, 3, 1, 0)
+    assert changes_by_links(features, np.ones((2, 3)), np.ones((2, 3))).shape == (2, 3, 0)
 
 
 def fitted(demos, truth) -> tuple[View, RowFit]:

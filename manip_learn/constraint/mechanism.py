@@ -455,7 +455,7 @@ def read_mechanism(
         held = {name for name, share in zip(features.row_names, shares, strict=True) if share > 0.5}
         kind = next((k for k in MECHANISM_KINDS if set(k.rows) == held), None)
         if kind is not None and not np.any(np.abs(shares - np.round(shares)) > CLEAR_SHARE):
-            read = _of_kind(kind, features.geometry, features.radius)
+            read = mechanism_of(kind, features.geometry, features.radius)
     elif isinstance(features, CurveRows):
         along = np.array([not name.startswith("across") for name in features.row_names])
         if len(selection) == 2 and not np.any(np.abs(selection[:, along]) > CLEAR_SHARE):
@@ -491,21 +491,18 @@ def _of_place_rows(selection: np.ndarray, features: PlaceRows, postures: Any, sp
         out = shown - place.point
         out -= 0.0 if kind.type == "ball" else np.outer(out @ place.axis, place.axis)
         radius = float(np.linalg.norm(out, axis=1).mean())
-    found = _of_kind(kind, place, radius)
-    return dataclasses.replace(found, axis=None) if kind.name == "orientation" else found
+    return mechanism_of(kind, place, radius)
 
 
-def _of_kind(kind: MechanismKind, place: Place, radius: float | None) -> Mechanism:
-    return Mechanism(
-        kind.type,
-        None if kind.type == "ball" else place.axis,
-        None if kind.type == "held-orientation" else place.point,
-        radius,
-        place.pitch if kind.type == "screw" else None,
-        "firm" if kind.orientation == "carried" else "loose",
-        kind.orientation,
-        name=kind.name,
-    )
+def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **known: Any) -> Mechanism:
+    """Return the mechanism of a kind at a place, with the radius of the hand [m] and what else is known of it."""
+    told = {
+        "axis": place.axis if "axis" in kind.unknowns else None,
+        "point": None if kind.type == "held-orientation" else place.point,
+        "pitch": place.pitch if "pitch" in kind.unknowns else None,
+        "grip": "firm" if kind.orientation == "carried" else "loose",
+    }
+    return Mechanism(kind.type, radius=radius, orientation=kind.orientation, name=kind.name, **told | known)
 
 
 def named_rows(
@@ -529,7 +526,7 @@ def _of_twist_rows(selection: np.ndarray, features: PoseRows, spread: float) -> 
         if read is None:
             return None
         kind, place = _hinge_or_screw(read, hand, spread)
-        found = _of_kind(kind, place, None if kind.type == "line" else float(np.linalg.norm(place.point)))
+        found = mechanism_of(kind, place, None if kind.type == "line" else float(np.linalg.norm(place.point)))
         return dataclasses.replace(found, axis=None, point=None, grip="firm")
     held, blind = (on_twist(features.row_names, rows, distance=True) for rows in (selection, none))
     read = of_point_rows(held, blind, hand, aligned=False)
@@ -541,9 +538,8 @@ def _of_twist_rows(selection: np.ndarray, features: PoseRows, spread: float) -> 
             return None
         if features.own_axes and kind.orientation != "fixed":
             return None  # directions of a hand that turns are no line and no plane
-    axis = place.axis * np.sign(place.axis[np.argmax(np.abs(place.axis))])
-    known = not features.own_axes and kind.name != "orientation"
-    return dataclasses.replace(_of_kind(kind, place, None), axis=axis if known else None, point=None)
+    found = mechanism_of(kind, place.as_told(), None, point=None)
+    return dataclasses.replace(found, axis=None) if features.own_axes else found
 
 
 def _hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], spread: float) -> Read:

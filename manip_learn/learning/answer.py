@@ -28,7 +28,7 @@ from manip_learn.learning.checks import REST_SPEED, unusable
 from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit, gaps_of, levels_on
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once, steady
 from manip_learn.learning.imposed import Imposed, learn_imposed
-from manip_learn.learning.place import Placed, is_named, placed, reshaped
+from manip_learn.learning.place import Placed, kind_of, placed, reshaped
 from manip_learn.learning.search import LEAST_GAIN, Explanation, Hypothesis, candidates, explain
 from manip_learn.learning.table import (
     SHORTEST,
@@ -610,7 +610,7 @@ def best_fit(
         if fit.nats(best[0]) > LEAST_GAIN and gaps.get(s, 0.0) >= WEAK_GAP:
             return fit, curved[0]
     near = [(f, v) for f, v in fits if best[0].nats(f) < OTHER_VIEW]
-    return next((x for x in near if is_named(*x)), near[0]) if near else best
+    return next((x for x in near if kind_of(*x)), near[0]) if near else best
 
 
 def answered(
@@ -746,7 +746,7 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
             f"the hand leaves what fits best by {1e3 * left:.2g} mm (or mrad), {times:.0f} times what the encoders' "
             "noise explains: it gives way, or has another shape"
         )
-    if is_surface(a.view) and not is_named(fit, a.view):
+    if is_surface(a.view) and kind_of(fit, a.view) is None:
         out.append(
             "what holds the hand is a curved surface of no simple kind: its rows are right near the places that were "
             "shown"

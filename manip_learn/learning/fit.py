@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
+from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.learning.search import least_used
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, View, displacements, steps_along
@@ -103,7 +103,7 @@ class Motion:
         middle, step = (0.5 * (x[1:] + x[:-1]), steps_along(self.features, x)) if way is None else (x, way)
         change = np.einsum("npvk,nv->npk", self.features.batch_with_derivative(middle)[1], step, optimize=True)
         if self.arm.ratio:
-            links = changes_by_links(self.features, middle, step[:, :, None])[:, :, 0]
+            links = changes_by_links(self.features, middle, step)
             change = np.concatenate([change, self.arm.ratio * links], axis=2)
         if way is None:
             change = np.concatenate([np.zeros((1, *change.shape[1:])), np.cumsum(change, axis=0)])
@@ -124,11 +124,11 @@ class Motion:
         return float(np.degrees(np.median(np.sqrt(np.sum(turns * spread, axis=1)))))
 
     def _centred(self, x: np.ndarray) -> np.ndarray:
-        return np.concatenate([x[p] - x[p].mean(axis=0) for p in self.parts])
+        return x if self.way is not None else np.concatenate([x[p] - x[p].mean(axis=0) for p in self.parts])
 
     @cached_property
     def _least(self) -> tuple[np.ndarray, np.ndarray]:
-        y = self.y if self.way is not None else self._centred(self.y)
+        y = self._centred(self.y)
         gram = np.einsum("npv,nqv->pq", self.Phi, self.Phi)
         sizes, directions = least_used((y.T @ y)[None], gram[None], np.zeros(1))
         return sizes[0], directions[0]
@@ -140,14 +140,14 @@ class Motion:
     @cached_property
     def levels(self) -> np.ndarray:
         """RMS displacement along each direction, smallest first, over that of equally strong joints [1]; shape (r,)."""
-        x = self.way if self.way is not None else self._centred(self.x)
+        x = self._centred(self.x if self.way is None else self.way)
         return self._least[0] / max(float(np.sqrt(np.mean(x**2))), 1e-12)
 
 
 def changes_by_links(
-    features: FeatureMap, q: Float[np.ndarray, "n nv"], u: Float[np.ndarray, "n nv k"]
-) -> Float[np.ndarray, "n p k e"]:
-    """Return the change of Phi(q) u by unit errors of e links, for k velocities at each of n postures.
+    features: FeatureMap, q: Float[np.ndarray, "n nv"], u: Float[np.ndarray, "n nv"]
+) -> Float[np.ndarray, "n p e"]:
+    """Return the change of Phi(q) u by unit errors of e links, at n postures.
 
     A link that is not as described displaces all that comes after it, as a joint would that has a rigid motion there.
     With the twist (v, w) that one such error makes of the frame, seen at its origin, the joints behind it turn with w,
@@ -159,45 +159,31 @@ def changes_by_links(
     joint stands is where the base stands, which no recording can show: it is left out. There are none (e = 0) if the
     features are not of one frame in the base.
     """
-    n, p, k = len(q), features.n_rows, u.shape[2]
-    weighed = isinstance(features, WeighedVelocity)
-    if not (weighed or isinstance(features, PoseRows)) or features.relative_to is not None:
-        return np.zeros((n, p, k, 0))
-    robot, frame, J, pose = features.robot, features.frame, features.twist.batch(q), features.twist.poses(q)
-    twists, model = link_twists(robot, frame, q), robot.pinocchio_model
-    if twists is None:
-        return np.zeros((n, p, k, 0))
-    joints = [j for j in model.supports[frame.parent_joint] if j > 0]
-    behind = {j: number for number, j in enumerate(joints)}
+    none = np.zeros((len(q), features.n_rows, 0))
+    if not isinstance(features, WeighedVelocity | PoseRows) or features.relative_to is not None:
+        return none
+    robot, frame, J, poses = features.robot, features.frame, features.twist.batch(q), features.twist.poses(q)
+    if (twists := link_twists(robot, frame, q)) is None:
+        return none
+    behind = {j: number for number, j in enumerate(robot.pinocchio_model.supports[frame.parent_joint], -1)}
     # the number of the chain's joint that each velocity moves, -1 if none: those from 1 on are behind the first link
     place = np.full(robot.nv, -1)
     for block in robot.blocks:
         place[block.v] = behind.get(block.index, -1)
-    V, turned = J @ u, isinstance(features, PoseRows) and features.own_axes
-    # W with Phi u = W V, V along the base's axes
-    if weighed:
-        W = features.weights(pose[:, :3, 3])[0]
-    else:
-        W = np.array([np.eye(6)[AXES.index(name)] for name in features.row_names])[None].repeat(n, axis=0)
-        if turned:
-            back = np.zeros((n, 6, 6))
-            back[:, :3, :3] = back[:, 3:, 3:] = pose[:, :3, :3].transpose(0, 2, 1)
-            W = W @ back
-    out = np.zeros((n, p, k, len(twists), 6))
+    V, W, out = np.einsum("nij,nj->ni", J, u), features.weights_at(poses), [none]
     for link, E in enumerate(twists):
         own = place > link
-        moved = J[:, :, own] @ u[:, own]
-        v, w = (E[:, None, part].transpose(0, 1, 3, 2) for part in (slice(0, 3), slice(3, 6)))
-        before, later = (V - moved)[:, 3:].transpose(0, 2, 1)[:, :, None], moved.transpose(0, 2, 1)[:, :, None]
-        dV = np.concatenate([np.cross(before, v) + np.cross(w, later[..., :3]), np.cross(w, later[..., 3:])], axis=3)
-        if turned:  # the frame's own axes turn with it
-            whole = V.transpose(0, 2, 1)[:, :, None]
-            dV -= np.concatenate([np.cross(w, whole[..., :3]), np.cross(w, whole[..., 3:])], axis=3)
-        out[:, :, :, link] = np.einsum("npi,nkei->npke", W, dV)
-        if weighed:
-            dW = features.weights(pose[:, :3, 3])[1]
-            out[:, :, :, link] += np.einsum("npix,nxe,nik->npke", dW, E[:, :3], V, optimize=True)
-    return out.reshape(n, p, k, -1)
+        moved = np.einsum("nij,nj->ni", J[:, :, own], u[:, own])
+        v, w = E[:, :3].transpose(0, 2, 1), E[:, 3:].transpose(0, 2, 1)
+        before, later = (V - moved)[:, None, 3:], moved[:, None]
+        if isinstance(features, PoseRows) and features.own_axes:  # which turn with the frame
+            later = later - V[:, None]
+        dV = np.concatenate([np.cross(before, v) + np.cross(w, later[..., :3]), np.cross(w, later[..., 3:])], axis=2)
+        out.append(np.einsum("npi,nei->npe", W, dV))
+        if isinstance(features, WeighedVelocity):
+            dW = features.weights(poses[:, :3, 3])[1]
+            out[-1] += np.einsum("npix,nxe,ni->npe", dW, E[:, :3], V, optimize=True)
+    return np.concatenate(out, axis=2)
 
 
 def slices(lengths: Sequence[int]) -> list[slice]:

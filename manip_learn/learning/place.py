@@ -15,13 +15,15 @@ from scipy.optimize import least_squares
 from manip_learn.constraint.features.curve_rows import Curve, CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import PoseRows
-from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import (
     KIND_BY_NAME,
     LEAST_PITCH,
     Mechanism,
     MechanismKind,
     Place,
+    Read,
+    mechanism_of,
     read_kind,
     rows_of,
 )
@@ -62,20 +64,10 @@ class Placed:
         relative_to: str | None = None,
     ) -> Placed:
         """Return the mechanism of a kind at a place, with the radius [m] and the arc [rad] of the hand."""
-        mechanism = Mechanism(
-            kind.type,
-            place.axis if "axis" in kind.unknowns else None,
-            None if kind.type == "held-orientation" else place.point,
-            None if radius is None else radius[0],
-            place.pitch if "pitch" in kind.unknowns else None,
-            "loose" if kind.orientation == "free" else "firm",
-            kind.orientation,
-            uncertainty,
-            None if radius is None else radius[1],
-            kind.name,
-            relative_to=relative_to,
-        )
-        return Placed(mechanism, kind, place)
+        away, arc = radius or (None, None)
+        grip = "loose" if kind.orientation == "free" else "firm"
+        known = {"grip": grip, "uncertainty": uncertainty, "arc": arc, "relative_to": relative_to}
+        return Placed(mechanism_of(kind, place, away, **known), kind, place)
 
     @property
     def doubt(self) -> str:
@@ -121,35 +113,27 @@ def placed(view: View, fit: RowFit, errors: Errors | None) -> Placed | None:
         fit: Fit of the rows.
         errors: Draws of their errors; None for no uncertainty.
     """
-    f, p = view.features, fit.motion.place
-    if p is None or not isinstance(f, PoseRows | PlaceRows):
+    if (read := kind_of(fit, view)) is None:
         return None
-    read = read_kind(f, view.selection(fit.rows), view.immovable, p)
-    if read is None:
-        return None
-    kind, place = read[0], read[1].as_told()
+    kind, place, p = read[0], read[1].as_told(), np.asarray(fit.motion.place)
     if kind.type in ("line", "plane"):  # where the hand was, not where the axes of the rows begin
         place = replace(place, point=p.mean(axis=0))
     radius = arc_of(kind, place, p)
     if radius is not None and not kind.name.endswith("firm") and radius[0] > FARTHEST:
         return None
-    uncertainty = {} if errors is None else _uncertainty(view, fit, errors, kind, place, p)
+    uncertainty = {} if errors is None else _uncertainty(view, fit, errors, kind, place)
     # a single recording does not show its error: a millimetre along the axis does not count
     error = uncertainty.get("pitch", 1e-3 / radius[1] if radius is not None and errors is None else 0.0)
     if kind.name == "screw, firm" and abs(place.pitch) < max(LEAST_PITCH, 3.0 * error):
         kind = KIND_BY_NAME["hinge, firm"]
         uncertainty.pop("pitch", None)
-    return Placed.of(kind, place, radius, uncertainty, **f.twist.seen_from)
+    return Placed.of(kind, place, radius, uncertainty, **fit.motion.hand.seen_from)
 
 
-def is_named(fit: RowFit, view: View) -> bool:
-    """Return True if the rows are those of a mechanism."""
-    f, p = view.features, fit.motion.place
-    return (
-        p is not None
-        and isinstance(f, PoseRows | PlaceRows)
-        and read_kind(f, view.selection(fit.rows), view.immovable, p) is not None
-    )
+def kind_of(fit: RowFit, view: View, rows: np.ndarray | None = None) -> Read | None:
+    """Return the mechanism of fitted rows, or of others near to them, and its place; None if it is none."""
+    p, chosen = fit.motion.place, fit.rows if rows is None else rows
+    return None if p is None else read_kind(view.features, view.selection(chosen), view.immovable, p)
 
 
 def arc_of(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, float] | None:
@@ -167,34 +151,30 @@ def arc_of(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, flo
     return float(away.mean()), arc
 
 
-def _uncertainty(
-    view: View, fit: RowFit, errors: Errors, kind: MechanismKind, place: Place, p: np.ndarray
-) -> dict[str, float]:
+def _uncertainty(view: View, fit: RowFit, errors: Errors, kind: MechanismKind, place: Place) -> dict[str, float]:
     """Return the error that 68 % of draws do not exceed: axis [deg], point and radius [m], pitch [m/rad]."""
-    perp, off = complement_rows(fit.rows), {"axis": [], "point": [], "radius": [], "pitch": []}
+    p, perp, off = np.asarray(fit.motion.place), complement_rows(fit.rows), []
+    told, radius = {name.removesuffix("-across") for name in kind.unknowns}, arc_of(kind, place, p)
     for B in errors.both[:FEW]:
         rows = fit.rows + B.reshape(len(fit.rows), -1) @ perp
-        other = read_kind(view.features, view.selection(np.linalg.qr(rows.T)[0].T), view.immovable, p)
+        other = kind_of(fit, view, np.linalg.qr(rows.T)[0].T)
         if other is None or other[0].type != kind.type:
             continue
         there = other[1].as_told()
-        off["axis"].append(
-            math.degrees(math.atan2(np.linalg.norm(np.cross(place.axis, there.axis)), abs(place.axis @ there.axis)))
-        )
-        d = there.point - place.point
+        d, turned = there.point - place.point, np.linalg.norm(np.cross(place.axis, there.axis))
         if "point-across" in kind.unknowns:
             d = d - (d @ place.axis) * place.axis
-        off["point"].append(float(np.linalg.norm(d)))
-        one, two = arc_of(kind, there, p), arc_of(kind, place, p)
-        off["radius"].append(abs(one[0] - two[0]) if one and two else 0.0)
-        off["pitch"].append(abs(there.pitch - place.pitch))
-    known = {
-        "axis": "axis" in kind.unknowns,
-        "point": bool({"point", "point-across"} & set(kind.unknowns)),
-        "pitch": "pitch" in kind.unknowns,
-    }
-    known["radius"] = known["point"]
-    return {name: float(np.quantile(x, STATED)) for name, x in off.items() if known[name] and x}
+        away = arc_of(kind, there, p)
+        off.append(
+            {
+                "axis": math.degrees(math.atan2(turned, abs(place.axis @ there.axis))),
+                "point": float(np.linalg.norm(d)),
+                "radius": abs(away[0] - radius[0]) if away and radius else 0.0,
+                "pitch": abs(there.pitch - place.pitch),
+            }
+        )
+    known = [n for n in ("axis", "point", "radius", "pitch") if off and (n in told or (n == "radius" and radius))]
+    return {name: float(np.quantile([x[name] for x in off], STATED)) for name in known}
 
 
 # ---- shapes without constant rows, fitted to positions of the hand: the side of a cylinder, a helix, a bent rail

@@ -277,8 +277,10 @@ def place_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
 
     Features without a row of the position are returned as they are.
     """
-    linear = {f: f.with_axes(AXES[:3]) for f in asked if isinstance(f, PoseRows) and set(AXES[:3]) & set(f.row_names)}
-    return _distinct([*(linear.get(f, f) for f in asked), *_in_places(list(linear), table, ("point",))])
+    linear: dict[FeatureMap, PoseRows] = {
+        f: f.with_axes(AXES[:3]) for f in asked if isinstance(f, PoseRows) and set(AXES[:3]) & set(f.row_names)
+    }
+    return _distinct([*(linear.get(f, f) for f in asked), *_in_places(list(linear.values()), table, ("point",))])
 
 
 def whole_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:

@@ -26,7 +26,7 @@ from manip_learn.constraint.mechanism import (
     Orientation,
 )
 from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit
-from manip_learn.learning.place import Placed, is_named, movable
+from manip_learn.learning.place import Placed, kind_of, movable
 from manip_learn.learning.table import View
 from manip_learn.linalg import null_basis, pivoted_rows
 from manip_learn.recordings.trajectory import evenly
@@ -63,7 +63,7 @@ def whole_fit(
             fit = RowFit(motion, motion.least_displaced(s)).best()
             if turns_away(fit) > gives_way(motion) or held_places(fit) < len(place.rows):
                 continue
-            named = is_named(fit, view)
+            named = kind_of(fit, view) is not None
             if (named, gap) > largest and (named or (gap > CLEAR_GAP and believed(fit, view))):
                 best, largest = (fit, view), (named, gap)
     return best

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -27,8 +27,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
-from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.control.limits import Limits
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.tasks.driven_motion import Unit
@@ -121,7 +120,7 @@ class Stations:
         Raises:
             FeatureError: The rows are not those of a frame.
         """
-        features = motion.constraint.features
+        features: Any = motion.constraint.features
         hand = _Hand.of(features)
         time, distance, ends = motion.table(start, PERIOD, FEWEST, MOST)
         goals = np.array(ends)
@@ -130,7 +129,7 @@ class Stations:
             goals = np.repeat(here, len(places), axis=0)
             goals[:, [AXES.index(name) for name in features.row_names], 3] = places
         turns = goals[:, :3, :3] @ goals[0, :3, :3].T
-        rows = motion.constraint.selection @ _weights(features, goals)
+        rows = motion.constraint.selection @ features.weights_at(goals)
         needs = _needs(time, goals[:, :3, 3], turns, rows)
         places = goals[:, :3, 3].copy()
         robot, relative = limits.robot, getattr(features, "relative_to", None)
@@ -285,18 +284,6 @@ def _needs(
     rate = float(np.max(angle / period))
     linear, angular = max(speed, LEVER * rate), max(rate, speed / LEVER)
     return np.linalg.norm(rows * np.repeat([linear, angular], 3), axis=2)
-
-
-def _weights(features: FeatureMap, goals: Float[np.ndarray, "L 4 4"]) -> Float[np.ndarray, "L p 6"]:
-    """What the features' rows make of the hand's twist (v, w) at each goal."""
-    if isinstance(features, WeighedVelocity):
-        return features.weights(goals[:, :3, 3])[0]
-    chosen = np.eye(6)[[AXES.index(name) for name in features.row_names]]
-    if not (isinstance(features, FrameJacobian) and features.reference == "local"):
-        return np.broadcast_to(chosen, (len(goals), *chosen.shape))
-    own = np.zeros((len(goals), 6, 6))
-    own[:, :3, :3] = own[:, 3:, 3:] = goals[:, :3, :3].transpose(0, 2, 1)
-    return chosen @ own
 
 
 @final

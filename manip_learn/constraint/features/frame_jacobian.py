@@ -130,6 +130,15 @@ class PoseRows(FeatureMap):
     def with_axes(self, axes: str | Sequence[str]) -> PoseRows:
         """Return other rows of the same frame, seen from the same."""
 
+    def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
+        """Weights of the rows of `twist` in these rows, at n poses of the frame."""
+        rows = np.eye(6)[list(self._row_numbers)]
+        if not self.own_axes:
+            return np.broadcast_to(rows, (len(poses), *rows.shape))
+        own = np.zeros((len(poses), 6, 6))
+        own[:, :3, :3] = own[:, 3:, 3:] = poses[:, :3, :3].transpose(0, 2, 1)
+        return rows @ own
+
     @abstractmethod
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
         """Pose of the frame."""

@@ -101,6 +101,10 @@ class WeighedVelocity(FeatureMap):
         """W(p) and dW/dp at n places [m]; row i of W weighs (v, w) of the frame."""
         return self.place_weights.at(p)
 
+    def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
+        """Weights of the rows of `twist` in these rows, at n poses of the frame."""
+        return self.weights(poses[:, :3, 3])[0]
+
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q) = W(p) J(q).
 
