@@ -84,7 +84,7 @@ def test_rows_about_a_place(robot_of) -> None:
             features = MechanismRows(robot, TIP, kind.rows, axis=AXIS, point=point, pitch=0.01, radius=radius)
             mechanism = ml.Constraint(np.eye(kind.n_rows), features).mechanism
             assert mechanism is not None and (mechanism.name, mechanism.type) == (kind.name, kind.type)
-            assert (mechanism.axis is None) == (kind.type == "ball") and mechanism.radius == radius
+            assert (mechanism.axis is None) == ("axis" not in kind.unknowns) and mechanism.radius == radius
             if mechanism.axis is not None:
                 np.testing.assert_allclose(mechanism.axis, AXIS, atol=1e-12)
             assert (mechanism.point is None) == (kind.type == "held-orientation")

@@ -275,20 +275,23 @@ class View:
 def place_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
     """Return the rows of the position of the hand, in which the search begins, for any requested axes.
 
-    Features without a row of the position are returned as they are.
+    They are those along the requested axes, and where mechanisms rest. Features without a row of the position are
+    returned as they are.
     """
-    linear: dict[FeatureMap, PoseRows] = {
-        f: f.with_axes(AXES[:3]) for f in asked if isinstance(f, PoseRows) and set(AXES[:3]) & set(f.row_names)
-    }
-    return _distinct([*(linear.get(f, f) for f in asked), *_in_places(list(linear.values()), table, ("point",))])
+    linear = [f for f in asked if isinstance(f, PoseRows) and set(AXES[:3]) & set(f.row_names)]
+    others = [f for f in asked if f not in linear]
+    return _distinct([*_seen(linear, AXES[:3]), *others, *_in_places(linear, table, ("point",))])
 
 
 def whole_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
     """Return the rows of the whole twist of the hand in which mechanisms are constant."""
     frames = [f for f in asked if isinstance(f, PoseRows)]
-    return _distinct(
-        [*(f.with_axes(AXES) for f in frames), *_in_places(frames, table, ("point and rotation", "twist"))]
-    )
+    return _distinct([*_seen(frames, AXES), *_in_places(frames, table, ("point and rotation", "twist"))])
+
+
+def _seen(frames: Sequence[PoseRows], axes: Sequence[str]) -> list[FeatureMap]:
+    """Return rows of some axes, along those of the requested rows and those in which mechanisms rest."""
+    return [seen.with_axes(axes) for f in frames for seen in (f, f.twist)]
 
 
 def surface_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
