@@ -373,7 +373,7 @@ def exhaustive(one: World, scene: ml.Scene | str | None, seed: int) -> dict[str,
         stations = Stations.of(motion, one.start, limits)
         marches = marches_of(stations, rows, one.start, EXHAUSTIVE, rng, stations.grasp[None])
     given = scene if isinstance(scene, ml.Scene) else None
-    around = surroundings_of(given, robot, frame, stations, one.constraint.mechanism) if scene else Surroundings()
+    around = surroundings_of(given, robot, frame) if scene else Surroundings()
     clear, whole = Clearance(robot, True, around, one.start), np.flatnonzero(np.isfinite(marches.along[:, -1]))
     reached = int(marches.reached)
     counts: dict[str, Any] = {"postures": int(np.isfinite(marches.least[:, 0]).sum()), "whole": len(whole)}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
 from manip_learn.planning.clearance import Clearance, links_of
 from manip_learn.planning.joint_path import joint_path
-from manip_learn.planning.surroundings import LEAF, Surroundings
+from manip_learn.planning.surroundings import Surroundings
 from manip_learn.robot.collision import Obstacle, SelfCollision
 
 STATIONS = 100  # at which a straight motion is checked
@@ -124,18 +123,12 @@ def test_what_may_touch_may_touch(roboplan, sawyer: ml.Robot):
         assert (joint_path(sawyer, start, goal, limits, clear, 0) is not None) == found
 
 
-def test_what_moves_is_where_it_is(roboplan, sawyer: ml.Robot):
-    """The path goes round a leaf where it is when the way begins, as round a thing that stands there."""
-    box, limits = around(sawyer)[0], Limits(sawyer)
-    start, goal, stands = next(blocked(sawyer, 6, (box,)))
-    elsewhere = box.placement.copy()
-    elsewhere[:3, 3] = 5.0
-    leaf = Surroundings((replace(box, name=LEAF, placement=elsewhere),), leaf=box.placement[None])
-    moves = Clearance(sawyer, links_of(sawyer)[0], leaf, start)
-    path, same = (joint_path(sawyer, start, goal, limits, clear, 0) for clear in (stands, moves))
+def test_the_same_seed_gives_the_same_path(roboplan, sawyer: ml.Robot):
+    """And another seed another one."""
+    start, goal, stands = next(blocked(sawyer, 6, (around(sawyer)[0],)))
+    path, same, other = (joint_path(sawyer, start, goal, Limits(sawyer), stands, seed) for seed in (0, 0, 1))
     assert path is not None and same is not None and np.array_equal(path, same)
-    others = [joint_path(sawyer, start, goal, limits, stands, seed) for seed in (1, 2)]
-    assert not any(other is not None and np.array_equal(path, other) for other in others)
+    assert other is not None and not np.array_equal(path, other)
 
 
 def test_what_cannot_be_is_said(roboplan, caplog):

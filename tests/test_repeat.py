@@ -222,12 +222,12 @@ def test_as_fast_as_was_shown_is_faster_only_where_that_is_asked_for():
     assert shown is not None and shown.speed > 0.2
     for speed in (0.25, 0.05):
         seconds = way_seconds(made[speed])[0]
-        (note,) = made[speed].notes
+        (note,) = [n for n in made[speed].notes if "m/s" in n]
         assert fastest[speed] <= speed and seconds > 1.1 * shown.seconds
         assert note.startswith(f"{speed} m/s at the tip: {shown.extent:.3g} m takes ")
         slow, before = (float(x) for x in note.partition("takes ")[2].removesuffix(" s").split(" s instead of "))
         assert slow == pytest.approx(seconds, rel=0.15) and before == pytest.approx(shown.seconds, rel=0.02)
-    assert fastest["shown"] > 0.3 and not made["shown"].notes
+    assert fastest["shown"] > 0.3 and not any("m/s" in n for n in made["shown"].notes)
     assert way_seconds(made["shown"])[0] == pytest.approx(shown.seconds, rel=0.15)
     assert fastest[None] >= fastest["shown"]
     assert {round(again.steps[-1].done, 3) for again in made.values()} == {round(shown.extent, 3)}
@@ -247,7 +247,7 @@ def test_a_tip_speed_that_the_arm_cannot_reach_is_noted():
     _, _, skill, start = fast_drawer()
     again = ml.repeat(skill, start, tip_speed=50.0)
     assert again.is_done
-    (note,) = again.notes
+    (note,) = [n for n in again.notes if "m/s" in n]
     least = float(note.removesuffix(" m/s at most").rpartition(" ")[2])
     assert note.startswith("50 m/s at the tip is more than the arm can do") and again.tip_speed < least < 50.0
 

@@ -179,9 +179,7 @@ class ReadingOptions:
 
 SceneFile = Annotated[
     str | None,
-    Option(
-        metavar="FILE", help="What stands around (JSON, URDF, MJCF); none: nothing. Else floor and front are assumed."
-    ),
+    Option(metavar="FILE", help="What stands around (JSON, URDF, MJCF); none: nothing. Else a floor is assumed."),
 ]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.control.keeping_clear import CLEARANCE
-from manip_learn.planning.surroundings import AWAY, BEHIND, FLOOR, LAST, Surroundings
+from manip_learn.planning.surroundings import AWAY, BEHIND, FLOOR, Surroundings
 from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision, known_shapes
 from manip_learn.robot.robot import Robot
 
@@ -39,12 +39,15 @@ def self_collision(robot: Robot) -> SelfCollision | None:
 class Clearance:
     """Whether postures are clear of self-collision and of what stands around.
 
+    An assumed floor gives way to the start, and to postures that were shown.
+
     Args:
         robot: The robot.
         links: The pairs of its links that must not touch; True for those of its shapes, False for none.
-        around: What stands around, and where it is at each station of a way.
+        around: What stands around.
         start: A posture that counts as clear as it is: where it is nearer to something than the clearance, that is
-            taken. What was only assumed to stand around gives way where the arm is in it there.
+            taken.
+        shown: shape (k, n), postures of recordings.
 
     Attributes:
         least: The clearance [m]; of two things that are nearer at the start, half their distance there.
@@ -52,7 +55,14 @@ class Clearance:
         notes: What was left out, in sentences.
     """
 
-    def __init__(self, robot: Robot, links: SelfCollision | bool, around: Surroundings, start: Posture):
+    def __init__(
+        self,
+        robot: Robot,
+        links: SelfCollision | bool,
+        around: Surroundings,
+        start: Posture,
+        shown: Sequence[Posture] = (),
+    ):
         found, shapes = links_of(robot) if isinstance(links, bool) else (links, "collision")
         self._robot, self.notes = robot, list[str]()
         self._own = links is not False and shapes != "links"
@@ -63,22 +73,25 @@ class Clearance:
             )
         self.links = found.with_obstacles(around.obstacles, self._own)
         self._start, self._around, self._behind = start, around, AWAY
-        touching = sorted(self._pairs(start, 0, 0.0), key=lambda pair: -pair.distance)
-        in_the_way = around.assumed & {pair.links[1] for pair in touching}
-        for name in sorted(in_the_way):  # it gives way to links that are in it
-            inside = {pair.links[0]: CLEARANCE - pair.distance for pair in touching if pair.links[1] == name}
-            self._around = self._around.with_room(name, inside)
-            who, are = " and ".join(map(repr, inside)), "are" if len(inside) > 1 else "is"
-            gives = f"that is {max(inside.values()):.3f} m lower" if name == FLOOR else "it may pass through"
-            self.notes.append(f"at the start {who} {are} in what was taken for the {name}: {gives}")
+        if FLOOR in around.assumed:
+            depths = [
+                (CLEARANCE - pair.distance, where, pair.links[0])
+                for q, where in [(start, "at the start"), *((q, "in the recordings") for q in shown)]
+                for pair in self._pairs(q, 0.0)
+                if pair.links[1] == FLOOR
+            ]
+            if depths:
+                depth, where, link = max(depths)
+                self._around = around.lowered(depth)
+                self.notes.append(f"{where} {link!r} is below the base: the floor is taken {depth:.3f} m lower")
         self.links = self.links.with_obstacles(self._around.obstacles, self._own)
-        near = [pair for pair in self._pairs(start, 0, 2.0 * CLEARANCE) if pair.distance >= 0.0]
+        near = [pair for pair in self._pairs(start, 2.0 * CLEARANCE) if pair.distance >= 0.0]
         self._near = {pair.links: 0.5 * pair.distance for pair in reversed(near)}
         self.least = min([CLEARANCE, *self._near.values()])
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """What stands around, where it is before the way."""
+        """What stands around, where it is."""
         return self._around.placed(self._behind)
 
     @property
@@ -91,30 +104,20 @@ class Clearance:
         """What stands around, with room for the start."""
         return self._around
 
-    def plain(self, path: Iterable[tuple[Posture, int]]) -> tuple[dict[str, Any], ...]:
-        """The same as plain data: whether it was assumed, whether it moves, and how near what link comes to it [m].
-
-        Args:
-            path: Postures, and at which station of the way.
-        """
+    def plain(self, path: Iterable[Posture]) -> tuple[dict[str, Any], ...]:
+        """The same as plain data: whether it was assumed, and how near what link comes to it on a path [m]."""
         nearest = dict[str, Proximity]()
-        for q, station in path:
-            for pair in self._pairs(q, station, _NEAR):
+        for q in path:
+            for pair in self._pairs(q, _NEAR):
                 if (known := nearest.get(pair.links[1])) is None or pair.distance < known.distance:
                     nearest[pair.links[1]] = pair
-        now, later, out = self._around.at(0), self._around.at(LAST), list[dict[str, Any]]()
+        out = list[dict[str, Any]]()
         for o in self._around.shown:
-            moves = o.name in now and not np.allclose(now[o.name], later[o.name])
-            known = {"assumed": o.name in self._around.assumed, "moves": moves}
+            told: dict[str, Any] = {"assumed": o.name in self._around.assumed}
             if (pair := nearest.get(o.name)) is not None:
-                known |= {"nearest": pair.distance, "link": pair.links[0]}
-            out.append(o.to_dict(MOST_TRIANGLES // len(self._around.shown)) | known)
+                told |= {"nearest": pair.distance, "link": pair.links[0]}
+            out.append(o.to_dict(MOST_TRIANGLES // len(self._around.shown)) | told)
         return tuple(out)
-
-    @property
-    def gives_way(self) -> bool:
-        """Whether something that the hand may touch was only assumed to be there."""
-        return not self._around.assumed.isdisjoint(self._around.held)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -135,7 +138,7 @@ class Clearance:
         room = CLEARANCE + _ROUNDED
 
         def met(q: Posture) -> list[Proximity]:
-            return [pair for pair in other._pairs(q, 0, room) if pair.links[1] in names]
+            return [pair for pair in other._pairs(q, room) if pair.links[1] in names]
 
         least, best = np.inf, self._start
         for q in holds:
@@ -153,46 +156,39 @@ class Clearance:
         other._behind = AWAY
         return other
 
-    def touching(self, q: Posture, station: int = 0, distance: float | None = None) -> Proximity | None:
+    def touching(self, q: Posture, distance: float | None = None) -> Proximity | None:
         """Two things nearer to each other than a distance [m], by default the clearance; None if none are."""
         if distance is None:
-            pairs = [p for p in self._pairs(q, station, CLEARANCE) if p.distance <= self._near.get(p.links, CLEARANCE)]
+            pairs = [p for p in self._pairs(q, CLEARANCE) if p.distance <= self._near.get(p.links, CLEARANCE)]
         else:
-            pairs = self._pairs(q, station, distance)
+            pairs = self._pairs(q, distance)
         if not pairs:
             return None
         found = min(pairs, key=lambda pair: pair.distance)
         return found._replace(links=(found.links[0], found.links[1].removesuffix(BEHIND)))
 
-    def __call__(self, q: Posture, station: int = 0) -> bool:
-        """Whether a posture is clear, while the hand is at a station of its way."""
-        moved = self._around.at(station, self._behind)
-        clear = self.links.is_clear(self._robot.configuration(q), CLEARANCE, moved)
-        return clear or (bool(self._near) and self.touching(q, station) is None)
+    def __call__(self, q: Posture) -> bool:
+        """Whether a posture is clear."""
+        clear = self.links.is_clear(self._robot.configuration(q), CLEARANCE, self._around.at(self._behind))
+        return clear or (bool(self._near) and self.touching(q) is None)
 
-    def of_line(self, a: Posture, b: Posture, station: int = 0) -> bool:
+    def of_line(self, a: Posture, b: Posture) -> bool:
         """Whether the straight joint motion between two postures is clear, the middle looked at first."""
         between = self._line(a, b)[1:-1]
         half = (len(between) + 1) // 2
-        return all(self(q, station) for _, q in sorted(enumerate(between, 1), key=lambda one: abs(one[0] - half)))
+        return all(self(q) for _, q in sorted(enumerate(between, 1), key=lambda one: abs(one[0] - half)))
 
     def in_line(self, a: Posture, b: Posture) -> tuple[str, str] | None:
         """The first two things that touch on the straight joint motion between two postures."""
         pairs = map(self.touching, self._line(a, b))
         return next((pair.links for pair in pairs if pair is not None), None)
 
-    def of_way(self, path: Float[np.ndarray, "k nv"], stations: Sequence[int] | None = None) -> bool:
-        """Whether a way is clear, with the straight motions between its postures.
+    def of_way(self, path: Float[np.ndarray, "k nv"]) -> bool:
+        """Whether a way of joint positions is clear, with the straight motions between its postures."""
+        return all(map(self, path)) and all(map(self.of_line, path[:-1], path[1:]))
 
-        Args:
-            path: Joint positions.
-            stations: Where on the way each is; None for one posture a station.
-        """
-        at = range(len(path)) if stations is None else stations
-        return all(map(self, path, at)) and all(map(self.of_line, path[:-1], path[1:], at[1:]))
-
-    def _pairs(self, q: Posture, station: int, distance: float) -> list[Proximity]:
-        return self.links.closer_than(self._robot.configuration(q), distance, self._around.at(station, self._behind))
+    def _pairs(self, q: Posture, distance: float) -> list[Proximity]:
+        return self.links.closer_than(self._robot.configuration(q), distance, self._around.at(self._behind))
 
     def _line(self, a: Posture, b: Posture) -> list[Posture]:
         """Postures of the straight joint motion from one to another, so near each other that no point of a link moves

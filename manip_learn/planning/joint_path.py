@@ -140,7 +140,7 @@ def _copied(
         fixed = {name: solid for name, solid in sizes.items() if name not in boxes}
         text = plain_urdf(limits.robot, low - _ROUNDING, high + _ROUNDING, fixed, Path(folder))
         scene = core.Scene("copy", core.loadUrdfSceneDescriptionFromXml(text))
-    for name, (k, size) in boxes.items():  # which may be elsewhere at the next call, as a door's leaf
+    for name, (k, size) in boxes.items():  # which may be elsewhere at the next call
         scene.addBoxGeometry(name, BASE, core.Box(*size), np.asfortranarray(obstacles[k].placement), np.ones(4))
     scene.setCollisions([(a, b) for a, b in product(sizes, sizes) if a < b], False)
     scene.setCollisions(together, True)

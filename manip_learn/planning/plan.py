@@ -194,9 +194,8 @@ def plan(
         candidates: Number of postures from which the search begins.
         limits: Of the joints; the robot's own by default.
         collision: The pairs of links that must not touch; True for those of the robot's shapes, False for none.
-        scene: What stands around; None for nothing. By default the floor under the base and the front of what is
-            opened, pushed or wiped are assumed, but where the arm is in them at the start
-            (`manip_learn.planning.surroundings` says how).
+        scene: What stands around; None for nothing. By default a floor under the base is assumed, below all that the
+            recordings show and that the arm is in at the start.
         dt: Step of the simulation [s].
         progress: As for `simulate`.
 
@@ -378,10 +377,9 @@ class _Problem:
                     f"a scene is a Scene, None for nothing, or left out to be assumed, not {an(scene)}"
                 )
             features: Any = self.rows.features
-            mechanism = constraint.mechanism if getattr(features, "relative_to", None) is None else None
-            given = None if scene == "assumed" else scene
-            around = surroundings_of(given, robot, features.frame, self.stations, mechanism)
-        self.clear = Clearance(robot, collision, around, self.positions)
+            around = surroundings_of(None if scene == "assumed" else scene, robot, features.frame)
+        shown = [np.array(x, dtype=np.float64) for x in constraint.provenance.get("postures", ()) if len(x) == robot.nv]
+        self.clear = Clearance(robot, collision, around, self.positions, shown)
         self.notes = (*self.clear.notes, *self.notes)
 
     def check(self) -> None:
@@ -439,11 +437,8 @@ class _Problem:
     def _best(self, marches: Marches, said: Progress, is_as_shown: bool) -> Plan | None:
         last = len(self.stations) - 1
         choices, tried = marches.choices(last), 0
-        holding = self.clear.holding(marches.q[choices, 0])
-        # what was said to stand there is believed, what was only assumed gives way to a hand that takes hold deeper
-        every = [(march, deeper) for deeper in (False, True)[: 1 + self.clear.gives_way] for march in choices.tolist()]
-        for march, deeper in every:
-            clear = self.clear.holding(marches.q[[march], 0]) if deeper else holding
+        clear = self.clear.holding(marches.q[choices, 0])
+        for march in choices.tolist():
             if self.vain >= VAIN and not clear.of_line(self.positions, marches.q[march, 0]):
                 continue
             path = self._relaxed(marches.q[march], marches.grasp[march], clear, is_as_shown)
@@ -458,7 +453,7 @@ class _Problem:
             path, to_hold, approach = reached
             law = self._law(self.motion, self.stations.time, path)
             way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
-            if outcome.is_done and not outcome.strays and self._stays_clear(way, outcome, clear):
+            if outcome.is_done and not outcome.strays and clear.of_way(unwound(self.robot, way.q)):
                 others = []  # why the best of them are worse
                 for other in [c for c in choices.tolist() if c != march][:OTHERS]:
                     margins = margins_of(self.stations, marches.q[other])
@@ -467,12 +462,6 @@ class _Problem:
                 margins, sequence = margins_of(self.stations, path), LawSequence(to_hold, law)
                 return self._plan(sequence, path[0], approach, way, margins, outcome, tuple(others), len(choices))
         return None
-
-    def _stays_clear(self, way: Rollout, outcome: WayDone, clear: Clearance) -> bool:
-        """Whether a way is clear as it was simulated: it bends between its stations."""
-        times = (outcome.begins or 0.0) + self.stations.time * ((outcome.seconds or 0.0) / self.stations.time[-1])
-        stations = np.minimum(np.searchsorted(times, way.time), len(times) - 1)
-        return clear.of_way(unwound(self.robot, way.q), stations.tolist())
 
     def _relaxed(
         self, march: Postures, grasp: Float[np.ndarray, "3 3"], clear: Clearance, is_as_shown: bool
@@ -559,7 +548,7 @@ class _Problem:
             time = outcome.begins + self.stations.time * (outcome.seconds or 0.0) / self.stations.time[-1]
             path = np.array([np.interp(time, way.time, column) for column in joints.T]).T
             margins = margins_of(self.stations, path)
-            wanted = margins.margin >= least and self._stays_clear(way, outcome, clear)
+            wanted = margins.margin >= least and clear.of_way(unwound(self.robot, way.q))
             reached = self._approach(self.positions, clear) if wanted else None
             if reached is None:
                 continue
@@ -587,10 +576,8 @@ class _Problem:
         approach = replace(approach, phases=(("approach", 0.0, float(approach.time[-1])),))
         done = ({**outcome.to_dict(), "margin": margins.margin},)
         way = replace(way, phases=(*((("hold", 0.0, held),) if held else ()), ("way", held, end)), ways=done)
-        path = [(q, 0) for q in approach.q[:: len(approach) // _SEEN + 1]]
-        times = held + self.stations.time * ((outcome.seconds or end) / self.stations.time[-1])
-        path += [(q, k) for k, q in enumerate(way.q[np.minimum(np.searchsorted(way.time, times), len(way) - 1)])]
-        way = replace(way, around=self.clear.plain((self.robot.positions(q), k) for q, k in path))
+        seen = (run.q[:: len(run) // _SEEN + 1] for run in (approach, way))
+        way = replace(way, around=self.clear.plain(self.robot.positions(q) for q in np.concatenate([*seen])))
         numbers = margins.margin, margins, outcome, others, laws, compared, self.notes, self.clear.around
         return Plan(self.robot, hold, approach, way, *numbers)
 
@@ -653,7 +640,7 @@ class _Problem:
         clear = self.clear.holding(marches.q[choices, 0])
         for march in choices[:LOOKED]:
             path = marches.q[march, : marches.reached + 1]
-            pairs = [pair for k, q in enumerate(path) if (pair := clear.touching(q, k)) is not None]
+            pairs = [pair for q in path if (pair := clear.touching(q)) is not None]
             if pairs:
                 deepest = min(pairs, key=lambda pair: pair.distance)
                 several = len({pair.links[1] for pair in pairs}) > 1

@@ -26,7 +26,7 @@ from manip_learn.linalg import complement_rows, finite
 from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.plan import Around, moved_to, plan
 from manip_learn.planning.stations import Stations
-from manip_learn.planning.surroundings import FRONT, LEAF, Surroundings
+from manip_learn.planning.surroundings import Surroundings
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
@@ -311,11 +311,7 @@ def _named(rollout: Rollout, name: str) -> Rollout:
     """A rollout whose phases and ways say to which step they belong."""
     phases = tuple((f"{name}: {part}", start, end) for part, start, end in rollout.phases)
     ways = tuple({**way, "name": name, "constraint": rollout.constraint} for way in rollout.ways)
-    around = tuple(
-        {**thing, "name": f"{thing['name']} of {name}"} if thing["name"] in (FRONT, LEAF) else thing
-        for thing in rollout.around
-    )
-    return replace(rollout, phases=phases, ways=ways, around=around)
+    return replace(rollout, phases=phases, ways=ways)
 
 
 def _retreat(

@@ -69,12 +69,12 @@ class Marches:
         parts = zip(self._parts, other._parts, strict=True)
         return Marches(self.stations, *(np.concatenate(pair) for pair in parts))
 
-    def where(self, clear: Callable[[Float[np.ndarray, " nv"], int], bool]) -> Marches:
+    def where(self, clear: Callable[[Float[np.ndarray, " nv"]], bool]) -> Marches:
         """These marches from the first station up to the last at which their postures are clear."""
         least = self.least.copy()
         for p, row in enumerate(self.q):
             k = 0
-            while k < len(row) and np.isfinite(least[p, k]) and clear(row[k], k):
+            while k < len(row) and np.isfinite(least[p, k]) and clear(row[k]):
                 k += 1
             least[p, k:] = -np.inf
         return replace(self, least=least)

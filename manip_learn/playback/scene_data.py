@@ -114,8 +114,7 @@ def _thing(thing: Mapping[str, Any], low: Float[np.ndarray, " 3"], high: Float[n
         extents = [2.0 * size[0], 2.0 * size[0], size[1]]
     corners = CORNERS * extents if mesh is None else mesh.vertices
     known = {"name": thing["name"], "kind": kind, "size": list(size), "pose": _rows(pose)}
-    known |= {"assumed": bool(thing.get("assumed")), "moves": bool(thing.get("moves"))}
-    known |= {"nearest": thing.get("nearest"), "link": thing.get("link")}
+    known |= {"assumed": bool(thing.get("assumed")), "nearest": thing.get("nearest"), "link": thing.get("link")}
     known |= {"mesh": None if mesh is None else _mesh(mesh)}
     return known | {"corners": (corners @ pose[:3, :3].T + pose[:3, 3]).tolist()}
 

@@ -5,7 +5,7 @@ const BETWEEN = 0.1, MOST_STATIONS = 60; // between two pictures of the arm on i
 const OPTION = "--scene";
 const MOST_NAMES = 6; // in the picture; the legend has all
 
-// "table as given; floor and front assumed: --scene names what is there"
+// "table as given; floor assumed: --scene names what is there"
 function aroundInWords(rollout) {
   const said = [["as given", false], [`assumed: ${OPTION} names what is there`, true]].map(([how, assumed]) => {
     const names = [...new Set(rollout.around.filter((thing) => thing.assumed === assumed).map((thing) => thing.name))], last = names.pop();
@@ -14,7 +14,7 @@ function aroundInWords(rollout) {
   return said.filter(Boolean).join("; ");
 }
 
-// A front is a patch, and a floor reaches to the rim of the picture; what was assumed is dashed.
+// A face is a patch, and a floor reaches to the rim of the picture; what was assumed is dashed.
 class AroundThing {
   constructor(rollout, described) {
     Object.assign(this, described, { rollout, group: new THREE.Group(), rests: matrixFromRows(described.pose) });
@@ -31,23 +31,10 @@ class AroundThing {
       const ink = this.assumed ? new THREE.LineDashedMaterial({ color: colour, dashSize: 0.025, gapSize: 0.015, toneMapped: false }) : new THREE.LineBasicMaterial({ color: colour, toneMapped: false });
       this.group.add(new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 30), ink).computeLineDistances());
     }
-    const far = (piece) => new THREE.Vector3().setFromMatrixPosition(this.rests).distanceTo(new THREE.Vector3().setFromMatrixPosition(piece.group.matrix));
-    this.piece = this.moves && [...rollout.pieces].sort((a, b) => far(a) - far(b))[0];
-    if (this.piece) {
-      this.piece.setTime(0);
-      this.rests.premultiply(this.piece.leafMatrix().invert());
-    }
-    this.setTime();
-  }
-
-  // What moves goes with the nearest piece of furniture.
-  setTime() {
     this.group.matrix.copy(this.rests);
-    if (this.piece) this.group.matrix.premultiply(this.piece.leafMatrix());
-    this.group.matrixWorldNeedsUpdate = true;
   }
 
-  // "front (assumed), 0.03 m from right_l5": at the nearest
+  // "floor (assumed), 0.03 m from right_l5": at the nearest
   get words() { return `${this.name}${this.assumed ? " (assumed)" : ""}${this.nearest == null ? "" : `, ${this.nearest.toFixed(2)} m from ${this.link}`}`; }
 
   at() { return this.top.clone().applyMatrix4(this.group.matrix); }

@@ -92,7 +92,7 @@ class Show {
     this.time = Math.min(Math.max(t, 0), this.duration);
     for (const rollout of this.rollouts) {
       rollout.instance.setValues(this.valuesAt(rollout, this.time));
-      for (const piece of [...rollout.pieces, ...rollout.things]) piece.setTime(this.time);
+      for (const piece of rollout.pieces) piece.setTime(this.time);
       if (rollout.trail) rollout.trail.setTime(this.time, rollout.instance.tipPosition());
     }
     if (this.shown) this.shown.setTime(this.time);
