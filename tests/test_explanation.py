@@ -15,7 +15,7 @@ from task_sets import moving as recordings
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning.answer import sharpened
-from manip_learn.learning.search import Samples, broken_energy, distinct, evidence, two_state_gains, viterbi
+from manip_learn.learning.search import Samples, broken_energy, distinct, evidence, viterbi
 from manip_learn.learning.table import Stretch, Table, View
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.trajectory import Trajectory
@@ -196,11 +196,10 @@ def test_no_sequence_of_states_is_better(rng: np.random.Generator) -> None:
         values = np.random.default_rng(seed).normal(0.0, 1.0, (n, k + 1))
         values[:, 0] = 0.0
         best = max(worth(each, values) for each in itertools.product(range(k + 1), repeat=n))
-        states, gains = viterbi(values[:, None], first, switch)
+        states, gains = viterbi(values[:, None, 1:], first, switch)
         assert worth(tuple(states[:, 0].tolist()), values) == pytest.approx(best) == pytest.approx(gains[0, 0])
-        if k == 1:
-            assert two_state_gains(values[:, 1:], first, switch)[0, 0] == pytest.approx(best)
-    two = rng.normal(size=(12, 1, 2))  # of two lengths: each as if alone
+        assert viterbi(values[:, None, 1:], first, switch, path=False)[1][0, 0] == pytest.approx(best)
+    two = rng.normal(size=(12, 1, 1))  # of two lengths: each as if alone
     apart = [viterbi(part, np.array([0, len(part)]), switch)[0] for part in (two[:5], two[5:])]
     np.testing.assert_array_equal(viterbi(two, np.array([0, 5, 12]), switch)[0], np.concatenate(apart))
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -15,21 +16,13 @@ from manip_learn.constraint.features.feature_map import FeatureMap, sum_in_words
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.constraint.mechanism import CURVE, Grip, Mechanism
-from manip_learn.errors import (
-    ManipLearnError,
-    NotIdentifiableError,
-    RecordingError,
-    advice,
-    counted,
-    named,
-    number_if_known,
-)
+from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named, number_if_known
 from manip_learn.learning.checks import REST_SPEED, unusable
 from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit, gaps_of, levels_on
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once, steady
 from manip_learn.learning.imposed import Imposed, learn_imposed
 from manip_learn.learning.place import Placed, kind_of, placed, reshaped
-from manip_learn.learning.search import LEAST_GAIN, Explanation, Hypothesis, candidates, explain
+from manip_learn.learning.search import LEAST_GAIN, Explanation, Hypothesis, broken_energy, explain, lone_contacts
 from manip_learn.learning.table import (
     SHORTEST,
     Settings,
@@ -44,6 +37,7 @@ from manip_learn.learning.table import (
 from manip_learn.learning.uncertainty import STATED, Errors, angles, errors_of, groups_of, misfit
 from manip_learn.learning.whole_hand import KEPT, asked_rows, held_kind, whole_fit
 from manip_learn.linalg import row_space_angle
+from manip_learn.recordings.load import Progress
 
 CONTRADICTED = 2.0  # ratio of gaps from which another number of rows contradicts the answered one
 SOFT_ENERGY = 1e-2  # share of the motion that breaks rows, above which they are called soft
@@ -55,13 +49,11 @@ ABSOLUTE, PLACE_RATIO = 3.0, 3.0
 # times the variance that rows of the position leave, above which rows of the whole hand show how the grip gives way
 GIVING = 4.0
 BY_THE_ARM = np.radians(10.0)  # between rows that errors of the arm may have turned apart
-BEYOND_NOISE = 1.1  # residual over the noise from which another shape is looked for
 LEAST_SAID = 1e-3  # [m] by which a hand must leave what fits best in the same way before it is said
 ADVISED = ("weak-gap", "no-evidence", "no-freedom")  # codes of refusals that other recordings may lift
 DISAGREES = "does not agree with the other recordings"
 IN_ONE_ONLY = "appears in one recording only"
 FEW_JOINTS_AT_ONCE = 1.6  # as of a hand-guided arm with friction
-ALONE = 0.03  # share of the free velocity that breaks rows, up to which one recording alone shows them held
 
 
 class Rows(NamedTuple):
@@ -84,6 +76,7 @@ class Answer:
 
     Attributes:
         view, rows: View, and whitened rows (s, r) of the position of the hand, or of the requested features.
+        s, gap: Number of these rows, and its gap.
         stretches: Stretches in which the rows are constrained.
         levels, gaps: See `levels_on` and `gaps_of`.
         unexplained, held_out: Share of the energy that violates the rows, and the same on held-out recordings.
@@ -117,16 +110,7 @@ class Answer:
 
     def __post_init__(self) -> None:
         self.whole = self.asked = Rows(self.view.features, self.view.selection(self.rows), self.levels, self.gaps)
-
-    @property
-    def s(self) -> int:
-        """Number of rows."""
-        return len(self.rows)
-
-    @property
-    def gap(self) -> float:
-        """Gap of its number of rows."""
-        return self.gaps.get(self.s, 0.0)
+        self.s, self.gap = len(self.rows), self.whole.gap
 
     @property
     def mechanism(self) -> Mechanism | None:
@@ -140,9 +124,8 @@ class Answer:
         """Error of the rows that is not exceeded in 68 % of cases [deg]; of the axis if no further row is possible."""
         known = [part for part in self.uncertainty.values() if part is not None]
         total = float(np.linalg.norm(known)) if known else None
-        if self.mechanism is not None and len(self.whole.selection) == self.whole.features.n_rows:
-            return self.mechanism.uncertainty.get("axis", total)
-        return total
+        full, mechanism = len(self.whole.selection) == self.whole.features.n_rows, self.mechanism
+        return mechanism.uncertainty.get("axis", total) if mechanism is not None and full else total
 
     @property
     def contradiction(self) -> str:
@@ -150,7 +133,7 @@ class Answer:
         if self.firm is not None:  # more rows than were asked of the tests
             return ""
         best = max(self.gaps, key=lambda s: self.gaps[s])
-        if self.evidence is not None and self.evidence.n_rows < self.s:
+        if self.evidence.n_rows < self.s:
             return f"the recombination test supports {self.evidence.n_rows}: {self.evidence.sentence()}"
         if best < self.s and self.gaps[best] >= CONTRADICTED * self.gap:
             return f"the gap supports {best}: {self.gaps[best]:.3g} against {self.gap:.3g}"
@@ -159,8 +142,7 @@ class Answer:
     @property
     def clear(self) -> bool:
         """True if evidence and gap are clear."""
-        told = self.evidence is None or self.evidence.verdict(self.s) == "clear"
-        return told and self.gap >= CLEAR_GAP and not self.contradiction
+        return self.evidence.verdict(self.s) == "clear" and self.gap >= CLEAR_GAP and not self.contradiction
 
 
 @dataclass(eq=False)
@@ -184,36 +166,22 @@ class Found:
     def is_weak(self, table: Table) -> bool:
         """Return True if rows that are moved on purpose may explain as much."""
         best = self.answers[0]
-        told = best.evidence is not None and best.evidence.verdict(best.s) == "clear"
-        told |= best.gap >= CLEAR_GAP and best.unexplained < 1e-4
+        told = best.evidence.verdict(best.s) == "clear" or (best.gap >= CLEAR_GAP and best.unexplained < 1e-4)
         return not told or 2 * len({s.recording for a in self.answers for s in a.stretches}) < len(table)
 
 
-def _moved_on_purpose(found: Imposed) -> Answer:
+def _moved_on_purpose(found: Imposed) -> Found:
     """Return the answer for rows that the demonstrator drives."""
-    return Answer(
-        found.view,
-        found.view.table.wholes,
-        found.fit.rows,
-        found.levels,
-        found.gaps,
-        found.fit.unexplained,
-        found.held_out,
-        found.estimator,
-        uncertainty=found.uncertainty,
-        warnings=found.warnings,
-        policy_model=found.policy_model,
-        policy_residuals=found.policy_residuals,
-        mu_uncertainty=None if found.errors is None else mu_within(found.view, found.fit, found.errors),
-    )
+    view, fit, wholes = found.view, found.fit, found.view.table.wholes
+    names = ("held_out", "estimator", "uncertainty", "warnings", "policy_model", "policy_residuals")
+    same = {name: getattr(found, name) for name in names}
+    mu = None if found.errors is None else mu_within(view, fit, found.errors, view.table.inside(wholes))
+    answer = Answer(view, wholes, fit.rows, found.levels, found.gaps, fit.unexplained, mu_uncertainty=mu, **same)
+    return Found([answer])
 
 
 def learn(
-    table: Table,
-    asked: Sequence[FeatureMap],
-    settings: Settings,
-    progress: Callable[[str, float], None],
-    facts: Sequence[str] = (),
+    table: Table, asked: Sequence[FeatureMap], settings: Settings, progress: Progress, facts: Sequence[str] = ()
 ) -> Found:
     """Return an answer for each part of the recordings, clear ones first.
 
@@ -238,15 +206,14 @@ def advised(
     refusal: NotIdentifiableError, table: Table, settings: Settings, facts: Sequence[str]
 ) -> NotIdentifiableError:
     """Return the refusal with advice: the likeliest remedies first, then the reason and the facts."""
-    causes, few = list(refusal.advice), len(table) < FEWEST
+    causes = list(refusal.advice)
     if refusal.code in ADVISED:
-        if few:
-            differ = f"that differ in way and posture, not {counted(len(table), 'recording')}"
-            causes.append(f"record at least {FEWEST}, better 5, {differ}")
+        if len(table) < FEWEST:
+            given = counted(len(table), "recording")
+            causes.append(f"record at least {FEWEST}, better 5, that differ in way and posture, not {given}")
         if not settings.phases:
             allowed = advice(", or allow {}", "phases='auto'", "--phases auto")
-            whole = "since no single constraint fits them as a whole"
-            causes.append(f"cut the recordings to the contact, {whole}{allowed}")
+            causes.append(f"cut the recordings to the contact, since no single constraint fits the whole{allowed}")
         if still := still_joints(table.joint_names, table.u):
             locked = advice(" ({})", f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still))
             causes.append(f"move {named('joint', still)} too, or lock what shall hardly move{locked}")
@@ -254,70 +221,60 @@ def advised(
             causes.append(f"move faster, noise hides a motion in which no joint exceeds {fastest:.2g} rad/s")
         if not causes:
             causes.append(
-                "record the task again, with the hand at what holds it, from other starts: no stretch of the "
-                "recordings obeys a constraint that several confirm, as in free motion"
+                "record again, in contact, from other starts: no constraint is confirmed by several recordings"
             )
-    if not causes and not facts:
-        return refusal
     why = "; ".join([str(refusal), *facts])
     said = f"{'; or '.join(causes[:2])}. {why[0].upper()}{why[1:]}" if causes else why
     return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*causes, *facts))
 
 
-def _learn(table: Table, settings: Settings, progress: Callable[[str, float], None]) -> Found | ManipLearnError:
+def _learn(table: Table, settings: Settings, progress: Progress) -> Found | NotIdentifiableError | RecordingError:
     """Return the answers, or a refusal without advice."""
-    acting = {f.nv for f in settings.asked} - {table.u.shape[1]}
-    if acting:
-        moved, nv = table.u.shape[1], min(acting)
-        return RecordingError(
-            f"the demonstrations have {moved} joint velocities, the features act on {nv}", code="shape"
-        )
+    nv = table.u.shape[1]
+    if other := {f.nv for f in settings.asked} - {nv}:
+        return RecordingError(f"the recordings have {nv} joint velocities, the features {min(other)}", code="shape")
     asked = [v for v in (View(f, table) for f in settings.asked) if v.r]
     if not asked:
-        return NotIdentifiableError(
-            "all rows are zero on these demonstrations: choose axes in which the frame can move", code="zero-features"
-        )
+        why = "all rows are zero on these recordings: choose axes in which the frame can move"
+        return NotIdentifiableError(why, code="zero-features")
     if refusal := unusable(table, asked[0].r, settings.n_constraints):
         return refusal
     if settings.estimator in ("joint", "separate"):
         imposed = learn_imposed(asked, settings)
-        return Found([_moved_on_purpose(imposed)]) if isinstance(imposed, Imposed) else imposed
-    general = settings.mechanism and settings.n_constraints is None
-    maps = (place_maps(settings.asked, table), whole_maps(settings.asked, table)) if general else (settings.asked, ())
-    first, whole = ([v for v in (View(f, table) for f in some) if v.largest > 0] for some in maps)
+        return _moved_on_purpose(imposed) if isinstance(imposed, Imposed) else imposed
+    maps = [settings.asked, (), ()]
+    if settings.mechanism and settings.n_constraints is None:
+        curved = surface_maps(settings.asked, table) if len(table) >= FEWEST else ()
+        maps = [place_maps(settings.asked, table), whole_maps(settings.asked, table), curved]
+    first, whole, curved = ([v for v in (View(f, table) for f in some) if v.largest > 0] for some in maps)
     switch = settings.switch if settings.phases else np.inf
-    curved = [View(f, table) for f in surface_maps(settings.asked, table)] if general and len(table) >= FEWEST else []
-    gates = {
-        view: Gate(rivals, settings.seed, settings.strength)
-        for views, rivals in ((first, first), (whole, [*first, *whole]), (curved, curved))
-        for view in views
-    }
+
+    def gate_of(view: View) -> Gate:
+        rivals = first if view in first else curved if view in curved else [*first, *whole]
+        return Gate(rivals, settings.seed, settings.strength)
 
     def believed(view: View, h: Hypothesis, stretches: list[Stretch]) -> bool:
-        return (view not in curved or h.s < 3) and gates[view](view, h.rows, h.scale[1], stretches)
+        return (view not in curved or h.s < 3) and gate_of(view)(view, h.rows, h.scale[1], stretches)
 
     # the place of the hand first; then its whole twist, if that does not explain; then curved surfaces
-    out, refusal = None, None
+    out: Found | NotIdentifiableError | None = None
     for share, views in enumerate(([*first, *whole], whole if first else [], curved)):
         progress("searching", 0.2 * share)
-        if not views:
-            continue
-        found = explain(views, believed, switch, len(first) if views[0] in first else 0)
-        if found.hypotheses:
+        found = explain(views, believed, switch, len(first) if views[0] in first else 0) if views else None
+        if found is not None and found.hypotheses:
             progress("fitting", 0.2 * share + 0.1)
-            now = _divided(found, [*first, *whole, *curved], whole, gates[views[-1]], settings)
-            if isinstance(now, Found):
-                out = now
+            now = _divided(found, [*first, *whole, *curved], whole, gate_of(views[-1]), settings)
+            out = out if out and isinstance(now, NotIdentifiableError) else now  # the first refusal
+            if isinstance(out, Found):
                 break
-            refusal = refusal or now
-    if settings.estimator == "auto" and len(table) > 1 and (out is None or out.is_weak(table)):
-        imposed = learn_imposed(asked, settings, rival=None if out is None else out.answers[0])
+    best = out.answers[0] if isinstance(out, Found) else None
+    if settings.estimator == "auto" and len(table) > 1 and (not isinstance(out, Found) or out.is_weak(table)):
+        imposed = learn_imposed(asked, settings, rival=best)
         if isinstance(imposed, Imposed):
-            return Found([_moved_on_purpose(imposed)])
-    out = out or refusal or _undivided(asked, Gate(asked, settings.seed, settings.strength), settings)
-    if not isinstance(out, Found):
-        return out
-    out.answers = [completed(a, settings) for a in out.answers]
+            return _moved_on_purpose(imposed)
+    out = out or _undivided(asked, Gate(asked, settings.seed, settings.strength), settings)
+    if isinstance(out, Found):
+        out.answers = [completed(a, settings) for a in out.answers]
     return out
 
 
@@ -339,12 +296,21 @@ def _fitted(found: Explanation, views: list[View], out: Found, settings: Setting
     for k in np.argsort(-found.supports):
         h = found.hypotheses[k]
         view = found.views[h.view]
-        spans = [sharpened(view, h.rows, s) for s in found.stretches(k + 1, states)]
-        usual = np.median([s.duration for s in spans]) if spans else 0.0
-        spans = [s for s in spans if s.duration >= SHORT_STRETCH * usual and len(table.piece(s)) > 2]
-        if not spans:
+        given = [sharpened(view, h.rows, s) for s in found.stretches(k + 1, states)]
+        usual = np.median([s.duration for s in given]) if given else 0.0
+        given = [s for s in given if s.duration >= SHORT_STRETCH * usual and len(table.piece(s)) > 2]
+        if not given:
             continue
-        part = _agreeing(h, view, spans, views, out, settings)
+        alike = [v for v in views if has_turns(v) == has_turns(view)]
+        spans = steady(view, h.rows, given)
+        fit, view = best_fit(alike, view, h.rows, spans, settings)
+        if len(spans) < len(given) and len(again := steady(view, fit.rows, given)) > len(spans):
+            spans = again
+            fit, view = best_fit(alike, view, fit.rows, spans, settings)
+        for s in (s for s in given if s not in spans):
+            out.odd[s.recording] = differs(view, fit, [s], {x.recording for x in spans})
+            out.unlearnt.append((s, DISAGREES))
+        part = _Part(fit, view, h.scale[1], spans)
         for j, other in enumerate(done):  # apart for an arm that is not quite its description
             if both := _at_the_same_place(other, part, settings):
                 done[j] = both
@@ -354,197 +320,140 @@ def _fitted(found: Explanation, views: list[View], out: Found, settings: Setting
     return done
 
 
-def _agreeing(
-    h: Hypothesis, view: View, given: list[Stretch], views: list[View], out: Found, settings: Settings
-) -> _Part:
-    """Return the fit to the stretches that rest along the rows as most do; names the others in `out`."""
-    alike = [v for v in views if has_turns(v) == has_turns(view)]
-    spans = steady(view, h.rows, given)
-    fit, view = best_fit(alike, view, h.rows, spans, settings)
-    if len(spans) < len(given) and len(again := steady(view, fit.rows, given)) > len(spans):
-        spans = again
-        fit, view = best_fit(alike, view, fit.rows, spans, settings)
-    for s in (s for s in given if s not in spans):
-        out.odd[s.recording] = differs(view.table, s.recording, view, fit, [s], {x.recording for x in spans})
-        out.unlearnt.append((s, DISAGREES))
-    return _Part(fit, view, h.scale[1], spans)
+def angle_between(one: _Part | Answer, other: _Part | Answer) -> float:
+    """Return the angle between rows [rad]; infinite for rows of different features or numbers."""
+    a, b, view = one.fit.rows, other.fit.rows, one.view
+    if view is not other.view or len(a) != len(b):
+        return np.inf
+    return row_space_angle(view.selection(a), view.selection(b))
 
 
 def _at_the_same_place(one: _Part, other: _Part, settings: Settings) -> _Part | None:
     """Return both parts as one, of different recordings that share a place but for errors of the arm; else None."""
-    view, (a, b) = other.view, (one.fit.rows, other.fit.rows)
-    if one.view is not view or a.shape != b.shape:
-        return None
-    if row_space_angle(view.selection(a), view.selection(b)) >= BY_THE_ARM:
-        return None
-    if {s.recording for s in one.spans} & {s.recording for s in other.spans}:
+    if angle_between(one, other) >= BY_THE_ARM or {s.recording for s in one.spans} & {s.recording for s in other.spans}:
         return None
     spans = [*one.spans, *other.spans]
-    both, _ = best_fit([view], view, a, spans, settings)
+    both, view = best_fit([other.view], other.view, one.fit.rows, spans, settings)
     return _Part(both, view, other.share, spans) if len(groups_of(both)) == 1 else None
 
 
 def _at_each_place(part: _Part, out: Found, settings: Settings) -> list[_Part]:
     """Return the part for each place that several recordings share; names the recordings of no such place in `out`."""
-    fit, view, share, spans = part
-    table, groups, n = view.table, groups_of(fit), len(set(fit.motion.recs))
+    (fit, view, _, spans), groups, recordings = part, groups_of(part.fit), set(part.fit.motion.recs)
     if len(groups) == 1:
         return [part]
 
-    def of(recordings: set[int]) -> list[Stretch]:
-        return [s for s in spans if s.recording in recordings]
+    def of(some: set[int]) -> _Part:
+        """Return the part in some recordings."""
+        own = [s for s in spans if s.recording in some]
+        return part._replace(fit=best_fit([view], view, fit.rows, own, settings)[0], spans=own)
 
     several = [g for g in groups if len(g) > 1]
-    if 2 * sum(map(len, several)) > n:
-        done = [_Part(best_fit([view], view, fit.rows, of(g), settings)[0], view, share, of(g)) for g in several]
-        for i in (i for g in groups if len(g) == 1 for i in g):
-            out.odd[i] = differs(table, i, view, done[0].fit, of({i}), several[0])
-            out.unlearnt += [(s, DISAGREES) for s in of({i})]
-        return done
-    last = max(fit.motion.recs)
-    out.warnings.append(
-        f"what holds the hand is not at the same place in all recordings ({len(groups)} places of {n}): it was moved "
-        f"between recordings, and is learnt as it stood in {table.moved[last].name}"
-    )
-    return [_Part(best_fit([view], view, fit.rows, of({last}), settings)[0], view, share, spans)]
+    if 2 * sum(map(len, several)) <= len(recordings):
+        last = max(recordings)
+        places = f"{len(groups)} places in {counted(len(recordings), 'recording')}"
+        stood = f"it is learnt as it stood in {view.table.moved[last].name}"
+        out.warnings.append(f"what holds the hand was moved between recordings ({places}): {stood}")
+        return [of({last})._replace(spans=spans)]
+    done = [of(g) for g in several]
+    for s in (s for s in spans if not any(s.recording in g for g in several)):
+        own = [x for x in spans if x.recording == s.recording]
+        out.odd[s.recording] = differs(view, done[0].fit, own, several[0])
+        out.unlearnt.append((s, DISAGREES))
+    return done
 
 
 def _divided(
     found: Explanation, views: list[View], whole: list[View], gate: Gate, settings: Settings
 ) -> Found | NotIdentifiableError:
     """Return the answers for an explanation, with what is said of them together; or the refusal of the first part."""
-    table, out, refused = found.views[0].table, Found([]), list[tuple[list[Stretch], NotIdentifiableError]]()
-    for part in _fitted(found, views, out, settings):
-        answer = answered(part.fit, part.view, part.spans, part.share, gate, whole, settings)
-        if isinstance(answer, NotIdentifiableError):
-            refused.append((part.spans, answer))
-        else:
-            out.answers.append(answer)
+    table, out = found.views[0].table, Found([])
+    tried = [(part.spans, answered(part, gate, whole, settings)) for part in _fitted(found, views, out, settings)]
+    out.answers = [a for _, a in tried if isinstance(a, Answer)]
+    refused = [(spans, a) for spans, a in tried if isinstance(a, NotIdentifiableError)]
     if not out.answers:
-        return refused[0][1]
+        none = NotIdentifiableError("no contact lasts long enough to be learnt from", code="no-evidence")
+        return refused[0][1] if refused else none
     out.answers.sort(key=lambda a: (not a.clear, a.gap < CLEAR_GAP))
-    if out.answers[0].gap >= CLEAR_GAP and not settings.habits:
-        for a in [a for a in out.answers if not a.clear and (out.answers[0].clear or a.gap < CLEAR_GAP)]:
+    best = out.answers[0]
+    if best.gap >= CLEAR_GAP and not settings.habits:
+        for a in [a for a in out.answers if not a.clear and (best.clear or a.gap < CLEAR_GAP)]:
             out.answers.remove(a)
             out.unlearnt += [(s, "kept, not shown to be held") for s in a.stretches]
+            kept = f"{counted(a.s, 'row')} in {counted(len(a.stretches), 'stretch')}"
             out.warnings.append(
-                f"{counted(a.s, 'row')} in {counted(len(a.stretches), 'stretch')} may be kept by the way of moving "
-                f"rather than held (gap {a.gap:.3g}), and are not learnt beside what is clear"
+                f"{kept} not learnt: the way of moving may keep them, nothing holds them (gap {a.gap:.3g})"
             )
-    out.warnings += [f"a further constraint is not learnt: {r}" for _, r in refused]
-    for spans, _ in refused:
+    for spans, refusal in refused:
+        out.warnings.append(f"a further constraint is not learnt: {refusal}")
         out.unlearnt += [(s, "what several recordings show here could not be learnt") for s in spans]
     tasks = [{s.recording for s in a.stretches} for a in out.answers]
     if len(tasks) > 1 and not set.intersection(*tasks):
         shown = " and ".join(counted(len(t), "recording") for t in tasks)
-        out.warnings.append(
-            f"the recordings are of {len(tasks)} tasks, {shown}: each constraint is learnt from its own"
-        )
-    for i, (a, b) in enumerate(pairwise(out.answers)):
-        if (
-            a.view is b.view
-            and a.s == b.s
-            and (deg := np.degrees(row_space_angle(a.view.selection(a.rows), b.view.selection(b.rows)))) < 5.0
-        ):
-            out.warnings.append(
-                f"constraints {i + 1} and {i + 2} differ by {deg:.1f} deg only: they are kept apart, not averaged"
-            )
+        out.warnings.append(f"the recordings show {len(tasks)} tasks, {shown}: each constraint is learnt from its own")
+    for i, (a, b) in enumerate(pairwise(out.answers), 1):
+        if (deg := np.degrees(angle_between(a, b))) < 5.0:
+            out.warnings.append(f"constraints {i} and {i + 1} differ by {deg:.1f} deg only: kept apart, not averaged")
     _odd_ones(out, table)
     taken = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
     if settings.phases and len(table) > 1:
-        lone = [s for s in lone_contacts(found, gate) if not any(overlap(s, other) > 0.0 for other in taken)]
+        places = [k for k, v in enumerate(found.views) if not has_turns(v) and not is_surface(v)]
+        lone = lone_contacts(found, places, lambda view, s: gate.evidence(view, [s]).n_rows)
+        lone = [s for s in lone if not any(meet(s, other) for other in taken)]
         out.unlearnt += [(s, IN_ONE_ONLY) for s in lone]
         taken += lone
-    held = table.inside(taken)
-    out.free = found.stretches(0, np.where(held, 1, 0))
+    out.free = found.stretches(0, np.where(table.inside(taken), 1, 0))
     return out
 
 
-def overlap(a: Stretch, b: Stretch) -> float:
-    """Return the time that two stretches share [s]."""
-    return min(a.end, b.end) - max(a.start, b.start) if a.recording == b.recording else 0.0
-
-
-def lone_contacts(found: Explanation, gate: Gate) -> list[Stretch]:
-    """Return further stretches in which rows are firmly constrained in one recording alone.
-
-    They are named, so that they can be recorded again, and not learnt.
-    """
-    out = list[Stretch]()
-    for i in range(len(found.views[0].table)):
-        views = [v.of_recording(i) for v in found.views]
-        rest = Explanation(views, found.hypotheses, found.switch)
-        places = [k for k, v in enumerate(views) if not has_turns(v) and not is_surface(v)]
-        free = np.sum(views[0].thin.weight[(rest.states == 0) & views[0].thin.moving()])
-        found_alone = candidates(rest, places) if free > SHORTEST else []
-        firm = [h for h in found_alone if h.scale[1] <= ALONE and h.support > LEAST_GAIN]
-        if not firm:
-            continue
-        h = max(firm, key=lambda h: h.support)
-        alone, k = rest.with_([*found.hypotheses, h]), len(found.hypotheses)
-        values, time = alone.values[:, k + 1] - alone.others(k), views[0].thin.time
-        for s in alone.stretches(k + 1, alone.fine_states()):
-            # less the quarter that gains most, the price, and the change into it and out of it
-            parts = [values[(time >= a) & (time < b)].sum() for a, b in pairwise(np.linspace(s.start, s.end, 5))]
-            worth = sum(parts) - max(parts) - h.price(s.duration) - found.switch
-            there = s._replace(recording=i)
-            if worth > LEAST_GAIN and gate.evidence(found.views[h.view], [there]).n_rows >= h.s:
-                out.append(there)
-    return out
+def meet(a: Stretch, b: Stretch) -> bool:
+    """Return True if two stretches share some time."""
+    return a.recording == b.recording and a.start < b.end and b.start < a.end
 
 
 def _odd_ones(out: Found, table: Table) -> None:
     """Name recordings that do not show a constraint of most, and those with an interrupted contact, as by a slip."""
-    elsewhere = [s for a in out.answers for s in a.stretches]
+    stretches = [s for a in out.answers for s in a.stretches]
+    missing = set(range(len(table))) - {s.recording for s in stretches}
     for a in out.answers:
-        shown = {s.recording for s in a.stretches}
-        others = {s.recording for s in elsewhere} - shown
-        if len(shown) >= max(2.0, SHOWN_BY * len(table)):
-            for i in set(range(len(table))) - shown - set(out.odd) - (others if len(out.answers) > 1 else set()):
-                out.odd[i] = differs(table, i, a.view, a.fit, [Stretch(i, *table.ends[i])], shown)
-        usual = np.median([sum(s.recording == i for s in a.stretches) for i in shown])
-        for i in shown:
-            own = sorted(s for s in a.stretches if s.recording == i)
-            for x, y in pairwise(own if len(own) > usual else ()):
-                gap = Stretch(i, x.end, y.start)
-                if gap.duration > 1.5 or any(
-                    s.recording == i and s.start < y.start and s.end > x.end for s in elsewhere if s not in own
-                ):
-                    continue
-                inside = table.inside([gap])
-                way = a.view.way(inside, a.rows)
-                held = np.median([np.ptp(a.fit.motion.y[p] @ a.rows.T, axis=0).max() for p in a.fit.motion.parts])
-                if len(way) and np.ptp(way, axis=0).max() > 5.0 * held:
-                    out.odd.setdefault(
-                        i,
-                        f"its contact is interrupted from {x.end:.2f} s to {y.start:.2f} s, as by a slip: "
-                        f"{differs(table, i, a.view, a.fit, [gap], shown)}",
-                    )
+        numbers, view, motion = Counter(s.recording for s in a.stretches), a.view, a.fit.motion
+        if len(numbers) >= max(2.0, SHOWN_BY * len(table)):
+            for i in missing - set(out.odd):
+                out.odd[i] = differs(view, a.fit, [table.wholes[i]], set(numbers))
+        held = np.median([np.ptp(motion.y[p] @ a.rows.T, axis=0).max() for p in motion.parts])
+        for x, y in pairwise(sorted(a.stretches)):
+            gap = Stretch(x.recording, x.end, y.start)
+            often = numbers[x.recording] > np.median([*numbers.values()])
+            if x.recording != y.recording or not often or gap.duration > 1.5 or any(meet(s, gap) for s in stretches):
+                continue
+            way = view.way(table.inside([gap]), a.rows)
+            if len(way) and np.ptp(way, axis=0).max() > 5.0 * held:
+                when = f"its contact is interrupted from {x.end:.2f} s to {y.start:.2f} s, as by a slip: "
+                out.odd.setdefault(x.recording, when + differs(view, a.fit, [gap], set(numbers)))
 
 
-def differs(table: Table, i: int, view: View, fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
+def differs(view: View, fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
     """Return the motion of a recording along rows that others constrain, in words.
 
     Args:
-        table: The samples.
-        i: Number of the recording.
         view: View of the rows of the others.
         fit: Their fit.
         spans: Stretches of the recording.
         others: Numbers of the others.
     """
-    rows, inside = view.selection(fit.rows), table.inside(spans)
+    table, rows = view.table, view.selection(fit.rows)
+    inside = table.inside(spans)
     rates = np.einsum("npv,nv->np", view.Phi[inside], table.u[inside]) @ rows.T
     way = np.cumsum(rates * table.weight[inside, None], axis=0)
-    worst = np.linalg.svd(way - way.mean(axis=0), full_matrices=False)[2][0] if len(way) else np.eye(len(rows))[0]
+    worst = np.linalg.svd(way - way.mean(axis=0), full_matrices=False)[2][0]
     still = fit.motion.y @ np.linalg.pinv(view.W).T @ rows.T @ worst
     held = [np.ptp(still[p]) for p, j in zip(fit.motion.parts, fit.motion.recs, strict=True) if j in others]
     row, unit = worst @ rows, "mm (or mrad)" if has_turns(view) else "mm"
     words = sum_in_words(row * np.sign(row[np.argmax(np.abs(row))]), view.features.row_names, "+.2f", 0.05)
-    when = f", fastest at {table.time[inside][np.argmax(np.abs(rates @ worst))]:.2f} s" if len(way) else ""
     return (
-        f"{table.moved[i].name} moves {1e3 * np.ptp(way @ worst) if len(way) else 0.0:.3g} {unit} along a direction "
-        f"({words}) that {len(others)} others hold still (median {1e3 * np.median(held) if held else 0.0:.2g}){when}"
+        f"{table.moved[spans[0].recording].name} moves {1e3 * np.ptp(way @ worst):.3g} {unit} along a direction "
+        f"({words}) that {len(others)} others hold still (median {1e3 * np.median(held):.2g}), "
+        f"fastest at {table.time[inside][np.argmax(np.abs(rates @ worst))]:.2f} s"
     )
 
 
@@ -591,7 +500,6 @@ def best_fit(
         settings: Settings of the fit.
     """
     s = settings.n_constraints or len(rows)
-    table = view.table
 
     def fitted(v: View) -> RowFit:
         start = rows if v is view and s == len(rows) else np.linalg.qr(levels_on(v, spans)[1][:s].T)[0].T
@@ -606,35 +514,28 @@ def best_fit(
     gain, left = misfit(best[0]) if curved else (0.0, 0.0)
     if gain > LEAST_GAIN and left > LEAST_SAID:
         fit = fitted(curved[0])  # what has another shape, beyond what the arm's own errors explain
-        gaps = gaps_of(levels_on(curved[0], spans)[0], table.u.shape[1])
+        gaps = gaps_of(levels_on(curved[0], spans)[0], view.features.nv)
         if fit.nats(best[0]) > LEAST_GAIN and gaps.get(s, 0.0) >= WEAK_GAP:
             return fit, curved[0]
     near = [(f, v) for f, v in fits if best[0].nats(f) < OTHER_VIEW]
-    return next((x for x in near if kind_of(*x)), near[0]) if near else best
+    return next((x for x in near if kind_of(*x)), near[0])
 
 
-def answered(
-    fit: RowFit, view: View, spans: list[Stretch], share: float, gate: Gate, whole: Sequence[View], settings: Settings
-) -> Answer | NotIdentifiableError:
+def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings) -> Answer | NotIdentifiableError:
     """Return the constraint of stretches, with its evidence and its doubts; or a refusal.
 
     Args:
-        fit: Rows, fitted by displacements.
-        view: Their view.
-        spans: Stretches in which they are constrained.
-        share: Share of the free velocity that violates them, see `Hypothesis.scale`.
+        part: Rows, fitted by displacements, and the stretches in which they are constrained.
         gate: Test of the evidence.
         whole: Views of the whole twist of the hand.
         settings: Settings of the fit.
     """
-    table = view.table
-    levels, _ = levels_on(view, spans)
+    fit, view, share, spans = part
+    table, levels = view.table, levels_on(view, spans)[0]
     a = Answer(view, spans, fit.rows, levels, gaps_of(levels, table.u.shape[1]), fit=fit)
-    m, inside = view.all, table.inside([table.learnt_from(s) for s in spans])
-    A, r = fit.rows @ (view.W @ view.Phi[inside]), m.rates[inside] @ fit.rows.T
-    gram = A @ A.transpose(0, 2, 1) + 1e-14 * np.eye(a.s)
-    energy = max(float(np.sum(table.u[inside] ** 2)), 1e-300)
-    a.unexplained = a.held_out = float(np.sum(r * np.linalg.solve(gram, r[:, :, None])[:, :, 0])) / energy
+    inside = table.inside([table.learnt_from(s) for s in spans])
+    broken, energy = np.sum(broken_energy(view.all, fit.rows[None])[inside]), np.sum(table.u[inside] ** 2)
+    a.unexplained = a.held_out = float(broken / max(energy, 1e-300))
     a.evidence = gate.evidence(view, spans)
     if is_firm(view, fit.rows, share, spans):
         a.evidence = replace(a.evidence, firm=a.s)
@@ -644,20 +545,19 @@ def answered(
         if a.firm and known is not None and held_kind(known, fit.motion)[0] is not known.kind:
             # a grip that gives way turns more than it slides: where the place tells as much, it tells it better
             a.firm = a.firm if a.firm[0].variance <= GIVING * fit.variance else None
-    refusal = _refused(a, settings)
-    if refusal is not None:
+    if refusal := _refused(a, settings):
         return refusal
     a.misfit = misfit(fit)
     last, seen = a.firm or (fit, view)
     a.errors = errors_of(last, settings.arm, np.random.default_rng(settings.seed))
     if a.errors is not None:
-        for part, B in (("noise", a.errors.noise), ("joint zeros", a.errors.arm)):
-            off = float(np.degrees(np.quantile(angles(last.rows, seen.W, B), STATED)))
-            a.uncertainty[part] = off if part == "noise" or off > 1e-9 else 0.0
+        both = (np.quantile(angles(last.rows, seen.W, B), STATED) for B in (a.errors.noise, a.errors.arm))
+        noise, arm = map(float, np.degrees([*both]))
+        a.uncertainty = {"noise": noise, "joint zeros": arm if arm > 1e-9 else 0.0}
         a.mu_uncertainty = mu_within(seen, last, a.errors, inside)
     if settings.mechanism:
         a.placed = placed(seen, last, a.errors)
-        if a.firm is None and a.misfit[0] > LEAST_GAIN and over_noise(a) > BEYOND_NOISE:
+        if a.firm is None and a.misfit[0] > LEAST_GAIN:
             a.shape = reshaped(fit, a.placed, a.uncertainty.get("joint zeros") or 0.0)
             a.placed = a.placed if a.shape is None else a.shape if isinstance(a.shape, Placed) else None
     a.warnings += _doubts(a, settings)
@@ -666,91 +566,61 @@ def answered(
 
 def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     """Return the refusal of rows, or None."""
-    nv, rows = a.view.table.u.shape[1], counted(a.s, "row")
+    nv, rows, why, code, advised = a.view.table.u.shape[1], counted(a.s, "row"), "", "no-evidence", ()
     if a.s >= nv:
         return NotIdentifiableError(f"{a.s} constraints leave no null space for {nv} joints", code="no-freedom")
     if settings.n_constraints is not None or a.firm is not None:
         return None
-    if a.gap < WEAK_GAP:
-        return NotIdentifiableError(
-            f"the recordings do not show a constraint: the gap is {a.gap:.2g} for {rows}, and {WEAK_GAP:g} is the "
-            "least that counts",
-            code="weak-gap",
-            gaps=a.gaps,
-        )
-    told = a.evidence is None or a.evidence.n_pieces < FEWEST or a.evidence.verdict(a.s) == "clear"
+    told = a.evidence.n_pieces < FEWEST or a.evidence.verdict(a.s) == "clear"
     soft = a.gap < CLEAR_GAP and not at_one_place(a.fit, a.view)
-    if over_noise(a) > ABSOLUTE and (soft or (not told and a.gap < CONTRADICTED * CLEAR_GAP)):
-        return NotIdentifiableError(
-            f"{rows} would be soft (gap {a.gap:.2g}), and what holds the hand would be elsewhere in each recording, as "
-            "in free motion",
-            code="no-evidence",
-            gaps=a.gaps,
-        )
-    if a.contradiction:
-        return NotIdentifiableError(
-            f"{rows} would explain the recordings, but {a.contradiction}",
-            code="no-evidence",
-            gaps=a.gaps,
-            advice=("vary the way and the posture between recordings" + number_if_known(a.s),),
-        )
-    return None
+    if a.gap < WEAK_GAP:
+        why, code = f"no constraint is shown: the gap is {a.gap:.2g} for {rows}, {WEAK_GAP:g} is the least", "weak-gap"
+    elif over_noise(a) > ABSOLUTE and (soft or (not told and a.gap < CONTRADICTED * CLEAR_GAP)):
+        why = f"{rows} would be soft (gap {a.gap:.2g}), and elsewhere in each recording, as in free motion"
+    elif a.contradiction:
+        why = f"{rows} would explain the recordings, but {a.contradiction}"
+        advised = ("vary the way and the posture between recordings" + number_if_known(a.s),)
+    return NotIdentifiableError(why, code=code, gaps=a.gaps, advice=advised) if why else None
 
 
 def _doubts(a: Answer, settings: Settings) -> list[str]:
     """Return doubts about an answer, in sentences."""
-    out, rows, fit = list[str](), counted(a.s, "row"), a.fit
+    out, rows, fit, evidence, given = list[str](), counted(a.s, "row"), a.fit, a.evidence, settings.n_constraints
     best = max(a.gaps, key=lambda s: a.gaps[s])
-    if a.firm is None:
-        if settings.n_constraints is not None and best != a.s and a.gaps[best] >= WEAK_GAP:
-            out.append(f"{rows} learnt, but the gap supports {best}: {a.gaps[best]:.3g} against {a.gap:.3g}")
-        if settings.n_constraints is None and best > a.s and a.gaps[best] >= CONTRADICTED * a.gap:
-            out.append(
-                f"{counted(best - a.s, 'row')} more {'is' if best - a.s == 1 else 'are'} kept, softly (gap "
-                f"{a.gaps[best]:.3g}): by the way of moving, or by something that gives way"
-            )
+    if a.firm is None and given is not None and best != a.s and a.gaps[best] >= WEAK_GAP:
+        out.append(f"{rows} learnt, but the gap supports {best}: {a.gaps[best]:.3g} against {a.gap:.3g}")
+    if a.firm is None and given is None and best > a.s and a.gaps[best] >= CONTRADICTED * a.gap:
+        more = counted(best - a.s, "further row")
+        out.append(f"{more} kept softly (gap {a.gaps[best]:.3g}): by the way of moving, or by something that gives way")
     if a.unexplained > SOFT_ENERGY:
-        out.append(
-            f"{100 * a.unexplained:.2g} % of the motion's energy breaks the constraint: it is soft, or the "
-            "demonstrator moves the constrained directions on purpose"
-        )
-    if len(a.evidence.strengths) and a.evidence.n_rows < a.s:
-        asked = "asked for" if settings.n_constraints else "explain the recordings"
-        out.append(f"{rows} {asked}, the recombination test supports {a.evidence.n_rows}: {a.evidence.sentence()}")
-    elif a.evidence.verdict(a.s) != "clear":
-        out.append(f"weak evidence: {a.evidence.sentence()}")
+        share = f"{100 * a.unexplained:.2g} % of the motion's energy"
+        out.append(f"{share} breaks the constraint: it is soft, or the demonstrator moves the rows on purpose")
+    if len(evidence.strengths) and evidence.n_rows < a.s:
+        asked = "asked for" if given else "explain the recordings"
+        out.append(f"{rows} {asked}, the recombination test supports {evidence.n_rows}: {evidence.sentence()}")
+    elif evidence.verdict(a.s) != "clear":
+        out.append(f"weak evidence: {evidence.sentence()}")
     table = a.view.table
     together = np.median([joints_at_once(table.piece(s), table.noises[s.recording]) for s in a.stretches])
     if together < FEW_JOINTS_AT_ONCE and table.u.shape[1] > 3:
-        out.append(
-            f"only {together:.1f} joints move at a time: friction of a hand-guided arm looks like a constraint; move "
-            "all joints together"
-        )
+        out.append(f"move all joints together: where {together:.1f} move at a time, friction looks like a constraint")
     if a.errors is not None and a.errors.beyond and settings.arm.zeros:
-        off, ratio = np.degrees(a.errors.beyond), a.errors.beyond / settings.arm.zeros
+        ratio = a.errors.beyond / settings.arm.zeros
+        off = f"zeros {np.degrees(a.errors.beyond):.2g} degrees off, or links {1e3 * ratio * settings.arm.links:.2g} mm"
         out.append(
-            f"joints' zeros {off:.2g} degrees off, or links {1e3 * ratio * settings.arm.links:.2g} mm, would explain "
-            f"what is left: {ratio:.0f} times what joint_offset_std and link_error_std say. Is this the robot that was "
-            "recorded?"
+            f"is this the robot that was recorded? Joints' {off}, would explain what is left: {ratio:.0f} times what "
+            "joint_offset_std and link_error_std say"
         )
     (gain, left), times = a.misfit, over_noise(a)
+    leaves = f"the hand leaves what fits best by {1e3 * left:.2g} mm (or mrad)"
     if a.shape is not None:
         return out
     if left > LEAST_SAID and gain > LEAST_GAIN:
-        out.append(
-            f"the hand leaves what fits best by {1e3 * left:.2g} mm (or mrad) in the same way in all recordings: what "
-            "holds it has another shape, and is near to this one only there"
-        )
+        out.append(f"{leaves} in the same way in all recordings: the true shape is another one")
     elif left > LEAST_SAID and fit.alike > 2.0 and times > ABSOLUTE:
-        out.append(
-            f"the hand leaves what fits best by {1e3 * left:.2g} mm (or mrad), {times:.0f} times what the encoders' "
-            "noise explains: it gives way, or has another shape"
-        )
+        out.append(f"{leaves}, {times:.0f} times the encoders' noise: it gives way, or has another shape")
     if is_surface(a.view) and kind_of(fit, a.view) is None:
-        out.append(
-            "what holds the hand is a curved surface of no simple kind: its rows are right near the places that were "
-            "shown"
-        )
+        out.append("what holds the hand is a curved surface of no simple kind: its rows are right only where shown")
     return out
 
 
@@ -759,10 +629,9 @@ def completed(a: Answer, settings: Settings) -> Answer:
     table, known, (fit, view) = a.view.table, a.placed, a.firm or (a.fit, a.view)
     if a.firm is not None:
         levels = fit.motion.levels
-        a.whole = a.asked = Rows(view.features, view.selection(fit.rows), levels, gaps_of(levels, table.u.shape[1]))
+        a.whole = Rows(view.features, view.selection(fit.rows), levels, gaps_of(levels, table.u.shape[1]))
     if known is not None:
-        if known.doubt:
-            a.warnings.append(known.doubt)
+        a.warnings += [known.doubt] if known.doubt else []
         kind, rms, apart = held_kind(known, fit.motion)
         kept = rms < min(KEPT, apart / WEAK_GAP)
         grip: Grip = "firm" if kind.orientation != "free" else "kept" if kept else "loose"
@@ -771,9 +640,9 @@ def completed(a: Answer, settings: Settings) -> Answer:
         if isinstance(view.features, PlaceRows) or a.firm or a.shape or grip == "firm":
             features, selection = a.placed.rows(view)
             gaps = a.whole.gaps if a.firm is not None else {len(selection): a.gap}
-            a.whole = a.asked = a.whole._replace(features=features, selection=selection, gaps=gaps)
+            a.whole = a.whole._replace(features=features, selection=selection, gaps=gaps)
     if isinstance(a.shape, CurveRows):
-        a.whole = a.asked = a.whole._replace(features=a.shape, selection=np.eye(2))
+        a.whole = a.whole._replace(features=a.shape, selection=np.eye(2))
     features, selection = asked_rows(*a.whole[:2], a.mechanism, settings.asked, table.q)
     if features is a.whole.features and selection is a.whole.selection:
         a.asked = a.whole
@@ -784,10 +653,8 @@ def completed(a: Answer, settings: Settings) -> Answer:
         levels = fit.motion.seen_as(features, v.W).levels if a.firm else levels_on(v, a.stretches)[0]
         a.asked = Rows(features, selection, levels, gaps_of(levels, table.u.shape[1]))
     if (gap := a.asked.gap) < CLEAR_GAP:
-        a.warnings.append(
-            f"weak gap: {gap:.2g} for {counted(len(selection), 'row')}, {CLEAR_GAP:g} is clear; the constraint may be "
-            "soft, or the recordings noisy"
-        )
+        said = f"weak gap: {gap:.2g} for {counted(len(selection), 'row')}, {CLEAR_GAP:g} is clear"
+        a.warnings.append(f"{said}; the constraint may be soft, or the recordings noisy")
     return a
 
 
@@ -812,12 +679,12 @@ def over_noise(a: Answer) -> float:
     return float(np.sqrt(a.fit.variance) / (noise + 1e-6))
 
 
-def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray | slice = slice(None)) -> float:
-    """Return |d log mu| that is not exceeded in 68 % of draws and postures.
+def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float:
+    """Return |d log mu| that is not exceeded in 68 % of draws and postures in a mask of samples.
 
     d log mu = tr(A^+ dA) - tr(Lambda^+ dLambda).
     """
-    few = np.arange(len(view.Phi))[inside]
+    few = np.flatnonzero(inside)
     few = few[:: max(1, len(few) // 48)]
     Lambda, beside = fit.rows @ view.W, fit.perp @ view.W
     Phi = view.Phi[few]
@@ -835,30 +702,27 @@ def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray | slice =
 def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | NotIdentifiableError:
     """Return the answer of too few recordings, or of a given number of rows; else the refusal."""
     table = views[0].table
-    whole: list[Stretch] = table.wholes
     best: Any = None
     for v in [v for v in views if isinstance(v.features, PoseRows) or v is views[0]]:
-        gaps = gaps_of(levels_on(v, whole)[0], table.u.shape[1])
+        gaps = gaps_of(levels_on(v, table.wholes)[0], table.u.shape[1])
         s = settings.n_constraints or max(gaps, key=lambda k: gaps[k])
-        if s < v.r + 1 and (best is None or gaps.get(s, 0.0) > 1.1 * best[2].get(best[1], 0.0)):
+        if s <= v.r and (best is None or gaps.get(s, 0.0) > 1.1 * best[2].get(best[1], 0.0)):
             best = v, s, gaps
+    if best is None:
+        s, most = counted(settings.n_constraints or 1, "constraint"), max(v.r for v in views)
+        return NotIdentifiableError(
+            f"{s} asked for, but the arm moves {most} rows here: ask for fewer", code="no-freedom"
+        )
     v, s, gaps = best
     gap = gaps.get(s, 0.0)
-    evidence = gate.evidence(v, whole, 1.0)
-    if settings.n_constraints is None and (len(gate.pieces(whole)[0]) >= FEWEST or gap < WEAK_GAP):
-        return NotIdentifiableError(
-            f"nothing shows that what the motion leaves unused ({counted(s, 'direction')}, gap {gap:.3g}) is held "
-            f"rather than never tried: {evidence.sentence()}",
-            gaps=gaps,
-            code="no-evidence" if gap >= WEAK_GAP else "weak-gap",
-        )
-    fit, v = best_fit([v], v, np.eye(s, v.r), whole, replace(settings, n_constraints=s))
-    a = answered(fit, v, whole, 1.0, gate, (), replace(settings, n_constraints=s))
-    if isinstance(a, NotIdentifiableError):
-        return a
-    if len(table) < FEWEST:
-        a.warnings.append(
-            f"record 3, better 5, that differ: {counted(len(table), 'recording')} cannot show that "
-            f"{counted(s, 'row')} held rather than never tried"
-        )
-    return Found([a])
+    if settings.n_constraints is None and (len(gate.pieces(table.wholes)[0]) >= FEWEST or gap < WEAK_GAP):
+        unused = f"what the motion leaves unused ({counted(s, 'direction')}, gap {gap:.3g}) is held, not never tried"
+        why = f"nothing shows that {unused}: {gate.evidence(v, table.wholes, 1.0).sentence()}"
+        return NotIdentifiableError(why, code="no-evidence" if gap >= WEAK_GAP else "weak-gap", gaps=gaps)
+    settings = replace(settings, n_constraints=s)
+    fit, v = best_fit([v], v, np.eye(s, v.r), table.wholes, settings)
+    a = answered(_Part(fit, v, 1.0, table.wholes), gate, (), settings)
+    if isinstance(a, Answer) and len(table) < FEWEST:
+        few = f"{counted(len(table), 'recording')} cannot show that {counted(s, 'row')} held rather than never tried"
+        a.warnings.append(f"record 3, better 5, that differ: {few}")
+    return Found([a]) if isinstance(a, Answer) else a

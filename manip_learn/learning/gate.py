@@ -8,6 +8,7 @@ enforces is lost. The strength of a row is how much more it is used then; the ra
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -16,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.errors import counted
 from manip_learn.learning.repeats import once_each
 from manip_learn.learning.search import least_used
 from manip_learn.learning.table import BELIEVED, LEAST_SLIP, OVER_NOISE, Stretch, Table, View, displacements, whitening
@@ -72,20 +74,14 @@ class Evidence:
     def n_rows(self) -> int:
         """Number of supported rows, from the first one on."""
         n = 0
-        for i, (strength, lower, p) in enumerate(zip(self.strengths, self.lower, self.chances, strict=True)):
-            if strength < LEANING and self._never_tried(i):
-                continue  # nothing to exchange: it counts with a held row after it
+        rows = zip(self.strengths, self.lower, self.chances, self.levels, strict=True)
+        for i, (strength, lower, p, level) in enumerate(rows):
+            if strength < LEANING and level <= LEANING * self.levels[0]:
+                continue  # never tried, as little by exchanged joints: it counts with a held row after it
             if p > CHANCE or strength < LEANING:
                 break
             n = i + 1 if lower >= self.believed else n
         return max(n, min(self.firm, len(self.strengths)))
-
-    def _never_tried(self, i: int) -> bool:
-        """Return True if exchanged joints use a row as little, and no more than the least used row."""
-        return (
-            self.levels[i] <= LEANING * self.levels[0]
-            and self.strengths[i] * self.levels[i] <= LEANING * LEANING * self.levels[0]
-        )
 
     def clear(self, s: int) -> bool:
         """Return True if s rows are clearly constrained."""
@@ -98,44 +94,30 @@ class Evidence:
     @property
     def states(self) -> list[str]:
         """State of each row: `"held"`, `"free"` or `"untried"`."""
-        most = max(self.levels, default=0.0)
-        return [
-            "held" if i < self.n_rows else "free" if level >= most / 6.0 and level > 0.0 else "untried"
-            for i, level in enumerate(self.levels)
-        ]
+        n, most = self.n_rows, max(self.levels, default=0.0)
+        return ["held"] * n + ["free" if x >= most / 6.0 and x > 0.0 else "untried" for x in self.levels[n:]]
 
     @property
     def rows(self) -> tuple[RowSupport, ...]:
         """Evidence for each row, most firmly held first."""
-        found = zip(self.strengths, self.chances, self.states, strict=True)
-        return tuple(RowSupport(float(s), float(p), state) for s, p, state in found)
+        return tuple(map(RowSupport, self.strengths.tolist(), self.chances.tolist(), self.states))
 
     def sentence(self) -> str:
         """Return the evidence in words."""
         if not len(self.strengths):
             return "the recordings do not move, so nothing shows which rows are held"
-        n = self.n_rows
-        if not n:
-            return (
-                f"no row is shown to be held (best strength {self.strengths[0]:.2g}, with 99 % confidence above "
-                f"{self.lower[0]:.2g}; {self.believed:g} is the least that counts)"
-            )
-        how = (
-            "held"
-            if self.verdict(n) == "clear"
-            else "held firmly at one place each time, or never tried"
-            if n == self.firm
-            else "held softly, or by the way of moving only"
-        )
-        few = (
-            "" if self.n_pieces >= FEWEST else f"; too few to be sure with {self.n_pieces} recordings, record 5 or more"
-        )
+        if not (n := self.n_rows):
+            best = f"best strength {self.strengths[0]:.2g}, with 99 % confidence above {self.lower[0]:.2g}"
+            return f"no row is shown to be held ({best}; {self.believed:g} is the least that counts)"
+        soft, firm = "held softly, or by the way of moving only", "held firmly at one place each time, or never tried"
+        how = "held" if self.verdict(n) == "clear" else firm if n == self.firm else soft
         strengths = ", ".join(f"{x:.3g}" for x in self.strengths[:n])
-        return f"{n} row{'s' if n > 1 else ''} {how} (strength {strengths}, p = {max(self.chances[:n]):.2g}){few}"
+        said = f"{counted(n, 'row')} {how} (strength {strengths}, p = {max(self.chances[:n]):.2g})"
+        few = f"; too few to be sure with {self.n_pieces} recordings, record 5 or more"
+        return said if self.n_pieces >= FEWEST else said + few
 
 
-@dataclass(frozen=True, eq=False)
-class _Phase:
+class _Phase(NamedTuple):
     """Piece at evenly spaced phases: postures, displacements relative to its length, weight of each bin."""
 
     q: np.ndarray
@@ -146,26 +128,27 @@ class _Phase:
     def of(t: Trajectory, scale: np.ndarray, n_bins: int) -> _Phase:
         time, u = t.time, np.asarray(t.u)
         half = 0.5 * np.diff(time)[:, None]
-        way = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(half * (u[1:] + u[:-1]), axis=0)])
-        rate = np.linalg.norm(u / scale, axis=1)
-        rate = rate + 1e-6 * rate.mean()
-        phase = np.append(0.0, np.cumsum(half[:, 0] * (rate[1:] + rate[:-1])))
-        length, n = phase[-1], NODES * n_bins
-        at = np.interp(np.linspace(0.0, 1.0, 2 * n + 1), phase / length, time)
-        nodes = np.stack([np.interp(at[::2], time, w) for w in way.T], axis=1)
+        rate = np.linalg.norm(u / scale, axis=1, keepdims=True)
+        rates = np.concatenate([u, rate + 1e-6 * rate.mean()], axis=1)
+        ways = np.insert(np.cumsum(half * (rates[1:] + rates[:-1]), axis=0), 0, 0.0, axis=0).T
+        length = ways[-1, -1]
+        at = np.interp(np.linspace(0.0, 1.0, 2 * NODES * n_bins + 1), ways[-1] / length, time)
+        nodes = np.stack([np.interp(at[::2], time, way) for way in ways[:-1]], axis=1)
         q = np.stack([np.interp(at[1::2], time, x) for x in t.q.T], axis=1)
-        weight = 1.0 / np.maximum(np.diff(at[:: 2 * NODES]), 1e-12 * (time[-1] - time[0]))
+        weight = 1.0 / np.maximum(np.diff(at[:: 2 * NODES]), 1e-12 * t.duration)
         return _Phase(q, np.diff(nodes, axis=0) / length, length**2 * weight / weight.mean())
+
+    @property
+    def bins(self) -> np.ndarray:
+        """Displacement of each bin."""
+        return self.steps.reshape(len(self.weight), NODES, -1).sum(axis=1)
 
     def aligned(self, common: np.ndarray, scale: np.ndarray) -> _Phase:
         """Reverse backward strokes, and a piece that mostly runs backward: A u = 0 also holds for -u."""
-        bins = self.steps.reshape(len(self.weight), NODES, -1).sum(axis=1) / scale
-        own = np.linalg.svd(bins, full_matrices=False)[2][0]
-        along = bins @ (own if own @ common >= 0.0 else -own)
-        steps = self.steps * np.repeat(np.where(along < 0.0, -1.0, 1.0), NODES)[:, None]
-        if along.sum() < -0.5 * np.abs(along).sum():
-            return _Phase(self.q[::-1], steps[::-1], self.weight[::-1])
-        return _Phase(self.q, steps, self.weight)
+        own = np.linalg.svd(self.bins / scale, full_matrices=False)[2][0]
+        along = self.bins / scale @ (own if own @ common >= 0.0 else -own)
+        out = self._replace(steps=self.steps * np.repeat(np.where(along < 0.0, -1.0, 1.0), NODES)[:, None])
+        return _Phase(*(x[::-1] for x in out)) if along.sum() < -0.5 * np.abs(along).sum() else out
 
 
 def recombined(
@@ -190,10 +173,9 @@ def recombined(
     scale = np.maximum(size, 0.3 * size.max())
     most = int(min(MOST_BINS, max(np.median([len(t) for t in pieces]) // 2, 1)))
     n_bins = int(np.clip(round(float(np.median([t.duration for t in pieces])) / BIN_SECONDS), min(4, most), most))
-    paths = [_Phase.of(t, scale, n_bins) for t in pieces]
-    bins = np.stack([p.steps.reshape(n_bins, NODES, -1).sum(axis=1) for p in paths]) / scale
-    common = np.linalg.svd(bins.reshape(-1, bins.shape[2]), full_matrices=False)[2][0]
-    paths, g = [p.aligned(common, scale) for p in paths], len(paths)
+    paths, g = [_Phase.of(t, scale, n_bins) for t in pieces], len(pieces)
+    common = np.linalg.svd(np.concatenate([p.bins / scale for p in paths]), full_matrices=False)[2][0]
+    paths = [p.aligned(common, scale) for p in paths]
     Phi = np.stack([features.batch(p.q) for p in paths])
     W = whitening(Phi.reshape(-1, *Phi.shape[2:]), features.row_units)
     if not len(W):
@@ -201,23 +183,16 @@ def recombined(
     steps = [p.steps for p in paths]
     if g < FEWEST:  # too few to exchange between: joints are shifted in phase against each other too
         steps += [np.roll(p.steps, round(k * NODES * n_bins / 8), axis=0) for k in range(1, 8) for p in paths]
-    moved = np.stack(steps)  # (a, n, v)
-    parts = (
-        np.einsum("gnpv,anv->gnvap", W @ Phi, moved)
-        .reshape(g, n_bins, NODES, features.nv, len(steps), len(W))
-        .sum(axis=2)
-    )
     weight = np.stack([p.weight for p in paths])
-    parts *= np.sqrt(weight)[:, :, None, None, None]
-    energy = float(
-        np.mean(weight[:, :, None] * np.stack([p.steps.reshape(n_bins, NODES, -1).sum(axis=1) for p in paths]) ** 2)
-    )
+    parts = np.einsum("gnpv,anv->gnvap", W @ Phi, np.stack(steps))
+    parts = parts.reshape(g, n_bins, NODES, *parts.shape[2:]).sum(axis=2) * np.sqrt(weight)[:, :, None, None, None]
+    energy = float(np.mean(weight[:, :, None] * np.stack([p.bins for p in paths]) ** 2))
 
     def moments(order: np.ndarray) -> np.ndarray:
         """Return the mean of r r^T over the bins of each piece, for m arrangements of the joints (m, nv, g)."""
-        each, out = np.arange(g), []
+        out = []
         for some in np.array_split(order, -(-len(order) // 64)):
-            motion = np.sum([parts[each, :, v, some[:, v]] for v in range(features.nv)], axis=0)
+            motion = np.sum([parts[np.arange(g), :, v, some[:, v]] for v in range(features.nv)], axis=0)
             out.append(motion.transpose(0, 1, 3, 2) @ motion / n_bins)
         return np.concatenate(out)
 
@@ -225,11 +200,11 @@ def recombined(
     held_out = np.zeros(len(W))
     if g > 1:  # a few strokes leave some direction unused by chance; the next stroke uses it
         others = np.linalg.eigh((recorded.sum(axis=0) - recorded) / (g - 1))[1]
-        held_out = np.sqrt(
-            np.maximum(np.mean(np.einsum("dis,dij,djs->ds", others, recorded, others), axis=0), 0.0) / energy
-        )
+        squares = np.mean(np.einsum("dis,dij,djs->ds", others, recorded, others), axis=0)
+        held_out = np.sqrt(np.maximum(squares, 0.0) / energy)
     z = -NormalDist().inv_cdf(max(CHANCE / choices, 1e-300))
-    directions, all_moments, n = np.linalg.eigh(recorded.mean(axis=0))[1].T, recorded.mean(axis=0)[None], 0
+    mean = recorded.mean(axis=0)
+    directions, all_moments, n = np.linalg.eigh(mean)[1].T, mean[None], 0
     while True:
         n = max(RECOMBINATIONS, 4 * n)
         shape = (n + 1 - len(all_moments), features.nv, g)
@@ -246,9 +221,8 @@ def recombined(
         error = SURE * math.sqrt((0.5 * math.pi + 0.5 * z**2) / n) * spread
         near = np.abs(np.log(np.maximum(found.lower, 1e-300) / believed)) < error
         near |= (np.abs(chances - CHANCE) < SURE * math.sqrt(CHANCE / n)) & (chances * (n + 1) > 1.5)
-        decided = (chances > CHANCE) | (strengths < LEANING)
-        until = int(np.argmax(decided)) + 1 if decided.any() else len(near)
-        if n >= MOST_RECOMBINATIONS or not near[:until].any():
+        decided = np.append((chances > CHANCE) | (strengths < LEANING), True)
+        if n >= MOST_RECOMBINATIONS or not near[: np.argmax(decided) + 1].any():
             return found
 
 
@@ -268,13 +242,11 @@ def others_move(t: Trajectory, noise: float) -> float:
 def steady(view: View, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[Stretch]:
     """Return the stretches that rest along the rows as most do; in the others the hand slips."""
     m, moved, noise = view.all, [], []
-    for x in stretches:
-        inside = view.table.inside([x])
-        way = view.way(inside, rows)
-        moved.append(float(np.sqrt(np.mean(np.sum((way - way.mean(axis=0)) ** 2, axis=1)))) if len(way) else 0.0)
-        noise.append(2.0 * OVER_NOISE * float(np.sqrt(len(rows) * np.sum(m.noise[inside] * m.weight[inside] ** 2))))
-    usual = SLIPS * float(np.median(moved)) if moved else 0.0
-    most = [max(usual, LEAST_SLIP, min(least, 2.0 * usual)) for least in noise]
+    for inside in (view.table.inside([x]) for x in stretches):
+        moved.append(np.sqrt(np.sum(np.var(view.way(inside, rows), axis=0))) if inside.any() else 0.0)
+        noise.append(2.0 * OVER_NOISE * np.sqrt(len(rows) * np.sum(m.noise[inside] * m.weight[inside] ** 2)))
+    usual = SLIPS * np.median(moved) if moved else 0.0
+    most = np.maximum(max(usual, LEAST_SLIP), np.minimum(noise, 2.0 * usual))
     kept = [x for x, way, least in zip(stretches, moved, most, strict=True) if way <= least]
     return kept if 2 * len(kept) > len(stretches) else list(stretches)
 
@@ -285,45 +257,37 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
     They move no more than the noise, and far less than free rows. A joint at rest has no motion to exchange, so that
     the recombination test does not apply.
     """
-    table, m, s = view.table, view.all, len(rows)
-    if (
-        len({x.recording for x in stretches}) < FEWEST
-        or share > FIRM_SHARE
-        or table.q.shape != table.u.shape
-        or s >= view.r
-    ):
+    table, m, s, shown = view.table, view.all, len(rows), {x.recording for x in stretches}
+    if len(shown) < FEWEST or share > FIRM_SHARE or table.q.shape != table.u.shape or s >= view.r:
         return False
     inside = table.inside(stretches)
     w = m.weight * inside
-    sizes, _ = least_used(
-        ((m.rates.T * w) @ m.rates)[None], np.tensordot(w, m.gram, axes=1)[None], m.noise[inside].mean()[None]
-    )
-    if sizes[0, s] < FIRM_GAP * sizes[0, s - 1]:
+    M, S = (m.rates.T * w) @ m.rates, np.tensordot(w, m.gram, axes=1)
+    (sizes,), _ = least_used(M[None], S[None], m.noise[inside].mean()[None])
+    if sizes[s] < FIRM_GAP * sizes[s - 1]:
         return False
     middles, came = [], []
     for x in stretches:
-        before = (m.recording == x.recording) & (m.time < x.start)
-        way = view.way(before, rows)
-        came.append(float(np.linalg.norm(np.ptp(way, axis=0))) if len(way) else 0.0)
+        way = view.way((m.recording == x.recording) & (m.time < x.start), rows)
+        came.append(np.linalg.norm(np.ptp(way, axis=0)) if len(way) else 0.0)
         t = table.moved[x.recording]
         middles.append(t.q[np.searchsorted(t.time, 0.5 * (x.start + x.end))])
-    straight = [middles[0] + np.linspace(0.0, 1.0, 21)[:, None] * (q - middles[0]) for q in middles[1:]]
+    straight = [np.linspace(middles[0], q, 21) for q in middles[1:]]
     off = [np.linalg.norm(rows @ view.W @ displacements(view.features, line)[-1]) for line in straight]
-    return bool(max(off) <= SAME_PLACE * float(np.median(came)))
+    return bool(max(off) <= SAME_PLACE * np.median(came))
 
 
 def ways_to_choose(table: Table, view: View, stretches: Sequence[Stretch]) -> float:
     """Return the number of choices of as many stretches, as long as these, from all recordings."""
-    m = view.thin
+    m, numbers = view.thin, Counter(s.recording for s in stretches)
     moving = m.weight * m.moving()
     whole = np.bincount(m.recording, moving, minlength=len(table))
-    recs = {s.recording for s in stretches}
-    ways = float(math.comb(len(table), len(recs)))
-    for i in recs:
-        own = [s for s in stretches if s.recording == i]
-        spans = [float(np.sum(moving[(m.recording == i) & (m.time >= s.start) & (m.time <= s.end)])) for s in own]
-        ways *= math.prod(whole[i] / span for span in spans if span > 0.0) / math.factorial(len(spans))
-    return max(ways, 1.0)
+    log_ways = math.lgamma(len(table) + 1) - math.lgamma(len(numbers) + 1) - math.lgamma(len(table) - len(numbers) + 1)
+    for i, n in numbers.items():
+        inside = [(m.recording == i) & (m.time >= s.start) & (m.time <= s.end) for s in stretches if s.recording == i]
+        spans = [np.sum(moving[own]) for own in inside]
+        log_ways += sum(math.log(whole[i] / span) for span in spans if span > 0.0) - math.lgamma(n + 1)
+    return math.exp(min(max(log_ways, 0.0), 700.0))  # a larger number is none
 
 
 class Gate:
@@ -334,10 +298,10 @@ class Gate:
 
     def pieces(self, stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Trajectory]]:
         """Return the stretches that do not repeat each other, with their motions."""
-        both = [(s, self.table.piece(s)) for s in stretches]
-        both = [(s, p) for s, p in both if len(p) > 2]
-        kept = once_each([s for s, _ in both], [p for _, p in both])
-        return [both[k][0] for k in kept], [both[k][1] for k in kept]
+        stretches = [s for s in stretches if len(self.table.piece(s)) > 2]
+        pieces = [self.table.piece(s) for s in stretches]
+        kept = once_each(stretches, pieces)
+        return [stretches[k] for k in kept], [pieces[k] for k in kept]
 
     def evidence(self, view: View, stretches: Sequence[Stretch], choices: float | None = None) -> Evidence:
         """Return the evidence of stretches; `choices` is counted by default, see `recombined`."""
@@ -359,12 +323,9 @@ class Gate:
             recs = {s.recording for s in some}
             if not recs or len(recs) < min(2, len(self.table)):
                 return False
-            kept, pieces = self.pieces(some)
-            each = [(p, float(self.table.noises[s.recording])) for s, p in zip(kept, pieces, strict=True)]
-            if pieces and (
-                np.median([joints_at_once(*x) for x in each]) >= 1.1
-                or np.median([others_move(*x) for x in each]) >= OVER_NOISE**2
-            ):
+            each = [(p, self.table.noises[s.recording]) for s, p in zip(*self.pieces(some), strict=True)]
+            together, others = ([f(*x) for x in each] for f in (joints_at_once, others_move))
+            if each and (np.median(together) >= 1.1 or np.median(others) >= OVER_NOISE**2):
                 found = self.evidence(view, some)
                 if found.n_rows >= len(rows) and (len(recs) >= FEWEST or found.clear(len(rows))):
                     return True

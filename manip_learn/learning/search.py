@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, pairwise, product
+from itertools import combinations, groupby, islice, pairwise, product
 
 import numpy as np
 
+from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.learning.table import CHANGE, SHORTEST, SWITCH, Samples, Stretch, View
 from manip_learn.linalg import row_space_angle
 
@@ -26,7 +27,11 @@ PROPOSAL_GAP = 2.5  # below it nothing is proposed; less than WEAK_GAP, which de
 MOST_CONSTRAINTS, MOST_TESTED, KEPT, TURNS = 6, 6, 4, 4  # answered; tested by the gate a time; of each kind; of fits
 FEW_HELD = 0.4  # share of the motion, below which what no place explains is looked for in the whole twist
 MOST_OF_WINDOWS = 40  # proposals of windows, and of pairs of them, of each view and number of rows
+ALONE = 0.03  # share of the free velocity that breaks rows, up to which one recording alone shows them held
 AT_ONCE = 4_000_000  # numbers in memory together
+
+
+Scale = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +47,7 @@ class Hypothesis:
 
     view: int
     rows: np.ndarray
-    scale: tuple[float, float] = SCALES[0]
+    scale: Scale = SCALES[0]
     gains: np.ndarray = field(default_factory=lambda: np.zeros(1))
 
     @property
@@ -60,26 +65,29 @@ class Hypothesis:
         s, r = self.rows.shape
         return 0.5 * s * (r - s) * float(np.log(max(seconds / CHANGE, 2.0)))
 
+    def nats(self, m: Samples) -> np.ndarray:
+        """Return its evidence in each sample of its view, shape (n,)."""
+        return evidence(m, broken_energy(m, self.rows[None]), self.s, [self.scale])[:, 0, 0]
+
 
 def broken_energy(m: Samples, rows: np.ndarray) -> np.ndarray:
     """Return u^T A^+ A u of each sample for h hypotheses of s rows (h, s, r), by Cholesky's recursion; (n, h)."""
     h, s, r = rows.shape
-    flat, y, total = m.gram.reshape(-1, r * r), [m.rates @ rows[:, i].T for i in range(s)], np.zeros((len(m.rates), h))
-    L: list[list[np.ndarray]] = [[] for _ in range(s)]
+    flat, L, y = m.gram.reshape(-1, r * r), dict[tuple[int, int], np.ndarray](), list[np.ndarray]()
     for i in range(s):
         for j in range(i + 1):
             entry = flat @ (rows[:, i, :, None] * rows[:, j, None, :]).reshape(h, r * r).T
             for k in range(j):
-                entry -= L[i][k] * L[j][k]
-            L[i].append(np.sqrt(np.maximum(entry, 1e-15)) if i == j else entry / L[j][j])
+                entry -= L[i, k] * L[j, k]
+            L[i, j] = np.sqrt(np.maximum(entry, 1e-15)) if i == j else entry / L[j, j]
+        left = m.rates @ rows[:, i].T
         for k in range(i):
-            y[i] = y[i] - L[i][k] * y[k]
-        y[i] = y[i] / L[i][i]
-        total = total + y[i] ** 2
-    return total
+            left = left - L[i, k] * y[k]
+        y.append(left / L[i, i])
+    return np.sum(np.square(y), axis=0)
 
 
-def evidence(m: Samples, energy: np.ndarray, s: int, scales: Sequence[tuple[float, float]]) -> np.ndarray:
+def evidence(m: Samples, energy: np.ndarray, s: int, scales: Sequence[Scale]) -> np.ndarray:
     """Return the evidence of each sample: log-likelihood with constrained rows less that with free rows [nats].
 
     Args:
@@ -100,65 +108,47 @@ def evidence(m: Samples, energy: np.ndarray, s: int, scales: Sequence[tuple[floa
     return ratio * (m.weight[:, None, None] / CHANGE)
 
 
-def viterbi(values: np.ndarray, first: np.ndarray, switch: float) -> tuple[np.ndarray, np.ndarray]:
+def viterbi(values: np.ndarray, first: np.ndarray, switch: float, path: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """Return the most likely states of many problems at once, or one state throughout, as in a cut recording.
 
     Args:
-        values: shape (n, h, k), evidence of each sample for k states of h problems [nats]; state 0 is free motion.
+        values: shape (n, h, k), evidence of each sample for k constraints over free motion, for h problems [nats].
         first: shape (g + 1,), first sample of each recording, and n.
         switch: Switching cost [nats]; infinite: one state for each recording.
+        path: False if only the gains are needed.
 
     Returns:
-        States (n, h), and gains of the recordings (g, h) [nats].
+        States (n, h), 0 for free motion, and gains of the recordings (g, h) [nats].
     """
-    n, h, k = values.shape
-    whole = np.add.reduceat(values, first[:-1], axis=0)
-    alone, best = whole.argmax(axis=2), whole.max(axis=2)
+    lengths, half = np.diff(first), 0.5 * switch  # into or out of a constraint costs half a change
+    alone = np.insert(np.add.reduceat(values, first[:-1], axis=0), 0, 0.0, axis=2)
+    states, gains = np.repeat(alone.argmax(axis=2), lengths, axis=0), alone.max(axis=2)
     if np.isinf(switch):
-        return np.repeat(alone, np.diff(first), axis=0), best
-    lengths = np.diff(first)
-    padded = np.zeros((int(lengths.max()), len(lengths), h, k))
-    for i, (a, b) in enumerate(pairwise(first)):
-        padded[: b - a, i] = values[a:b]
-    border = 0.5 * switch * (np.arange(k) > 0)  # into or out of a constraint costs half a change
-    value, back = np.broadcast_to(-border, padded.shape[1:]), np.zeros(padded.shape, dtype=np.int8)
-    cost = border[:, None] + border
-    np.fill_diagonal(cost, 0.0)
-    for t, step in enumerate(padded):
-        if k == 2:  # the usual case, much faster written out
-            away, stay = value[..., 0] - cost[0, 1], value[..., 1]
-            left, free = value[..., 1] - cost[1, 0], value[..., 0]
-            back[t, ..., 1], back[t, ..., 0] = stay >= away, left > free
-            value = np.stack([np.maximum(free, left), np.maximum(stay, away)], axis=-1) + step
-        else:
-            arrivals = value[..., :, None] - cost
-            back[t] = arrivals.argmax(axis=-2)
-            value = arrivals.max(axis=-2) + step
-    ends = value - border
-    state, out = ends.argmax(axis=-1), np.zeros(padded.shape[:3], dtype=np.int64)
-    for t in range(len(padded) - 1, -1, -1):
-        out[t] = state
-        state = np.take_along_axis(back[t], state[..., None], axis=-1)[..., 0]
-    found = np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
-    better = best >= ends.max(axis=-1)
-    found = np.where(np.repeat(better, lengths, axis=0), np.repeat(alone, lengths, axis=0), found)
-    return found, np.maximum(best, ends.max(axis=-1))
-
-
-def two_state_gains(values: np.ndarray, first: np.ndarray, switch: float) -> np.ndarray:
-    """Return the gain of each recording by each hypothesis alone, shape (g, h) [nats]: `viterbi` without the path."""
-    whole = np.maximum(np.add.reduceat(values, first[:-1], axis=0), 0.0)
-    if np.isinf(switch):
-        return whole
-    lengths, half = np.diff(first), 0.5 * switch
-    padded = np.zeros((int(lengths.max()), len(lengths), values.shape[1]))
-    for i, (a, b) in enumerate(pairwise(first)):
-        padded[: b - a, i] = values[a:b]
-    free = np.zeros(padded.shape[1:])
-    held = free - half
-    for step in padded:
-        held, free = np.maximum(held, free - half) + step, np.maximum(free, held - half)
-    return np.maximum(whole, np.maximum(free, held - half))
+        return states, gains
+    inside = np.arange(lengths.max()) < lengths[:, None]
+    padded = np.zeros((*inside.shape, *values.shape[1:]))
+    padded[inside] = values
+    free, kept = np.zeros(gains.shape), list[tuple[np.ndarray, np.ndarray]]()
+    held = np.zeros((values.shape[2], *free.shape)) - half
+    for step in np.ascontiguousarray(padded.transpose(1, 3, 0, 2)):
+        if path:
+            kept.append((free, held))
+        free = np.maximum(free, held.max(axis=0) - half)
+        held = np.maximum(held, free - half) + step
+    ends = np.concatenate([free[None], held - half])
+    if path:  # the way back: which state each one came from
+        free, held = (np.array(x) for x in zip(*kept, strict=True))
+        left, own = held.max(axis=1) - half, np.arange(1, held.shape[1] + 1)[:, None, None]
+        source = np.where(left > free, held.argmax(axis=1) + 1, 0)[:, None]
+        stays = held >= np.maximum(free, left)[:, None] - half
+        before = np.concatenate([source, np.where(stays, own, source)], axis=1)
+        found, state = np.zeros(padded.shape[:3], dtype=int), ends.argmax(axis=0)
+        recording, problem = np.indices(state.shape)
+        for t in reversed(range(len(before))):
+            found[:, t] = state
+            state = before[t, state, recording, problem]
+        states = np.where(np.repeat(gains >= ends.max(axis=0), lengths, axis=0), states, found[inside])
+    return states, np.maximum(gains, ends.max(axis=0))
 
 
 def least_used(M: np.ndarray, S: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -195,8 +185,8 @@ def distinct(rows: np.ndarray, most: int | None = None) -> list[int]:
     return kept
 
 
-def proposed(m: Samples, states: np.ndarray, largest: int, whole: bool) -> dict[int, np.ndarray]:
-    """Return candidate rows for each number of rows, s -> (h, s, r).
+def proposed(m: Samples, states: np.ndarray, largest: int, whole: bool) -> list[np.ndarray]:
+    """Return candidate rows for each number of rows s from 1 on, each of shape (h, s, r).
 
     They are the least used rows of windows of free motion, and of recordings, pairs and all samples in each state.
 
@@ -206,22 +196,16 @@ def proposed(m: Samples, states: np.ndarray, largest: int, whole: bool) -> dict[
         largest: Largest number of rows.
         whole: True if each recording is one stretch: windows are left out.
     """
-    r, n = m.rates.shape[1], len(m.rates)
-    products = np.concatenate(
-        [
-            (m.rates[:, :, None] * m.rates[:, None]).reshape(n, -1),
-            m.gram.reshape(n, -1),
-            m.noise[:, None],
-            m.moving()[:, None],
-            np.ones((n, 1)),
-        ],
-        axis=1,
-    )
+    n, r = m.rates.shape
+    squares = (m.rates[:, :, None] * m.rates[:, None]).reshape(n, -1)
+    products = np.column_stack([squares, m.gram.reshape(n, -1), m.noise, m.moving(), np.ones(n)])
 
     def cumulated(mask: np.ndarray) -> np.ndarray:
-        return np.concatenate(
-            [np.zeros((1, products.shape[1])), np.cumsum(products * (m.weight * mask)[:, None], axis=0)]
-        )
+        return np.insert(np.cumsum(products * (m.weight * mask)[:, None], axis=0), 0, 0.0, axis=0)
+
+    def used(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        M, S = (np.ascontiguousarray(x).reshape(-1, r, r) for x in np.split(sums[:, : 2 * r * r], 2, axis=1))
+        return least_used(M, S, sums[:, -3] / np.maximum(sums[:, -1], 1e-12))
 
     groups: list[tuple[np.ndarray, int | None]] = []
     for k in range(int(states.max(initial=0)) + 1):
@@ -231,75 +215,63 @@ def proposed(m: Samples, states: np.ndarray, largest: int, whole: bool) -> dict[
         few = shown[:: max(1, len(shown) // 16)]
         pairs = np.array(list(combinations(few, 2)), dtype=int).reshape(-1, 2)
         pairs = pairs[:: max(1, -(-len(pairs) // 24))]
-        pooled = [each[few], each[pairs[:, 0]] + each[pairs[:, 1]], each.sum(axis=0, keepdims=True)]
+        pooled = [each[few], each[pairs].sum(axis=1), each.sum(axis=0, keepdims=True)]
         groups.append((np.concatenate(pooled), None))
     if not whole:
-        total, short, long, owner = cumulated(states == 0), [], [], []
+        total, windows, owner = cumulated(states == 0), [], []
         for (a, b), length in product(pairwise(m.first), (0.6, 1.2, 2.0)):
             time = m.time[a:b]
             starts = np.arange(time[0], max(time[-1] - length, time[0]) + 1e-9, 0.5 * length)
             low, high = np.searchsorted(time, starts) + a, np.searchsorted(time, starts + length) + a
             some = (total[high] - total[low])[high - low > 2 * r]
             some = some[(some[:, -2] > 0.5 * length) & (some[:, -1] > 0.8 * length)]
-            if length < 2.0:
-                short.append(some)
-            if length > 1.0:
-                long.append(some)
-                owner.append(np.full(len(some), a))
-        groups.append((np.concatenate(short), MOST_OF_WINDOWS))
-        if sum(map(len, long)) > 1:
-            w, owner = np.concatenate(long), np.concatenate(owner)
-            sizes, _ = least_used(*_split(w, r))
-            best = np.argsort(-np.max(sizes[:, 1:] / sizes[:, :-1], axis=1))[:60]
-            i, j = np.triu_indices(len(best), 1)
-            i, j = best[i], best[j]
-            apart = owner[i] != owner[j]
-            groups.append((w[i[apart]] + w[j[apart]], MOST_OF_WINDOWS))
-    out: dict[int, list[np.ndarray]] = {s: [] for s in range(1, largest + 1)}
-    for w, most in groups:
-        w = w[w[:, -1] > 0.0]
-        if not len(w):
-            continue
-        sizes, directions = least_used(*_split(w, r))
-        for s, kept in out.items():
+            windows.append(some)
+            owner += [(a, length)] * len(some)
+        w, (owner, length) = np.concatenate(windows), np.reshape(owner, (-1, 2)).T
+        groups.append((w[length < 2.0], MOST_OF_WINDOWS))
+        w, owner = w[length > 1.0], owner[length > 1.0]
+        sizes, _ = used(w)
+        best = np.argsort(-np.max(sizes[:, 1:] / sizes[:, :-1], axis=1))[:60]
+        i, j = best[np.array(np.triu_indices(len(best), 1))]
+        apart = owner[i] != owner[j]
+        groups.append((w[i[apart]] + w[j[apart]], MOST_OF_WINDOWS))
+    found = [(*used(sums[sums[:, -1] > 0.0]), most) for sums, most in groups]
+    out = list[np.ndarray]()
+    for s in range(1, largest + 1):
+        kept = []
+        for sizes, directions, most in found:
             gap = sizes[:, s] / sizes[:, s - 1]
             chosen = np.flatnonzero(gap > PROPOSAL_GAP)
             kept.append(orthonormal(directions[chosen[np.argsort(-gap[chosen])][:most]], s))
-    joined = {s: np.concatenate(kept) for s, kept in out.items() if kept}
-    return {s: rows[distinct(rows)] for s, rows in joined.items() if len(rows)}
-
-
-def _split(w: np.ndarray, r: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return (
-        w[:, : r * r].reshape(-1, r, r),
-        w[:, r * r : 2 * r * r].reshape(-1, r, r),
-        w[:, -3] / np.maximum(w[:, -1], 1e-12),
-    )
+        rows = np.concatenate(kept)
+        out.append(rows[distinct(rows)])
+    return out
 
 
 class Explanation:
-    """Hypotheses that together explain the recordings, with the state of each sample."""
+    """Hypotheses that together explain the recordings, with the state of each sample.
+
+    The gains of each hypothesis are those over the others.
+    """
 
     def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = SWITCH):
         self.views, self.hypotheses, self.switch = list(views), list(hypotheses), switch
         m = views[0].thin
-        self.values = np.concatenate([np.zeros((len(m.time), 1)), self._of([v.thin for v in views])], axis=1)
-        self.states = viterbi(self.values[:, None], m.first, switch)[0][:, 0]
+        self.values, self.states = self._seen([v.thin for v in views])
         self.explained = self.values[np.arange(len(self.values)), self.states]
-        self.gains = np.zeros((len(m.first) - 1, len(self.hypotheses)))
-        for k in range(len(self.hypotheses)):
+        for k, h in enumerate(hypotheses):
             gain = np.where(self.states == k + 1, self.values[:, k + 1] - self.others(k), 0.0)
-            self.gains[:, k] = np.bincount(m.recording, gain, minlength=len(self.gains))
-        self.supports = np.array(
-            [replace(h, gains=g).support for h, g in zip(self.hypotheses, self.gains.T, strict=True)]
-        )
+            gains = np.bincount(m.recording, gain, minlength=len(m.first) - 1)
+            self.hypotheses[k] = replace(h, gains=gains)
+        self.supports = np.array([h.support for h in self.hypotheses])
 
-    def _of(self, samples: Sequence[Samples]) -> np.ndarray:
-        out = [
-            evidence(samples[h.view], broken_energy(samples[h.view], h.rows[None]), h.s, [h.scale])[:, :, 0]
-            for h in self.hypotheses
-        ]
-        return np.concatenate([np.zeros((len(samples[0].time), 0)), *out], axis=1)
+    def _seen(self, samples: Sequence[Samples]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the evidence of samples of each view for free motion and all hypotheses, and their states."""
+        free = np.zeros(len(samples[0].time))
+        values = np.column_stack([free, *(h.nats(samples[h.view]) for h in self.hypotheses)])
+        if not self.hypotheses:
+            return values, np.zeros(len(free), dtype=int)
+        return values, viterbi(values[:, None, 1:], samples[0].first, self.switch)[0][:, 0]
 
     def others(self, k: int) -> np.ndarray:
         """Return the evidence of each sample for its best explanation without the k-th hypothesis [nats]."""
@@ -307,35 +279,31 @@ class Explanation:
 
     def fine_states(self) -> np.ndarray:
         """Return the state of each sample of the whole table, 0 for free motion."""
-        values = self._of([v.all for v in self.views])
-        values = np.concatenate([np.zeros((len(values), 1)), values], axis=1)
-        return viterbi(values[:, None], self.views[0].all.first, self.switch)[0][:, 0]
+        return self._seen([v.all for v in self.views])[1]
 
     def with_(self, hypotheses: Sequence[Hypothesis]) -> Explanation:
         """Return the explanation by other hypotheses."""
         return Explanation(self.views, hypotheses, self.switch)
 
+    def without_weakest(self) -> Explanation:
+        """Return the explanation without the hypothesis that has the least support."""
+        return self.with_([h for k, h in enumerate(self.hypotheses) if k != int(self.supports.argmin())])
+
+    def refit(self, k: int, start: Hypothesis) -> Hypothesis:
+        """Fit a hypothesis to the samples of the k-th one, against the others."""
+        held = self.states == k + 1
+        baseline = np.where((self.states > 0) & ~held, self.others(k), 0.0)
+        return fitted(self.views, [start], held[:, None], baseline, self.switch)[0]
+
     def settled(self) -> Explanation:
         """Fit each hypothesis to the samples that it explains, and repeat while the total evidence grows."""
         best = self
         for _ in range(TURNS):
-            fitted = list[Hypothesis]()
-            for k, h in enumerate(best.hypotheses):
-                held = best.states == k + 1
-                baseline = np.where((best.states > 0) & ~held, best.others(k), 0.0)
-                fitted += refitted(best.views, [h], held[:, None], baseline, best.switch)
-            now = best.with_(fitted)
+            now = best.with_([best.refit(k, h) for k, h in enumerate(best.hypotheses)])
             if now.explained.sum() <= best.explained.sum():
                 break
             best = now
         return best
-
-    def without_idle(self) -> Explanation:
-        """Remove hypotheses with too little support, the weakest first."""
-        now = self
-        while len(now.hypotheses) > 1 and now.supports.min() < LEAST_GAIN:
-            now = now.with_([h for k, h in enumerate(now.hypotheses) if k != int(now.supports.argmin())])
-        return now
 
     def has_twins(self) -> bool:
         """Return True if two hypotheses differ by less than their own scales."""
@@ -350,70 +318,63 @@ class Explanation:
         """Move each hypothesis to the first view in which as many rows explain no less, net of their price."""
         now, seconds = self, self.views[0].table.seconds
         for k, h in enumerate(self.hypotheses):
-            for number in range(h.view):
-                view = self.views[number]
+            for number, view in enumerate(self.views[: h.view]):
                 if view.largest < h.s:
                     continue
-                held = now.states == k + 1
-                start = Hypothesis(number, np.eye(h.s, view.r), h.scale)
-                baseline = np.where((now.states > 0) & ~held, now.others(k), 0.0)
-                fitted = refitted(now.views, [start], held[:, None], baseline, now.switch)[0]
-                trial = now.with_([*now.hypotheses[:k], fitted, *now.hypotheses[k + 1 :]])
-                if trial.explained.sum() + h.price(seconds) - fitted.price(seconds) >= now.explained.sum():
+                moved = now.refit(k, Hypothesis(number, np.eye(h.s, view.r), h.scale))
+                trial = now.with_([*now.hypotheses[:k], moved, *now.hypotheses[k + 1 :]])
+                if trial.explained.sum() + h.price(seconds) - moved.price(seconds) >= now.explained.sum():
                     now = trial
                     break
         return now
 
-    def stretches(self, k: int, states: np.ndarray | None = None) -> list[Stretch]:
-        """Return the stretches of state k, from the first to the last moving sample, or to ends of the recording."""
-        fine = states is not None
-        m, t = (self.views[0].all if fine else self.views[0].thin), self.views[0].table
-        states, moving, out = (states if fine else self.states), m.moving(), []
+    def stretches(self, k: int, fine: np.ndarray | None = None) -> list[Stretch]:
+        """Return the stretches of state k, from the first to the last moving sample, or to ends of the recording.
+
+        Args:
+            k: Number of the state.
+            fine: State of each sample of the whole table; by default those of the samples of the search.
+        """
+        view, out = self.views[0], list[Stretch]()
+        m, states = (view.thin, self.states) if fine is None else (view.all, fine)
+        shown = m.moving() & (states == k)
         edges = np.unique(np.concatenate([np.flatnonzero(np.diff(states)) + 1, m.first]))
         for a, b in pairwise(edges.tolist()):
-            inside = np.flatnonzero(moving[a:b] & (states[a] == k))
+            inside = a + np.flatnonzero(shown[a:b])
             if not len(inside):
                 continue
             i = int(m.recording[a])
-            start, end = float(m.time[a + inside[0]]), float(m.time[a + inside[-1]])
+            ends = view.table.ends[i].tolist()
+            start, end = m.time[inside[[0, -1]]].tolist()
             long = end - start >= SHORTEST
             if k:
-                start = float(t.ends[i, 0]) if a == m.first[i] else start
-                end = float(t.ends[i, 1]) if b == m.first[i + 1] else end
-            if long or not k or (start, end) == tuple(t.ends[i]):
+                start, end = ends[0] if a == m.first[i] else start, ends[1] if b == m.first[i + 1] else end
+            if long or not k or [start, end] == ends:
                 out.append(Stretch(i, start, end))
         return out
 
 
 def scored(
-    views: Sequence[View], tried: Sequence[Hypothesis], scales, baseline: np.ndarray, switch: float
+    views: Sequence[View], tried: Sequence[Hypothesis], scales: Sequence[Scale], baseline: np.ndarray, switch: float
 ) -> np.ndarray:
     """Return the gain of each recording over the baseline by each hypothesis at each scale, shape (g, h, k) [nats]."""
-    m = views[0].thin
-    out = np.zeros((len(m.first) - 1, len(tried), len(scales)))
-    for (view, s), numbers in grouped([(h.view, h.s) for h in tried]):
-        at_once = max(1, AT_ONCE // (len(m.time) * len(scales)))
-        for some in (numbers[i : i + at_once] for i in range(0, len(numbers), at_once)):
-            thin = views[view].thin
-            values = evidence(thin, broken_energy(thin, np.stack([tried[i].rows for i in some])), s, scales)
-            values = (values - baseline[:, None, None]).reshape(len(m.time), -1)
-            out[:, some] = two_state_gains(values, m.first, switch).reshape(len(out), len(some), -1)
-    return out
+    n, first = len(baseline), views[0].thin.first
+    out = [np.zeros((len(first) - 1, 0, len(scales)))]
+    at_once = max(1, AT_ONCE // (n * len(scales)))
+    for i in range(0, len(tried), at_once):
+        values = []
+        for (view, s), alike in groupby(tried[i : i + at_once], key=lambda h: (h.view, h.s)):
+            energy = broken_energy(views[view].thin, np.stack([h.rows for h in alike]))
+            values.append(evidence(views[view].thin, energy, s, scales) - baseline[:, None, None])
+        gains = viterbi(np.concatenate(values, axis=1).reshape(n, -1, 1), first, switch, path=False)[1]
+        out.append(gains.reshape(len(gains), -1, len(scales)))
+    return np.concatenate(out, axis=1)
 
 
-def scaled(views, hypotheses, baseline, switch) -> list[Hypothesis]:
-    """Return the hypotheses with the scales that gain most over the baseline (n,) [nats]."""
-    gains = scored(views, hypotheses, SCALES, baseline, switch)
-    most = gains.sum(axis=0).argmax(axis=1)
-    return [
-        replace(h, scale=SCALES[k], gains=gains[:, i, k]) for i, (h, k) in enumerate(zip(hypotheses, most, strict=True))
-    ]
-
-
-def refitted(
-    views, hypotheses: Sequence[Hypothesis], held: np.ndarray, baseline: np.ndarray, switch: float
+def fitted(
+    views: Sequence[View], hypotheses: Sequence[Hypothesis], held: np.ndarray, baseline: np.ndarray, switch: float
 ) -> list[Hypothesis]:
-    """Fit each hypothesis to its samples: the rows that these use least, weighted by their expected variance.
+    """Fit each hypothesis to its samples: the rows that these use least, at the scale that then gains most.
 
     Args:
         views: All views.
@@ -422,91 +383,57 @@ def refitted(
         baseline: shape (n,), evidence of each sample without them [nats].
         switch: Switching cost [nats].
     """
-    out = list(hypotheses)
-    for (view, s), numbers in grouped([(h.view, h.s) for h in hypotheses]):
-        m = views[view].thin
-        r = m.rates.shape[1]
-        numbers = [i for i in numbers if np.count_nonzero(held[:, i] & m.moving()) >= 3 * r]
-        if not numbers:
-            continue
-        scale = np.array([hypotheses[i].scale for i in numbers]).T ** 2
-        weights = np.where(
-            held[:, numbers], m.weight[:, None] / (np.outer(m.noise, scale[0]) + np.outer(m.free, scale[1])), 0.0
-        )
-        M = np.stack([(m.rates.T * w) @ m.rates for w in weights.T])
-        rows = orthonormal(least_used(M, np.tensordot(weights, m.gram, axes=(0, 0)), np.zeros(len(M)))[1], s)
-        for i, one in zip(numbers, rows, strict=True):
-            out[i] = replace(out[i], rows=one)
-    return scaled(views, out, baseline, switch)
-
-
-def grouped(keys: Sequence) -> list[tuple]:
-    """Return each distinct key with its indices."""
-    out: dict = {}
-    for i, key in enumerate(keys):
-        out.setdefault(key, []).append(i)
-    return list(out.items())
+    out = list[Hypothesis]()
+    for h, own in zip(hypotheses, held.T, strict=True):
+        m, (steady, share) = views[h.view].thin, np.square(h.scale)
+        if np.count_nonzero(own & m.moving()) >= 3 * m.rates.shape[1]:
+            w = np.where(own, m.weight / (m.noise * steady + m.free * share), 0.0)  # by their expected variance
+            M, S = (m.rates.T * w) @ m.rates, np.tensordot(w, m.gram, axes=1)
+            h = replace(h, rows=orthonormal(least_used(M[None], S[None], np.zeros(1))[1], h.s)[0])
+        out.append(h)
+    gains = scored(views, out, SCALES, baseline, switch)
+    best = gains.sum(axis=0).argmax(axis=1)
+    return [replace(out[i], scale=SCALES[k], gains=gains[:, i, k]) for i, k in enumerate(best)]
 
 
 def contained(view: View, views: Sequence[View]) -> bool:
-    """Return True if another view has these rows and more; `plainest` moves its hypotheses back in the end."""
-    f = view.features
-    if getattr(f, "reference", "") != "world":
-        return False
-    if len(f.row_names) < 6:  # the rows of the place alone: plainest first, as they are few
-        return False
-    return any(
-        set(f.row_names) <= set(v.features.row_names) and getattr(v.features, "form", "").startswith("point")
-        for v in views
-        if v is not view
-    )
+    """Return True if another view has these rows and more; `plainest` moves its hypotheses back in the end.
+
+    The rows of the place alone are never left out: plainest first, as they are few.
+    """
+    f, frame = view.features, getattr(view.features, "frame", None)
+    forms = [getattr(v.features, "form", "") for v in views if getattr(v.features, "frame", None) == frame]
+    return getattr(f, "reference", "") == "world" and f.n_rows == len(AXES) and "point and rotation" in forms
 
 
-def candidates(now: Explanation, allowed: Sequence[int] | None = None) -> list[Hypothesis]:
+def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
     """Return the fitted candidates that gain most over an explanation, a few for each view and number of rows."""
-    views, baseline, switch = now.views, now.explained, now.switch
-    tried = [
-        Hypothesis(number, one)
-        for number, view in enumerate(views)
-        if (allowed is None or number in allowed) and not contained(view, views)
-        for rows in proposed(view.thin, now.states, view.largest, bool(np.isinf(switch))).values()
-        for one in rows
-    ]
-    if not tried:
-        return []
-    gains = scored(views, tried, FIRST, baseline, switch)
-    support = (gains.sum(axis=0) - (gains.max(axis=0) if len(gains) > 1 else 0.0)).max(axis=1)
-    best = list[Hypothesis]()
-    for _, numbers in grouped([(h.view, h.s) for h in tried]):
-        order = [i for i in sorted(numbers, key=lambda i: -support[i]) if support[i] > 0.0]
-        if order:
-            best += [tried[order[i]] for i in distinct(np.stack([tried[i].rows for i in order]), KEPT)]
-    best = scaled(views, best, baseline, switch) if best else []
-    going = list(range(len(best)))
+    views, baseline, switch, best = now.views, now.explained, now.switch, list[Hypothesis]()
+    for number in (i for i in allowed if not contained(views[i], views)):
+        for rows in proposed(views[number].thin, now.states, views[number].largest, bool(np.isinf(switch))):
+            tried = [Hypothesis(number, one) for one in rows]
+            gains = scored(views, tried, FIRST, baseline, switch)
+            support = (gains.sum(axis=0) - (gains.max(axis=0) if len(gains) > 1 else 0.0)).max(axis=1)
+            order = np.argsort(-support, kind="stable")
+            order = order[support[order] > 0.0]
+            best += [tried[i] for i in order[distinct(rows[order], KEPT)]]
+    going, out = fitted(views, best, np.zeros((len(baseline), len(best)), dtype=bool), baseline, switch), []
     for _ in range(TURNS):
         if not going:
             break
-        now_, m = [best[i] for i in going], views[0].thin
-        energies = [broken_energy(views[h.view].thin, h.rows[None]) for h in now_]
-        values = np.concatenate(
-            [evidence(views[h.view].thin, e, h.s, [h.scale])[:, 0] for h, e in zip(now_, energies, strict=True)], axis=1
-        )
-        values = np.stack([np.zeros_like(values), values - baseline[:, None]], axis=2)
-        held = viterbi(values, m.first, switch)[0] > 0
-        again = refitted(views, now_, held, baseline, switch)
-        better = {i: h for i, h in zip(going, again, strict=True) if h.gains.sum() > best[i].gains.sum()}
-        best = [better.get(i, h) for i, h in enumerate(best)]
-        going = list(better)
-    return best
+        values = np.column_stack([h.nats(views[h.view].thin) - baseline for h in going])
+        held = viterbi(values[:, :, None], views[0].thin.first, switch)[0] > 0
+        pairs = list(zip(going, fitted(views, going, held, baseline, switch), strict=True))
+        out += [old for old, new in pairs if new.gains.sum() <= old.gains.sum()]
+        going = [new for old, new in pairs if new.gains.sum() > old.gains.sum()]
+    return out + going
 
 
 Test = Callable[[View, Hypothesis, list[Stretch]], bool]
 
 
-def added(
-    now: Explanation, believed: Test, refused: list[Hypothesis], allowed: Sequence[int] | None
-) -> tuple[Explanation, list[Hypothesis]]:
-    """Add accepted hypotheses from the allowed views, one at a time; return the explanation and all refused ones."""
+def added(now: Explanation, believed: Test, refused: list[Hypothesis], allowed: Sequence[int]) -> Explanation:
+    """Add accepted hypotheses from the allowed views, one at a time; all refused ones are added to `refused`."""
     views, seconds = now.views, now.views[0].table.seconds
 
     def similar(a: Hypothesis, b: Hypothesis) -> bool:
@@ -514,29 +441,21 @@ def added(
         return a.view == b.view and row_space_angle(a.rows, b.rows) < SAME
 
     while len(now.hypotheses) < MOST_CONSTRAINTS:
-        found = candidates(now, allowed)
-        gaining = {id(h): h.support - h.price(seconds) for h in found}
-        accepted, tested = None, 0
-        for h in sorted(found, key=lambda h: -gaining[id(h)]):
-            if gaining[id(h)] <= LEAST_GAIN or tested == MOST_TESTED:
-                break
-            if any(similar(h, x) for x in refused):
-                continue
-            trial, tested = now.with_([*now.hypotheses, h]).settled(), tested + 1
-            k = len(trial.hypotheses)
-            if (
-                trial.supports[-1] > LEAST_GAIN
-                and not trial.has_twins()
-                and believed(views[h.view], trial.hypotheses[-1], trial.stretches(k))
-            ):
-                accepted = trial.without_idle()
+        found = sorted(candidates(now, allowed), key=lambda h: h.price(seconds) - h.support)
+        gaining = (h for h in found if h.support - h.price(seconds) > LEAST_GAIN)
+        for h in islice((h for h in gaining if not any(similar(h, x) for x in refused)), MOST_TESTED):
+            trial = now.with_([*now.hypotheses, h]).settled()
+            last, stretches = trial.hypotheses[-1], trial.stretches(len(trial.hypotheses))
+            if last.support > LEAST_GAIN and not trial.has_twins() and believed(views[h.view], last, stretches):
                 break
             refused.append(h)
-        if accepted is None:
-            break
-        refused += [h for h in now.hypotheses if not any(similar(h, x) for x in accepted.hypotheses)]
-        now = accepted
-    return now, refused
+        else:
+            return now
+        while len(trial.hypotheses) > 1 and trial.supports.min() < LEAST_GAIN:
+            trial = trial.without_weakest()
+        refused += [h for h in now.hypotheses if not any(similar(h, x) for x in trial.hypotheses)]
+        now = trial
+    return now
 
 
 def explain(views: Sequence[View], believed: Test, switch: float = SWITCH, first: int = 0) -> Explanation:
@@ -548,13 +467,46 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH, first
         switch: Switching cost [nats].
         first: Number of views of the position of the hand; the others are searched if these explain little motion.
     """
-    now, refused = Explanation(views, (), switch), list[Hypothesis]()
-    if first:
-        now, refused = added(now, believed, refused, range(first))
-    moving = views[0].thin.moving()
-    if not first or not moving.any() or np.mean(now.states[moving] > 0) < FEW_HELD:
-        now, _ = added(now, believed, refused, range(first, len(views)) if first else None)
+    refused = list[Hypothesis]()
+    now = added(Explanation(views, (), switch), believed, refused, range(first))
+    moving = now.states[views[0].thin.moving()]
+    if np.count_nonzero(moving) < FEW_HELD * max(len(moving), 1):
+        now = added(now, believed, refused, range(first, len(views)))
     now = now.plainest()
     while now.has_twins():
-        now = now.with_([h for k, h in enumerate(now.hypotheses) if k != int(now.supports.argmin())])
+        now = now.without_weakest()
     return now
+
+
+def lone_contacts(
+    found: Explanation, places: Sequence[int], supported: Callable[[View, Stretch], int]
+) -> list[Stretch]:
+    """Return further stretches in which rows are firmly constrained in one recording alone.
+
+    They are named, so that they can be recorded again, and not learnt.
+
+    Args:
+        found: Explanation of all recordings.
+        places: Numbers of the views of the position of the hand.
+        supported: Function of a view and a stretch: number of rows for which it is evidence.
+    """
+    out = list[Stretch]()
+    for i in range(len(found.views[0].table)):
+        views = [v.of_recording(i) for v in found.views]
+        rest, m = Explanation(views, found.hypotheses, found.switch), views[0].thin
+        free = np.sum(m.weight[(rest.states == 0) & m.moving()])
+        alone = candidates(rest, places) if free > SHORTEST else []
+        firm = [h for h in alone if h.scale[1] <= ALONE and h.support > LEAST_GAIN]
+        if not firm:
+            continue
+        h, k = max(firm, key=lambda h: h.support), len(found.hypotheses)
+        both = rest.with_([*found.hypotheses, h])
+        values = both.values[:, k + 1] - both.others(k)
+        for s in both.stretches(k + 1, both.fine_states()):
+            # less the quarter that gains most, the price, and the change into it and out of it
+            parts = [values[(m.time >= a) & (m.time < b)].sum() for a, b in pairwise(np.linspace(s.start, s.end, 5))]
+            worth = sum(parts) - max(parts) - h.price(s.duration) - found.switch
+            there = s._replace(recording=i)
+            if worth > LEAST_GAIN and supported(found.views[h.view], there) >= h.s:
+                out.append(there)
+    return out
