@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -122,6 +123,26 @@ def test_contacts_at_different_places_have_no_hold():
     assert robot is not None
     q = np.array(constraint.provenance["postures"][0])
     assert ml.motion(constraint).hold(q) == 0.0
+
+
+def test_the_hand_closes_where_a_contact_began():
+    """Along a bar contacts begin apart: the hand goes to the nearest of them, and never to a place in between."""
+    robot, tip, learner, thing, _ = shown_set("lid", "sawyer")
+    shown = learner.constraint_.shown
+    assert shown is not None and shown.grasps.shape == (shown.n, 4, 4) and abs(shown.start[0]) < 0.01
+    assert np.max(np.linalg.norm(shown.grasps[:, :3, 3] - thing.hold, axis=1)) < 3e-3
+    grasps, across = np.repeat(shown.grasps[:1], 3, axis=0), np.cross(thing.axis, [0.0, 0.0, 1.0])  # off the lid's way
+    grasps[:, :3, 3] = thing.hold + np.outer([-0.04, 0.0, 0.04], thing.axis)  # the handle runs along the hinge
+    bar = learner.constraint_.showing(replace(shown, hold=None, scatter=0.04, grasps=grasps))
+    for beside in (-0.05, 0.01, 0.03):
+        start = np.array(HOME["sawyer"])
+        for _ in range(50):
+            error = thing.hold + beside * thing.axis + 0.06 * across - robot.position(start, tip)
+            start = start + np.linalg.pinv(robot.jacobian(start, tip)[:3]) @ error
+        closed, _, way = done(bar, ml.motion(bar), start, tip)
+        nearest = min(grasps[:, :3, 3], key=lambda place: np.linalg.norm(place - closed))
+        assert way.is_done and np.linalg.norm(closed - nearest) < 1e-3
+        assert abs((nearest - thing.hold) @ thing.axis - beside) < 0.025
 
 
 def test_a_constraint_that_was_not_learnt_is_told_how_far():

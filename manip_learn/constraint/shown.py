@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 from typing import Any, Literal, final
 
@@ -29,6 +29,7 @@ FreeKind = Literal["straight", "around", "sleeve", "ball", "curve"]
 # millimetre or two, a hand that is put down on a table does not
 SAME_PLACE = 3e-3
 BACK = 0.1  # share of the way out within which a hand that was taken back ends
+MOST_GRASPS = 24  # kept in a file: 10 kB
 STARTED = 0.02  # share of the way that a hand has gone when its motion has begun, and that is left when it has ended
 PATH_POINTS = 400  # kept of a path: a millimetre apart on a wipe of 0.4 m
 LEAST_SMOOTHED = 8  # samples of a path, from which a cubic spline has something to smooth
@@ -232,6 +233,8 @@ class Shown:
         coordinates: The free coordinates.
         force: What the hand exerted along them at the most, the median over the contacts [N]; None where no efforts
             were recorded, or where they show no such force, as those of an arm that a hand has guided.
+        start: shape (k,), coordinates where contacts began, the median, counted from `begin` [m or rad].
+        grasps: shape (n, 4, 4), pose of the hand where each contact began, of at most `MOST_GRASPS` contacts.
     """
 
     unit: Unit
@@ -254,6 +257,8 @@ class Shown:
     one_way: bool
     coordinates: FreeCoordinates
     force: float | None = None
+    start: Float[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0))
+    grasps: Float[np.ndarray, "n 4 4"] = field(default_factory=lambda: np.zeros((0, 4, 4)))
 
     @property
     def is_way(self) -> bool:
@@ -296,13 +301,14 @@ class Shown:
             hold=hold,
             begin=R @ self.begin + t,
             orientation=R @ self.orientation,
+            grasps=transform @ self.grasps,
             coordinates=self.coordinates.moved(transform),
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, for a constraint file."""
         content = {name: getattr(self, name) for name in (*_NUMBERS, "force")}
-        for name in _ARRAYS:
+        for name in (*_ARRAYS, "start", "grasps"):
             value = getattr(self, name)
             content[name] = None if value is None else np.round(value, 6).tolist()
         c = self.coordinates
@@ -319,6 +325,8 @@ class Shown:
             values: dict[str, Any] = {name: content[name] for name in _NUMBERS}
             for name in _ARRAYS:
                 values[name] = None if content[name] is None else np.array(content[name], dtype=np.float64)
+            if "grasps" in content:  # not in files of 0.2
+                values |= {name: np.array(content[name], dtype=np.float64) for name in ("start", "grasps")}
             free: dict[str, Any] = dict(content["coordinates"])
             free |= {name: np.array(free[name], dtype=np.float64) for name in ("axes", "point")}
             if "curve" in free:
@@ -378,6 +386,10 @@ def shown_by(
     typical = int(np.argmin(np.round(off, 9))) if free.is_way else _typical(times, ways)
     time, path = _path(times[typical], ways[typical], farthest[typical], free.is_way)
     ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
+    grasps = np.array([p[0] for p in motions])
+    begin = grasps[typical].copy()
+    begin[:3, 3] = begins[typical] if hold is None else hold
+    start = np.median([free.of(np.array([begin, grasp]))[1] for grasp in grasps], axis=0)
     return Shown(
         free.unit,
         float(np.median(extents)),
@@ -393,12 +405,14 @@ def shown_by(
         scatter,
         path,
         time,
-        begins[typical] if hold is None else hold,
-        motions[typical][0, :3, :3],
+        begin[:3, 3],
+        begin[:3, :3],
         float(np.max(angles_between(motions[typical][0, :3, :3], np.array([p[0, :3, :3] for p in motions])))),
         one_way,
         free,
         _force(features, free, contacts),
+        start,
+        grasps[evenly(len(grasps), MOST_GRASPS)],
     )
 
 

@@ -46,6 +46,8 @@ class ShownPlaces:
         hold: shape (3,), where all contacts began [m]; None if they began at different places.
         orientation: shape (3, 3), of the hand there; None where the mechanism leaves it free.
         points: shape (k, 3), along the way from there [m].
+        grasps: shape (n, 4, 4), of contacts that began at different places, and
+        ahead: shape (n,), how far along the way each of them began, and `span` how far they all went [m or rad].
         anew: Whether the hand goes there even if it is on the mechanism already.
         sense: Of the way shown along the motion, 1 or -1.
     """
@@ -57,6 +59,9 @@ class ShownPlaces:
     hold: Float[np.ndarray, " 3"] | None
     orientation: Float[np.ndarray, "3 3"] | None
     points: Float[np.ndarray, "k 3"]
+    grasps: Float[np.ndarray, "n 4 4"]
+    ahead: Float[np.ndarray, " n"]
+    span: float
     anew: bool
     sense: float
 
@@ -77,10 +82,15 @@ class ShownPlaces:
             hold, points = shown.begin, shown.points
         if hold is None and postures is None:
             return None
+        grasps, ahead, span = np.zeros((0, 4, 4)), np.zeros(0), 0.0
+        if hold is None and shown is not None and shown.is_way and shown.unit == motion.unit:
+            grasps, span = shown.grasps, shown.span
+            ahead = np.array([shown.coordinates.of(np.array([grasps[0], grasp]))[1, 0] for grasp in grasps])
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
         turned = None if free or mechanism is None or shown is None else shown.orientation
         sense = shown_sense(shown, motion, of_most=True) or 1.0
-        return ShownPlaces(motion, postures, lever, constraint.n_constraints, hold, turned, points, anew, sense)
+        held = constraint.n_constraints
+        return ShownPlaces(motion, postures, lever, held, hold, turned, points, grasps, ahead, span, anew, sense)
 
     def apart(self, one: Origin, other: Origin) -> float:
         """Distance of two origins [m]; where the hand's orientation counts, an angle at the lever of a hand."""
@@ -94,8 +104,8 @@ class ShownPlaces:
         """The origin from which the way begins.
 
         That is where contacts began, of a way back its end; of a hand that is on the mechanism already its own,
-        unless it begins anew. Where contacts began at different places, it is the nearest one from which the way stays
-        within what was shown.
+        unless it begins anew. Where contacts began at different places, it is the nearest of them from which the way
+        stays within what was shown; where nobody says where they began, the nearest place that was shown.
         """
         motion = self.motion
         if self.hold is not None:
@@ -112,6 +122,14 @@ class ShownPlaces:
         low, high, room = float(along.min()), float(along.max()), GRIP / self.lever
         if low - room <= 0.0 <= high + room and np.all((across.min(0) <= GRIP) & (across.max(0) >= -GRIP)):
             return here
+        if len(self.grasps):
+            way = self.sense * distance
+            ends = self.ahead - self.ahead.min() + abs(way)
+            fits = np.flatnonzero(ends <= max(self.span, ends.min()) + room)
+            begins = [motion.placed(here, grasp[:3, 3]) for grasp in self.grasps[fits]]
+            if way < 0.0:  # back from where one of them ended
+                begins = [motion.goal(begin, -distance) for begin in begins]
+            return min(begins, key=lambda begin: apart(here, begin))
         # places from which the way ends within what was shown; if it is too long for that, those with the most room
         first, last = (low, max(high - distance, low)) if distance > 0.0 else (min(low - distance, high), high)
         places = [motion.goal(o, float(np.clip(s, first, last) - s)) for o, s in zip(origins, along, strict=True)]
