@@ -13,7 +13,7 @@ import pytest
 from test_playback import data_in
 
 import manip_learn as ml
-from manip_learn.learning import origin
+from manip_learn.learning.report import checksum, version
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "examples" / "data" / "sawyer_drawer").glob("*.csv"))[:3]
@@ -35,7 +35,7 @@ def test_a_constraint_says_what_made_it(learner, tmp_path):
     digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in FILES}
     assert {entry["name"]: entry["sha256"] for entry in made["recordings"]} == digests
     assert timedelta(0) <= datetime.now(UTC) - datetime.fromisoformat(made["date"]) < timedelta(hours=1)
-    assert made["version"].startswith(origin.version()) and re.match(r"\d+\.\d+\.\d+", made["version"])
+    assert made["version"].startswith(version()) and re.match(r"\d+\.\d+\.\d+", made["version"])
     assert made["settings"]["joint_offset_std"] == 0.2 and made["settings"]["seed"] == 4
     assert made["settings"]["estimator"] == "auto" and "features" not in made["settings"]
 
@@ -58,11 +58,11 @@ def test_numbers_have_a_checksum_too(learner):
     """Arrays, and parts of a recording: the numbers count for the first, the file for the second."""
     robot = learner.constraint_.robot
     (demo,) = ml.load_demonstrations(FILES[0], robot)
-    assert origin.checksum(demo[0.1:0.5]) == hashlib.sha256(FILES[0].read_bytes()).hexdigest()
+    assert checksum(demo[0.1:0.5]) == hashlib.sha256(FILES[0].read_bytes()).hexdigest()
     array = ml.Trajectory(demo.time, demo.q)
     other = ml.Trajectory(demo.time, demo.q + 1e-9)
-    assert origin.checksum(array) == origin.checksum(ml.Trajectory(demo.time.copy(), demo.q.copy()))
-    assert len({origin.checksum(t) for t in (demo, array, other)}) == 3
+    assert checksum(array) == checksum(ml.Trajectory(demo.time.copy(), demo.q.copy()))
+    assert len({checksum(t) for t in (demo, array, other)}) == 3
 
 
 def test_a_checkout_names_its_commit():
@@ -70,5 +70,5 @@ def test_a_checkout_names_its_commit():
     if not (ROOT / ".git").exists():
         pytest.skip("no checkout")
     head = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True).stdout
-    said = origin.version().partition("+")[2].removesuffix("-dirty")
+    said = version().partition("+")[2].removesuffix("-dirty")
     assert said and head.startswith(said)

@@ -64,14 +64,10 @@ class EpisodeAudit(NamedTuple):
     residual: Annotated[float, "violation", 1, 0.01, "violates the constraint with {e.residual:.1%} of its motion"]
     displacement_mm: Annotated[float, "displacement", 1, 1.0, "moves {e.displacement_mm:.3g} mm along held directions"]
     displacement_deg: Annotated[float, "rotation", 1, 0.2, "turns {e.displacement_deg:.3g} degrees about held axes"]
-    limit_margin: Annotated[
-        float, "limits", -1, 0.0, "is {e.limit_margin:.1%} of the range of {e.limit_joint!r} from its limit"
-    ]
+    limit_margin: Annotated[float, "limits", -1, 0.0, "leaves {e.limit_joint!r} only {e.limit_margin:.1%} of its range"]
     limit_joint: str
     beyond_limits: float
-    peak_speed: Annotated[
-        float, "speed", 1, 0.1, "moves {e.peak_speed_joint!r} at {e.peak_speed:.0%} of its velocity limit"
-    ]
+    peak_speed: Annotated[float, "speed", 1, 0.1, "moves {e.peak_speed_joint!r} at {e.peak_speed:.0%} of its top speed"]
     peak_speed_joint: str
     too_fast: float
     jerk_rms: Annotated[float, "jerk", 1, 1.0, "is jerky ({e.jerk_rms:.3g} rad/s3 rms)"]

@@ -17,8 +17,8 @@ from manip_learn.robot.tips import likely_tips
 OUTLIER_FACTOR = 1e4
 # [rad/s or m/s] of the fastest joint, below which it is at rest: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
 REST_SPEED = 0.02
-# standard deviations between the least and the largest of a million numbers by chance, and some more
 SHOWN = 1e-3  # [rad or m] that some joint moves in any motion shown by hand: half a millimetre at the tip
+# standard deviations between the least and the largest of a million numbers by chance, and some more
 BEYOND_NOISE = 12.0
 # postures closer together than this share of their size are one and the same, and less of it in a second is no motion
 _SAME = 1e-9
@@ -34,16 +34,14 @@ def check_fastest(demonstrations: Demonstrations) -> None:
     speed = np.linalg.norm(u, axis=1)
     if not np.any(moving := speed > _SAME):  # slopes of a rest without noise are what rounding leaves
         return
-    sample = int(np.argmax(np.einsum("nv,nv->n", u, u)))
+    sample = int(np.argmax(speed))
     ratio = float(speed[sample]) / float(np.median(speed[moving]))
     if ratio > OUTLIER_FACTOR:
-        joint, last = int(np.argmax(np.abs(u[sample]))), np.cumsum([len(t) for t in demonstrations])
-        raise RecordingError(
-            f"sample {sample} (trajectory {np.searchsorted(last, sample, side='right')}) moves at "
-            f"{u[sample, joint]:.3g} in joint "
-            f"{demonstrations.joint_names[joint]!r}, {ratio:.1e} times the median speed: remove the outlier",
-            code="outlier",
-        )
+        number = np.searchsorted(np.cumsum([len(t) for t in demonstrations]), sample, side="right")
+        joint = int(np.argmax(np.abs(u[sample])))
+        moves = f"moves at {u[sample, joint]:.3g} in joint {demonstrations.joint_names[joint]!r}, {ratio:.1e} times"
+        text = f"sample {sample} (trajectory {number}) {moves} the median speed: remove the outlier"
+        raise RecordingError(text, code="outlier")
 
 
 def refuse_noise(recorded: Demonstrations) -> None:
@@ -60,14 +58,11 @@ def refuse_noise(recorded: Demonstrations) -> None:
         j = int(np.argmax(moved / noise))
         if moved[j] >= BEYOND_NOISE * noise[j] and np.max(moved) >= SHOWN:
             return
-        joint = t.joint_names[j] if t.joint_names else str(j)
-        found.append((moved[j] / noise[j], joint, t.name, moved[j], noise[j]))
-    _, joint, name, moved, noise = max(found)
-    raise NotIdentifiableError(
-        f"no joint moves farther than the noise of its positions does, and {SHOWN:g} rad or m: the farthest is "
-        f"{joint} in {name}, by {moved:.2g} where its noise is {noise:.2g} (standard deviation): record a motion",
-        code="no-motion",
-    )
+        joint = t.joint_names[j] if len(t.joint_names) == t.q.shape[1] else f"column {j}"
+        said = f"{joint} in {t.name}, by {moved[j]:.2g} where its noise is {noise[j]:.2g} (standard deviation)"
+        found.append((moved[j] / noise[j], said))
+    text = f"no joint moves farther than the noise of its positions does, and {SHOWN:g} rad or m: the farthest is "
+    raise NotIdentifiableError(f"{text}{max(found)[1]}: record a motion", code="no-motion")
 
 
 def refuse_still_hand(features: FeatureMap, demonstrations: Demonstrations) -> None:
@@ -84,13 +79,11 @@ def refuse_still_hand(features: FeatureMap, demonstrations: Demonstrations) -> N
     own = np.array([robot.moves(joint, frame) for joint in robot.joint_names])
     if not moved or not own.any() or np.any(span[own] > MOVED):
         return
-    hands = [tip for tip in likely_tips(robot) if any(robot.moves(joint, tip) for joint in moved)]
-    which = f", which move {hands[0]!r}{advice(': name it with {}', f'frame={hands[0]!r}', f'--frame {hands[0]}')}"
-    raise NotIdentifiableError(
-        f"{frame!r} stood still: its joints changed by {np.max(span[own]):.2g} (rad or m) at most in a recording, "
-        f"{MOVED:g} is a motion; what moved is {named('joint', moved)}{which if hands else ''}",
-        code="still-hand",
-    )
+    hand = next((tip for tip in likely_tips(robot) if any(robot.moves(joint, tip) for joint in moved)), "")
+    which = f", which move {hand!r}{advice(': name it with {}', f'frame={hand!r}', f'--frame {hand}')}" if hand else ""
+    least = f"its joints changed by {np.max(span[own]):.2g} (rad or m) at most in a recording, {MOVED:g} is a motion"
+    text = f"{frame!r} stood still: {least}; what moved is {named('joint', moved)}{which}"
+    raise NotIdentifiableError(text, code="still-hand")
 
 
 def unusable(table: Table, r: int, n_constraints: int | None) -> NotIdentifiableError | RecordingError | None:
@@ -101,8 +94,7 @@ def unusable(table: Table, r: int, n_constraints: int | None) -> NotIdentifiable
         r: Number of independent rows of the features.
         n_constraints: Number of rows to learn, if it was asked for.
     """
-    nv = table.u.shape[1]
-    if nv < 2:
+    if table.u.shape[1] < 2:
         return NotIdentifiableError("a constraint leaves no null space for a single joint", code="no-freedom")
     speed = np.linalg.norm(table.u, axis=1)
     if not np.any(moving := speed > _SAME):
@@ -111,28 +103,18 @@ def unusable(table: Table, r: int, n_constraints: int | None) -> NotIdentifiable
     distance = np.linalg.norm(table.q - middle, axis=1)
     farthest = int(np.argmax(distance))
     if distance[farthest] <= _SAME * (1.0 + float(np.linalg.norm(middle))):
-        return NotIdentifiableError(
-            "the posture never changes although the velocities are not zero: give each sample the posture that it was "
-            "recorded at",
-            code="constant-posture",
-        )
+        text = "the posture never changes though the velocities are not zero: give each sample its own posture"
+        return NotIdentifiableError(text, code="constant-posture")
     # standing still at the median posture for long is no reason to call all motion far out
     usual = float(np.quantile(distance, 0.9)) or float(np.mean(np.delete(distance, farthest)))
     if 0.0 < usual * OUTLIER_FACTOR < distance[farthest]:
-        return RecordingError(
-            f"the posture of sample {farthest} (trajectory {table.recording[farthest]}) is "
-            f"{distance[farthest] / usual:.1e} times farther out than nearly all others: remove the outlier",
-            code="outlier",
-        )
+        where = f"the posture of sample {farthest} (trajectory {table.recording[farthest]})"
+        ratio = f"{distance[farthest] / usual:.1e} times farther out"
+        return RecordingError(f"{where} is {ratio} than nearly all others: remove the outlier", code="outlier")
     s = n_constraints or 1
     needed = max(r + 2, s * (r - s) + 2, 5)
     samples = np.concatenate([table.q, table.u], axis=1)[speed > _SAME * float(np.median(speed[moving]))]
-    # an even choice is soon counted
-    few = samples[:: max(1, len(samples) // (10 * needed))]
-    if len(np.unique(few, axis=0)) >= needed or (different := len(np.unique(samples, axis=0))) >= needed:
+    if (different := len(np.unique(samples, axis=0))) >= needed:
         return None
-    return NotIdentifiableError(
-        f"record more: {counted(different, 'different moving sample')} cannot determine a constraint on "
-        f"{counted(r, 'row')}, {needed} can and many more are better",
-        code="too-few-samples",
-    )
+    few = f"{counted(different, 'different moving sample')} cannot determine a constraint on {counted(r, 'row')}"
+    return NotIdentifiableError(f"record more: {few}, {needed} can and many more are better", code="too-few-samples")

@@ -23,9 +23,8 @@ from manip_learn.errors import (
 )
 from manip_learn.learning.answer import learn
 from manip_learn.learning.checks import check_fastest, refuse_noise, refuse_still_hand
-from manip_learn.learning.origin import made
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.report import Context, LearningReport, reports
+from manip_learn.learning.report import Context, LearningReport, made, reports
 from manip_learn.learning.skill import skill_of
 from manip_learn.learning.table import BELIEVED, SWITCH, ArmErrors, EstimatorName, Settings, Table
 from manip_learn.learning.thinning import MOST_SAMPLES, EvenChoice, read_evenly
@@ -258,7 +257,7 @@ class ConstraintLearner:
             self.seed,
             self.velocities == "recorded" or self._robot is None or all(t.exact for t in recordings.demonstrations),
         )
-        context = Context(table, recordings, few.demonstrations.notes, made(given, self._settings), arm, started)
+        context = Context(table, recordings, few.demonstrations.notes, made(given, self._settings), started)
         found = learn(table, self._feature_maps, settings, progress, recordings.warnings)
         wholes, self.constraints_, self.reports_ = zip(*reports(found, context), strict=True)
         self.constraint_, self.report_ = self.constraints_[0], self.reports_[0]

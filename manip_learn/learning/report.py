@@ -1,12 +1,20 @@
-"""Report on a constraint: its evidence, its stretches in the recordings, and warnings."""
+"""Report on a constraint: its evidence, its stretches in the recordings, warnings, and what made it."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import hashlib
+import importlib.metadata
+import json
 import math
+import subprocess
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -21,8 +29,8 @@ from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
 from manip_learn.learning.fit import CLEAR_GAP
 from manip_learn.learning.gate import RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.table import ArmErrors, Stretch, Table, energy_shares, still_joints
-from manip_learn.recordings.trajectory import distinct_names, evenly
+from manip_learn.learning.table import Table, energy_shares, still_joints
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names, evenly
 from manip_learn.robot import html_card
 
 NOISE, JOINT_ZEROS, POLICY = PARTS = ("noise", "joint zeros", "policy")
@@ -31,12 +39,10 @@ Uncertainty = dict[str, float | None]
 # recordings from which on nothing is said of their number: what several do by chance, five hardly do
 _ENOUGH = 5
 SPANS_SHOWN = 6  # of each constraint, in words
-NO_ANSWER = "what several recordings show here could not be learnt"
 MOST_NOTES = 20  # lines, one screen
 # what a constraint file keeps of where its task was shown, evenly over all samples: the place and the reach of a drawer
 # to a centimetre or two, in 10 kB
 KEPT_POSTURES = 144
-_PHASE_COLUMNS = ("recording", "from [s]", "until [s]", "constraint")
 # what of a report goes into the constraint's file
 PROVENANCE = set(
     "estimator kind gap uncertainty_deg uncertainty mu_uncertainty n_samples n_trajectories sentence warnings phases "
@@ -73,9 +79,7 @@ class OddTrajectory(NamedTuple):
     reason: str
 
 
-@final
-@dataclass(frozen=True)
-class RecordingOverview:
+class RecordingOverview(NamedTuple):
     """Overview of the recordings, the same for every constraint.
 
     Attributes:
@@ -86,27 +90,7 @@ class RecordingOverview:
 
     phases: tuple[_Phase, ...] = ()
     odd_trajectories: tuple[OddTrajectory, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-    @staticmethod
-    def of(found: Found, recordings: IndependentRecordings) -> RecordingOverview:
-        """Return the overview with the names of the recordings, on the clocks of those that were given."""
-        names, given = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
-        stretches = [(s, k, "") for k, answer in enumerate(found.answers) for s in answer.stretches]
-        stretches += [(s, None, "") for s in found.free] + [(s, None, why) for s, why in found.unlearnt]
-        phases = []
-        for s, constraint, why in sorted(stretches, key=lambda x: (x[0].recording, x[0].start)):
-            phases += [_Phase(given[p.recording], p.start, p.end, constraint, why) for p in recordings.places(s)]
-        odd = tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(found.odd.items()))
-        lone = [s for s, why in found.unlearnt if why == IN_ONE_ONLY]
-        warnings = [*recordings.warnings, *found.warnings, *record_again(lone, recordings)]
-        if odd:
-            reasons = "; ".join(f"{o.trajectory}: {o.reason}" for o in odd)
-            warnings.append(
-                f"{len(odd)} of {len(names)} recordings do not agree with the others; what does not agree was "
-                f"left out of the first constraint: {reasons}"
-            )
-        return RecordingOverview(tuple(phases), odd, tuple(warnings))
+    warnings: Sequence[str] = ()
 
     def sentences(self) -> tuple[str, ...]:
         """Return the stretches of each constraint in words."""
@@ -115,27 +99,16 @@ class RecordingOverview:
         unlearnt = [p for p in self.phases if p.reason]
         if not free and not unlearnt and len(numbers) < 2:
             return ()
-        out = []
-        for k in numbers:
-            spans = [
-                f"from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}" for p in self.phases if p.constraint == k
-            ]
-            more = f" and {len(spans) - SPANS_SHOWN} more" if len(spans) > SPANS_SHOWN else ""
-            out.append(f"constraint {k + 1} is held {', '.join(spans[:SPANS_SHOWN])}{more}")
-        if free:
-            out.append(f"free motion in {counted(free, 'stretch')}")
-        out += [f"not learnt from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}: {p.reason}" for p in unlearnt]
+        out = [f"constraint {k + 1} is held {_where([p for p in self.phases if p.constraint == k])}" for k in numbers]
+        out += [f"free motion in {counted(free, 'stretch')}"] if free else []
+        out += [f"not learnt {_where([p])}: {p.reason}" for p in unlearnt]
         return tuple(map(printable, out))
 
 
-def record_again(lone: Sequence[Stretch], recordings: IndependentRecordings) -> list[str]:
-    """Return the advice about contacts that one recording alone shows."""
-    names = distinct_names(recordings.given)
-    alone = [p for s in lone for p in recordings.places(s)]
-    where = [f"in {names[p.recording]} from {p.start:.1f} s to {p.end:.1f} s" for p in alone]
-    more = f" and {len(where) - SPANS_SHOWN} more" if len(where) > SPANS_SHOWN else ""
-    again = f"record again, at least twice, {counted(len(where), 'contact')} that one recording alone shows: "
-    return [f"{again}{', '.join(where[:SPANS_SHOWN])}{more}"] if where else []
+def _where(phases: Sequence[_Phase]) -> str:
+    """Return in words where phases are: the first of them, and how many there are more."""
+    spans = [f"from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}" for p in phases[:SPANS_SHOWN]]
+    return ", ".join(spans) + (f" and {len(phases) - SPANS_SHOWN} more" if len(phases) > SPANS_SHOWN else "")
 
 
 @final
@@ -213,11 +186,7 @@ class LearningReport:
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, strings and lists for JSON; None in place of NaN."""
         content = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        for name in ("phases", "odd_trajectories", "row_evidence"):
-            content[name] = [entry._asdict() for entry in content[name]]
-        content["uncertainty"] = dict(self.uncertainty)
-        content["mechanism"] = None if self.mechanism is None else self.mechanism.to_dict()
-        return _plain(content)
+        return _plain(content | {"mechanism": None if self.mechanism is None else self.mechanism.to_dict()})
 
     def __str__(self) -> str:
         return "\n".join([self.sentence, *(f"warning: {w}" for w in self.warnings)])
@@ -227,49 +196,38 @@ class LearningReport:
         return f"LearningReport({self.sentence} Gap {self.gap:.3g}, {counted(self.n_samples, 'sample')}{warned})"
 
     def _repr_html_(self) -> str:
-        phases = [
-            (printable(name), f"{start:.2f}", f"{end:.2f}", "free" if held is None else held + 1)
-            for name, start, end, held, _ in self.phases
-        ]
-        return html_card.card(
-            "What was learnt",
-            html_card.sentence(self.sentence),
-            html_card.warnings(self.warnings),
-            html_card.facts(self._facts()),
-            html_card.bars(
-                [(f"{'held' if i < self.n_constraints else 'free'}, {x:.2g}", x) for i, x in enumerate(self.levels)],
-                "how much the recordings move along each direction, by powers of ten",
-            ),
-            html_card.folded(
-                "Gap for each number of rows",
-                html_card.table(("rows", "gap"), [(n, float(gap)) for n, gap in self.gap_table.items()]),
-            ),
-            html_card.folded(f"Phases ({len(self.phases)})", html_card.table(_PHASE_COLUMNS, phases)),
-            html_card.folded(
-                f"Recordings that do not agree ({len(self.odd_trajectories)})",
-                html_card.table(("recording", "why"), [tuple(map(printable, odd)) for odd in self.odd_trajectories]),
-            ),
-            html_card.folded("Notes", "".join(map(html_card.sentence, self.notes))),
-        )
-
-    def _facts(self) -> list[tuple[str, object]]:
-        """Return names with values in words, with units and good values; None where nothing applies."""
-        residual = self.held_out_residual
+        residual, odd = self.held_out_residual, self.odd_trajectories
+        source = f"{counted(self.n_samples, 'sample')} of {counted(self.n_trajectories, 'recording')}"
         unexplained = f"{100 * residual:.2g} % of the motion on recordings that were left out"
-        return [
-            ("rows", f"{self.n_constraints} of {len(self.row_names)} ({printable(' '.join(self.row_names))})"),
+        facts = [
+            ("rows", f"{self.n_constraints} of {len(self.row_names)} ({' '.join(self.row_names)})"),
             ("reference frame", self.reference),
             ("estimator", f"{self.estimator} ({self.kind})"),
             ("gap", f"{self.gap:.3g} (a ratio; {CLEAR_GAP:g} is clear)"),
             ("unexplained", unexplained if math.isfinite(residual) else None),
             ("uncertainty", self.known_to() or None),
             ("mechanism", self.mechanism_in_words() or None),
-            (
-                "learnt from",
-                f"{counted(self.n_samples, 'sample')} of {counted(self.n_trajectories, 'recording')} "
-                f"in {self.seconds:.2g} s",
-            ),
+            ("learnt from", f"{source} in {self.seconds:.2g} s"),
         ]
+        levels = [(f"{'held' if i < self.n_constraints else 'free'}, {x:.2g}", x) for i, x in enumerate(self.levels)]
+        phases = [
+            (p.trajectory, f"{p.start:.2f}", f"{p.end:.2f}", "free" if p.constraint is None else p.constraint + 1)
+            for p in self.phases
+        ]
+        folded = {
+            "Gap for each number of rows": html_card.table(("rows", "gap"), tuple(self.gap_table.items())),
+            f"Phases ({len(phases)})": html_card.table(("recording", "from [s]", "until [s]", "constraint"), phases),
+            f"Recordings that do not agree ({len(odd)})": html_card.table(("recording", "why"), odd),
+            "Notes": "".join(map(html_card.sentence, self.notes)),
+        }
+        return html_card.card(
+            "What was learnt",
+            html_card.sentence(self.sentence),
+            html_card.warnings(self.warnings),
+            html_card.facts(facts),
+            html_card.bars(levels, "how much the recordings move along each direction, by powers of ten"),
+            *(html_card.folded(title, inner) for title, inner in folded.items()),
+        )
 
     def known_to(self) -> str:
         """Return the uncertainty of each quantity in words, as in the sentence; empty if none is known."""
@@ -289,13 +247,16 @@ class LearningReport:
 
 
 def _plain(value: Any) -> Any:
+    """Return a value as JSON represents it; None in place of NaN."""
+    value = value._asdict() if isinstance(value, _Phase | OddTrajectory | RowSupport) else value
+    value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, dict):
         return {str(key): _plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
+    if value is None or isinstance(value, float) and not math.isfinite(value):
         return None
-    return value
+    return value if isinstance(value, str | int | float) else str(value)
 
 
 class Context(NamedTuple):
@@ -305,7 +266,6 @@ class Context(NamedTuple):
     recordings: IndependentRecordings
     notes: Sequence[str]
     made: Mapping[str, Any]
-    arm: ArmErrors
     started: float
 
 
@@ -326,38 +286,47 @@ Learnt = tuple[Constraint, Constraint, LearningReport]
 
 def reports(found: Found, context: Context) -> list[Learnt]:
     """Return the whole constraint of each answer, the rows asked for, and the report on these."""
-    overview = RecordingOverview.of(found, context.recordings)
+    recordings = context.recordings
+    names, given = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
+    stretches = [(s, k, "") for k, answer in enumerate(found.answers) for s in answer.stretches]
+    stretches += [(s, None, "") for s in found.free] + [(s, None, why) for s, why in found.unlearnt]
+    phases = []  # on the clocks of the recordings that were given
+    for s, k, why in sorted(stretches, key=lambda x: (x[0].recording, x[0].start)):
+        phases += [_Phase(given[p.recording], p.start, p.end, k, why) for p in recordings.places(s)]
+    odd = tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(found.odd.items()))
+    warnings = [*recordings.warnings, *found.warnings]
+    if alone := [p for p in phases if p.reason == IN_ONE_ONLY]:
+        contacts = f"{counted(len(alone), 'contact')} that one recording alone shows"
+        warnings.append(f"record again, at least twice, {contacts}: {_where(alone)}")
+    if odd:
+        reasons = "; ".join(f"{o.trajectory}: {o.reason}" for o in odd)
+        out = "what does not agree was left out of the first constraint"
+        warnings.append(f"{len(odd)} of {len(names)} recordings do not agree with the others; {out}: {reasons}")
+    overview = RecordingOverview(tuple(phases), odd, warnings)
     return [_report(answer, overview, context) for answer in found.answers]
 
 
 def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Learnt:
-    table, mechanism = context.table, answer.mechanism
-    features, selection = answer.asked.features, answer.asked.selection
-    warnings, notes = list(answer.warnings), tuple(dict.fromkeys(map(printable, context.notes)))
+    table, features, selection = context.table, answer.asked.features, answer.asked.selection
+    warnings, notes = list(answer.warnings), list(dict.fromkeys(map(printable, context.notes)))
     used = np.linalg.norm(features.batch(table.q[evenly(len(table.q), 200)]), axis=2).max(axis=0) > 1e-9
-    unused = [n for n, u in zip(features.row_names, used, strict=True) if not u]
-    if unused:
+    if unused := [n for n, u in zip(features.row_names, used, strict=True) if not u]:
         warnings.append(f"always zero for this robot and frame, so left out: {listed(unused)}")
-    recordings = {s.recording for s in answer.stretches}
-    if (n := len(recordings)) < _ENOUGH:
+    if (n := len({s.recording for s in answer.stretches})) < _ENOUGH:
         count = "one trajectory" if n == 1 else f"{n} trajectories"
         warnings.append(f"only {count}: evidence from so few is thin; record {_ENOUGH} or more")
     if len(notes) > MOST_NOTES:  # of thousands of files, not thousands of sentences
-        notes = (*notes[:MOST_NOTES], f"and {len(notes) - MOST_NOTES} more notes of this kind")
+        notes[MOST_NOTES:] = [f"and {len(notes) - MOST_NOTES} more notes of this kind"]
     inside = table.inside(answer.stretches)
-    shares = energy_shares(np.sum(table.u[inside] ** 2, axis=0))
-    excitation = dict(zip(table.joint_names, shares.tolist(), strict=True))
     if still := still_joints(table.joint_names, table.u[inside]):
-        warnings.append(
-            f"{named('joint', still)} hardly moved: what the arm did not try cannot be told from what it could not do"
-        )
+        unknown = "what the arm did not try cannot be told from what it could not do"
+        warnings.append(f"{named('joint', still)} hardly moved: {unknown}")
+    shares = energy_shares(np.sum(table.u[inside] ** 2, axis=0))
     kind = "motion-constrained" if answer.estimator == "null-space" else "self-imposed"
     free = free_directions(selection, used)
-    total = answer.uncertainty_deg
-    evidence = answer.evidence
+    same = "estimator mechanism policy_model policy_residuals uncertainty_deg mu_uncertainty".split()
     report = LearningReport(
-        sentence=printable(describe(kind, free, features, used, total, mechanism)),
-        estimator=answer.estimator,
+        sentence=printable(describe(kind, free, features, used, answer.uncertainty_deg, answer.mechanism)),
         kind=kind,
         n_constraints=len(selection),
         row_names=features.row_names,
@@ -368,37 +337,69 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Le
         levels=tuple(map(float, answer.asked.levels)),
         energy_fraction=answer.unexplained,
         held_out_residual=math.sqrt(answer.held_out),
-        uncertainty_deg=total,
-        excitation=excitation,
-        policy_model=answer.policy_model,
-        policy_residuals=answer.policy_residuals,
+        excitation=dict(zip(table.joint_names, shares.tolist(), strict=True)),
         n_samples=int(inside.sum()),
         n_trajectories=len(answer.stretches),
         seconds=time.perf_counter() - context.started,
-        notes=notes,
+        notes=tuple(notes),
         warnings=tuple(map(printable, dict.fromkeys((*warnings, *overview.warnings)))),
-        row_evidence=() if evidence is None else evidence.rows,
-        evidence="" if evidence is None else evidence.sentence(),
+        row_evidence=() if answer.evidence is None else answer.evidence.rows,
+        evidence="" if answer.evidence is None else answer.evidence.sentence(),
         phases=overview.phases,
         odd_trajectories=overview.odd_trajectories,
-        mechanism=mechanism,
         uncertainty={part: answer.uncertainty.get(part) for part in PARTS},
-        mu_uncertainty=answer.mu_uncertainty,
+        **{name: getattr(answer, name) for name in same},
     )
+    kept = np.flatnonzero(inside)[evenly(report.n_samples, KEPT_POSTURES)]
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
     provenance["made"] = dict(context.made)
-    kept = np.flatnonzero(inside)[evenly(int(inside.sum()), KEPT_POSTURES)]
     provenance["postures"] = np.round(table.q[kept], 5).tolist()
     provenance["posture_trajectories"] = table.recording[kept].tolist()
     whole = answer.whole
     if kind == "motion-constrained":
         contacts = [table.moved[s.recording][s.start : s.end] for s in answer.stretches]
-        shown = shown_by(whole.features, whole.selection, mechanism, contacts)
-        provenance["shown"] = None if shown is None else shown.to_dict()
+        name, said = "shown", shown_by(whole.features, whole.selection, answer.mechanism, contacts)
     else:
-        meant = intention_of(features, selection, [(t.q, np.asarray(t.u)) for t in table.moved])
-        provenance["intention"] = None if meant is None else meant.to_dict()
+        name, said = "intention", intention_of(features, selection, [(t.q, np.asarray(t.u)) for t in table.moved])
+    provenance[name] = None if said is None else said.to_dict()
     everything = Constraint(whole.selection, whole.features, provenance)
     if whole is answer.asked:
         return everything, everything, report
     return everything, Constraint(selection, features, provenance | {"whole": len(whole.selection)}), report
+
+
+def made(demonstrations: Demonstrations, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entry `provenance["made"]` of a constraint.
+
+    Args:
+        demonstrations: All recordings.
+        settings: Settings of the learner.
+    """
+    names = distinct_names(demonstrations)
+    return {
+        "version": version(),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "recordings": [{"name": n, "sha256": checksum(t)} for n, t in zip(names, demonstrations, strict=True)],
+        "settings": _plain(settings),
+    }
+
+
+def checksum(trajectory: Trajectory) -> str:
+    """Return the SHA-256 of the file of a trajectory; of its numbers if it was not read from a file."""
+    numbers = (trajectory.time, trajectory.q, *trajectory.arrays.values())
+    return trajectory.sha256 or hashlib.sha256(b"".join(a.astype("<f8").tobytes() for a in numbers)).hexdigest()
+
+
+@functools.cache
+def version() -> str:
+    """Return the version of the library, with the commit if known: `"0.1.0+d8918b7f"`, `-dirty` if changed since."""
+    package = next(iter(importlib.metadata.distributions(name="manip-learn")), None)  # None: a folder on the path
+    number, source = ("unknown", None) if package is None else (package.version, package.read_text("direct_url.json"))
+    commit = json.loads(source or "{}").get("vcs_info", {}).get("commit_id", "")[:8]
+    root = Path(__file__).resolve().parents[2]
+    if (root / ".git").exists():
+        command = "git --no-optional-locks describe --always --abbrev=8 --exclude=* --dirty".split()
+        with suppress(OSError, subprocess.SubprocessError):  # no git here, or a checkout of somebody else
+            told = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=5.0, check=True)
+            commit = told.stdout.strip()
+    return f"{number}+{commit}" if commit else number

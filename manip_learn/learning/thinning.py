@@ -29,12 +29,11 @@ PATIENCE = "10s"  # for a scheduler that is elsewhere
 
 
 class Kept(NamedTuple):
-    """Recording of which every `step`-th sample is kept; at its coarsest every `coarsest`-th, `least` samples."""
+    """Recording of which every `step`-th sample is kept; at its coarsest every `coarsest`-th."""
 
     motion: Trajectory
     number: int
     coarsest: int
-    least: int
     rank: int  # recordings of the lowest are kept: a hash of the postures, as good as drawn by lot
     step: int = 1
 
@@ -65,9 +64,8 @@ class EvenChoice:
             # stamps are rounded; a recording keeps enough samples for phases, but no more than its share
             rate, share = (len(t) - 1) / max(t.duration, 1e-9) * (1.0 + 1e-6), self._most / FEWEST_RECORDINGS
             coarsest = int(STEPS[(rate / STEPS >= SCAN_RATE) | (2 * len(t) / STEPS > share)].max(initial=1))
-            left = -(-len(t) // np.minimum(STEPS, coarsest))
-            self.kept.append(Kept(t, self.n_recordings, coarsest, int(left[-1]), crc32(t.q.data)))
-            self._totals += left
+            self.kept.append(Kept(t, self.n_recordings, coarsest, crc32(t.q.data)))
+            self._totals += -(-len(t) // np.minimum(STEPS, coarsest))
             self._held += len(t)
             self.n_recordings += 1
             if self._held > 2 * most:
@@ -87,16 +85,14 @@ class EvenChoice:
         steps, kept = STEPS[self._totals <= self._most], self.kept
         if not steps.size:
             order = np.argsort([k.rank for k in kept], kind="stable")
-            fit = np.cumsum([kept[i].least for i in order]) <= self._most
+            fit = np.cumsum([-(-len(kept[i].motion) * kept[i].step // kept[i].coarsest) for i in order]) <= self._most
             kept = [kept[i] for i in np.sort(order[fit])]
-        self.kept = [self._coarser(k, min(k.coarsest, int(steps.min(initial=STEPS[-1])))) for k in kept]
-        self._held = sum(len(k.motion) for k in self.kept)
-
-    def _coarser(self, kept: Kept, step: int) -> Kept:
-        if step == kept.step:
-            return kept
-        motion = kept.motion if kept.step > 1 else self._derive(Demonstrations([kept.motion]))[0]
-        return kept._replace(motion=motion.part(slice(None, None, step // kept.step)), step=step)
+        for i, k in enumerate(kept):
+            step = min(k.coarsest, int(steps.min(initial=STEPS[-1])))
+            if step > k.step:
+                motion = k.motion if k.step > 1 else self._derive(Demonstrations([k.motion]))[0]
+                kept[i] = k._replace(motion=motion.part(slice(None, None, step // k.step)), step=step)
+        self.kept, self._held = kept, sum(len(k.motion) for k in kept)
 
     @property
     def demonstrations(self) -> Demonstrations:
@@ -132,23 +128,19 @@ def each_part(work: Callable[..., Any], parts: list[Reader], client: Any, progre
     Raises:
         ManipLearnError: Workers die again and again, or their scheduler does.
     """
-    results: Iterator[Any] = map(work, parts)
+    futures, died = list[Any](), tuple[type[Exception], ...]()
     if client is not None and len(parts) > 1:
-        futures = client.map(work, parts, pure=False)
-        results = (_fetched(futures.pop(0)) for _ in parts)  # what was fetched is held by no worker
-    for done, result in enumerate(results, 1):
+        from dask.distributed import KilledWorker
+
+        futures, died = client.map(work, parts, pure=False), (KilledWorker, CancelledError)
+    for done, part in enumerate(parts, 1):
+        try:
+            result = futures.pop(0).result() if futures else work(part)  # what was fetched is held by no worker
+        except died as error:
+            raise ManipLearnError(f"dask's workers died ({error}): is there enough memory for each?") from error
         yield result
         if progress is not None:
             progress("reading", done / len(parts))
-
-
-def _fetched(future: Any) -> Any:
-    from dask.distributed import KilledWorker
-
-    try:
-        return future.result()
-    except (KilledWorker, CancelledError) as error:
-        raise ManipLearnError(f"dask's workers died ({error}): is there enough memory for each?") from error
 
 
 def dask_client(address: str | None, n_workers: int | None = None) -> AbstractContextManager[Any]:
