@@ -18,13 +18,13 @@ from manip_learn.linalg import row_space_angle
 def test_jacobian_is_the_derivative_of_the_residual(rng):
     """Every entry of the analytic Jacobian agrees with central differences."""
     basis, weights, u = rng.standard_normal((7, 4)), rng.standard_normal((4, 3)), rng.standard_normal((7, 3))
-    _, J = residual_and_jacobian(basis, weights, u)
+    _, J = residual_and_jacobian(weights, basis, u)
     h = 1e-6
     for k in range(weights.size):
         step = np.zeros(weights.size)
         step[k] = h
-        up = residual_and_jacobian(basis, weights + step.reshape(weights.shape), u)[0]
-        down = residual_and_jacobian(basis, weights - step.reshape(weights.shape), u)[0]
+        up = residual_and_jacobian(weights + step.reshape(weights.shape), basis, u)[0]
+        down = residual_and_jacobian(weights - step.reshape(weights.shape), basis, u)[0]
         assert_allclose(J[:, k], (up - down) / (2 * h), rtol=1e-7, atol=1e-8)
 
 

@@ -18,7 +18,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import across
 from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.errors import counted
+from manip_learn.errors import ConstraintError, counted
 from manip_learn.linalg import complement_rows
 from manip_learn.recordings.trajectory import Trajectory, evenly
 from manip_learn.robot.rotations import angles_between, rotation_matrix
@@ -389,7 +389,12 @@ def shown_by(
     grasps = np.array([p[0] for p in motions])
     begin = grasps[typical].copy()
     begin[:3, 3] = begins[typical] if hold is None else hold
-    start = np.median([free.of(np.array([begin, grasp]))[1] for grasp in grasps], axis=0)
+    try:
+        chart = None if mechanism is None else mechanism.at(begin)
+    except ConstraintError:  # a place that is not known in this frame
+        chart = None
+    seen = [free.of(np.array([begin, g]))[1] if chart is None else chart.coordinates(g) for g in grasps]
+    start = np.median(seen, axis=0)
     return Shown(
         free.unit,
         float(np.median(extents)),

@@ -116,7 +116,7 @@ class Answer:
     def mechanism(self) -> Mechanism | None:
         """Mechanism, or None."""
         if isinstance(self.shape, CurveRows):
-            return Mechanism("other", name=CURVE)
+            return Mechanism("other", name=CURVE, curve=self.shape.curve)
         return None if self.placed is None else self.placed.mechanism
 
     @property
@@ -267,9 +267,8 @@ def _learn(table: Table, settings: Settings, progress: Progress) -> Found | NotI
             out = out if out and isinstance(now, NotIdentifiableError) else now  # the first refusal
             if isinstance(out, Found):
                 break
-    best = out.answers[0] if isinstance(out, Found) else None
     if settings.estimator == "auto" and len(table) > 1 and (not isinstance(out, Found) or out.is_weak(table)):
-        imposed = learn_imposed(asked, settings, rival=best)
+        imposed = learn_imposed(asked, settings)
         if isinstance(imposed, Imposed):
             return _moved_on_purpose(imposed)
     out = out or _undivided(asked, Gate(asked, settings.seed, settings.strength), settings)

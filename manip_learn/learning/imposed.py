@@ -36,9 +36,9 @@ import math
 from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import combinations_with_replacement
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
@@ -68,9 +68,11 @@ OWN_RECORDINGS, OWN_STARTS = 16, 100  # rest postures of their own make the cost
 RANDOM_STARTS, SUBSPACES = 3, 10  # where no closed-form start leads to the noise; within the rows that were found
 PREDICTS = 1.2  # left-out motion over that without a policy, up to which a policy predicts it
 ABOVE_NOISE, UNEQUAL = 1.5, 2.0  # variance over that of the noise that is more than noise; over the least of all joints
-NO_NOISE, ROUNDING = 1e-8, 1e-24  # shares of the energy: below, least squares answer; and that is rounding
-RESOLVED, OWN_RESOLVED = 1e-6, 1e-12  # shares of the energy that are noise enough; with rest postures of their own
-LEAST, SETTLED = 1e-12, 1e-6  # least variances over the mean square of u; squared last step in standard errors
+NO_NOISE = 1e-8  # share of the energy below which least squares answer
+# shares of the energy that are noise enough, and least variance, also with rest postures of their own; its square is
+# rounding
+RESOLVED, LEAST = 1e-6, 1e-12
+SETTLED = 1e-6  # squared last step in standard errors
 EXPLAINED, SURER = 0.3, 5.0  # share of left-out motion that a policy may leave; nats by which other features are better
 SAME_PATH = 0.15  # root mean square distance from a path, over its standard deviation, within which a motion repeats it
 MOST_UNCERTAIN = 30.0  # [deg] beyond that rows are no answer
@@ -90,9 +92,9 @@ def regressors(table: Table, grade: str, seed: int) -> np.ndarray:
     if grade in POLYNOMIALS:
         degree = POLYNOMIALS.index(grade)
         terms = list(combinations_with_replacement(range(m), degree))
-        orders = [math.prod(math.factorial(t.count(i)) for i in set(t)) * m**degree for t in terms]
-        columns = x[:, np.array(terms, dtype=int).reshape(len(terms), degree)]
-        return np.prod(columns, axis=2) * np.sqrt(math.factorial(degree) / np.array(orders))
+        repeats = [math.prod(math.factorial(t.count(i)) for i in range(m)) for t in terms]
+        size = np.sqrt(math.factorial(degree) / (np.array(repeats) * m**degree))
+        return np.stack([np.prod(x[:, t], axis=1) for t in terms], axis=1) * size
     if grade == "offset":  # a constant for each recording
         return np.eye(len(table))[table.recording]
     if grade.startswith("harmonic"):
@@ -101,51 +103,41 @@ def regressors(table: Table, grade: str, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     few = x if len(x) <= 4000 else x[rng.choice(len(x), 4000, replace=False)]
     centres, _ = kmeans2(few, min(int(grade[3:]), len(np.unique(few, axis=0))), minit="++", seed=rng)
-    nearest = cKDTree(centres).query(centres, 2)[0][:, 1] if len(centres) > 1 else np.ones(1)
-    # eight times as wide as centres are apart
-    d2 = np.sum((x[:, None] - centres) ** 2, axis=2) / (2.0 * (8.0 * max(float(nearest.mean()), 1e-6)) ** 2)
+    apart = max(float(cKDTree(centres).query(centres, 2)[0][:, 1].mean()), 1e-6)  # infinite for one alone
+    d2 = np.sum((x[:, None] - centres) ** 2, axis=2) / (2.0 * (8.0 * apart) ** 2)  # eight times as wide as that
     phi = np.exp(d2.min(axis=1, keepdims=True) - d2)  # the nearest centre always counts
     return phi / phi.sum(axis=1, keepdims=True)
 
 
-@dataclass(eq=False)
 class Data:
-    """Samples in whitened rows, with the regressors of a policy and the grade of each."""
+    """Samples in whitened rows, with the regressors of a policy and the grade of each.
 
-    Phi: np.ndarray
-    u: np.ndarray
-    beta: np.ndarray
-    grades: np.ndarray
-    recording: np.ndarray
-    noise: float  # variance of what in u is no smooth motion
-    own: bool
-    mixing: np.ndarray | None = None  # L^-1 of the noise's covariance L L^T, by which u was multiplied
+    Without grades they are those of rows that are held.
 
-    @staticmethod
-    def of(view: View, names: Sequence[str], seed: int, some: np.ndarray, mixing: np.ndarray | None = None) -> Data:
-        """Return some samples of a view, with the regressors of some grades."""
-        table, beta = view.table, [regressors(view.table, name, seed)[some] for name in names]
-        numbers = np.repeat(np.arange(len(beta)), [part.shape[1] for part in beta])
-        recording, L = np.unique(table.recording[some], return_inverse=True)[1], mixing
-        Phi, u, noise = view.W @ view.Phi[some], table.u[some], float(np.median(table.noise[some]))
-        Phi, u = (Phi, u) if L is None else (Phi @ L.T, u @ L.T)
-        return Data(Phi, u, np.concatenate(beta, axis=1), numbers, recording, noise, "offset" in names, mixing)
+    Attributes:
+        mixing: L^-1 of the noise's covariance L L^T, by which u was multiplied.
+        own: True if each recording has an offset of its own.
+        floor: Variance that is noise enough: what is resolved below it is how well features approximate the policy.
+        enough: Variance up to which a policy leaves nothing but noise.
+    """
 
-    @cached_property
-    def mean_square(self) -> float:
-        """Mean square of u."""
-        return float(np.mean(self.u**2))
-
-    @property
-    def floor(self) -> float:
-        """Variance that is noise enough: what is resolved below it is how well features approximate the policy."""
-        return (OWN_RESOLVED if self.own else RESOLVED) * self.mean_square
+    def __init__(self, view: View, names: Sequence[str], seed: int, some: np.ndarray, mixing: np.ndarray | None = None):
+        table, self.own = view.table, "offset" in names
+        beta = [regressors(table, name, seed)[some] for name in names] or [np.zeros((len(some), 0))]
+        self.beta = np.concatenate(beta, axis=1)
+        self.grades = np.repeat(np.arange(len(beta)), [part.shape[1] for part in beta])
+        self.recording = np.unique(table.recording[some], return_inverse=True)[1]
+        self.mixing = np.eye(table.u.shape[1]) if mixing is None else mixing
+        self.Phi, self.u = view.W @ view.Phi[some] @ self.mixing.T, table.u[some] @ self.mixing.T
+        self.mean_square = float(np.mean(self.u**2))
+        self.floor = (LEAST if self.own else RESOLVED) * self.mean_square
+        self.enough = ABOVE_NOISE * max(self.floor, 0.0 if self.own else float(np.median(table.noise[some])))
 
     def parts(self, most: int) -> list[np.ndarray]:
-        """Return groups of recordings, or samples dealt out in turn where each recording has an offset of its own."""
+        """Return the entries of u of groups of recordings; of samples in turn where recordings have offsets."""
         n = self.recording[-1] + 1
         group = np.arange(len(self.u)) % most if self.own else self.recording * min(n, most) // n
-        return [np.flatnonzero(group == g) for g in np.unique(group)]
+        return [np.flatnonzero(np.repeat(group == g, self.u.shape[1])) for g in np.unique(group)]
 
 
 def mixing_of(table: Table) -> np.ndarray | None:
@@ -162,116 +154,56 @@ def mixing_of(table: Table) -> np.ndarray | None:
     return np.linalg.inv(np.linalg.cholesky(S)) if np.linalg.cond(S) >= UNEQUAL else None
 
 
-class HeldFit:
-    """Equation (10): Lambda of the least share of u in its rows, e = A^+ A u.
+class PolicyFit:
+    """A Lambda with its policy: the posterior of Theta with the most likely variances, or least squares.
 
-    N (n, nv, nv) are the projectors, duals A^{+T} (n, s, nv), free N (Lambda_perp Phi)^T (n, nv, k); J (n nv, m) is the
-    derivative of e by B of Lambda + B Lambda_perp, K (n nv, c) with K K^T what other unknowns take up of it.
+    The residual e = N (u - pi), N the projector onto the null space of A, is what the policy leaves. Rows that are held
+    (equation (10)) are the same with I - N in the place of N and without a policy: e = A^+ A u.
+
+    D (n nv, k) is the derivative of N pi by Theta, J (n nv, m) that of e by B of Lambda + B Lambda_perp; D back^T = K
+    with K K^T what the policy takes up of a change of e.
     """
 
-    def __init__(self, d: Data, rows: np.ndarray):
-        self.d, self.rows, self.perp = d, rows, complement_rows(rows)
+    def __init__(self, d: Data, rows: np.ndarray, before: PolicyFit | None = None, exact: bool = False):
+        (n, nv), held = d.u.shape, not len(d.grades)
+        self.d, self.rows, self.perp, self.exact = d, rows, complement_rows(rows), exact or held
         Q, R = row_bases((rows @ d.Phi).transpose(2, 1, 0))
         Q = Q.transpose(2, 0, 1)
-        self.N = np.eye(d.u.shape[1]) - Q @ Q.transpose(0, 2, 1)
-        self.duals = inverse_triangles_beside(R).transpose(2, 0, 1) @ Q.transpose(0, 2, 1)
-        self.free = self.N @ (self.perp @ d.Phi).transpose(0, 2, 1)
-        self.m, self.null = len(rows) * len(self.perp), np.einsum("nij,nj->ni", self.N, d.u)
-        self.D, self.back, self.e = np.zeros((d.u.size, 0)), np.zeros((0, 0)), (d.u - self.null).reshape(-1)
-        self.cost = float(np.sum(self.e**2))
-        self.noise, self.unexplained = self.cost / max(len(d.u) * len(rows), 1) + TINY, self.cost / np.sum(d.u**2)
-
-    @cached_property
-    def J(self) -> np.ndarray:
-        """Derivative of the residual."""
-        along = np.einsum("nvk,nv->nk", self.free, self.d.u)
-        return np.einsum("nsv,nk->nvsk", self.duals, along).reshape(-1, self.m)
-
-    @cached_property
-    def hessian(self) -> np.ndarray:
-        """Gauss-Newton Hessian of half the cost, the other unknowns eliminated."""
-        KJ = self.taken(self.J)
-        return self.J.T @ self.J - KJ.T @ KJ
-
-    def taken(self, x: np.ndarray) -> np.ndarray:
-        """Return K^T x."""
-        return self.back @ (self.D.T @ x)
-
-    def moved(self, B: np.ndarray) -> Self:
-        """Return the fit after a step."""
-        return type(self)(self.d, turned(self.rows, B))
-
-    def best(self, steps: int = 40) -> Self:
-        """Return the Lambda of least cost from here: Levenberg and Marquardt."""
-        here, damping = self, 0.0
-        for _ in range(steps if self.m else 0):
-            H = here.hessian
-            B = -solve(H + damping * np.diag(np.diag(H)), here.J.T @ here.e)
-            if not np.all(np.isfinite(B)) or B @ H @ B < SETTLED * here.noise or damping > 1e6:
-                break
-            there = here.moved(B)
-            if there.cost < here.cost:
-                here, damping = there, 0.1 * damping if damping > 1e-9 else 0.0
-            else:
-                damping = max(1e-3, 10.0 * damping)
-        return here
-
-    def part(self, x: np.ndarray, some: np.ndarray) -> np.ndarray:
-        """Return the rows of some samples."""
-        return x.reshape(len(self.d.u), -1)[some].reshape(-1, *x.shape[1:])
-
-    def errors(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        """Draw errors B: recordings with replacement, each by its share of the step.
-
-        The residual of a recording is too small, since the fit follows it: (I - K K^T)^(-1/2) e is as large as the
-        noise (Bell and McCaffrey, 2002).
-        """
-        parts, moves = self.d.parts(100), []
-        if len(parts) < 2 or not self.m:
-            return {}
-        values, vectors = np.linalg.eigh(self.hessian)
-        K = self.D @ self.back.T
-        off = self.J - K @ (K.T @ self.J)
-        both = np.concatenate([K, off @ (vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1] + TINY)))], axis=1)
-        for some in parts:
-            e, (U, sigma, _) = self.part(self.e, some), np.linalg.svd(self.part(both, some), full_matrices=False)
-            e = e + U @ ((np.maximum(1.0 - sigma**2, 1e-3) ** -0.5 - 1.0) * (U.T @ e))
-            moves.append(solve(self.hessian, self.part(off, some).T @ e))
-        w = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), size=DRAWS) - 1.0
-        return {"noise": w @ np.array(moves) * math.sqrt(len(parts) / (len(parts) - 1.0))}
-
-    def nats(self, floor: float) -> float:
-        """Return l of rows that are held: A u is noise, and what moves in the null space a signal in time."""
-        noise, n, s = max(self.noise, floor), len(self.d.u), len(self.rows)
-        free = signal_nats(self.d, self.null, self.d.u.shape[1] - s, floor)
-        return free - 0.5 * s * (len(self.perp) * math.log(n) + n * (math.log(noise) + self.noise / noise))
-
-
-class PolicyFit(HeldFit):
-    """A Lambda with its policy: the posterior of Theta with the most likely variances, or least squares (`exact`)."""
-
-    def __init__(self, d: Data, rows: np.ndarray, before: PolicyFit | None = None, exact: bool = False):
-        super().__init__(d, rows)
-        self.exact, null, (n, nv) = exact, self.null.reshape(-1), d.u.shape
-        self.n_residuals = n * (nv - len(rows))
-        D = np.einsum("nk,nvw->nvkw", d.beta, self.N).reshape(n * nv, -1)
-        if exact:
-            basis, T = np.linalg.qr(D)
+        N = np.eye(nv) - Q @ Q.transpose(0, 2, 1)
+        duals = inverse_triangles_beside(R).transpose(2, 0, 1) @ Q.transpose(0, 2, 1)  # A^{+T} (n, s, nv)
+        free = N @ (self.perp @ d.Phi).transpose(0, 2, 1)  # N (Lambda_perp Phi)^T (n, nv, k)
+        self.N, self.n_driven = (np.eye(nv) - N, nv - len(rows)) if held else (N, len(rows))
+        self.n_residuals, self.m = n * (nv - self.n_driven), len(rows) * len(self.perp)
+        self.null = np.einsum("nij,nj->ni", self.N, d.u)
+        self.energy = max(float(np.sum(self.null**2)), (1.0 if held else 1e-16) * float(np.sum(d.u**2)))
+        self.D = np.einsum("nk,nvw->nvkw", d.beta, self.N).reshape(n * nv, -1)
+        if self.exact:
+            basis, T = np.linalg.qr(self.D)
             U, sigma, Vt = np.linalg.svd(T)
-            kept = sigma > 1e-13 * sigma[0]
-            self.D, self.back = basis @ U[:, kept], np.eye(int(np.count_nonzero(kept)))
+            kept = sigma > 1e-13 * np.max(sigma, initial=0.0)
+            self.D, self.back = basis @ U[:, kept], np.eye(int(kept.sum()))
+            self.precision, self.determined = np.zeros(len(self.back)), np.ones(len(d.grades))
+            null = self.null.reshape(-1)
             self._with(Vt[kept].T @ (self.D.T @ null / sigma[kept]))
-            self.e = null - self.D @ (self.D.T @ null)
+            self.e = null - self.D @ (self.D.T @ null)  # as small as rounding, where theta is not
             self.e -= self.D @ (self.D.T @ self.e)
             self.cost = self.residual = float(np.sum(self.e**2))
             self.noise = self.cost / self.n_residuals + TINY
         else:
-            self._settle(D.T @ D, D.T @ null, before)
-            self.D, self.cost = D, self.deviance(0.0)
-        self.energy = max(float(np.sum(null**2)), 1e-16 * float(np.sum(d.u**2)))
+            self._settle(before)
+            self.cost = self.deviance(0.0)
         self.unexplained = self.residual / self.energy
+        if held:
+            J = np.einsum("nsv,nk->nvsk", duals, np.einsum("nvk,nv->nk", free, self.y))
+        else:
+            J = -np.einsum("nsv,nv->ns", duals, self.y)[:, None, :, None] * free[:, :, None, :]
+        self.J = J.reshape(n * nv, self.m)
+        self.KJ = self.back @ (self.D.T @ self.J)
+        self.hessian = self.J.T @ self.J - self.KJ.T @ self.KJ  # of half the cost, the policy eliminated
 
-    def _settle(self, C: np.ndarray, pulled: np.ndarray, before: PolicyFit | None) -> None:
+    def _settle(self, before: PolicyFit | None) -> None:
+        """Find the variances and Theta in turn."""
+        C, pulled = self.D.T @ self.D, self.D.T @ self.null.reshape(-1)
         grade, size = np.repeat(self.d.grades, self.d.u.shape[1]), self.d.grades.max() + 1
         scale, least = self.d.mean_square, LEAST * self.d.mean_square
         first = (0.1 * scale, np.full(size, 4.0 * scale)) if before is None else (before.noise, before.variances[:size])
@@ -289,23 +221,51 @@ class PolicyFit(HeldFit):
             self._with(self.back.T @ (self.back @ pulled))
 
     def _with(self, theta: np.ndarray) -> None:
-        self.theta, self.y = theta, self.d.u - self.d.beta @ theta.reshape(self.d.beta.shape[1], -1)
+        self.theta, self.y = theta, self.d.u - self.d.beta @ theta.reshape(-1, self.d.u.shape[1])
         self.e = np.einsum("nij,nj->ni", self.N, self.y).reshape(-1)
         self.residual = float(np.sum(self.e**2))
 
-    @cached_property
-    def J(self) -> np.ndarray:
-        """Derivative of the residual, with the policy fixed."""
-        a = np.einsum("nsv,nv->ns", self.duals, self.y)
-        return -(a[:, None, :, None] * self.free[:, :, None, :]).reshape(-1, self.m)
+    def best(self, steps: int = 40) -> PolicyFit:
+        """Return the Lambda of least cost from here: Levenberg and Marquardt, without grades that are not needed."""
+        here, damping = self, 0.0
+        for _ in range(steps):
+            H = here.hessian
+            B = -solve(H + damping * np.diag(np.diag(H)), here.J.T @ here.e)
+            if not B @ H @ B >= SETTLED * here.noise or damping > 1e6:
+                break
+            kept = (here.determined >= min(0.1, np.max(here.determined, initial=0.0)))[here.d.grades]
+            d = copy(here.d)
+            d.beta, d.grades = d.beta[:, kept], d.grades[kept]
+            there = PolicyFit(d, turned(here.rows, B), here, here.exact)
+            if there.cost < here.cost:
+                here, damping = there, 0.1 * damping if damping > 1e-9 else 0.0
+            else:
+                damping = max(1e-3, 10.0 * damping)
+        return here
 
-    def moved(self, B: np.ndarray) -> PolicyFit:
-        """Return the fit after a step, without the grades that are not needed."""
-        d, rows = self.d, turned(self.rows, B)
-        if self.exact:
-            return PolicyFit(d, rows, exact=True)
-        kept = (self.determined >= min(0.1, float(self.determined.max())))[d.grades]
-        return PolicyFit(replace(d, beta=d.beta[:, kept], grades=d.grades[kept]), rows, self)
+    def errors(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Draw errors B: recordings with replacement, each by its share of the step; and those of the policy.
+
+        The residual of a recording is too small, since the fit follows it: (I - K K^T)^(-1/2) e is as large as the
+        noise (Bell and McCaffrey, 2002). The policy is drawn towards zero, by (C + P)^-1 P Theta.
+        """
+        parts, moves = self.d.parts(100), []
+        if len(parts) < 2 or not self.m:
+            return {}
+        values, vectors = np.linalg.eigh(self.hessian)
+        K = self.D @ self.back.T
+        off = self.J - K @ (K.T @ self.J)
+        both = np.concatenate([K, off @ (vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1] + TINY)))], axis=1)
+        for some in parts:
+            e, (U, sigma, _) = self.e[some], np.linalg.svd(both[some], full_matrices=False)
+            e = e + U @ ((np.maximum(1.0 - sigma**2, 1e-3) ** -0.5 - 1.0) * (U.T @ e))
+            moves.append(solve(self.hessian, off[some].T @ e))
+        w = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), size=DRAWS) - 1.0
+        out = {"noise": w @ np.array(moves) * math.sqrt(len(parts) / (len(parts) - 1.0))}
+        if not self.exact:
+            drawn = rng.standard_normal((DRAWS, len(self.back))) * np.sqrt(self.precision * self.noise)
+            out["policy"] = solve(self.hessian, (drawn @ self.back.T @ self.KJ).T).T
+        return out
 
     def deviance(self, floor: float) -> float:
         """Return - 2 log N, see the module, with a noise of at least this variance."""
@@ -315,41 +275,26 @@ class PolicyFit(HeldFit):
 
     def nats(self, floor: float) -> float:
         """Return l, see the module, with a noise of at least this variance [(rad/s)^2]."""
-        d, n = self.d, len(self.d.u)
-        volume = 0.0 if d.mixing is None else n * float(np.linalg.slogdet(d.mixing)[1])
-        task = signal_nats(d, d.u - self.null, len(self.rows), floor) - 0.5 * self.m * math.log(n)
-        return task + volume - 0.5 * self.deviance(floor)
+        d, n, squares, counts = self.d, len(self.d.u), np.zeros(64), np.zeros(64)
+        for own in np.split(d.u - self.null, np.flatnonzero(np.diff(d.recording)) + 1):
+            octave = np.frexp(np.arange(len(own)))[1]  # 0, then 1, 2-3, 4-7, ...
+            squares += np.bincount(octave, np.sum(dct(own, axis=0, norm="ortho") ** 2, axis=1), 64)
+            counts += self.n_driven * np.bincount(octave, minlength=64)
+        squares, counts = squares[counts > 0], counts[counts > 0]
+        variance = np.maximum(squares / counts, floor)
+        task = float(np.sum(counts * np.log(variance) + squares / variance))
+        price = (self.m + len(counts)) * math.log(n)
+        return n * float(np.linalg.slogdet(d.mixing)[1]) - 0.5 * (task + price + self.deviance(floor))
 
     @cached_property
     def held_out(self) -> float:
         """Sum of |Z^T (u - pi)|^2 over groups of recordings, each left out of the policy in its turn."""
         total, K_all = 0.0, self.D @ self.back.T
         for some in self.d.parts(10):
-            K, e = self.part(K_all, some), self.part(self.e, some)
+            K, e = K_all[some], self.e[some]
             rest = (1.0 + 1e-12) * np.eye(K.shape[1]) - K.T @ K
             total += float(np.sum((e + K @ np.linalg.solve(rest, K.T @ e)) ** 2))
         return total
-
-    def errors(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        """Draw errors B by the noise, and those of a policy that is drawn towards zero: (C + P)^-1 P Theta."""
-        out = super().errors(rng)
-        if out and not self.exact:
-            drawn = rng.standard_normal((DRAWS, len(self.back))) * np.sqrt(self.precision * self.noise)
-            out["policy"] = solve(self.hessian, (drawn @ self.back.T @ self.taken(self.J)).T).T
-        return out
-
-
-def signal_nats(d: Data, signal: np.ndarray, size: int, floor: float) -> float:
-    """Return the log-likelihood of a signal in time in so many directions of each sample, less the octaves' price."""
-    squares, counts = np.zeros(64), np.zeros(64)
-    for own in np.split(signal, np.flatnonzero(np.diff(d.recording)) + 1) if size else ():
-        octave = np.frexp(np.arange(len(own)))[1]  # 0, then 1, 2-3, 4-7, ...
-        squares += np.bincount(octave, np.sum(dct(own, axis=0, norm="ortho") ** 2, axis=1), 64)
-        counts += size * np.bincount(octave, minlength=64)
-    used = counts > 0
-    mean = squares[used] / counts[used]
-    variance, cost = np.maximum(mean, floor), np.count_nonzero(used) * math.log(len(signal))
-    return -0.5 * float(np.sum(counts[used] * (np.log(variance) + mean / variance)) + cost)
 
 
 def conditional_pca(d: Data, beta: np.ndarray) -> np.ndarray:
@@ -368,39 +313,37 @@ def conditional_pca(d: Data, beta: np.ndarray) -> np.ndarray:
     return (S @ eigh(left.T @ left, S)[1][:, ::-1]).T
 
 
-class Search:
-    """The most likely Lambda of each number of rows, on few samples."""
+def search(d: Data, rng: np.random.Generator) -> list[PolicyFit]:
+    """Return the most likely Lambda of each number of rows, from none, on few samples."""
+    (_, r, nv), fits = d.Phi.shape, dict[int, PolicyFit]()
 
-    def __init__(self, d: Data, rng: np.random.Generator):
-        self.d, self.enough = d, ABOVE_NOISE * (d.floor if d.own else max(d.noise, d.floor))
-        starts = [conditional_pca(d, b) for b in (d.beta[:, d.grades < 2], d.beta) if 2 * b.shape[1] < len(d.u)]
-        r = d.Phi.shape[1]
-        self.fits = {s: self._look([x[:s] for x in starts]) for s in range(min(r, d.u.shape[1] - 1) + 1)}
-        if self.best.noise > self.enough:
-            for s, before in self.fits.items():
-                self.fits[s] = self._look(rng.standard_normal((OWN_STARTS if d.own else RANDOM_STARTS, s, r)), before)
-        # one row less, within the rows of the best: they hold the true ones where these are fewer
-        while (s := len(self.best.rows)) > 1:
-            self.fits[s - 1] = self._look(rng.standard_normal((SUBSPACES, s - 1, s)) @ self.best.rows, self.fits[s - 1])
-            if len(self.best.rows) == s:
-                break
-
-    def _look(self, starts: Iterable[np.ndarray], best: Any = None) -> PolicyFit:
+    def look(starts: Iterable[np.ndarray]) -> None:
         for start in starts:
-            if best is None or (best.noise > self.enough and best.m):
-                here = PolicyFit(self.d, orthonormal_rows(start)).best(6)
-                best = here if best is None or here.cost < best.cost else best
-        return best
+            best = fits.get(len(start))
+            if best is None or (best.noise > d.enough and best.m):
+                here = PolicyFit(d, orthonormal_rows(start)).best(6)
+                fits[len(start)] = here if best is None or here.cost < best.cost else best
 
-    @property
-    def best(self) -> PolicyFit:
-        """The likeliest, of those whose policy predicts recordings that it was not fitted to.
+    few = [b for b in (d.beta[:, d.grades < 2], d.beta) if 2 * b.shape[1] < len(d.u)]
+    directions = [conditional_pca(d, b) for b in few] or [np.eye(r)]
+    look(x[:s] for s in range(min(r, nv - 1) + 1) for x in directions)
+    if likeliest(fits.values()).noise > d.enough:
+        look(x for s in list(fits) for x in rng.standard_normal((OWN_STARTS if d.own else RANDOM_STARTS, s, r)))
+    # one row less, within the rows of the best: they hold the true ones where these are fewer
+    s = r + 1
+    while s > len(rows := likeliest(fits.values()).rows) > 1:
+        s = len(rows)
+        look(rng.standard_normal((SUBSPACES, s - 1, s)) @ rows)
+    return list(fits.values())
 
-        Likelihood alone believes in a rich policy that follows each of a few recordings.
-        """
-        least = RESOLVED * self.d.mean_square
-        some = [f for f in self.fits.values() if f.held_out <= PREDICTS * max(f.energy, f.n_residuals * least)]
-        return max(some or self.fits.values(), key=lambda f: f.nats(self.d.floor) if some else -f.held_out)
+
+def likeliest(fits: Iterable[PolicyFit]) -> PolicyFit:
+    """Return the likeliest, of those whose policy predicts recordings that it was not fitted to.
+
+    Likelihood alone believes in a rich policy that follows each of a few recordings.
+    """
+    some = [f for f in fits if f.held_out <= PREDICTS * max(f.energy, f.n_residuals * RESOLVED * f.d.mean_square)]
+    return max(some, key=lambda f: f.nats(f.d.floor)) if some else min(fits, key=lambda f: f.held_out)
 
 
 @dataclass(eq=False)
@@ -408,7 +351,7 @@ class Imposed:
     """Rows that the demonstrator drives, with the policy beside them."""
 
     view: View
-    fit: Any
+    fit: PolicyFit
     gaps: dict[int, float]
     likeliest: int  # number of rows
     weak_gap: float  # from which a number of rows is weakly supported
@@ -418,54 +361,51 @@ class Imposed:
     nats: float = 0.0
     estimator: str = "joint"
     levels: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    uncertainty: dict[str, float | None] = field(default_factory=dict)
+    uncertainty: dict[str, Any] = field(default_factory=dict)
     errors: Errors | None = None
     warnings: list[str] = field(default_factory=list)
 
 
-def learn_imposed(views: list[View], settings: Settings, rival: Any = None) -> Imposed | NotIdentifiableError:
+def learn_imposed(views: list[View], settings: Settings) -> Imposed | NotIdentifiableError:
     """Return the likeliest rows with a policy beside them, in the features where they are likeliest; or a refusal."""
-    table, best = views[0].table, None
-    nothing = NotIdentifiableError("no features to learn from", code="zero-features")
-    refused = _unidentifiable(table, settings)
-    for v in [v for v in views if v.r == views[0].r and refused is None]:
+    table, learn = views[0].table, _separate if settings.estimator == "separate" else _joint
+    best: Any = _unidentifiable(table, settings)
+    for v in () if best else [v for v in views if v.r == views[0].r]:
         try:
-            one = _separate(v, settings) if settings.estimator == "separate" else _joint(v, settings)
+            one = learn(v, settings)
         except LinAlgError:
-            why = "the motion is too short, or too much alike, for a model of the policy: move further, and differently"
+            why = "the motion is too short or too much alike for a policy model: move further, and differently"
             one = NotIdentifiableError(why, code="too-few-samples")
-        if isinstance(one, NotIdentifiableError):
-            refused = one
-        elif best is None or one.nats > best.nats + SURER:
+        if not isinstance(best, Imposed) or (isinstance(one, Imposed) and one.nats > best.nats + SURER):
             best = one
-    if best is None:
-        return refused or nothing
+    if not isinstance(best, Imposed):
+        return best
     if settings.estimator == "auto":
-        known = rival is not None and rival.view is best.view
-        rows = rival.rows if known and rival is not None else levels_on(best.view, table.wholes)[1]
-        d = Data.of(best.view, ["constant"], 0, _few(table, MOST, False))
-        held = HeldFit(d, orthonormal_rows(rows[: len(best.fit.rows)])).nats(d.floor)
-        if best.held_out > EXPLAINED or best.nats <= held:
+        rows = levels_on(best.view, table.wholes)[1][: len(best.fit.rows)]
+        d = Data(best.view, (), 0, _few(table, MOST))
+        if best.held_out > EXPLAINED or best.nats <= PolicyFit(d, orthonormal_rows(rows)).nats(d.floor):
             return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
     return _doubted(best, settings)
 
 
 def _unidentifiable(table: Table, settings: Settings) -> NotIdentifiableError | None:
     """Return why nothing in the recordings tells the policy from the task; None if something may."""
-    (n, nv), s, known, separate = table.u.shape, settings.n_constraints or 1, MODELS, settings.estimator == "separate"
-    one = "one trajectory does not identify a constraint whose task velocity is unknown: give several"
-    same = f"the {len(table)} recordings repeat one motion: like one they cannot show which part of it is steered"
-    asked, differ = f"unknown policy model {settings.policy_model!r}", "from other starts to other targets"
-    for code, wrong, why in (
-        ("policy-model", settings.policy_model not in known, f"{asked}: use {', '.join(map(repr, known))}"),
+    (n, nv), s, model = table.u.shape, settings.n_constraints or 1, settings.policy_model
+    joint, known, differ = (
+        settings.estimator != "separate",
+        ", ".join(map(repr, MODELS)),
+        "from other starts to other targets",
+    )
+    one = "one trajectory does not show which part of it is steered on purpose: give several"
+    same = f"the {len(table)} recordings repeat one motion, which shows no more than one of them: give some that differ"
+    reasons = (
+        ("policy-model", model not in MODELS, f"unknown policy model {model!r}: use {known}"),
         ("no-freedom", s >= nv, f"{s} constraints leave no null space for {nv} joints"),
-        ("one-trajectory", not separate and len(table) < 2, f"{one}, {differ}"),
-        ("repeated-motion", not separate and is_one_path(table), f"{same}; record motions that differ, {differ}"),
-        ("too-few-samples", n * (nv - s) < 2 * nv * (1 + table.q.shape[1]), f"{n} samples are too few: record more"),
-    ):
-        if wrong:
-            return NotIdentifiableError(why, code=code)
-    return None
+        ("one-trajectory", joint and len(table) < 2, f"{one}, {differ}"),
+        ("repeated-motion", joint and is_one_path(table), f"{same}, {differ}"),
+        ("too-few-samples", n * (nv - s) < 2 * nv * (1 + nv), f"{n} samples are too few: record more"),
+    )
+    return next((NotIdentifiableError(why, code=code) for code, wrong, why in reasons if wrong), None)
 
 
 def is_one_path(table: Table) -> bool:
@@ -478,61 +418,59 @@ def is_one_path(table: Table) -> bool:
     return len(kept) < min(3, len(table))
 
 
-def _few(table: Table, most: int, own: bool) -> np.ndarray:
+def _few(table: Table, most: int, own: bool = False) -> np.ndarray:
     """Return at most so many velocities, evenly; where recordings have offsets of their own, of few recordings."""
     few = np.flatnonzero(table.recording < (OWN_RECORDINGS if own else np.inf))
-    return few[:: -(-len(few) * table.u.shape[1] // most)]
+    return few[:: -(-len(few) * table.u.shape[1] // (most // (3 if own else 1)))]
 
 
 def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
     """Return the most likely Lambda on all samples, with the number of rows that is likeliest on few; or a refusal."""
-    table, s, model, seed = v.table, settings.n_constraints, settings.policy_model, settings.seed
+    table, model, seed, nv = v.table, settings.policy_model, settings.seed, v.table.u.shape[1]
     own, auto, names = model == "affine-offset", model == "auto", list(MODELS[model])
-    few, rng, nv = _few(table, COMPARED // (3 if own else 1), own), np.random.default_rng(seed), table.u.shape[1]
+    few, rng = _few(table, COMPARED, own), np.random.default_rng(seed)
     while auto and nv * sum(regressors(table, g, seed).shape[1] for g in names) > MOST_COLUMNS:
         names.pop()
 
     if settings.estimator == "auto":  # where a plain policy foretells hardly anything, no richer one is tried
-        plain = Search(Data.of(v, MODELS["affine"], seed, few[:: -(-len(few) // FEW)], None), rng)
-        if min(fit.held_out / max(fit.energy, TINY) for fit in plain.fits.values()) > HOPELESS:
+        plain = search(Data(v, MODELS["affine"], seed, few[:: -(-len(few) // FEW)]), rng)
+        if all(fit.held_out > HOPELESS * fit.energy for fit in plain):
             return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
 
-    def searched(mixing: np.ndarray | None) -> tuple[Search, PolicyFit]:
-        search = Search(Data.of(v, names, seed, few, mixing), rng)
-        return search, (search.fits[s] if s in search.fits else search.best).best()
+    def searched(mixing: np.ndarray | None) -> tuple[list[PolicyFit], PolicyFit]:
+        fits, s = search(Data(v, names, seed, few, mixing), rng), settings.n_constraints
+        return fits, (likeliest(fits) if s is None or s >= len(fits) else fits[s]).best()
 
-    search, chosen = searched(None)
-    floor, noisy = search.d.floor, chosen.noise > NO_NOISE * nv * search.d.mean_square
+    fits, chosen = searched(None)
+    floor, energy = chosen.d.floor, len(few) * nv * chosen.d.mean_square
+    noisy = len(few) * chosen.noise > NO_NOISE * energy
     if noisy and (mixing := mixing_of(table)) is not None:
-        other = searched(mixing)
-        search, chosen = other if other[1].nats(floor) > chosen.nats(floor) else (search, chosen)
+        fits, chosen = max((fits, chosen), searched(mixing), key=lambda found: found[1].nats(floor))
     if len(chosen.rows) == 0:
-        why = "a policy of the posture alone explains the motion: nothing in it is steered on purpose, or too few"
-        return NotIdentifiableError(f"{why} recordings show it; record more, from other starts", code="no-task")
-    if auto and chosen.noise > search.enough:
-        some = _few(table, COMPARED // 3, True)
-        shared, apart = (PolicyFit(Data.of(v, g, seed, some), chosen.rows) for g in (names, MODELS["affine-offset"]))
+        why = "a policy of the posture alone explains the motion, nothing is steered: record more, from other starts"
+        return NotIdentifiableError(why, code="no-task")
+    if auto and chosen.noise > chosen.d.enough:
+        some = _few(table, COMPARED, True)
+        shared, apart = (PolicyFit(Data(v, g, seed, some), chosen.rows) for g in (names, MODELS["affine-offset"]))
         if apart.nats(apart.d.floor) > shared.nats(apart.d.floor):  # a rest posture of each recording explains more
             return _joint(v, replace(settings, policy_model="affine-offset"))
     names = [g for i, g in enumerate(names) if i in chosen.d.grades]
-    fit = PolicyFit(Data.of(v, names, seed, _few(table, MOST, False), chosen.d.mixing), chosen.rows)
+    fit, name = PolicyFit(Data(v, names, seed, _few(table, MOST), chosen.d.mixing), chosen.rows), ""
     if noisy:
         fit = fit.best()
         used = [g for g, number in zip(names, fit.determined, strict=False) if number >= 1.0] or names
         name = "+".join([g for g in used if g in POLYNOMIALS][-1:] + [g for g in used if g not in POLYNOMIALS])
     nats = fit.nats(floor)
-    best, energy = None, len(few) * nv * search.d.mean_square
-    for one in () if noisy else EXACT if auto else [model]:  # the first that leaves rounding alone, or little
-        d = Data.of(v, MODELS[one], seed, few)
-        if best is None or (best.cost > ROUNDING * energy and nv * d.beta.shape[1] <= MOST_COLUMNS):
+    for one in () if noisy else EXACT if auto else (model,):  # the first that leaves rounding alone, or little
+        d = Data(v, MODELS[one], seed, few)
+        if not fit.exact or (fit.cost > LEAST**2 * energy and nv * d.beta.shape[1] <= MOST_COLUMNS):
             there = PolicyFit(d, chosen.rows, exact=True).best(30)
-            best, name = (there, one) if best is None or there.cost < 0.5 * best.cost else (best, name)
-    fit = best or fit
-    name = "rbf32" if model == "rbf" else name if auto else model
+            fit, name = (there, one) if not fit.exact or there.cost < 0.5 * fit.cost else (fit, name)
+    name = name if auto else model.replace("rbf", "rbf32")
     share, weak = fit.held_out / fit.energy, math.sqrt(1.0 + 6.0 * math.sqrt(2.0 / len(few)))
-    left = [math.sqrt(max(f.held_out, LEAST * energy) / f.n_residuals) for f in search.fits.values()]
+    left = [math.sqrt(max(f.held_out, LEAST * energy) / f.n_residuals) for f in fits]
     gaps = {k: left[k - 1] / left[k] for k in range(1, len(left))}
-    return Imposed(v, fit, gaps, max(len(search.best.rows), 1), weak, name, {name: share}, share, nats)
+    return Imposed(v, fit, gaps, max(len(likeliest(fits).rows), 1), weak, name, {name: share}, share, nats)
 
 
 def _doubted(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableError:
@@ -543,20 +481,20 @@ def _doubted(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableError:
         a.uncertainty[part] = float(np.degrees(np.quantile(angles(rows, a.view.W, B), STATED)))
         total = B if a.errors is None else B + a.errors.noise
         a.errors = Errors(total, 0.0 * B, np.zeros((len(B), a.view.table.u.shape[1])))
-    if a.estimator == "joint" and (deg := math.hypot(*(x or 0.0 for x in a.uncertainty.values()))) > MOST_UNCERTAIN:
-        why = f"record more, from other starts to other targets: these tell the rows to {deg:.0f} degrees only, and"
-        return NotIdentifiableError(f"{why} beyond {MOST_UNCERTAIN:g} that is no answer", code="uncertain")
+    if a.estimator == "joint" and (deg := math.hypot(*a.uncertainty.values())) > MOST_UNCERTAIN:
+        why = f"the rows are known to {deg:.0f} degrees only, {MOST_UNCERTAIN:g} is the most that is an answer"
+        return NotIdentifiableError(f"{why}: record more, from other starts to other targets", code="uncertain")
     if not given and gap < a.weak_gap:
-        why = f"the recordings do not show a constraint: the largest gap is {gap:.2g}, for {s}, and {a.weak_gap:.3g}"
-        return NotIdentifiableError(f"{why} is the least that counts", code="weak-gap", gaps=a.gaps)
+        why = f"no constraint is shown: the gap is {gap:.2g} for {s}, {a.weak_gap:.3g} is the least that counts"
+        return NotIdentifiableError(why, code="weak-gap", gaps=a.gaps)
     if gap < CLEAR_GAP:
         why = "the constraint may be soft, or the recordings noisy"
         a.warnings.append(f"weak gap: {gap:.2g} for {s}, {CLEAR_GAP:g} is clear; {why}")
     if given and a.likeliest != len(rows) and better >= a.weak_gap:
         a.warnings.append(f"{s} learnt, but the gap supports {a.likeliest}: {better:.3g} against {gap:.3g}")
     if a.held_out > EXPLAINED and a.estimator == "joint":
-        why = "the null-space motion is not a function of the posture"
-        a.warnings.append(f"the policy predicts only {100 * (1 - a.held_out):.0f} % of left-out trajectories: {why}")
+        left = f"{100 * (1 - a.held_out):.0f} % of left-out trajectories"
+        a.warnings.append(f"the policy predicts only {left}: the null-space motion is not a function of the posture")
     return a
 
 
@@ -567,36 +505,33 @@ def separated(view: View, seed: int) -> np.ndarray | NotIdentifiableError:
     """Return the null-space part of the motion (n, nv), by consistency alone; or a refusal."""
     u, n = view.table.u, min(MOST_CENTRES, len(view.table.q) // SAMPLES_PER_CENTRE)
     if n < FEWEST_CENTRES:
-        why = f"{len(u)} samples are too few to separate task and null-space part: at least "
+        why = f"{len(u)} samples are too few to separate task and null-space part: "
         return NotIdentifiableError(f"{why}{FEWEST_CENTRES * SAMPLES_PER_CENTRE} are needed", code="too-few-samples")
     beta, few = regressors(view.table, f"rbf{n}", seed), slice(None, None, -(-len(u) // 4000))
     # orthonormal combinations of the regressors, from coarse to fine: the finest alone ends in poor minima
     basis, sigma, Vt = np.linalg.svd(beta[few], full_matrices=False)
-    x = np.zeros(0)
+    x = (basis[:, sigma > STAGES[0][0] * sigma[0]].T @ u[few]).reshape(-1)
     for share, gain in STAGES:
         own = basis[:, sigma > share * sigma[0]]
-        x = np.append(x, np.zeros(own.shape[1] * u.shape[1] - x.size)) if x.size else (own.T @ u[few]).reshape(-1)
-        both = partial(residual_and_jacobian, own, u=u[few])
-        e, J = (lambda x, f=both, i=i: f(x)[i] for i in (0, 1))
-        x = least_squares(e, x, J, method="lm", ftol=gain, max_nfev=200).x
+        x = np.append(x, np.zeros(own.shape[1] * u.shape[1] - x.size))
+        e, J = (lambda x, *known, i=i: residual_and_jacobian(x, *known)[i] for i in (0, 1))
+        x = least_squares(e, x, J, method="lm", ftol=gain, max_nfev=200, args=(own, u[few])).x
     k = x.size // u.shape[1]
     w = beta @ ((Vt[:k].T / sigma[:k]) @ x.reshape(k, -1))
     if np.sum(w**2) < STILL_ENERGY * np.sum(u**2):
-        why = "the separation finds no null-space motion: what is left of the motion after the task is nothing to learn"
-        why += advice(" from; use {}", "estimator='joint'", "--estimator joint")
-        return NotIdentifiableError(why, code="no-null-motion")
+        use = advice("; use {}", "estimator='joint'", "--estimator joint")
+        return NotIdentifiableError(f"no null-space motion is left beside the task{use}", code="no-null-motion")
     return w
 
 
-def residual_and_jacobian(basis: np.ndarray, weights: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def residual_and_jacobian(weights: np.ndarray, basis: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return e = w^ . u - |w~| and its derivative by the weights, d e / d w~ = (u - (w^ . u) w^) / |w~| - w^."""
     w = basis @ weights.reshape(basis.shape[1], -1)
-    length = np.linalg.norm(w, axis=1)
-    safe = np.maximum(length, TINY**0.5)[:, None]
-    direction = w / safe
-    along = np.einsum("nv,nv->n", direction, u)
-    slope = (u - along[:, None] * direction) / safe - direction
-    return along - length, (basis[:, :, None] * slope[:, None, :]).reshape(len(u), -1)
+    length = np.maximum(np.linalg.norm(w, axis=1, keepdims=True), TINY**0.5)
+    direction = w / length
+    along = np.einsum("nv,nv->n", direction, u)[:, None]
+    slope = (u - along * direction) / length - direction
+    return (along - length)[:, 0], (basis[:, :, None] * slope[:, None, :]).reshape(len(u), -1)
 
 
 def _separate(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
@@ -609,8 +544,7 @@ def _separate(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
     cost = float(np.sum((np.einsum("nv,nv->n", w, u) / length - length) ** 2) / np.sum(u**2))
     levels, directions = levels_on(null, table.wholes)
     gaps = gaps_of(levels, u.shape[1])
-    likeliest = max(gaps, key=lambda s: gaps[s])
-    d = Data.of(null, ["constant"], 0, np.arange(len(w)))
-    fit = HeldFit(d, orthonormal_rows(directions[: settings.n_constraints or likeliest])).best()
-    out = Imposed(v, fit, gaps, likeliest, WEAK_GAP, name, {name: cost}, fit.unexplained)
-    return replace(out, estimator="separate", levels=levels)
+    likely = max(gaps, key=lambda s: gaps[s])
+    rows = orthonormal_rows(directions[: settings.n_constraints or likely])
+    fit = PolicyFit(Data(null, (), 0, np.arange(len(w))), rows).best()
+    return Imposed(v, fit, gaps, likely, WEAK_GAP, name, {name: cost}, fit.unexplained, 0.0, "separate", levels)

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, final, get_args
+from typing import TYPE_CHECKING, Any, Literal, Self, final, get_args
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
@@ -30,7 +30,7 @@ from manip_learn.learning.table import BELIEVED, SWITCH, ArmErrors, EstimatorNam
 from manip_learn.learning.thinning import MOST_SAMPLES, EvenChoice, read_evenly
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.given import Given, check_joints, parts_of, recordings_given
-from manip_learn.recordings.load import Progress, Reader
+from manip_learn.recordings.load import Progress
 from manip_learn.recordings.options import Velocities
 from manip_learn.recordings.trajectory import Demonstrations
 from manip_learn.recordings.velocities import with_velocities
@@ -38,15 +38,10 @@ from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
 Switch = Literal["auto", "off"]
-SWITCHES = ("auto", "off")
 _LEARNT = ("constraint_", "constraints_", "report_", "reports_", "skill_")  # exist after `fit` only
-_ALIASES = {  # of arguments, until 0.4
-    "zeros": "joint_offset_std",
-    "links": "link_error_std",
-    "most_samples": "max_samples",
-    "switch": "switching_cost",
-    "habits": "keep_habits",
-}
+# of arguments, until 0.4
+_ALIASES = {"zeros": "joint_offset_std", "links": "link_error_std", "most_samples": "max_samples"}
+_ALIASES |= {"switch": "switching_cost", "habits": "keep_habits"}
 
 
 @final
@@ -138,9 +133,7 @@ class ConstraintLearner:
         self.features, self.n_constraints, self.policy_model, self.seed = features, n_constraints, policy_model, seed
         self.estimator: EstimatorName = estimator
         self.velocities: Velocities = velocities
-        self.phases: Switch = phases
-        self.mechanism: Switch = mechanism
-        self.strength, self.switching_cost = strength, switching_cost
+        self.phases, self.mechanism, self.strength, self.switching_cost = phases, mechanism, strength, switching_cost
         self.keep_habits, self.max_samples = keep_habits, max_samples
         self.joint_offset_std, self.link_error_std = joint_offset_std, link_error_std
         for name, value in renamed.items():
@@ -152,40 +145,32 @@ class ConstraintLearner:
 
     def _check(self) -> None:
         """Refuse settings out of range."""
-        choices = {"phases": SWITCHES, "mechanism": SWITCHES, "estimator": get_args(EstimatorName)}
+        choices = {"phases": get_args(Switch), "mechanism": get_args(Switch), "estimator": get_args(EstimatorName)}
         for name, allowed in (choices | {"velocities": get_args(Velocities)}).items():
             if (value := getattr(self, name)) not in allowed:
                 called = advice("{}", name, f"--{name}") or name
                 said = " or ".join(map(repr, allowed)) if len(allowed) < 3 else f"one of {', '.join(allowed)}"
                 raise FeatureError(f"{called} must be {said}, not {value!r}")
-        least = {"strength": 1, "switching_cost": 0, "joint_offset_std": 0, "link_error_std": 0}
-        units = {"switching_cost": " of nats", "joint_offset_std": " of degrees", "link_error_std": " of mm and mrad"}
-        for name, lowest in least.items():
-            number = getattr(self, name)
-            if isinstance(number, bool) or not isinstance(number, int | float) or not lowest <= number < math.inf:
-                unit = units.get(name, "")
-                raise FeatureError(f"{name} must be a finite number{unit} of at least {lowest}, got {number!r}")
+        least = {"strength": (1, ""), "switching_cost": (0, " of nats")}
+        least |= {"joint_offset_std": (0, " of degrees"), "link_error_std": (0, " of mm and mrad")}
+        for name, (lowest, unit) in least.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not lowest <= value < math.inf:
+                raise FeatureError(f"{name} must be a finite number{unit} of at least {lowest}, got {value!r}")
         most, s = self.max_samples, self.n_constraints
         if isinstance(most, bool) or not isinstance(most, int) or most < 100:
             raise FeatureError(f"max_samples must be an integer of at least 100, got {most!r}")
+        if isinstance(s, bool) or not isinstance(s, int | None):
+            raise FeatureError(f"n_constraints must be an integer or None, got {s!r}")
         if not self._feature_maps:
             raise FeatureError("give the learner at least one feature map")
         for given in self._feature_maps:
             if not isinstance(given, FeatureMap):
-                raise FeatureError(
-                    f'call ConstraintLearner(features), e.g. of FrameJacobian(robot, frame="tool"): got {an(given)} '
-                    "where features belong"
-                )
-        if s is not None and (isinstance(s, bool) or not isinstance(s, int)):
-            raise FeatureError(f"n_constraints must be an integer or None, got {s!r}")
-        for candidate in self._feature_maps:
-            most = min(candidate.n_rows, candidate.nv)
-            if s is not None and not 1 <= s <= most:
-                raise NumberOfConstraintsError(s, most, repr(candidate))
+                raise FeatureError(f'give FrameJacobian(robot, frame="tool") where features belong: got {an(given)}')
+            if s is not None and not 1 <= s <= (most := min(given.n_rows, given.nv)):
+                raise NumberOfConstraintsError(s, most, repr(given))
 
-    def fit(
-        self, demonstrations: Given, *others: object, client: Any = None, progress: Progress | None = None
-    ) -> ConstraintLearner:
+    def fit(self, demonstrations: Given, *others: object, client: Any = None, progress: Progress | None = None) -> Self:
         """Learn from demonstrations; a second fit replaces the first.
 
         At most `max_samples` samples are used. Larger sets are subsampled while they are read, so that recordings that
@@ -211,26 +196,19 @@ class ConstraintLearner:
         for learnt in _LEARNT:  # a fit that raises must not leave the result of other demonstrations behind
             vars(self).pop(learnt, None)
         if others:  # fit(X, y), as other libraries have it
-            raise RecordingError(
-                f"fit takes all recordings as one argument: got {listed(map(an, (demonstrations, *others)))}; "
-                "write fit((time, q, u)) for the arrays of one recording, fit([(time, q, u), ...]) for several, time "
-                "in seconds",
-                code="type",
-            )
-        given = self._given(demonstrations)
+            got = listed(map(an, (demonstrations, *others)))
+            why = f"fit takes all recordings as one argument, got {got}: write fit((time, q, u)), or a list of these"
+            raise RecordingError(why, code="type")
+        for features in self._feature_maps:
+            robot = getattr(features, "robot", None)
+            if robot is not None and self._robot is not None:
+                check_joints(self._robot.joint_names, robot)
+        given = recordings_given(demonstrations, self._robot, self._feature_maps[0].nv, self.velocities)
         if not isinstance(given, Demonstrations):
             given = read_evenly(self._choose, given, client, progress).demonstrations
         with one_thread():
             self._learn(given, progress or (lambda stage, share: None))
         return self
-
-    def _given(self, demonstrations: Given) -> Demonstrations | list[Reader]:
-        """Return what was given, with the joints of the features."""
-        for features in self._feature_maps:
-            robot = getattr(features, "robot", None)
-            if robot is not None and self._robot is not None:
-                check_joints(self._robot.joint_names, robot)
-        return recordings_given(demonstrations, self._robot, self._feature_maps[0].nv, self.velocities)
 
     def _learn(self, given: Demonstrations, progress: Progress) -> None:
         """Learn: independent recordings -> one table -> hypotheses -> answers -> reports, constraints and a skill."""
@@ -244,31 +222,20 @@ class ConstraintLearner:
         recordings = recordings.only([k.number for k in few.kept])
         table = Table(list(few.demonstrations))
         arm = ArmErrors(math.radians(self.joint_offset_std), 1e-3 * self.link_error_std)
-        settings = Settings(
-            self.n_constraints,
-            self.estimator,
-            self.policy_model,
-            self.phases == "auto",
-            self.mechanism == "auto",
-            float(self.strength),
-            float(self.switching_cost),
-            bool(self.keep_habits),
-            arm,
-            self.seed,
-            self.velocities == "recorded" or self._robot is None or all(t.exact for t in recordings.demonstrations),
-        )
-        context = Context(table, recordings, few.demonstrations.notes, made(given, self._settings), started)
+        exact = self.velocities == "recorded" or self._robot is None or all(t.exact for t in recordings.demonstrations)
+        chosen: dict[str, Any] = {"arm": arm, "by_rates": exact, "seed": self.seed, "habits": self.keep_habits}
+        chosen |= {"phases": self.phases == "auto", "mechanism": self.mechanism == "auto"}
+        chosen |= {"strength": self.strength, "switch": self.switching_cost}
+        settings = Settings(self.n_constraints, self.estimator, self.policy_model, **chosen)
+        # for the provenance; the features are stored in the constraint itself
+        said = [name for name in inspect.signature(type(self)).parameters if name not in ("features", "renamed")]
+        origin = made(given, {name: getattr(self, name) for name in said})
+        context = Context(table, recordings, few.demonstrations.notes, origin, started)
         found = learn(table, self._feature_maps, settings, progress, recordings.warnings)
         wholes, self.constraints_, self.reports_ = zip(*reports(found, context), strict=True)
         self.constraint_, self.report_ = self.constraints_[0], self.reports_[0]
         self.skill_ = skill_of(wholes, found, table)
         progress("learning", 1.0)
-
-    @property
-    def _settings(self) -> dict[str, Any]:
-        """Arguments of the constructor for the provenance; the features are stored in the constraint itself."""
-        names = [name for name in inspect.signature(type(self)).parameters if name not in ("features", "renamed")]
-        return {name: getattr(self, name) for name in names}
 
     @property
     def _choose(self) -> partial[EvenChoice]:
@@ -293,9 +260,6 @@ class ConstraintLearner:
         return f"ConstraintLearner({self.features!r}, n_constraints={self.n_constraints}, estimator={self.estimator!r})"
 
     def _repr_html_(self) -> str:
-        report = vars(self).get("report_")
-        return (
-            html_card.card("Nothing is learnt yet", html_card.sentence(repr(self)))
-            if report is None
-            else report._repr_html_()
-        )
+        if report := vars(self).get("report_"):
+            return report._repr_html_()
+        return html_card.card("Nothing is learnt yet", html_card.sentence(repr(self)))
