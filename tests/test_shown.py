@@ -122,7 +122,7 @@ def test_contacts_at_different_places_have_no_hold():
     robot = constraint.robot
     assert robot is not None
     q = np.array(constraint.provenance["postures"][0])
-    assert ml.motion(constraint).hold(q) == 0.0
+    assert ml.motion(constraint).hold(q) < 1e-5  # one of them began here
 
 
 def test_the_hand_closes_where_a_contact_began():

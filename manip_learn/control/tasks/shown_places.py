@@ -10,13 +10,16 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.constraint.shown import Shown
 from manip_learn.control.tasks.driven_motion import DrivenMotion, Origin, PathMotion, apart
+from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot.rotations import rotation_vector
 
 # [m] a hand this near to where a task was shown is on the mechanism: people take hold of a handle a finger's breadth
 # further on, and a constraint file keeps a few postures only
 GRIP = 0.02
+WAY_POINTS = 100  # of a way that was shown, at which a hand may be: nearer together than `GRIP` on 2 m
 HAND_LEVER = 0.2  # [m] between a hand and what it turns, so that an approach of 0.25 m/s turns by 1.25 rad/s at most
 
 
@@ -45,7 +48,7 @@ class ShownPlaces:
         n_held: How many of the held coordinates of the motion belong to the constraint; others hold the orientation.
         hold: shape (3,), where all contacts began [m]; None if they began at different places.
         orientation: shape (3, 3), of the hand there; None where the mechanism leaves it free.
-        points: shape (k, 3), along the way from there [m].
+        points: shape (k, 3), along the ways from where contacts began [m].
         grasps: shape (n, 4, 4), of contacts that began at different places, and
         ahead: shape (n,), how far along the way each of them began, and `span` how far they all went [m or rad].
         anew: Whether the hand goes there even if it is on the mechanism already.
@@ -86,6 +89,10 @@ class ShownPlaces:
         if hold is None and shown is not None and shown.is_way and shown.unit == motion.unit:
             grasps, span = shown.grasps, shown.span
             ahead = np.array([shown.coordinates.of(np.array([grasps[0], grasp]))[1, 0] for grasp in grasps])
+            path = shown.path[evenly(len(shown.path), WAY_POINTS)]
+            points = np.array([shown.coordinates.place(grasp[:3, 3], c) for grasp in grasps for c in path]).reshape(
+                -1, 3
+            )
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
         turned = None if free or mechanism is None or shown is None else shown.orientation
         sense = shown_sense(shown, motion, of_most=True) or 1.0
@@ -112,26 +119,34 @@ class ShownPlaces:
             there = motion.placed(here, self.hold, self.orientation)
             if self.sense * distance < 0.0:
                 there = motion.goal(there, -distance)
-            off = min((apart(here, motion.placed(here, point)) for point in self.points), default=math.inf)
-            return here if not self.anew and off <= GRIP else there
-        if self.postures is None:
+            return here if self._is_on_the_way(here) else there
+        if self.postures is None or self._is_on_the_way(here):
             return here
+        if len(self.grasps):
+            way = self.sense * distance
+            ends = self.ahead - self.ahead.min() + abs(way)
+            fits = np.flatnonzero(ends <= max(self.span, ends.min()) + GRIP / self.lever)
+            begins = [motion.placed(here, grasp[:3, 3]) for grasp in self.grasps[fits]]
+            if way < 0.0:  # back from where one of them ended
+                begins = [motion.goal(begin, -distance) for begin in begins]
+            return min(begins, key=lambda begin: apart(here, begin))
         along = np.array([motion.progress(here, p, 0.0) for p in self.postures])
         across = np.array([motion.deviation(here, p, 0.0)[: self.n_held] for p in self.postures])
         origins = [motion.origin(p) for p in self.postures]
         low, high, room = float(along.min()), float(along.max()), GRIP / self.lever
         if low - room <= 0.0 <= high + room and np.all((across.min(0) <= GRIP) & (across.max(0) >= -GRIP)):
             return here
-        if len(self.grasps):
-            way = self.sense * distance
-            ends = self.ahead - self.ahead.min() + abs(way)
-            fits = np.flatnonzero(ends <= max(self.span, ends.min()) + room)
-            begins = [motion.placed(here, grasp[:3, 3]) for grasp in self.grasps[fits]]
-            if way < 0.0:  # back from where one of them ended
-                begins = [motion.goal(begin, -distance) for begin in begins]
-            return min(begins, key=lambda begin: apart(here, begin))
         # places from which the way ends within what was shown; if it is too long for that, those with the most room
         first, last = (low, max(high - distance, low)) if distance > 0.0 else (min(low - distance, high), high)
         places = [motion.goal(o, float(np.clip(s, first, last) - s)) for o, s in zip(origins, along, strict=True)]
         place = min(places, key=lambda place: apart(here, place))
         return place if place.ndim == 1 else motion.placed(here, place[:3, 3])
+
+    def _is_on_the_way(self, here: Origin) -> bool:
+        """Return True if the hand is where a way was shown, and may begin there."""
+        if self.anew or not len(self.points):
+            return False
+        names = AXES[:3] if here.ndim == 2 else self.motion.constraint.features.row_names
+        place = here[:3, 3] if here.ndim == 2 else here
+        off = self.points[:, [AXES.index(name) for name in names]] - place
+        return float(np.min(np.linalg.norm(off, axis=1))) <= GRIP
