@@ -175,7 +175,8 @@ def test_columns_of_the_fit_are_derivatives():
     for column, (rows, zeros) in enumerate(steps):
         slope = residual(true + h * rows, h * zeros) - residual(true - h * rows, -h * zeros)
         np.testing.assert_allclose(fit.X[:, :, column], slope / (2.0 * h), atol=1e-6)
-    assert fit.e == nv + 6 * (len(moved.features.robot.joint_names))  # six of each link behind the first, and the tip
+    n_errors = fit.X.shape[2] - fit.m - 1
+    assert n_errors == nv + 6 * len(moved.features.robot.joint_names)  # six of each link behind the first, and the tip
 
 
 def answer(gap: float, strengths: tuple[float, ...]) -> Answer:

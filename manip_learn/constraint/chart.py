@@ -13,20 +13,17 @@ that is carried, the exponential of its own turn where it may turn, else 1),
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.curve_rows import Curve
-from manip_learn.constraint.features.mechanism_rows import across
+from manip_learn.constraint.features.mechanism_rows import Place, across
 from manip_learn.constraint.features.weighed_velocity import ON_AXIS
 from manip_learn.errors import ConstraintError
 from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, skew
-
-if TYPE_CHECKING:
-    from manip_learn.constraint.mechanism import Mechanism
 
 # names of free and of held coordinates of the place, and of a hand that is carried, by kind
 PLACE = {
@@ -67,28 +64,22 @@ class Chart:
     that is carried its rotation is.
 
     Args:
-        mechanism: The mechanism.
+        kind: Key of `PLACE`.
+        orientation: What the hand may do, as of a mechanism.
+        place: Axis, point and pitch.
+        curve: Of kind `"curve"`.
         pose: shape (4, 4), of the hand where it took hold, in the mechanism's frame.
 
     Raises:
-        ConstraintError: A mechanism of no known place, or a loosely held hand on the axis that its place turns about.
+        ConstraintError: A loosely held hand on the axis, or at the centre, about which its place turns.
     """
 
-    def __init__(self, mechanism: Mechanism, pose: Float[np.ndarray, "4 4"]):
-        kind = self._kind = mechanism.kind
-        needed = {"ball": ("point",), "space": (), "curve": (), "line": ("axis",), "plane": ("axis",)}
-        missing = [name for name in needed.get(kind, ("axis", "point")) if getattr(mechanism, name) is None]
-        if missing or (kind == "curve" and mechanism.curve is None):
-            what = missing[0] if missing else "curve"
-            raise ConstraintError(f"{mechanism.sentence}: its {what} is unknown, and so are coordinates along it")
-        self._curve: Curve | None = mechanism.curve
-        self._a = np.array([0.0, 0.0, 1.0]) if mechanism.axis is None else mechanism.axis
-        self._c = np.zeros(3) if mechanism.point is None else mechanism.point
-        self._pitch = mechanism.pitch or 0.0
-        self._carried = mechanism.orientation == "carried"
+    def __init__(self, kind: str, orientation: str, place: Place, curve: Curve | None, pose: Float[np.ndarray, "4 4"]):
+        self._kind, self._curve, self._a, self._c, self._pitch = kind, curve, place.axis, place.point, place.pitch
+        self._carried = orientation == "carried"
         self._firm = self._carried and kind in CARRIED
-        self.names, self.held_names = coordinate_names(kind, mechanism.orientation)
-        self._n_turns = {"free": 3, "about-axis": 1}.get(mechanism.orientation, 0)
+        self.names, self.held_names = coordinate_names(kind, orientation)
+        self._n_turns = {"free": 3, "about-axis": 1}.get(orientation, 0)
         self._n_places = len(self.names) - self._n_turns
         self._R0 = pose[:3, :3].copy()
         self._followed = self._R0.T @ (self._c - pose[:3, 3]) if self._firm else np.zeros(3)  # in the hand
@@ -97,7 +88,7 @@ class Chart:
         out = self._x0 - self._c
         self._out = out if kind == "ball" else out - (out @ self._a) * self._a
         if not self._firm and kind in ("hinge", "screw", "cylinder", "ball") and np.linalg.norm(self._out) < ON_AXIS:
-            raise ConstraintError(f"a hand on the axis or the centre of {mechanism.sentence} has no angle about it")
+            raise ConstraintError(f"a hand on the axis, or at the centre, of a {kind} has no angle about it")
         self._turn_basis = {3: np.eye(3), 1: self._a[None], 0: np.zeros((0, 3))}[self._n_turns]
         self._P, self._N = (np.array([self._weights(n) for n in names]) for names in (self.names, self.held_names))
         self._P, self._N = self._P.reshape(-1, 6), self._N.reshape(-1, 6)
@@ -224,8 +215,8 @@ class Chart:
 
     def _frame(self, s: float) -> Float[np.ndarray, "3 3"]:
         """Return the frame that goes along the curve: its tangent, and a direction that does not turn about it."""
-        assert self._curve is not None
-        tangent, normal = self._curve.at(np.array([s]), 1)[0], self._curve.frame(np.array([s]))[0][0]
+        curve: Curve = self._curve  # type: ignore[assignment]  # of a curve alone
+        tangent, normal = curve.at(np.array([s]), 1)[0], curve.frame(np.array([s]))[0][0]
         tangent = tangent / np.linalg.norm(tangent)
         normal = normal - (normal @ tangent) * tangent
         normal /= np.linalg.norm(normal)

@@ -394,7 +394,12 @@ class Mechanism:
         T = finite(pose, 4, 4)
         if T is None:
             raise ConstraintError(f"a grasp is a pose of 4 x 4 finite numbers, got {pose!r:.80}")
-        return Chart(self, T)
+        needed = {"space": "", "ball": "point", "curve": "curve", "line": "axis", "plane": "axis"}
+        for name in needed.get(self.kind, "axis point").split():
+            if getattr(self, name) is None:
+                raise ConstraintError(f"{self.sentence}: its {name} is unknown, and so are coordinates along it")
+        axis, point = Z if self.axis is None else self.axis, np.zeros(3) if self.point is None else self.point
+        return Chart(self.kind, self.orientation, Place(axis, point, self.pitch or 0.0), self.curve, T)
 
     def features(self, robot: Robot, frame: str) -> FeatureMap:
         """Return the rows that are zero while a frame of a robot moves along the mechanism."""

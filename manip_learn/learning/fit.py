@@ -27,7 +27,7 @@ from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.learning.search import least_used
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, View, displacements, steps_along
-from manip_learn.linalg import complement_rows, orthonormal_rows
+from manip_learn.linalg import complement_rows, turned
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.recordings.velocities import positions_along
 from manip_learn.robot.batch.batch_kinematics import link_twists
@@ -75,45 +75,34 @@ class Motion:
         features, table, out = view.features, view.table, []
         robot, twist = getattr(features, "robot", None), features.twist
         for t in map(table.piece, stretches):
-            u = np.asarray(t.u)
             x = t.q if robot is None else positions_along(t, robot)
             x = t.q if x is None else x
-            way = u * (t.time[-1] - t.time[0]) / np.sqrt(12.0)  # the spread of a steady motion
+            way = np.asarray(t.u) * (t.time[-1] - t.time[0]) / np.sqrt(12.0)  # the spread of a steady motion
             y = displacements(features, x, way if settings.by_rates else None)
             k = evenly(len(x), max(LEAST, MOST // len(stretches)))
             out.append((y[k], x[k], way[k]))
         y, x, way = (np.concatenate(z) for z in zip(*out, strict=True))
-        return Motion(
-            features,
-            view.W,
-            settings.arm,
-            x,
-            y @ view.W.T,
-            view.W @ features.batch(x),
-            None if twist is None else twist.poses(x)[:, :3, 3],
-            way if settings.by_rates else None,
-            twist,
-            slices([len(z) for z, *_ in out]),
-            [s.recording for s in stretches],
-        )
+        y, Phi, way = y @ view.W.T, view.W @ features.batch(x), way if settings.by_rates else None
+        place = None if twist is None else twist.poses(x)[:, :3, 3]
+        parts, recs = slices([len(z) for z, *_ in out]), [s.recording for s in stretches]
+        return Motion(features, view.W, settings.arm, x, y, Phi, place, way, twist, parts, recs)
 
     def by_the_arm(self, x: np.ndarray) -> np.ndarray:
         """Return the change of y along postures by unit joint offsets and, in proportion, errors of links (n, r, e)."""
         way = self.way
         middle, step = (0.5 * (x[1:] + x[:-1]), steps_along(self.features, x)) if way is None else (x, way)
         change = np.einsum("npvk,nv->npk", self.features.batch_with_derivative(middle)[1], step, optimize=True)
-        if self.arm.ratio:
-            links = changes_by_links(self.features, middle, step)
-            change = np.concatenate([change, self.arm.ratio * links], axis=2)
+        if self.arm.links and self.arm.zeros > 0.0:
+            links = self.arm.links / self.arm.zeros * changes_by_links(self.features, middle, step)
+            change = np.concatenate([change, links], axis=2)
         if way is None:
             change = np.concatenate([np.zeros((1, *change.shape[1:])), np.cumsum(change, axis=0)])
         return self.W @ change
 
     def seen_as(self, features: FeatureMap, W: np.ndarray) -> Motion:
         """Return the same motion in another feature map."""
-        ways = [None if self.way is None else self.way[p] for p in self.parts]
-        y = np.concatenate([displacements(features, self.x[p], w) for p, w in zip(self.parts, ways, strict=True)])
-        return replace(self, features=features, W=W, y=y @ W.T, Phi=W @ features.batch(self.x))
+        y = [displacements(features, self.x[p], None if self.way is None else self.way[p]) for p in self.parts]
+        return replace(self, features=features, W=W, y=np.concatenate(y) @ W.T, Phi=W @ features.batch(self.x))
 
     @cached_property
     def turned_by_joints(self) -> float:
@@ -123,25 +112,21 @@ class Motion:
         spread = np.array([np.var(self.x[p], axis=0) for p in self.parts])
         return float(np.degrees(np.median(np.sqrt(np.sum(turns * spread, axis=1)))))
 
-    def _centred(self, x: np.ndarray) -> np.ndarray:
-        return x if self.way is not None else np.concatenate([x[p] - x[p].mean(axis=0) for p in self.parts])
-
     @cached_property
     def _least(self) -> tuple[np.ndarray, np.ndarray]:
-        y = self._centred(self.y)
-        gram = np.einsum("npv,nqv->pq", self.Phi, self.Phi)
-        sizes, directions = least_used((y.T @ y)[None], gram[None], np.zeros(1))
-        return sizes[0], directions[0]
+        y, x = self.y, self.x if self.way is None else self.way
+        if self.way is None:
+            y, x = (np.concatenate([z[p] - z[p].mean(axis=0) for p in self.parts]) for z in (y, x))
+        return relative_levels(y.T @ y, np.einsum("npv,nqv->pq", self.Phi, self.Phi), x)
 
     def least_displaced(self, s: int) -> np.ndarray:
         """Return s orthonormal rows (s, r) with the least displacement, relative to the rows of its postures."""
         return np.linalg.qr(self._least[1][:s].T)[0].T
 
-    @cached_property
+    @property
     def levels(self) -> np.ndarray:
         """RMS displacement along each direction, smallest first, over that of equally strong joints [1]; shape (r,)."""
-        x = self._centred(self.x if self.way is None else self.way)
-        return self._least[0] / max(float(np.sqrt(np.mean(x**2))), 1e-12)
+        return self._least[0]
 
 
 def changes_by_links(
@@ -163,15 +148,14 @@ def changes_by_links(
     if not isinstance(features, WeighedVelocity | PoseRows) or features.relative_to is not None:
         return none
     robot, frame, J, poses = features.robot, features.frame, features.twist.batch(q), features.twist.poses(q)
-    if (twists := link_twists(robot, frame, q)) is None:
-        return none
     behind = {j: number for number, j in enumerate(robot.pinocchio_model.supports[frame.parent_joint], -1)}
     # the number of the chain's joint that each velocity moves, -1 if none: those from 1 on are behind the first link
     place = np.full(robot.nv, -1)
     for block in robot.blocks:
         place[block.v] = behind.get(block.index, -1)
     V, W, out = np.einsum("nij,nj->ni", J, u), features.weights_at(poses), [none]
-    for link, E in enumerate(twists):
+    twists = link_twists(robot, frame, q)
+    for link, E in enumerate(() if twists is None else twists):
         own = place > link
         moved = np.einsum("nij,nj->ni", J[:, :, own], u[:, own])
         v, w = E[:, :3].transpose(0, 2, 1), E[:, 3:].transpose(0, 2, 1)
@@ -202,32 +186,31 @@ class RowFit:
         cost: Sum of squares of the residual.
         m: Number of parameters B of Lambda + B Lambda_perp.
         dof: Degrees of freedom of the residual.
+        variance: Variance of the residual, of at least `LEAST_RAD` squared [rad^2].
     """
 
     def __init__(self, motion: Motion, rows: np.ndarray):
         self.motion, self.rows, self.perp = motion, rows, complement_rows(rows)
-        A = rows @ motion.Phi
-        S = A @ A.transpose(0, 2, 1)
+        self.m, self._A = len(rows) * len(self.perp), rows @ motion.Phi
+        S = self._A @ self._A.transpose(0, 2, 1)
         S = S + FLOOR * np.mean(np.einsum("nii->ni", S), axis=0).max() * np.eye(len(rows))
         self.root = np.linalg.inv(np.linalg.cholesky(S))
-        s, k = rows.shape[0], len(self.perp)
-        J = np.einsum("nai,nj->naij", self.root, motion.y @ self.perp.T).reshape(len(A), s, s * k)
-        r = np.einsum("nai,ni->na", self.root, motion.y @ rows.T)
-        self.m, self._A = s * k, A
-        self._JR = self.without_constants(np.concatenate([J, r[:, :, None]], axis=2))
+        J = np.einsum("nai,nj->naij", self.root, motion.y @ self.perp.T).reshape(*S.shape[:2], self.m)
+        r = self.root @ (motion.y @ rows.T)[:, :, None]
+        self._JR = self.without_constants(np.concatenate([J, r], axis=2))
         self.r = self._JR[:, :, -1]
         self.cost = float(np.sum(self.r**2))
-        constants = s * len(motion.parts) if motion.way is None else 0
+        constants = len(rows) * len(motion.parts) if motion.way is None else 0
         self.dof = max(self.r.size - constants - self.m, 1)
+        self.variance = self.cost / self.dof + LEAST_RAD**2
 
     def without_constants(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (n, s, c) less their best constants of each stretch."""
-        out = np.empty_like(columns)
+        out = columns.copy()
         for p in self.motion.parts if self.motion.way is None else ():
             own = self.root[p]
-            best = np.linalg.solve(np.einsum("nai,naj->ij", own, own), np.einsum("nai,nac->ic", own, columns[p]))
-            out[p] = columns[p] - own @ best
-        return out if self.motion.way is None else columns
+            out[p] -= own @ np.linalg.solve(np.einsum("nai,naj->ij", own, own), np.einsum("nai,nac->ic", own, out[p]))
+        return out
 
     def sums(self, X: np.ndarray) -> dict[int, np.ndarray]:
         """Return X^T X of each recording, by its number."""
@@ -256,38 +239,25 @@ class RowFit:
         K = self.root @ (self.rows @ self.motion.by_the_arm(self.motion.x - dq))
         return np.concatenate([self.without_constants(np.concatenate([J, K], axis=2)), self._JR[:, :, -1:]], axis=2)
 
-    @property
-    def e(self) -> int:
-        """Number of errors of the arm."""
-        return self.X.shape[2] - self.m - 1
-
     @cached_property
     def G(self) -> dict[int, np.ndarray]:
         """Sums X^T X of each recording, by its number."""
         return self.sums(self.X)
 
-    def moved(self, B: np.ndarray) -> RowFit:
-        """Return the fit of Lambda + B Lambda_perp."""
-        return RowFit(self.motion, orthonormal_rows(self.rows + B.reshape(len(self.rows), -1) @ self.perp))
-
-    def best(self, steps: int = 25) -> RowFit:
+    def best(self) -> RowFit:
         """Return the fit with the least cost, by Levenberg-Marquardt on the Grassmann manifold."""
         here, damping = self, 0.0
-        for _ in range(steps if self.m else 0):
+        for _ in range(25 if self.m else 0):
             total = np.tensordot(here._JR, here._JR, axes=([0, 1], [0, 1]))
             H, g = total[: self.m, : self.m], total[: self.m, -1]
             B = -solve(H + damping * np.diag(np.diag(H)), g)
             if B @ H @ B <= 1e-6 * here.cost / here.dof:
                 break
-            there = here.moved(B)
-            if there.cost < here.cost:
-                gain, here, damping = here.cost - there.cost, there, 0.1 * damping
-                if gain < 1e-9 * here.cost:
-                    break
-            else:
-                damping = max(10.0 * damping, 1e-4)
-                if damping > 1e6:
-                    break
+            there = RowFit(self.motion, turned(here.rows, B))
+            gain = here.cost - there.cost
+            here, damping = (there, 0.1 * damping) if gain > 0.0 else (here, max(10.0 * damping, 1e-4))
+            if 0.0 < gain < 1e-9 * here.cost or damping > 1e6:
+                break
         return here
 
     @cached_property
@@ -295,42 +265,42 @@ class RowFit:
         """Factor by which correlated neighbours increase a variance."""
         return autocorrelation(self.r, self.motion.parts)
 
-    @cached_property
-    def variance(self) -> float:
-        """Variance of the residual, of at least `LEAST_RAD` squared [rad^2]."""
-        return self.cost / self.dof + LEAST_RAD**2
-
     def nats(self, other: RowFit) -> float:
         """Return the gain over another fit of as many rows, net of the price of parameters [nats]."""
-        n = self.dof / self.alike
-        floor = self.dof * LEAST_RAD**2
-        return 0.5 * n * float(np.log((other.cost + floor) / (self.cost + floor))) - 0.5 * (self.m - other.m) * np.log(
-            max(n, 2.0)
-        )
+        n, floor = self.dof / self.alike, self.dof * LEAST_RAD**2
+        gain = n * float(np.log((other.cost + floor) / (self.cost + floor)))
+        return 0.5 * (gain - (self.m - other.m) * float(np.log(max(n, 2.0))))
 
 
 def solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
     """Return H^+ g, with each unknown scaled by its own curvature."""
     size = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    out = np.linalg.pinv(H * np.outer(size, size), rcond=1e-12, hermitian=True) @ (
-        size[:, None] * g if g.ndim > 1 else size * g
-    )
-    return size[:, None] * out if g.ndim > 1 else size * out
+    inverse = np.linalg.pinv(H * np.outer(size, size), rcond=1e-12, hermitian=True)
+    return (size * (inverse @ (size * g.T).T).T).T  # of a vector, or of each column
 
 
 def autocorrelation(r: np.ndarray, parts: Sequence[slice]) -> float:
     """Return the factor by which correlated neighbours in each part increase a variance, at least 1."""
-    total, square = 1.0, float(np.sum(r**2))
+    total, square = 1.0, max(float(np.sum(r**2)) / len(r), 1e-300)
     for k in range(1, 101):
-        pairs = [(r[p][k:], r[p][:-k]) for p in parts]
-        n = sum(len(a) for a, _ in pairs)
-        if n < 2 * k or square <= 0.0:
-            break
-        share = sum(float(np.sum(a * b)) for a, b in pairs) / n * len(r) / square
-        if share < 2.0 / np.sqrt(n):
+        products = np.concatenate([np.sum(r[p][k:] * r[p][:-k], axis=1) for p in parts])
+        n = len(products)
+        if n < 2 * k or (share := float(products.mean()) / square) < 2.0 / np.sqrt(n):
             break
         total += 2.0 * share
     return total
+
+
+def relative_levels(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how much motion uses each direction, smallest first, and the directions as rows (r, r).
+
+    Args:
+        M: shape (r, r), sum of r r^T of the rates, or displacements, r = Phi x.
+        S: shape (r, r), sum of Phi Phi^T.
+        x: shape (n, nv), motion of the joints; levels are relative to one that is equally strong in all of them [1].
+    """
+    sizes, directions = least_used(M[None], S[None], np.zeros(1))
+    return sizes[0] * np.sqrt(x.size / max(float(np.sum(x**2)), 1e-300)), directions[0]
 
 
 def levels_on(view: View, stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.ndarray]:
@@ -338,12 +308,9 @@ def levels_on(view: View, stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.
 
     Levels are relative to a motion that is equally strong in all joints [1], shape (r,).
     """
-    m, inside = view.all, view.table.inside([view.table.learnt_from(s) for s in stretches])
-    u = view.table.u[inside]
-    M, S = m.rates[inside].T @ m.rates[inside], m.gram[inside].sum(axis=0)
-    sizes, directions = least_used(M[None], S[None], np.zeros(1))
-    energy = max(float(np.sum(u**2)), 1e-300)
-    return sizes[0] * np.sqrt(view.table.u.shape[1] / energy * len(u)), directions[0]
+    inside = view.table.inside([view.table.learnt_from(s) for s in stretches])
+    rates = view.all.rates[inside]
+    return relative_levels(rates.T @ rates, view.all.gram[inside].sum(axis=0), view.table.u[inside])
 
 
 def gaps_of(levels: np.ndarray, nv: int) -> dict[int, float]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
@@ -14,7 +13,7 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
-from manip_learn.linalg import null_basis, pivoted_rows, whitener
+from manip_learn.linalg import pivoted_rows, whitener
 from manip_learn.recordings.trajectory import Trajectory
 
 # strength of a row with 99 % confidence, the choice paid for, from which it counts as held: free motion of a real arm
@@ -47,11 +46,6 @@ class ArmErrors:
 
     zeros: float = 0.0
     links: float = 0.0
-
-    @property
-    def ratio(self) -> float:
-        """Prior ratio of an error of a link to a joint offset."""
-        return self.links / self.zeros if self.zeros > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -97,11 +91,10 @@ class Table:
         self.noises = [velocity_noise(t.time, np.asarray(t.u)) for t in moved]
         self.noise = np.repeat(self.noises, lengths)
         self.weight = np.concatenate([_weights(t.time) for t in moved])
-        step = max(1, round(len(self.time) / max(self.weight.sum(), 1e-9) / SCAN_RATE))
-        self.thin = np.concatenate([np.arange(a + min(step, b - a) // 2, b, step) for a, b in pairwise(self.first)])
-        self.step = step
-        self.ends = np.stack([self.time[self.first[:-1]], self.time[self.first[1:] - 1]], axis=1)
         self.seconds = float(self.weight.sum())
+        self.step = step = max(1, round(len(self.time) / max(self.seconds, 1e-9) / SCAN_RATE))
+        self.thin = np.concatenate([np.arange(a + min(step, b - a) // 2, b, step) for a, b in pairwise(self.first)])
+        self.ends = np.stack([self.time[self.first[:-1]], self.time[self.first[1:] - 1]], axis=1)
 
     def __len__(self) -> int:
         return len(self.moved)
@@ -122,9 +115,7 @@ class Table:
     def learnt_from(self, s: Stretch) -> Stretch:
         """Return the stretch without its ends, which belong to a transition, except at the ends of the recording."""
         low, high = self.ends[s.recording]
-        return Stretch(
-            s.recording, s.start if s.start <= low else s.start + CHANGE, s.end if s.end >= high else s.end - CHANGE
-        )
+        return Stretch(s.recording, s.start + CHANGE * (s.start > low), s.end - CHANGE * (s.end < high))
 
     def piece(self, s: Stretch) -> Trajectory:
         """Return the samples of a stretch from which rows are learnt."""
@@ -192,12 +183,14 @@ class Samples(NamedTuple):
     first: np.ndarray
     recording: np.ndarray
 
+    def at(self, k: np.ndarray, first: np.ndarray, **other: np.ndarray) -> Samples:
+        """Return the samples k, with their first ones and other fields."""
+        return Samples(**{n: x[k] for n, x in self._asdict().items() if n != "first"} | {"first": first} | other)
+
     def of_recording(self, i: int) -> Samples:
         """Return the samples of one recording."""
-        own = slice(*self.first[i : i + 2])
-        n = len(self.rates[own])
-        some = {name: x[own] for name, x in zip(self._fields, self, strict=True)}
-        return Samples(**some | {"first": np.array([0, n]), "recording": np.zeros(n, dtype=int)})
+        k = np.arange(*self.first[i : i + 2])
+        return self.at(k, np.array([0, len(k)]), recording=0 * k)
 
     def moving(self) -> np.ndarray:
         """Return a mask of the samples that move beyond the noise."""
@@ -231,26 +224,21 @@ class View:
     def __init__(self, features: FeatureMap, table: Table):
         self.features, self.table = features, table
         self.Phi = features.batch(table.q)
-        n = len(self.Phi)
         self.W = whitening(self.Phi, features.row_units)
-        self.r = len(self.W)
-        self.largest = 0
+        self.r, self.largest = len(self.W), 0
         if not self.r:
             return
         white = self.W @ self.Phi
         gram = white @ white.transpose(0, 2, 1)
         regular = gram + 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(self.r)
         used = np.einsum("npv,npv->nv", white, np.linalg.solve(regular, white))
-        rank = int(np.median(np.linalg.matrix_rank(gram[:: max(1, n // 50)], 1e-8, hermitian=True)))
+        rank = int(np.median(np.linalg.matrix_rank(gram[:: max(1, len(gram) // 50)], 1e-8, hermitian=True)))
         self.largest = min(rank, features.nv) - 1
         rates = np.einsum("npv,nv->np", white, table.u)
         free = np.sum(used * table.u**2, axis=1) / max(rank, 1)
         self.all = Samples(rates, gram, free, table.noise, table.weight, table.time, table.first, table.recording)
-        k, step = table.thin, table.step
-        first = np.searchsorted(k, table.first)
-        self.thin = Samples(
-            rates[k], gram[k], free[k], table.noise[k], table.weight[k] * step, table.time[k], first, table.recording[k]
-        )
+        k = table.thin
+        self.thin = self.all.at(k, np.searchsorted(k, table.first), weight=table.weight[k] * table.step)
 
     def of_recording(self, i: int) -> View:
         """Return the view of one recording alone, whitened as that of all."""
@@ -266,11 +254,6 @@ class View:
         """Return Lambda in the features' own rows, orthonormal, from whitened ones."""
         return pivoted_rows(rows @ self.W)
 
-    @cached_property
-    def immovable(self) -> np.ndarray:
-        """Rows that the arm cannot move, orthonormal, shape (k, p)."""
-        return null_basis(np.linalg.svd(self.W, full_matrices=False)[2]).T
-
 
 def place_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
     """Return the rows of the position of the hand, in which the search begins, for any requested axes.
@@ -280,39 +263,33 @@ def place_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
     """
     linear = [f for f in asked if isinstance(f, PoseRows) and set(AXES[:3]) & set(f.row_names)]
     others = [f for f in asked if f not in linear]
-    return _distinct([*_seen(linear, AXES[:3]), *others, *_in_places(linear, table, ("point",))])
+    return _maps(linear, AXES[:3], others, table, "point")
 
 
 def whole_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
     """Return the rows of the whole twist of the hand in which mechanisms are constant."""
-    frames = [f for f in asked if isinstance(f, PoseRows)]
-    return _distinct([*_seen(frames, AXES), *_in_places(frames, table, ("point and rotation", "twist"))])
-
-
-def _seen(frames: Sequence[PoseRows], axes: Sequence[str]) -> list[FeatureMap]:
-    """Return rows of some axes, along those of the requested rows and those in which mechanisms rest."""
-    return [seen.with_axes(axes) for f in frames for seen in (f, f.twist)]
+    return _maps([f for f in asked if isinstance(f, PoseRows)], AXES, [], table, "point and rotation", "twist")
 
 
 def surface_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
     """Return the rows in which surfaces of second order are constant."""
-    return _in_places([f for f in asked if isinstance(f, PoseRows)], table, ("surface",))
+    return _maps([f for f in asked if isinstance(f, PoseRows)], (), [], table, "surface")
 
 
-def _in_places(frames: Sequence[PoseRows], table: Table, forms: Sequence[PlaceForm]) -> list[FeatureMap]:
-    """Return rows about the mean position of the first frame, seen from where its rows see it."""
+def _maps(
+    frames: Sequence[PoseRows], axes: Sequence[str], others: Sequence[FeatureMap], table: Table, *forms: PlaceForm
+) -> list[FeatureMap]:
+    """Return distinct rows of some axes, along those of the frames' rows and those in which mechanisms rest; others;
+    and rows about the mean position of the first frame, seen from where its rows see it.
+    """
+    maps = [*(seen.with_axes(axes) for f in frames if axes for seen in (f, f.twist)), *others]
     for f in frames[:1]:
         middle = f.twist.poses(table.q[:: max(1, len(table.q) // 500)])[:, :3, 3].mean(axis=0)
-        return [PlaceRows(f.robot, f.frame.name, form, middle, **f.seen_from) for form in forms]
-    return []
-
-
-def _distinct(maps: Sequence[FeatureMap]) -> list[FeatureMap]:
-    known: list[FeatureMap] = []
+        maps += [PlaceRows(f.robot, f.frame.name, form, middle, **f.seen_from) for form in forms]
+    known: dict[str | int, FeatureMap] = {}
     for f in maps:
-        if not any(f is g or (isinstance(f, PoseRows) and f.describe() == g.describe()) for g in known):
-            known.append(f)
-    return known
+        known.setdefault(str(f.describe()) if isinstance(f, PoseRows) else id(f), f)
+    return list(known.values())
 
 
 def steps_along(features: FeatureMap, x: np.ndarray) -> np.ndarray:

@@ -17,14 +17,7 @@ from scipy.spatial.transform import Rotation
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceForm, PlaceRows
-from manip_learn.constraint.mechanism import (
-    MECHANISM_KINDS,
-    ON_THE_AXIS,
-    POSITION_ROWS,
-    Mechanism,
-    MechanismKind,
-    Orientation,
-)
+from manip_learn.constraint.mechanism import MECHANISM_KINDS, ON_THE_AXIS, POSITION_ROWS, Mechanism, MechanismKind
 from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit
 from manip_learn.learning.place import Placed, kind_of, movable
 from manip_learn.learning.table import View
@@ -61,7 +54,7 @@ def whole_fit(
             if gap <= WEAK_GAP or (True, gap) <= largest:
                 continue
             fit = RowFit(motion, motion.least_displaced(s)).best()
-            if turns_away(fit) > gives_way(motion) or held_places(fit) < len(place.rows):
+            if not as_a_grip(fit, len(place.rows)):
                 continue
             named = kind_of(fit, view) is not None
             if (named, gap) > largest and (named or (gap > CLEAR_GAP and believed(fit, view))):
@@ -69,21 +62,15 @@ def whole_fit(
     return best
 
 
-def turns_away(fit: RowFit) -> float:
-    """Return the RMS rotation of the hand away from the rows [deg], the median of the contacts."""
-    motion = fit.motion
-    J = motion.hand.batch(motion.x)[:, 3:]
-    turned = np.sum(np.einsum("nij,nj->ni", J, fit.shortest_way_back()) ** 2, axis=1)
-    return float(np.degrees(np.median([np.sqrt(np.mean(turned[p])) for p in motion.parts])))
-
-
-def held_places(fit: RowFit) -> int:
-    """Return the number of directions in which the rows constrain the position of the hand, median of the postures."""
+def as_a_grip(fit: RowFit, n_places: int) -> bool:
+    """Return whether rows constrain the orientation as a grip does, and n directions of the position at least."""
     motion, few = fit.motion, evenly(len(fit.motion.x), 50)
-    J = motion.hand.batch(motion.x[few])[:, :3]
-    free = np.stack([J_v @ null_basis(A) for J_v, A in zip(J, fit.rows @ motion.Phi[few], strict=True)])
+    J = motion.hand.batch(motion.x)
+    turned = np.sum(np.einsum("nij,nj->ni", J[:, 3:], fit.shortest_way_back()) ** 2, axis=1)
+    away = np.degrees(np.median([np.sqrt(np.mean(turned[p])) for p in motion.parts]))
+    free = np.stack([J_v @ null_basis(A) for J_v, A in zip(J[few, :3], fit.rows @ motion.Phi[few], strict=True)])
     moves = np.count_nonzero(np.linalg.svd(free, compute_uv=False) > ON_THE_AXIS, axis=1)
-    return 3 - int(np.median(moves))
+    return away <= gives_way(motion) and 3 - int(np.median(moves)) >= n_places
 
 
 def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, float]:
@@ -100,7 +87,7 @@ def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, floa
     """
     seen = [_turned(known, motion.hand.poses(motion.x[p])) for p in motion.parts]
     rms = {name: float(np.median([x[name] for x in seen])) for name in seen[0]}
-    kept, apart = min((rms[n] for n in ("fixed", "carried") if n in rms), default=np.inf), motion.turned_by_joints
+    kept, apart = min(rms["fixed"], rms.get("carried", np.inf)), motion.turned_by_joints
     kinds = [k for k in MECHANISM_KINDS if k.type == known.kind.type and k.n_rows > known.kind.n_rows]
     firm = [k for k in kinds if rms.get(k.orientation, np.inf) <= gives_way(motion)]
     firm = [k for k in firm if k.orientation != "about-axis" or kept > KEPT]
@@ -112,45 +99,33 @@ def gives_way(motion: Motion) -> float:
     return min(GIVES_WAY, motion.turned_by_joints / CLEAR_GAP)
 
 
-def _turned(known: Placed, T: Float[np.ndarray, "T 4 4"]) -> dict[Orientation, float]:
+def _turned(known: Placed, T: Float[np.ndarray, "T 4 4"]) -> dict[str, float]:
     """Return the RMS rotation of the hand from each orientation that a mechanism may constrain [deg]."""
-    rotation, place, out = Rotation.from_matrix(T[:, :3, :3]), known.place, dict[Orientation, float]()
-    out["fixed"] = _rms(rotation)
+    rotation, place = Rotation.from_matrix(T[:, :3, :3]), known.place
+    away, turns, directions = T[:, :3, 3] - place.point, {"fixed": rotation}, dict[str, np.ndarray]()
     if known.kind.type == "ball":
-        out["carried"] = _rms_of_directions(rotation.inv().apply(place.point - T[:, :3, 3]))
+        directions["carried"] = rotation.inv().apply(-away)
     elif known.kind.type != "line":
-        out["about-axis"] = _rms_of_directions(rotation.inv().apply(place.axis))
+        directions["about-axis"] = rotation.inv().apply(place.axis)
     if known.kind.type in ("hinge", "screw", "other"):
-        first, other = place.across
-        away = T[:, :3, 3] - place.point
-        angle = np.unwrap(np.arctan2(away @ other, away @ first))
-        out["carried"] = _rms(Rotation.from_rotvec(-angle[:, None] * place.axis) * rotation)
-    return out
-
-
-def _rms(rotation: Rotation) -> float:
-    vectors = (rotation * rotation.mean().inv()).as_rotvec()
-    return float(np.degrees(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))))
-
-
-def _rms_of_directions(vectors: Float[np.ndarray, "T 3"]) -> float:
-    units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    mean = units.mean(axis=0)
-    return float(np.degrees(np.sqrt(np.mean(np.arccos(np.clip(units @ mean / np.linalg.norm(mean), -1.0, 1.0)) ** 2))))
+        angle = np.unwrap(np.arctan2(away @ place.across[1], away @ place.across[0]))
+        turns["carried"] = Rotation.from_rotvec(-angle[:, None] * place.axis) * rotation
+    out = {name: (turn * turn.mean().inv()).magnitude() for name, turn in turns.items()}
+    for name, vectors in directions.items():
+        units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+        mean = units.mean(axis=0)
+        out[name] = np.arccos(np.clip(units @ mean / np.linalg.norm(mean), -1.0, 1.0))
+    return {name: float(np.degrees(np.sqrt(np.mean(angles**2)))) for name, angles in out.items()}
 
 
 def asked_rows(
-    features: FeatureMap,
-    selection: Float[np.ndarray, "s p"],
-    mechanism: Mechanism | None,
-    asked: Sequence[FeatureMap],
-    q: np.ndarray,
+    features: FeatureMap, selection: np.ndarray, mechanism: Mechanism | None, asked: Sequence[FeatureMap], q: np.ndarray
 ) -> tuple[FeatureMap, Float[np.ndarray, "k r"]]:
     """Return the rows in the requested axes: combinations x Lambda with no share in other columns; else all.
 
     Args:
         features: Phi of all rows that constrain the hand.
-        selection: Their Lambda.
+        selection: shape (s, p), their Lambda.
         mechanism: Mechanism, or None.
         asked: Requested feature maps.
         q: shape (n, nq), postures.
@@ -158,37 +133,30 @@ def asked_rows(
     Returns:
         Phi and Lambda.
     """
-    names = [n for n in AXES if any(n in f.row_names for f in asked)]
-    if not all(isinstance(f, PoseRows) for f in asked):
+    poses, names = [f for f in asked if isinstance(f, PoseRows)], {n for f in asked for n in f.row_names}
+    if isinstance(features, MechanismRows) and mechanism is not None and names == set(AXES[:3]):
+        own, radius = POSITION_ROWS.get(mechanism.type), mechanism.radius
+        if own and len(poses) == len(asked) and (radius is None or radius >= ON_THE_AXIS):
+            features = movable(features.with_rows(own, None if mechanism.type == "screw" else radius), q)
+            return features, np.eye(features.n_rows)
+    if len(poses) < len(asked) or not isinstance(features, PoseRows | PlaceRows):
         return features, selection
-    if isinstance(features, MechanismRows) and mechanism is not None:
-        own = POSITION_ROWS.get(mechanism.type, ()) if names == list(AXES[:3]) else ()
-        if not own or (mechanism.radius is not None and mechanism.radius < ON_THE_AXIS):
-            return features, selection
-        features = movable(features.with_rows(own, None if mechanism.type == "screw" else mechanism.radius), q)
-        return features, np.eye(features.n_rows)
-    if not isinstance(features, PoseRows | PlaceRows):
-        return features, selection
-    columns = list(features.row_names)
+    columns = features.row_names
 
-    def inside(kept: Sequence[str]) -> tuple[list[str], np.ndarray]:
-        """Return the kept columns, and the rows with no share in other columns."""
-        other = [i for i, n in enumerate(columns) if n not in kept]
-        _, sigma, Vt = np.linalg.svd(selection[:, other].T)
-        sizes = np.concatenate([sigma, np.zeros(len(selection) - len(sigma))])
-        own = [n for n in columns if n in kept]
-        return own, Vt[sizes < PURE] @ selection[:, [columns.index(n) for n in own]]
+    def inside(kept: Sequence[str]) -> np.ndarray:
+        """Return the rows with no share in other columns."""
+        own = np.array([n in kept for n in columns])
+        _, sigma, Vt = np.linalg.svd(selection[:, ~own].T)
+        return Vt[np.append(sigma, np.zeros(len(selection) - len(sigma))) < PURE] @ (selection * own)
 
     own_axes = isinstance(features, PoseRows) and features.own_axes
-    given = next((f for f in asked if isinstance(f, PoseRows) and f.own_axes == own_axes), None)
-    own, rows = inside(given.row_names if given is not None else ())
-    if isinstance(features, PlaceRows):
-        form: PlaceForm = "point" if set(names) <= set(AXES[:3]) else "point and rotation"
+    given: FeatureMap | None = next((f for f in poses if f.own_axes == own_axes), None)
+    rows = inside(given.row_names if given is not None else ())
+    if isinstance(features, PlaceRows) and features.form != "twist":
+        form: PlaceForm = "point" if names <= set(AXES[:3]) else "point and rotation"
         wide = PlaceRows(features.robot, features.frame.name, form, features.middle, **features.twist.seen_from)
-        if features.form != "twist" and len(among := inside(wide.row_names)[1]) > len(rows):
-            return (wide, pivoted_rows(among)) if wide.row_names != features.row_names else (features, selection)
-    if given is None or not len(rows):
+        if len(among := inside(wide.row_names)) > len(rows):
+            given, rows = (features if form == features.form else wide), among
+    if given is None or given is features or not len(rows):
         return features, selection
-    there = np.zeros((len(rows), given.n_rows))
-    there[:, [given.row_names.index(n) for n in own]] = pivoted_rows(rows)
-    return given, there
+    return given, pivoted_rows(rows) @ np.array([[column == n for n in given.row_names] for column in columns])

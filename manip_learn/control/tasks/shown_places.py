@@ -8,18 +8,17 @@ from typing import final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import nnls
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.constraint.shown import Shown
 from manip_learn.control.tasks.driven_motion import DrivenMotion, Origin, PathMotion, apart
-from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot.rotations import rotation_vector
 
 # [m] a hand this near to where a task was shown is on the mechanism: people take hold of a handle a finger's breadth
 # further on, and a constraint file keeps a few postures only
 GRIP = 0.02
-WAY_POINTS = 100  # of a way that was shown, at which a hand may be: nearer together than `GRIP` on 2 m
 HAND_LEVER = 0.2  # [m] between a hand and what it turns, so that an approach of 0.25 m/s turns by 1.25 rad/s at most
 
 
@@ -48,9 +47,10 @@ class ShownPlaces:
         n_held: How many of the held coordinates of the motion belong to the constraint; others hold the orientation.
         hold: shape (3,), where all contacts began [m]; None if they began at different places.
         orientation: shape (3, 3), of the hand there; None where the mechanism leaves it free.
-        points: shape (k, 3), along the ways from where contacts began [m].
+        points: shape (k, 3), along the way from there [m].
+        shown: What was shown, if that is known.
         grasps: shape (n, 4, 4), of contacts that began at different places, and
-        ahead: shape (n,), how far along the way each of them began, and `span` how far they all went [m or rad].
+        ahead: shape (n,), how far along the way each of them began [m or rad].
         anew: Whether the hand goes there even if it is on the mechanism already.
         sense: Of the way shown along the motion, 1 or -1.
     """
@@ -62,9 +62,9 @@ class ShownPlaces:
     hold: Float[np.ndarray, " 3"] | None
     orientation: Float[np.ndarray, "3 3"] | None
     points: Float[np.ndarray, "k 3"]
+    shown: Shown | None
     grasps: Float[np.ndarray, "n 4 4"]
     ahead: Float[np.ndarray, " n"]
-    span: float
     anew: bool
     sense: float
 
@@ -85,19 +85,15 @@ class ShownPlaces:
             hold, points = shown.begin, shown.points
         if hold is None and postures is None:
             return None
-        grasps, ahead, span = np.zeros((0, 4, 4)), np.zeros(0), 0.0
+        grasps, ahead = np.zeros((0, 4, 4)), np.zeros(0)
         if hold is None and shown is not None and shown.is_way and shown.unit == motion.unit:
-            grasps, span = shown.grasps, shown.span
+            grasps = shown.grasps
             ahead = np.array([shown.coordinates.of(np.array([grasps[0], grasp]))[1, 0] for grasp in grasps])
-            path = shown.path[evenly(len(shown.path), WAY_POINTS)]
-            points = np.array([shown.coordinates.place(grasp[:3, 3], c) for grasp in grasps for c in path]).reshape(
-                -1, 3
-            )
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
         turned = None if free or mechanism is None or shown is None else shown.orientation
         sense = shown_sense(shown, motion, of_most=True) or 1.0
         held = constraint.n_constraints
-        return ShownPlaces(motion, postures, lever, held, hold, turned, points, grasps, ahead, span, anew, sense)
+        return ShownPlaces(motion, postures, lever, held, hold, turned, points, shown, grasps, ahead, anew, sense)
 
     def apart(self, one: Origin, other: Origin) -> float:
         """Distance of two origins [m]; where the hand's orientation counts, an angle at the lever of a hand."""
@@ -110,9 +106,10 @@ class ShownPlaces:
     def nearest(self, here: Origin, distance: float) -> Origin:
         """The origin from which the way begins.
 
-        That is where contacts began, of a way back its end; of a hand that is on the mechanism already its own,
-        unless it begins anew. Where contacts began at different places, it is the nearest of them from which the way
-        stays within what was shown; where nobody says where they began, the nearest place that was shown.
+        That is where contacts began, of a way back its end; of a hand that is on the mechanism already its own, of one
+        that begins anew only if it is where contacts began. Where contacts began at different places, it is the
+        nearest of them from which the way stays within what was shown; where nobody says where they began, the nearest
+        place that was shown.
         """
         motion = self.motion
         if self.hold is not None:
@@ -122,10 +119,10 @@ class ShownPlaces:
             return here if self._is_on_the_way(here) else there
         if self.postures is None or self._is_on_the_way(here):
             return here
-        if len(self.grasps):
+        if self.shown is not None and len(self.grasps):
             way = self.sense * distance
             ends = self.ahead - self.ahead.min() + abs(way)
-            fits = np.flatnonzero(ends <= max(self.span, ends.min()) + GRIP / self.lever)
+            fits = np.flatnonzero(ends <= max(self.shown.span, ends.min()) + GRIP / self.lever)
             begins = [motion.placed(here, grasp[:3, 3]) for grasp in self.grasps[fits]]
             if way < 0.0:  # back from where one of them ended
                 begins = [motion.goal(begin, -distance) for begin in begins]
@@ -143,10 +140,25 @@ class ShownPlaces:
         return place if place.ndim == 1 else motion.placed(here, place[:3, 3])
 
     def _is_on_the_way(self, here: Origin) -> bool:
-        """Return True if the hand is where a way was shown, and may begin there."""
-        if self.anew or not len(self.points):
+        """Return True if the hand is where a way was shown, or between such places, and may begin there."""
+        if self.shown is None:
             return False
         names = AXES[:3] if here.ndim == 2 else self.motion.constraint.features.row_names
-        place = here[:3, 3] if here.ndim == 2 else here
-        off = self.points[:, [AXES.index(name) for name in names]] - place
-        return float(np.min(np.linalg.norm(off, axis=1))) <= GRIP
+        columns, place = [AXES.index(name) for name in names], here[:3, 3] if here.ndim == 2 else here
+        if self.hold is not None:
+            off = np.linalg.norm(self.points[:, columns] - place, axis=1)
+            return not self.anew and bool(np.min(off, initial=np.inf) <= GRIP)
+        if not len(self.grasps):
+            return False
+        hand, along = self.grasps[0].copy(), self.shown.coordinates
+        hand[columns, 3] = place
+        far = float(along.of(np.array([self.grasps[0], hand]))[1, 0])
+        first, room = float(self.ahead.min()), GRIP / self.lever
+        last = float(self.ahead.max()) if self.anew else first + self.shown.span
+        if not first - room <= far <= last + room:
+            return False
+        # both taken back along the way: is the hand where contacts began, or between them?
+        begun = [along.place(g[:3, 3], np.array([-s])) for g, s in zip(self.grasps, self.ahead, strict=True)]
+        began, goal = np.array(begun), along.place(hand[:3, 3], np.array([-far]))
+        weights = nnls(np.vstack([began.T, np.ones(len(began))]), np.append(goal, 1.0))[0]
+        return float(np.linalg.norm(weights @ began / max(weights.sum(), GRIP) - goal)) <= GRIP
