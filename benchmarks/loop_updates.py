@@ -46,7 +46,7 @@ def cases(robot: ml.Robot, start: np.ndarray) -> dict[str, Case]:
             lambda: loop(lambda: ml.Track(lambda t: place + 0.05 * np.sin([t, 2.0 * t, 3.0 * t]))),
             lambda: DT,
         ),
-        "way along a drawer": (lambda: loop(lambda: ml.motion(across, along=0.2)), lambda: DT),
+        "way along a drawer": (lambda: loop(lambda: ml.motion(across, distance=0.2)), lambda: DT),
         "hand in a box, not reached": (lambda: loop(target, tip_box=box), lambda: DT),
         "hand at a wall": (lambda: loop(target, tip_box=wall), lambda: DT),
         "hand at its speed limit": (lambda: loop(target, tip_speed=0.02), lambda: DT),

@@ -71,7 +71,7 @@ def case(name: str, keep_orientation: bool, rng: np.random.Generator) -> Case:
     angle = rng.uniform(0.0, 2.0 * np.pi)
     across = [[-np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
     constraint = ml.Constraint(across, ml.FrameJacobian(robot, TIPS[name]))
-    motion = ml.motion(constraint, along=WAY, speed=SPEED, keep_orientation=keep_orientation)
+    motion = ml.motion(constraint, distance=WAY, speed=SPEED, keep_orientation=keep_orientation)
     return Case(robot, constraint, motion, q)
 
 

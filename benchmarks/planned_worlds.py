@@ -260,7 +260,7 @@ def world(arm: str, kind: str, number: int, seed: int) -> World:
             constraint = ml.Constraint([[0.0, 0.0, 1.0]], ml.FrameJacobian(robot, TIPS[arm], ("x", "y", "z")))
             if "x" in constraint.features.row_names:
                 constraint = ml.Constraint([[0.0, 0.0, 1.0]], ml.FrameJacobian(robot, TIPS[arm]))
-            motion = ml.motion(constraint, along=WAY, direction=n, speed=SPEED, keep_orientation=True)
+            motion = ml.motion(constraint, distance=WAY, direction=n, speed=SPEED, keep_orientation=True)
         else:
             wide = rng.uniform(-0.25, 0.25) * CABINET[1]
             middle = place - (BEHIND + 0.5 * CABINET[0]) * n + wide * np.array([-n[1], n[0], 0.0])
@@ -271,7 +271,7 @@ def world(arm: str, kind: str, number: int, seed: int) -> World:
                 across = [[-n[1], n[0], 0.0], [0.0, 0.0, 1.0]]
                 constraint = ml.Constraint(across, ml.FrameJacobian(robot, TIPS[arm]))
                 sense = 1.0 if _leads_along(constraint, n) else -1.0
-                motion = ml.motion(constraint, along=sense * WAY, speed=SPEED, keep_orientation=number % 2 == 0)
+                motion = ml.motion(constraint, distance=sense * WAY, speed=SPEED, keep_orientation=number % 2 == 0)
             else:
                 side = rng.choice([-1.0, 1.0])
                 hinge = (
@@ -280,7 +280,7 @@ def world(arm: str, kind: str, number: int, seed: int) -> World:
                 features = ml.MechanismRows(robot, TIPS[arm], ("radial", "axial"), axis=(0, 0, 1), point=hinge)
                 constraint = ml.Constraint(np.eye(2), features)
                 sense = np.sign(np.cross([0.0, 0.0, 1.0], place - hinge) @ n)
-                motion = ml.motion(constraint, turn=sense * TURN, speed=RATE)
+                motion = ml.motion(constraint, angle=sense * TURN, speed=RATE)
         if _distance_to_point(cabinet, np.array([0.0, 0.0, 0.1])) < 0.2:  # the base is screwed on there
             continue
         near = meshes.nearest(q, (cabinet,), 0.0)

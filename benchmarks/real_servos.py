@@ -71,13 +71,13 @@ class Case:
         if self.kind == "door":
             rows = ml.MechanismRows(robot, tip, ("radial", "tangential", "axial"), axis=axis, point=point)
             constraint = ml.Constraint(np.eye(3)[[0, 2]], rows)
-            task = ml.motion(constraint, turn=TURN, speed=speed / RADIUS)
+            task = ml.motion(constraint, angle=TURN, speed=speed / RADIUS)
         else:
             rows = ml.FrameJacobian(robot, tip, "xyz")
             across = np.linalg.svd(axis[None])[2][1:]
             constraint = ml.Constraint(across if self.kind == "drawer" else axis[None], rows)
             along = axis if self.kind == "drawer" else across[0]
-            task = ml.motion(constraint, along=WAY, direction=along, speed=speed)
+            task = ml.motion(constraint, distance=WAY, direction=along, speed=speed)
         return ml.ResolvedRateController(constraint, task, task.ascent())
 
 

@@ -29,7 +29,7 @@ def main() -> None:
     constraint = ml.ConstraintLearner(features).fit(demos).constraint_
 
     start = np.array([1.2, -1.57, 0, 0, 0, 0, 0])
-    task = ml.motion(constraint, along=0.3, direction=[-1, -0.5, 0], pause=0.5)  # towards the robot
+    task = ml.motion(constraint, distance=0.3, direction=[-1, -0.5, 0], pause=0.5)  # towards the robot
     policies = {
         "zero": ml.ZeroPolicy(robot.nv),
         "attractor": ml.JointAttractor(robot.neutral()),

@@ -212,9 +212,9 @@ def test_what_became_of_a_way_in_numbers_and_words(robot_of) -> None:
 def test_a_line_does_not_turn_and_a_hinge_does_not_slide() -> None:
     """The refusal says what was learnt and which argument fits; so do a way that is missing and one too many."""
     drawer, door, table = (learnt(name)[0] for name in ("drawer", "door", "table"))
-    with pytest.raises(ConstraintError, match=r"slides and does not turn \(a line along .*\): use along= \[m\]"):
+    with pytest.raises(ConstraintError, match=r"slides and does not turn \(a line along .*\): use distance= \[m\]"):
         ml.motion(drawer, turn=1.0)
-    with pytest.raises(ConstraintError, match=r"turns and does not slide \(a hinge: .*\): use turn= \[rad\]"):
+    with pytest.raises(ConstraintError, match=r"turns and does not slide \(a hinge: .*\): use angle= \[rad\]"):
         ml.motion(door, along=0.1)
     with pytest.raises(ConstraintError, match="2 directions free .*direction="):
         ml.motion(table, along=0.1)

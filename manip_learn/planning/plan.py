@@ -212,7 +212,7 @@ def plan(
         >>> import manip_learn as ml
         >>> robot = ml.load_robot("sawyer")
         >>> drawer = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(robot, "right_gripper_tip"))
-        >>> plan = ml.plan(drawer, ml.motion(drawer, along=-0.2), [0.0, -1.0, 0.0, 1.7, 0.0, 0.8, 0.0], seed=0)
+        >>> plan = ml.plan(drawer, ml.motion(drawer, distance=-0.2), [0.0, -1.0, 0.0, 1.7, 0.0, 0.8, 0.0], seed=0)
         >>> bool(plan.outcome.is_done), plan.way.q.shape[1]
         (True, 7)
     """
@@ -340,7 +340,7 @@ class _Problem:
         if not isinstance(motion, FreeDirection):
             raise ConfigurationError(
                 f"call plan(constraint, motion, start): the motion is {an(motion)}; "
-                + "motion(constraint, along=... | turn=...) makes one"
+                + "motion(constraint, distance=... | angle=...) makes one"
             )
         self.rows = motion.rows(constraint)
         robot = constraint.robot

@@ -55,7 +55,7 @@ class ManipLearn(Teleoperator):
         c = self.config
         robot = ml.load_robot(c.robot, locked=tuple(c.locked))
         constraint = ml.Constraint.load(c.constraint, robot)
-        task = ml.PointAttractor(c.target) if c.target else ml.motion(constraint, along=c.along, turn=c.turn)
+        task = ml.PointAttractor(c.target) if c.target else ml.motion(constraint, distance=c.along, angle=c.turn)
         controller = ml.ResolvedRateController(constraint, task, ml.ManipulabilityAscent(constraint))
         self._loop, self._begun = ml.ServoLoop(controller, 1.0 / c.fps), time.perf_counter()
         self._driver = ml.LeRobotDriver(self, robot, 1.0 / c.fps, c.motors, c.others, c.units)

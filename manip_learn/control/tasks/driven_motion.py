@@ -514,8 +514,8 @@ class PathMotion(DrivenMotion):
         mechanism = constraint.mechanism
         orientation = "free" if mechanism is None else mechanism.orientation
         if mechanism is not None and orientation == "carried" and (mechanism.radius or 0.0) < ON_THE_AXIS:
-            slide = advice("{}", "along=0.05, direction='slide'", "--along 0.05 --direction slide")
-            turn = advice("{}", "turn=0.5, direction='turn'", "--turn 30 --direction turn")
+            slide = advice("{}", "distance=0.05, direction='slide'", "--along 0.05 --direction slide")
+            turn = advice("{}", "angle=0.5, direction='turn'", "--turn 30 --direction turn")
             ways = f"{slide} or {turn}" if slide else "`manip-learn control` drives each"
             raise ConstraintError(
                 f"the hand turns where its place rests ({mechanism.sentence}), and such a motion is not repeated as it "

@@ -366,14 +366,16 @@ def _number(name: str, value: float, positive: bool) -> float:
 
 def motion(
     constraint: Constraint,
-    along: float | None = None,
-    turn: float | None = None,
+    distance: float | None = None,
+    angle: float | None = None,
     *,
     direction: ArrayLike | str | None = None,
     speed: float | None = None,
     keep_orientation: bool = False,
     pause: float = 0.0,
     beyond_shown: bool = False,
+    along: float | None = None,
+    turn: float | None = None,
 ) -> FreeDirection:
     """A task: the hand goes along what the constraint leaves free, and holds what it holds.
 
@@ -387,10 +389,10 @@ def motion(
 
     Args:
         constraint: Learnt or written by hand; the controller gets the same.
-        along: Way [m], of a line, a plane, or another mechanism that slides; positive as the recordings went, and
+        distance: Way [m], of a line, a plane, or another mechanism that slides; positive as the recordings went, and
             negative for the other way. Where no recording says which way, the positive sense along a line is that of
             the largest number of its direction.
-        turn: Angle [rad], of a hinge, a screw, a ball; positive as the recordings went, else right-handed about its
+        angle: Angle [rad], of a hinge, a screw, a ball; positive as the recordings went, else right-handed about its
             axis.
         direction: Which way, where several are free: along a plane three numbers, or one per row of the features; about
             a ball the axis of the turn; of a cylinder the name of a row (`"tangential"`, `"axial"`). Or `"shown"`: as
@@ -401,27 +403,30 @@ def motion(
         pause: Time at rest on the mechanism before the way begins, as to close a gripper [s]; the null-space policy
             uses it to leave a bad posture.
         beyond_shown: Ways longer than what was shown are made, too.
+        along: Former name of `distance`, valid until 0.4.
+        turn: Former name of `angle`, valid until 0.4.
 
     Returns:
         A `FreeDirection`; of rows that were moved on purpose a `PointAttractor`.
 
     Raises:
-        TargetError: Both of `along` and `turn`; neither, and the constraint does not know what was shown; a number that
-            is none, or more than what was shown; a direction that is held.
+        TargetError: Both of `distance` and `angle`; neither, and the constraint does not know what was shown; a number
+            that is none, or more than what was shown; a direction that is held.
         ConstraintError: The mechanism does not move that way, nothing is free, or several directions are and none was
             named; says which are. The recordings do not say which way is the one shown.
 
     >>> import manip_learn as ml
     >>> robot = ml.load_robot("sawyer")
     >>> drawer = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(robot, "right_gripper_tip"))
-    >>> ml.motion(drawer, along=0.3)
+    >>> ml.motion(drawer, distance=0.3)
     FreeDirection(distance=0.3 m, speed=0.1 m/s)
     """
     if not isinstance(constraint, Constraint):
-        raise TargetError(f"call motion(constraint, along=... | turn=...): got {an(constraint)} in its place")
+        raise TargetError(f"call motion(constraint, distance=... | angle=...): got {an(constraint)} in its place")
+    distance, angle = along if distance is None else distance, turn if angle is None else angle
     shown, known = constraint.shown, constraint.mechanism
     word = direction if isinstance(direction, str) and direction in ("shown", "back") else None
-    again = along is None and turn is None
+    again = distance is None and angle is None
     if again and isinstance(direction, str) and word is None:
         raise TargetError(f"the direction is {direction!r}, it must be 'shown', as the recordings went, or 'back'")
     if again and (meant := constraint.intention) is not None:
@@ -432,23 +437,23 @@ def motion(
             )
         return PointAttractor(meant.target, meant.gain)  # type: ignore[return-value]  # of such rows alone
     unknown = again and (shown is None or (direction is not None and word is None))
-    if unknown or (along is not None and turn is not None):
+    if unknown or (distance is not None and angle is not None):
         raise TargetError(
             ("the constraint does not know what was shown: " if again and shown is None else "")
             + "say how far to go, once"
-            + advice(": {}", "along=0.3 [m] or turn=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
+            + advice(": {}", "distance=0.3 [m] or angle=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
         )
-    unit: Unit = "m" if turn is None else "rad"
-    amount = along if turn is None else turn
+    unit: Unit = "m" if angle is None else "rad"
+    amount = distance if angle is None else angle
     if again and shown is not None:
         unit, amount = shown.unit, shown.extent
         if speed is None:
             speed = amount / max(shown.seconds - _RAMP, _RAMP)
     elif known is not None and known.type in (_TURNS if unit == "m" else SLIDES):
         does, fits = (
-            ("turns and does not slide", advice(": use {}", "turn= [rad]", "--turn DEGREES"))
+            ("turns and does not slide", advice(": use {}", "angle= [rad]", "--turn DEGREES"))
             if unit == "m"
-            else ("slides and does not turn", advice(": use {}", "along= [m]", "--along METRES"))
+            else ("slides and does not turn", advice(": use {}", "distance= [m]", "--along METRES"))
         )
         raise ConstraintError(f"what was learnt {does} ({known.sentence}){fits}")
     if speed is None:
@@ -533,7 +538,7 @@ def motion_to(
     if not isinstance(rows, MechanismRows) or known is None or known.type not in ("hinge", "screw"):
         raise ConstraintError(
             "what was learnt turns about no one axis, towards a point: say how far to go"
-            + advice(" with {}", "motion(constraint, along=... | turn=...)", "--along or --turn")
+            + advice(" with {}", "motion(constraint, distance=... | angle=...)", "--along or --turn")
         )
     if (place := finite(point, 3)) is None:
         raise TargetError(f"the point must be three finite numbers (x, y, z) [m], got {point!r}")
@@ -541,13 +546,13 @@ def motion_to(
     angle = place_about(here - g.point, place - g.point, g, 0.0)["tangential"]
     if abs(angle) < 1e-6:
         raise TargetError("the hand is as near to the point as the mechanism allows: name another")
-    task = motion(constraint, turn=angle, speed=speed, keep_orientation=keep_orientation, beyond_shown=True)
+    task = motion(constraint, angle=angle, speed=speed, keep_orientation=keep_orientation, beyond_shown=True)
     task = task.with_distance(angle)  # about the axis, whichever way was shown
     far = task.hold(q)
     if far > 0.0:
         raise TargetError(
             f"the hand is {far:.3g} m away from the {known.type}: start on it, or say how far to turn"
-            + advice(" with {}, which goes there first", "motion(constraint, turn=...)", "--turn")
+            + advice(" with {}, which goes there first", "motion(constraint, angle=...)", "--turn")
         )
     return task
 
