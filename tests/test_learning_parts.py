@@ -15,10 +15,19 @@ from manip_learn.constraint.selection_in_words import describe, free_directions
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.checks import check_fastest, unusable
 from manip_learn.learning.fit import Motion, RowFit, gaps_of, levels_on
 from manip_learn.learning.gate import Evidence
-from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View, displacements, velocity_noise
+from manip_learn.learning.table import (
+    ArmErrors,
+    Settings,
+    Stretch,
+    Table,
+    View,
+    check_fastest,
+    displacements,
+    unusable,
+    velocity_noise,
+)
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot import load_robot

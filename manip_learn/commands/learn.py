@@ -81,8 +81,8 @@ class LearntTask:
         if meant is not None and not meant.common:
             flags = ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]
         elif meant is None and not (constraint.shown and _goes(self.whole, {})):
-            ways = (("along", "0.1", 0.1), ("turn", "10", math.radians(10.0)))
-            goes = [(name, said) for name, said, size in ways if _goes(self.whole, {name: size})]
+            ways = (("along", "0.1", {"distance": 0.1}), ("turn", "10", {"angle": math.radians(10.0)}))
+            goes = [(flag, said) for flag, said, way in ways if _goes(self.whole, way)]
             if not goes:
                 return None
             does, flags = "control", [f"--{goes[0][0]}", goes[0][1], *flags]

@@ -17,13 +17,13 @@ from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.constraint.mechanism import CURVE, Grip, Mechanism
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named, number_if_known
-from manip_learn.learning.checks import REST_SPEED, unusable
 from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit, gaps_of, levels_on
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once, steady
 from manip_learn.learning.imposed import Imposed, learn_imposed
 from manip_learn.learning.place import Placed, kind_of, placed, reshaped
 from manip_learn.learning.search import LEAST_GAIN, Explanation, Hypothesis, broken_energy, explain, lone_contacts
 from manip_learn.learning.table import (
+    REST_SPEED,
     SHORTEST,
     Settings,
     Stretch,
@@ -32,6 +32,7 @@ from manip_learn.learning.table import (
     place_maps,
     still_joints,
     surface_maps,
+    unusable,
     whole_maps,
 )
 from manip_learn.learning.uncertainty import STATED, Errors, angles, errors_of, groups_of, misfit

@@ -22,11 +22,20 @@ from manip_learn.errors import (
     listed,
 )
 from manip_learn.learning.answer import learn
-from manip_learn.learning.checks import check_fastest, refuse_noise, refuse_still_hand
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import Context, LearningReport, made, reports
 from manip_learn.learning.skill import skill_of
-from manip_learn.learning.table import BELIEVED, SWITCH, ArmErrors, EstimatorName, Settings, Table
+from manip_learn.learning.table import (
+    BELIEVED,
+    SWITCH,
+    ArmErrors,
+    EstimatorName,
+    Settings,
+    Table,
+    check_fastest,
+    refuse_noise,
+    refuse_still_hand,
+)
 from manip_learn.learning.thinning import MOST_SAMPLES, EvenChoice, read_evenly
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.given import Given, check_joints, parts_of, recordings_given
