@@ -29,11 +29,9 @@ from manip_learn.learning.table import (
     Stretch,
     Table,
     View,
-    place_maps,
+    maps_of,
     still_joints,
-    surface_maps,
     unusable,
-    whole_maps,
 )
 from manip_learn.learning.uncertainty import STATED, Errors, angles, errors_of, groups_of, misfit
 from manip_learn.learning.whole_hand import KEPT, asked_rows, held_kind, whole_fit
@@ -245,8 +243,8 @@ def _learn(table: Table, settings: Settings, progress: Progress) -> Found | NotI
         return _moved_on_purpose(imposed) if isinstance(imposed, Imposed) else imposed
     maps = [settings.asked, (), ()]
     if settings.mechanism and settings.n_constraints is None:
-        curved = surface_maps(settings.asked, table) if len(table) >= FEWEST else ()
-        maps = [place_maps(settings.asked, table), whole_maps(settings.asked, table), curved]
+        curved = maps_of(settings.asked, table, "surface") if len(table) >= FEWEST else ()
+        maps = [maps_of(settings.asked, table, "place"), maps_of(settings.asked, table, "whole"), curved]
     first, whole, curved = ([v for v in (View(f, table) for f in some) if v.largest > 0] for some in maps)
     switch = settings.switch if settings.phases else np.inf
 

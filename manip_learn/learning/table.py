@@ -268,37 +268,23 @@ class View:
         return pivoted_rows(rows @ self.W)
 
 
-def place_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
-    """Return the rows of the position of the hand, in which the search begins, for any requested axes.
+def maps_of(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "whole", "surface"]) -> list[FeatureMap]:
+    """Return the rows to search for any requested axes: along those axes, and where mechanisms rest.
 
-    They are those along the requested axes, and where mechanisms rest. Features without a row of the position are
-    returned as they are.
+    They are rows of the position of the hand, in which the search begins (features without any are returned as they
+    are); of its whole twist, in which mechanisms are constant; or those in which surfaces of second order are constant.
+    The frame is the first that was asked for, seen from where its rows see it; places are counted from its mean.
     """
-    linear = [f for f in asked if isinstance(f, PoseRows) and set(AXES[:3]) & set(f.row_names)]
-    others = [f for f in asked if f not in linear]
-    return _maps(linear, AXES[:3], others, table, "point")
-
-
-def whole_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
-    """Return the rows of the whole twist of the hand in which mechanisms are constant."""
-    return _maps([f for f in asked if isinstance(f, PoseRows)], AXES, [], table, "point and rotation", "twist")
-
-
-def surface_maps(asked: Sequence[FeatureMap], table: Table) -> list[FeatureMap]:
-    """Return the rows in which surfaces of second order are constant."""
-    return _maps([f for f in asked if isinstance(f, PoseRows)], (), [], table, "surface")
-
-
-def _maps(
-    frames: Sequence[PoseRows], axes: Sequence[str], others: Sequence[FeatureMap], table: Table, *forms: PlaceForm
-) -> list[FeatureMap]:
-    """Return distinct rows of some axes, along those of the frames' rows and those in which mechanisms rest; others;
-    and rows about the mean position of the first frame, seen from where its rows see it.
-    """
+    frames, others = [f for f in asked if isinstance(f, PoseRows)], list[FeatureMap]()
+    if what == "place":
+        frames = [f for f in frames if set(AXES[:3]) & set(f.row_names)]
+        others = [f for f in asked if f not in frames]
+    axes = {"place": AXES[:3], "whole": AXES, "surface": ()}[what]
+    forms: dict[str, tuple[PlaceForm, ...]] = {"place": ("point",), "whole": ("point and rotation", "twist")}
     maps = [*(seen.with_axes(axes) for f in frames if axes for seen in (f, f.twist)), *others]
     for f in frames[:1]:
         middle = f.twist.poses(table.q[:: max(1, len(table.q) // 500)])[:, :3, 3].mean(axis=0)
-        maps += [PlaceRows(f.robot, f.frame.name, form, middle, **f.seen_from) for form in forms]
+        maps += [PlaceRows(f.robot, f.frame.name, m, middle, **f.seen_from) for m in forms.get(what, ("surface",))]
     known: dict[str | int, FeatureMap] = {}
     for f in maps:
         known.setdefault(str(f.describe()) if isinstance(f, PoseRows) else id(f), f)
