@@ -158,22 +158,17 @@ class Constraint:
         named = self.about_its_mechanism()
         f = named.features
         if isinstance(f, MechanismRows):
-            added = tuple(name for name in TURNING if name not in f.row_names)
+            added = (name for name in TURNING if name not in f.row_names)
             features: FeatureMap = f.with_rows((*f.row_names, *added), f.radius)
-            turning = [i for i, name in enumerate(features.row_names) if name in TURNING]
-            columns = list(range(f.n_rows))
         elif isinstance(f, CurveRows):
             features = f.with_rows((*(name for name in f.row_names if name not in AXES), *AXES[3:]))
-            turning = [features.row_names.index(name) for name in AXES[3:]]
-            columns = [features.row_names.index(name) for name in f.row_names]
         elif isinstance(f, PoseRows):
             features = f.with_axes(AXES)
-            turning, columns = [3, 4, 5], [AXES.index(name) for name in f.row_names]
         else:
             raise ConstraintError(f"{f!r} belong to no frame whose orientation could be held")
         held = np.zeros((named.n_constraints, features.n_rows))
-        held[:, columns] = named.selection
-        turns = np.eye(features.n_rows)[turning]
+        held[:, [features.row_names.index(name) for name in f.row_names]] = named.selection
+        turns = np.eye(features.n_rows)[[name in (*TURNING, *AXES[3:]) for name in features.row_names]]
         _, sigma, Vt = np.linalg.svd(turns - turns @ held.T @ held)
         return Constraint(np.vstack([held, Vt[: int(np.count_nonzero(sigma > 0.5))]]), features, self.provenance)
 

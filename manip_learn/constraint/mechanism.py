@@ -15,10 +15,8 @@ from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
-from manip_learn.constraint.chart import Chart, coordinate_names
-from manip_learn.constraint.features.curve_rows import Curve, CurveRows
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import (
@@ -28,9 +26,7 @@ from manip_learn.constraint.features.mechanism_rows import (
     PlaceRows,
     mechanism_weights,
 )
-from manip_learn.errors import ConstraintError
-from manip_learn.linalg import finite, null_basis
-from manip_learn.robot.robot import Robot
+from manip_learn.linalg import null_basis
 from manip_learn.robot.rotations import skew
 
 MechanismType = Literal["line", "plane", "hinge", "ball", "screw", "held-orientation", "other"]
@@ -336,7 +332,6 @@ class Mechanism:
         orientation_rms: RMS deviation of the orientation of the hand during contact, seen from the base or from what
             turns with the mechanism, the smaller one [deg]; None if it was not determined.
         relative_to: Name of the frame in which axis and point are given and the hand is seen; None for the base.
-        curve: The curve of a hand that follows one.
     """
 
     type: MechanismType
@@ -351,7 +346,6 @@ class Mechanism:
     name: str = ""
     orientation_rms: float | None = None
     relative_to: str | None = None
-    curve: Curve | None = None
 
     def __post_init__(self) -> None:
         for what in ("axis", "point"):
@@ -372,44 +366,10 @@ class Mechanism:
         return Mechanism.from_dict, (self.to_dict(),)  # a read-only view of a dictionary cannot be pickled
 
     @property
-    def kind(self) -> str:
-        """Line, plane, space (of an orientation alone), hinge, screw, cylinder, ball or curve."""
-        other = CURVE if self.name == CURVE else "cylinder"
-        return {"other": other, "held-orientation": "space"}.get(self.type, self.type)
-
-    @property
     def n_free(self) -> int:
-        """Number of free coordinates k, of the place and of the hand's own turn."""
-        return len(coordinate_names(self.kind, self.orientation)[0])
-
-    def at(self, pose: ArrayLike) -> Chart:
-        """Return the free coordinates of a hand that took hold at a pose, see `Chart`.
-
-        Args:
-            pose: shape (4, 4), of the hand [m], where the mechanism is given.
-
-        Raises:
-            ConstraintError: No pose, a mechanism of no known place, or a hand on the axis that it turns about.
-        """
-        T = finite(pose, 4, 4)
-        if T is None:
-            raise ConstraintError(f"a grasp is a pose of 4 x 4 finite numbers, got {pose!r:.80}")
-        needed = {"space": "", "ball": "point", "curve": "curve", "line": "axis", "plane": "axis"}
-        for name in needed.get(self.kind, "axis point").split():
-            if getattr(self, name) is None:
-                raise ConstraintError(f"{self.sentence}: its {name} is unknown, and so are coordinates along it")
-        axis, point = Z if self.axis is None else self.axis, np.zeros(3) if self.point is None else self.point
-        return Chart(self.kind, self.orientation, Place(axis, point, self.pitch or 0.0), self.curve, T)
-
-    def features(self, robot: Robot, frame: str) -> FeatureMap:
-        """Return the rows that are zero while a frame of a robot moves along the mechanism."""
-        held = coordinate_names(self.kind, self.orientation)[1]
-        if self.curve is not None:
-            rows = ["across-1", "across-2", *(AXES[3:] if "turn" in held else ())]
-            return CurveRows(robot, frame, self.curve, rows, self.relative_to)
-        place: dict[str, Any] = {"axis": Z if self.axis is None else self.axis, "pitch": self.pitch or 0.0}
-        place["point"] = np.zeros(3) if self.point is None else self.point
-        return MechanismRows(robot, frame, held, **place, relative_to=self.relative_to)
+        """Number of free coordinates: along the mechanism, and of the hand's own turn."""
+        held = KIND_BY_NAME[self.name].n_rows if self.name in KIND_BY_NAME else 2 + 3 * (self.orientation == "fixed")
+        return 6 - held
 
     @property
     def sentence(self) -> str:
@@ -453,26 +413,18 @@ class Mechanism:
         R = transform[:3, :3]
         axis = None if self.axis is None else R @ self.axis
         point = None if self.point is None else R @ self.point + transform[:3, 3]
-        curve = None if self.curve is None else self.curve.moved(transform)
-        return dataclasses.replace(self, axis=axis, point=point, curve=curve)
+        return dataclasses.replace(self, axis=axis, point=point)
 
     def to_dict(self) -> dict[str, Any]:
         """Type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""
-        values = {name: getattr(self, name) for name in _FIELDS}
+        values = {n: x for n in _FIELDS if (x := getattr(self, n)) is not None or n != "relative_to"}
         plain = {name: x.tolist() if isinstance(x, np.ndarray) else x for name, x in values.items()}
-        plain["curve"] = None if self.curve is None else self.curve.points.tolist()
-        for name in ("relative_to", "curve"):
-            if plain[name] is None:
-                del plain[name]
         return plain | {"uncertainty": dict(self.uncertainty), "sentence": self.sentence}
 
     @staticmethod
     def from_dict(described: Mapping[str, Any]) -> Mechanism:
         """What `to_dict` wrote."""
-        values: dict[str, Any] = {name: described[name] for name in _FIELDS if name in described}
-        if "curve" in values:
-            values["curve"] = Curve(values["curve"])
-        return Mechanism(**values)
+        return Mechanism(**{name: described[name] for name in _FIELDS if name in described})
 
     def __str__(self) -> str:
         return self.sentence
@@ -500,7 +452,6 @@ def read_mechanism(
             place, the radius and the uncertainty, if it is the mechanism of these rows.
     """
     read, fitted, angle = None, learnt.get("mechanism"), learnt.get("uncertainty_deg")
-    seen_from = getattr(features, "relative_to", None)
     spread = math.radians(angle) if isinstance(angle, int | float) else 0.0
     if isinstance(features, MechanismRows):
         shares = np.einsum("sp,sp->p", selection, selection)
@@ -511,12 +462,12 @@ def read_mechanism(
     elif isinstance(features, CurveRows):
         along = np.array([not name.startswith("across") for name in features.row_names])
         if len(selection) == 2 and not np.any(np.abs(selection[:, along]) > CLEAR_SHARE):
-            read = Mechanism("other", name=CURVE, curve=features.curve)
+            read = Mechanism("other", name=CURVE)
     elif isinstance(features, PlaceRows):
         read = _of_place_rows(selection, features, learnt.get("postures"), spread)
     elif isinstance(features, PoseRows):
         read = _of_twist_rows(selection, features, spread)
-    if read is not None and seen_from is not None:
+    if read is not None and (seen_from := getattr(features, "relative_to", None)) is not None:
         read = dataclasses.replace(read, relative_to=seen_from.name)
     if read is None or not isinstance(fitted, Mapping):
         return read

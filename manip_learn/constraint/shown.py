@@ -18,7 +18,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import across
 from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.errors import ConstraintError, counted
+from manip_learn.errors import counted
 from manip_learn.linalg import complement_rows
 from manip_learn.recordings.trajectory import Trajectory, evenly
 from manip_learn.robot.rotations import angles_between, rotation_matrix
@@ -308,7 +308,7 @@ class Shown:
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, for a constraint file."""
         content = {name: getattr(self, name) for name in (*_NUMBERS, "force")}
-        for name in (*_ARRAYS, "start", "grasps"):
+        for name in (*_ARRAYS, *_OF_03):
             value = getattr(self, name)
             content[name] = None if value is None else np.round(value, 6).tolist()
         c = self.coordinates
@@ -323,10 +323,8 @@ class Shown:
         """What `to_dict` wrote; None of anything else."""
         try:
             values: dict[str, Any] = {name: content[name] for name in _NUMBERS}
-            for name in _ARRAYS:
+            for name in (*_ARRAYS, *_OF_03.intersection(content)):
                 values[name] = None if content[name] is None else np.array(content[name], dtype=np.float64)
-            if "grasps" in content:  # not in files of 0.2
-                values |= {name: np.array(content[name], dtype=np.float64) for name in ("start", "grasps")}
             free: dict[str, Any] = dict(content["coordinates"])
             free |= {name: np.array(free[name], dtype=np.float64) for name in ("axes", "point")}
             if "curve" in free:
@@ -339,6 +337,7 @@ class Shown:
 _NUMBERS = ("unit", "extent", "spread", "least", "most", "span", "speed", "seconds", "back", "n", "scatter")
 _NUMBERS += ("turned", "one_way")
 _ARRAYS = ("hold", "path", "time", "begin", "orientation")
+_OF_03 = {"start", "grasps"}  # which files of 0.2 do not have
 
 
 def shown_by(
@@ -389,12 +388,7 @@ def shown_by(
     grasps = np.array([p[0] for p in motions])
     begin = grasps[typical].copy()
     begin[:3, 3] = begins[typical] if hold is None else hold
-    try:
-        chart = None if mechanism is None else mechanism.at(begin)
-    except ConstraintError:  # a place that is not known in this frame
-        chart = None
-    seen = [free.of(np.array([begin, g]))[1] if chart is None else chart.coordinates(g) for g in grasps]
-    start = np.median(seen, axis=0)
+    start = np.median([free.of(np.array([begin, grasp]))[1] for grasp in grasps], axis=0)
     return Shown(
         free.unit,
         float(np.median(extents)),

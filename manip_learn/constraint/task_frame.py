@@ -18,9 +18,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, PoseRows
+from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
-from manip_learn.constraint.mechanism import MIXED, Mechanism, on_twist
+from manip_learn.constraint.mechanism import MIXED, Mechanism
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_basis
 from manip_learn.robot.rotations import skew
@@ -162,18 +162,16 @@ def _on_hand(
     selection: Float[np.ndarray, "s p"], f: PoseRows | WeighedVelocity, q: ArrayLike
 ) -> tuple[Float[np.ndarray, "s 6"], Float[np.ndarray, "k 6"], Float[np.ndarray, "3 3"], Turns]:
     """Held rows of the hand's twist along the base's axes, rows that the features show, and the axes of these."""
-    R, turns = np.eye(3), "no"
+    pose, R, turns = f.twist.pose(q), np.eye(3), "no"
     if f.relative_to is not None:
         R, turns = f.robot.pose(q, f.relative_to)[:3, :3], "other frame"
-    elif isinstance(f, FrameJacobian) and f.own_axes:
-        R, turns = f.pose(q)[:3, :3], "hand"
-    turned = np.kron(np.eye(2), R.T)
-    if isinstance(f, WeighedVelocity):
-        W = f.weights(f.twist.placement(q)[0][None])[0][0]
-        # of a mechanism only the held rows are features: whoever saw one translation or rotation of it saw all
-        used = [bool(np.any(W[:, part])) for part in (slice(0, 3), slice(3, 6))]
-        return selection @ W @ turned, np.eye(6)[np.repeat(used, 3)] @ turned, R, turns
-    return on_twist(f.row_names, selection) @ turned, on_twist(f.row_names, np.eye(f.n_rows)) @ turned, R, turns
+    turned, W = np.kron(np.eye(2), R.T), f.weights_at(pose[None])[0]
+    held, seen = selection @ W @ turned, W @ turned
+    if isinstance(f, PoseRows):
+        return (held, seen, pose[:3, :3], "hand") if f.own_axes else (held, seen, R, turns)
+    # of a mechanism only the held rows are features: whoever saw one translation or rotation of it saw all
+    used = [bool(np.any(W[:, part])) for part in (slice(0, 3), slice(3, 6))]
+    return held, np.eye(6)[np.repeat(used, 3)] @ turned, R, turns
 
 
 def _central(

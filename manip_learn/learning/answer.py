@@ -115,7 +115,7 @@ class Answer:
     def mechanism(self) -> Mechanism | None:
         """Mechanism, or None."""
         if isinstance(self.shape, CurveRows):
-            return Mechanism("other", name=CURVE, curve=self.shape.curve)
+            return Mechanism("other", name=CURVE)
         return None if self.placed is None else self.placed.mechanism
 
     @property

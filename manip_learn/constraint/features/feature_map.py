@@ -25,8 +25,10 @@ class FeatureMap(ABC):
         nv: Number of velocities that the rows act on.
         row_names: One name a row, e.g. `("x", "y", "rz")`.
         row_units: Unit of each row times a velocity, e.g. `("m/s", "m/s", "rad/s")`.
+        twist: All six rows of the frame, in axes that rest with what holds it (`PoseRows`); None without a frame.
     """
 
+    twist: Any = None
     nv: int
     row_names: tuple[str, ...]
     row_units: tuple[str, ...]
@@ -35,11 +37,6 @@ class FeatureMap(ABC):
     def n_rows(self) -> int:
         """Number of rows p."""
         return len(self.row_names)
-
-    @property
-    def twist(self) -> Any:
-        """All six rows of the frame, in axes that rest with what holds it (`PoseRows`); None without a frame."""
-        return None
 
     @abstractmethod
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:

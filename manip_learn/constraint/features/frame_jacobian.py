@@ -126,9 +126,14 @@ class PoseRows(FeatureMap):
         """Argument `relative_to` of rows of the same frame seen from the same; empty for the base."""
         return {} if self.relative_to is None else {"relative_to": self.relative_to.name}
 
-    @abstractmethod
     def with_axes(self, axes: str | Sequence[str]) -> PoseRows:
         """Return other rows of the same frame, seen from the same."""
+        return type(self)(self.robot, self.frame.name, axes=axes, **self.seen_from)  # type: ignore[call-arg]
+
+    @cached_property
+    def twist(self) -> PoseRows:  # type: ignore[override]
+        """All six rows, along axes that do not turn with the frame."""
+        return self.with_axes(AXES)
 
     def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
         """Weights of the rows of `twist` in these rows, at n poses of the frame."""

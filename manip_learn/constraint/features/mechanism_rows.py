@@ -28,7 +28,7 @@ from manip_learn.robot.rotations import skew
 
 # Units are those of the row times a joint velocity.
 ROW_UNITS: dict[str, str] = {
-    **dict.fromkeys(("radial", "tangential", "axial", "helical", "spherical", "across-1", "across-2"), "m/s"),
+    **dict.fromkeys(("radial", "tangential", "axial", "helical", "spherical"), "m/s"),
     **dict.fromkeys(("turn-1", "turn-2", "turn"), "rad/s"),
     **dict.fromkeys(("slide-1", "slide-2", "slide", "screw"), "m/s"),
 }
@@ -92,7 +92,7 @@ def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None
     - `radial` f = x / rho; `tangential` f = a x x / rho; `spherical` f = d / |d|;
     - `helical` f = (rho^2 a - h a x x) / (rho sqrt(rho^2 + h^2)), orthogonal to the velocity a x x + h a of a point
       that a screw of pitch h moves;
-    - `axial` f = a, `across-1` and `across-2` two directions across it; `turn` g = a;
+    - `axial` f = a; `turn` g = a;
     - `slide` and `screw`, the velocity e.(v + w x (c - p)) - h e.w of the hand's point that is at c: f = e and
       g = (c - p) x e - h e.
 
@@ -118,8 +118,8 @@ def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None
                 scale = 1.0 / radius
             by_place[i, :3] = scale * fields[name]
             constant[i, :3] -= by_place[i, :3] @ c
-        elif name.startswith(("axial", "across")):
-            constant[i, :3] = e
+        elif name == "axial":
+            constant[i, :3] = a
         elif name.startswith("turn"):
             constant[i, 3:] = e
         else:
@@ -136,7 +136,6 @@ class MechanismRows(WeighedVelocity):
     axis a, the point c, and rho the distance of p from the axis:
 
     - `radial` (x / rho).v, away from the axis; `axial` a.v; `tangential` around the axis [m/s];
-    - `across-1`, `across-2`: along two directions across the axis [m/s];
     - `helical`: across the helix of the given pitch, along its cylinder [m/s];
     - `spherical`: away from the point [m/s];
     - `turn` a.w and `turn-1`, `turn-2`: angular velocity along the axis and along two directions across it [rad/s];

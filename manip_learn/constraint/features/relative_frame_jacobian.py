@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
+from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.errors import FeatureError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.joints import Frame
@@ -60,12 +59,9 @@ class RelativeFrameJacobian(PoseRows):
         return self.twist_rows(q, False)[self._rows]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Phi(q) and dPhi/dq from one Hessian per frame."""
-        J_A, H_A = self.robot.jacobian_and_derivative(q, self.frame)
-        J_B, H_B = self.robot.jacobian_and_derivative(q, self.relative_to)
-        A, B = self.robot.pose(q, self.frame), self.robot.pose(q, self.relative_to)
-        Phi, dPhi = _seen(A[None], B[None], J_A[None], J_B[None], H_A[None], H_B[None])
-        return Phi[0, self._rows], dPhi[0, self._rows]
+        """Phi(q) and dPhi/dq, as of many postures."""
+        Phi, dPhi = self.batch_with_derivative(self.robot.checked_posture(q)[None])
+        return Phi[0], dPhi[0]
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n configurations (nq) or joint positions (nv), the rows of q.
@@ -104,15 +100,6 @@ class RelativeFrameJacobian(PoseRows):
         poses, jacobians = ([f(q, frame)[None] for frame in frames] for f in (self.robot.pose, self.robot.jacobian))
         return _seen(*poses, *jacobians)[0][0]
 
-    @cached_property
-    def twist(self) -> RelativeFrameJacobian:
-        """All six rows."""
-        return self.with_axes(AXES)
-
-    def with_axes(self, axes: str | Sequence[str]) -> RelativeFrameJacobian:
-        """Return other rows of the same frames."""
-        return RelativeFrameJacobian(self.robot, self.frame.name, self.relative_to.name, axes)
-
     def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
         """Poses of the frame in the other one at n postures, the rows of q [m]."""
         A, B = (batch_kinematics(self.robot, f).pose(q) for f in (self.frame, self.relative_to))
@@ -120,11 +107,7 @@ class RelativeFrameJacobian(PoseRows):
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
         """Pose of the frame in the other one."""
-        A, B = self.robot.pose(q, self.frame), self.robot.pose(q, self.relative_to)
-        out = np.eye(4)
-        out[:3, :3] = B[:3, :3].T @ A[:3, :3]
-        out[:3, 3] = B[:3, :3].T @ (A[:3, 3] - B[:3, 3])
-        return out
+        return np.linalg.inv(self.robot.pose(q, self.relative_to)) @ self.robot.pose(q, self.frame)
 
     def __repr__(self) -> str:
         return (

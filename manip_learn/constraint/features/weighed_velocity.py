@@ -83,19 +83,11 @@ class WeighedVelocity(FeatureMap):
 
     def __init__(self, robot: Robot, frame: str, relative_to: str | None = None):
         self.robot, self.frame, self.nv = robot, robot.frame(frame), robot.nv
-        base, other = FrameJacobian, RelativeFrameJacobian
-        self._twist = base(robot, frame, AXES) if relative_to is None else other(robot, frame, relative_to, AXES)
-        self.relative_to = self._twist.relative_to
-
-    @property
-    def twist(self) -> PoseRows:
-        """J: all six rows of the frame, seen from the base or from the other frame."""
-        return self._twist
-
-    @property
-    def _seen(self) -> str:
-        """The other frame, in a representation."""
-        return "" if self.relative_to is None else f", relative_to={self.relative_to.name!r}"
+        self.twist: PoseRows = FrameJacobian(robot, frame, AXES)
+        if relative_to is not None:
+            self.twist = RelativeFrameJacobian(robot, frame, relative_to, AXES)
+        self.relative_to = self.twist.relative_to
+        self._seen = "" if relative_to is None else f", relative_to={relative_to!r}"  # in a representation
 
     def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
         """W(p) and dW/dp at n places [m]; row i of W weighs (v, w) of the frame."""
@@ -111,7 +103,7 @@ class WeighedVelocity(FeatureMap):
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        return self._weights_at(q)[0] @ self._twist(q)
+        return self._weights_at(q)[0] @ self.twist(q)
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
         """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k.
@@ -124,7 +116,7 @@ class WeighedVelocity(FeatureMap):
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J."""
         W, dW = self._weights_at(q)
-        J, H = self._twist.value_and_derivative(q)
+        J, H = self.twist.value_and_derivative(q)
         turned = W @ H.reshape(6, -1)
         return W @ J, turned.reshape(-1, self.nv, self.nv) + J.T @ (dW @ J[:3])
 
@@ -138,8 +130,8 @@ class WeighedVelocity(FeatureMap):
 
     def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s k"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
-        J, vjp = self._twist.value_and_vjp(q, EVERY_ROW)
-        p = self._twist.placement(q)[0]  # there already
+        J, vjp = self.twist.value_and_vjp(q, EVERY_ROW)
+        p = self.twist.placement(q)[0]  # there already
         slopes = padded[:, 6:24].reshape(-1, 6, 3)
         mix = padded[:, :6] + slopes.dot(p)
         if self.place_weights.free:
@@ -161,19 +153,19 @@ class WeighedVelocity(FeatureMap):
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        return self._batch_weights(q)[0] @ self._twist.batch(q)
+        return self._batch_weights(q)[0] @ self.twist.batch(q)
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n postures, in bulk; errors as for `batch`."""
         W, dW = self._batch_weights(q)
-        J, H = self._twist.batch_with_derivative(q)
+        J, H = self.twist.batch_with_derivative(q)
         n, nv = len(W), self.nv
         turned = (W @ H.reshape(n, 6, nv * nv)).reshape(n, self.n_rows, nv, nv)
         return W @ J, turned + J.transpose(0, 2, 1)[:, None] @ (dW @ J[:, None, :3])
 
     def _weights_at(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        W, dW = self.weights(self._twist.placement(q)[0][None])
+        W, dW = self.weights(self.twist.placement(q)[0][None])
         return W[0], dW[0]
 
     def _batch_weights(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        return self.weights(self._twist.poses(q)[:, :3, 3])
+        return self.weights(self.twist.poses(q)[:, :3, 3])
