@@ -49,7 +49,7 @@ WRITTEN: dict[str, tuple[Callable[[Hands], object], str]] = {
     "the answer before it is there": (lambda h: h.learner.constraint_, "call learner.fit(demonstrations) first"),
     "the frame before the robot": (lambda h: ml.FrameJacobian("tip", h.robot), "FrameJacobian(robot, frame)"),
     "the robot before the files": (lambda h: ml.load_demonstrations(h.robot, "demo.csv"), "(paths, robot)"),
-    "the length before the constraint": (lambda h: ml.motion(0.1, h.constraint), "motion(constraint, along="),
+    "the length before the constraint": (lambda h: ml.motion(0.1, h.constraint), "motion(constraint, distance="),
     "a policy that takes nothing": (
         lambda h: ml.ResolvedRateController(h.constraint, null_policy=lambda: 0),
         "write lambda q: ...",
