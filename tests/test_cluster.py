@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
@@ -147,6 +148,7 @@ def test_without_a_scheduler(monkeypatch, address: str, advice: str):
     monkeypatch.setattr(thinning, "PATIENCE", "1s")
     with pytest.raises(ManipLearnError, match=advice), dask_client(address):
         pass
+    gc.collect()  # a client that failed closes as it is collected, for which it waits if another one is starting then
 
 
 def test_without_the_extra(monkeypatch):
