@@ -77,7 +77,8 @@ Grip = Literal["firm", "kept", "loose"]
 CLEAR_SHARE = 0.1  # a row of `MechanismRows` is held, or free, to this share: see `MIXED`
 # [m/rad] a travel below this is that of a hinge: a tenth of the flattest thread in use (M6, 1 mm a turn, 0.16 mm/rad)
 LEAST_PITCH = 1.6e-5
-# [m] distance from an axis below which the place of the hand does not tell the angle about it
+# [m] distance from an axis below which the place of the hand does not tell the angle about it: an arm that places its
+# hand to a millimetre tells it to a fifth of a radian there, its orientation tells it better
 ON_THE_AXIS = 5e-3
 # the axis that the learner fitted belongs to these rows if it is nearer to theirs than this: 1 degree
 SAME_AXIS = 0.9998

@@ -376,18 +376,18 @@ def shown_by(
     times = [contact.time - contact.time[0] for contact in contacts]
     seconds = np.array([_duration(t, w, i, free.is_way) for t, w, i in zip(times, ways, farthest, strict=True)])
     lengths = extents if free.is_way else np.array([np.linalg.norm(np.diff(w, axis=0), axis=1).sum() for w in ways])
-    begins = np.array([p[0, :3, 3] for p in motions])
-    middle = np.median(begins, axis=0)
-    scatter = float(np.max(np.linalg.norm(begins - middle, axis=1)))
+    grasps = np.array([p[0] for p in motions])
+    middle = np.median(grasps[:, :3, 3], axis=0)
+    scatter = float(np.max(np.linalg.norm(grasps[:, :3, 3] - middle, axis=1)))
     hold = middle if scatter <= SAME_PLACE else None
     off = np.abs(extents - np.median(extents)) + np.where(signed > 0.0, 0.0, np.inf)  # of those that went as most did
     # of an even number two are as near to the median, but for rounding: the first
     typical = int(np.argmin(np.round(off, 9))) if free.is_way else _typical(times, ways)
     time, path = _path(times[typical], ways[typical], farthest[typical], free.is_way)
     ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
-    grasps = np.array([p[0] for p in motions])
     begin = grasps[typical].copy()
-    begin[:3, 3] = begins[typical] if hold is None else hold
+    if hold is not None:
+        begin[:3, 3] = hold
     start = np.median([free.of(np.array([begin, grasp]))[1] for grasp in grasps], axis=0)
     return Shown(
         free.unit,
@@ -406,7 +406,7 @@ def shown_by(
         time,
         begin[:3, 3],
         begin[:3, :3],
-        float(np.max(angles_between(motions[typical][0, :3, :3], np.array([p[0, :3, :3] for p in motions])))),
+        float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3]))),
         one_way,
         free,
         _force(features, free, contacts),

@@ -154,6 +154,7 @@ def changes_by_links(
     for block in robot.blocks:
         place[block.v] = behind.get(block.index, -1)
     V, W, out = np.einsum("nij,nj->ni", J, u), features.weights_at(poses), [none]
+    dW = features.weights(poses[:, :3, 3])[1] if isinstance(features, WeighedVelocity) else None
     twists = link_twists(robot, frame, q)
     for link, E in enumerate(() if twists is None else twists):
         own = place > link
@@ -164,8 +165,7 @@ def changes_by_links(
             later = later - V[:, None]
         dV = np.concatenate([np.cross(before, v) + np.cross(w, later[..., :3]), np.cross(w, later[..., 3:])], axis=2)
         out.append(np.einsum("npi,nei->npe", W, dV))
-        if isinstance(features, WeighedVelocity):
-            dW = features.weights(poses[:, :3, 3])[1]
+        if dW is not None:
             out[-1] += np.einsum("npix,nxe,ni->npe", dW, E[:, :3], V, optimize=True)
     return np.concatenate(out, axis=2)
 

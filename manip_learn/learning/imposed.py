@@ -69,8 +69,8 @@ RANDOM_STARTS, SUBSPACES = 3, 10  # where no closed-form start leads to the nois
 PREDICTS = 1.2  # left-out motion over that without a policy, up to which a policy predicts it
 ABOVE_NOISE, UNEQUAL = 1.5, 2.0  # variance over that of the noise that is more than noise; over the least of all joints
 NO_NOISE = 1e-8  # share of the energy below which least squares answer
-# shares of the energy that are noise enough, and least variance, also with rest postures of their own; its square is
-# rounding
+# shares of the energy: noise enough for an answer, a thousandth of the speed, better than recorded velocities are; and
+# the least variance, a millionth of the speed, also with rest postures of their own. Its square is rounding
 RESOLVED, LEAST = 1e-6, 1e-12
 SETTLED = 1e-6  # squared last step in standard errors
 EXPLAINED, SURER = 0.3, 5.0  # share of left-out motion that a policy may leave; nats by which other features are better
@@ -391,11 +391,8 @@ def learn_imposed(views: list[View], settings: Settings) -> Imposed | NotIdentif
 def _unidentifiable(table: Table, settings: Settings) -> NotIdentifiableError | None:
     """Return why nothing in the recordings tells the policy from the task; None if something may."""
     (n, nv), s, model = table.u.shape, settings.n_constraints or 1, settings.policy_model
-    joint, known, differ = (
-        settings.estimator != "separate",
-        ", ".join(map(repr, MODELS)),
-        "from other starts to other targets",
-    )
+    joint, known = settings.estimator != "separate", ", ".join(map(repr, MODELS))
+    differ = "from other starts to other targets"
     one = "one trajectory does not show which part of it is steered on purpose: give several"
     same = f"the {len(table)} recordings repeat one motion, which shows no more than one of them: give some that differ"
     reasons = (

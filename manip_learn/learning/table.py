@@ -32,7 +32,8 @@ CUBIC = 4  # directions that a smooth motion fills of a window
 LEAST_SLIP = 1e-3  # [rad] of the joints that a hand must leave what it held, to have slipped: a millimetre
 STILL_ENERGY = 1e-6  # share of the motion below which a joint is not moved
 PRUNE = 1e-6  # rows of Phi below this share of the largest of their unit are copies or zero
-# ratio to the usual speed, or distance from the middle, beyond which a sample is a fault of the recording. Set by hand
+# ratio to the usual speed, or distance from the middle, beyond which a sample is a fault of the recording: a hand that
+# usually moves at 1 mm/s would have to move at 10 m/s, and a posture within 1 rad of the middle be 10,000 rad off
 OUTLIER_FACTOR = 1e4
 # [rad/s or m/s] of the fastest joint, below which it is at rest: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
 REST_SPEED = 0.02

@@ -46,7 +46,9 @@ class ShownPlaces:
         lever: Distance of the hand from the axis of a turn [m]; 1 where nothing turns.
         hold: shape (3,), where all contacts began [m]; None if they began at different places.
         orientation: shape (3, 3), of the hand there; None where the mechanism leaves it free.
-        ahead: shape (n, k), how far along what is free each grasp that was shown is from the first [m or rad].
+        ahead: shape (n, k), how far along what is free each grasp that was shown is from the first [m or rad]; with
+            `hold` there is no need to know, n = 0.
+        begun: shape (n, 3), where each of these would be if it were taken back along the way to the first [m].
         anew: Whether the hand goes to where contacts began even if it is on the mechanism already.
         sense: Of the way shown along the motion, 1 or -1.
     """
@@ -57,6 +59,7 @@ class ShownPlaces:
     hold: Float[np.ndarray, " 3"] | None
     orientation: Float[np.ndarray, "3 3"] | None
     ahead: Float[np.ndarray, "n k"]
+    begun: Float[np.ndarray, "n 3"]
     anew: bool
     sense: float
 
@@ -72,12 +75,13 @@ class ShownPlaces:
             return None
         free = mechanism is not None and mechanism.grip == "loose" and mechanism.orientation == "free"
         apart = shown.hold is None and free and len(shown.grasps) > 0 and not isinstance(motion, PathMotion)
-        ahead = [shown.coordinates.of(np.array([shown.grasps[0], grasp]))[1] for grasp in shown.grasps]
+        grasps, hold = (shown.grasps, None) if apart else (shown.grasps[:0], shown.begin)
+        ahead = [shown.coordinates.of(np.array([shown.grasps[0], grasp]))[1] for grasp in grasps]
+        begun = [shown.coordinates.place(grasp[:3, 3], -far) for grasp, far in zip(grasps, ahead, strict=True)]
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
         turned = None if free or mechanism is None else shown.orientation
         sense = shown_sense(shown, motion, of_most=True) or 1.0
-        hold = None if apart else shown.begin
-        return ShownPlaces(motion, shown, lever, hold, turned, np.array(ahead), anew, sense)
+        return ShownPlaces(motion, shown, lever, hold, turned, np.array(ahead), np.array(begun), anew, sense)
 
     def apart(self, one: Origin, other: Origin) -> float:
         """Distance of two origins [m]; where the hand's orientation counts, an angle at the lever of a hand."""
@@ -117,8 +121,7 @@ class ShownPlaces:
         far, path = along.of(np.array([self.shown.grasps[0], hand]))[1], self.shown.path * (not self.anew)
         low, high, room = self.ahead.min(0) + path.min(0), self.ahead.max(0) + path.max(0), GRIP / self.lever
         # both taken back along the way: is the hand where contacts began, or between them?
-        begun = [along.place(g[:3, 3], -s) for g, s in zip(self.shown.grasps, self.ahead, strict=True)]
-        began, goal = np.array(begun), along.place(hand[:3, 3], -far)
-        weights = nnls(np.vstack([began.T, np.ones(len(began))]), np.append(goal, 1.0))[0]
-        off = np.linalg.norm(weights @ began / max(weights.sum(), GRIP) - goal)
+        goal = along.place(hand[:3, 3], -far)
+        weights = nnls(np.vstack([self.begun.T, np.ones(len(self.begun))]), np.append(goal, 1.0))[0]
+        off = np.linalg.norm(weights @ self.begun / max(weights.sum(), GRIP) - goal)
         return bool(np.all((low - room <= far) & (far <= high + room)) and off <= GRIP)
