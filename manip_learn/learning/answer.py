@@ -21,7 +21,7 @@ from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit, gaps_o
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once, steady
 from manip_learn.learning.imposed import Imposed, learn_imposed
 from manip_learn.learning.place import Placed, kind_of, placed, reshaped
-from manip_learn.learning.search import LEAST_GAIN, Explanation, Hypothesis, broken_energy, explain, lone_contacts
+from manip_learn.learning.search import LEAST_GAIN, Explanation, broken_energy, explain, lone_contacts
 from manip_learn.learning.table import (
     REST_SPEED,
     SHORTEST,
@@ -35,7 +35,7 @@ from manip_learn.learning.table import (
 )
 from manip_learn.learning.uncertainty import STATED, Errors, angles, errors_of, groups_of, misfit
 from manip_learn.learning.whole_hand import KEPT, asked_rows, held_kind, whole_fit
-from manip_learn.linalg import row_space_angle
+from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.load import Progress
 
 CONTRADICTED = 2.0  # ratio of gaps from which another number of rows contradicts the answered one
@@ -82,6 +82,7 @@ class Answer:
         fit, errors, uncertainty: Fit by displacements, draws of its error, and parts of the uncertainty [deg].
         placed, shape: Mechanism with its place; shape that replaces the rows where no constant rows fit.
         misfit: See `uncertainty.misfit`.
+        over_noise: Residual of the rows over the noise of recorded positions.
         firm: Fit and view of rows of the whole hand, for a firm grip.
         whole, asked: All rows that constrain the hand, and the rows in the requested axes.
     """
@@ -102,6 +103,7 @@ class Answer:
     placed: Placed | None = None
     shape: Placed | CurveRows | None = None
     misfit: tuple[float, float] = (0.0, 0.0)
+    over_noise: float = 0.0
     warnings: list[str] = field(default_factory=list)
     policy_model: str | None = None
     policy_residuals: dict[str, float] = field(default_factory=dict)
@@ -162,12 +164,6 @@ class Found:
     odd: dict[int, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
-    def is_weak(self, table: Table) -> bool:
-        """Return True if rows that are moved on purpose may explain as much."""
-        best = self.answers[0]
-        told = best.evidence.verdict(best.s) == "clear" or (best.gap >= CLEAR_GAP and best.unexplained < 1e-4)
-        return not told or 2 * len({s.recording for a in self.answers for s in a.stretches}) < len(table)
-
 
 def _moved_on_purpose(found: Imposed) -> Found:
     """Return the answer for rows that the demonstrator drives."""
@@ -177,28 +173,6 @@ def _moved_on_purpose(found: Imposed) -> Found:
     mu = None if found.errors is None else mu_within(view, fit, found.errors, view.table.inside(wholes))
     answer = Answer(view, wholes, fit.rows, found.levels, found.gaps, fit.unexplained, mu_uncertainty=mu, **same)
     return Found([answer])
-
-
-def learn(
-    table: Table, asked: Sequence[FeatureMap], settings: Settings, progress: Progress, facts: Sequence[str] = ()
-) -> Found:
-    """Return an answer for each part of the recordings, clear ones first.
-
-    Args:
-        table: The samples.
-        asked: Feature maps, among which the evidence decides.
-        settings: Settings of the fit.
-        progress: Function of the name of a stage and its completed share.
-        facts: Facts about the recordings, added to a refusal.
-
-    Raises:
-        NotIdentifiableError: There is no answer; says what to do, and why.
-        RecordingError: An outlier, or features for another number of joints.
-    """
-    found = _learn(table, replace(settings, asked=tuple(asked)), progress)
-    if isinstance(found, Found):
-        return found
-    raise advised(found, table, settings, facts) if isinstance(found, NotIdentifiableError) else found
 
 
 def advised(
@@ -227,8 +201,14 @@ def advised(
     return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*causes, *facts))
 
 
-def _learn(table: Table, settings: Settings, progress: Progress) -> Found | NotIdentifiableError | RecordingError:
-    """Return the answers, or a refusal without advice."""
+def learn(table: Table, settings: Settings, progress: Progress) -> Found | NotIdentifiableError | RecordingError:
+    """Return an answer for each part of the recordings, clear ones first; or a refusal, without advice.
+
+    Args:
+        table: The samples.
+        settings: Settings of the fit.
+        progress: Function of the name of a stage and its completed share.
+    """
     nv = table.u.shape[1]
     if other := {f.nv for f in settings.asked} - {nv}:
         return RecordingError(f"the recordings have {nv} joint velocities, the features {min(other)}", code="shape")
@@ -246,31 +226,30 @@ def _learn(table: Table, settings: Settings, progress: Progress) -> Found | NotI
         curved = maps_of(settings.asked, table, "surface") if len(table) >= FEWEST else ()
         maps = [maps_of(settings.asked, table, "place"), maps_of(settings.asked, table, "whole"), curved]
     first, whole, curved = ([v for v in (View(f, table) for f in some) if v.largest > 0] for some in maps)
-    switch = settings.switch if settings.phases else np.inf
-
-    def gate_of(view: View) -> Gate:
-        rivals = first if view in first else curved if view in curved else [*first, *whole]
-        return Gate(rivals, settings.seed, settings.strength)
-
-    def believed(view: View, h: Hypothesis, stretches: list[Stretch]) -> bool:
-        return (view not in curved or h.s < 3) and gate_of(view)(view, h.rows, h.scale[1], stretches)
-
+    for rivals, views in ((first, first), ([*first, *whole], whole), (curved, curved), (asked, asked)):
+        for view in views:
+            view.tried = sum(rival.largest for rival in rivals)
+    switch, gate = settings.switch if settings.phases else np.inf, Gate(table, settings.seed, settings.strength)
     # the place of the hand first; then its whole twist, if that does not explain; then curved surfaces
     out: Found | NotIdentifiableError | None = None
     for share, views in enumerate(([*first, *whole], whole if first else [], curved)):
         progress("searching", 0.2 * share)
-        found = explain(views, believed, switch, len(first) if views[0] in first else 0) if views else None
+        found = explain(views, gate, switch, len(first) if views[0] in first else 0) if views else None
         if found is not None and found.hypotheses:
             progress("fitting", 0.2 * share + 0.1)
-            now = _divided(found, [*first, *whole, *curved], whole, gate_of(views[-1]), settings)
+            now = _divided(found, [*first, *whole, *curved], whole, gate, settings)
             out = out if out and isinstance(now, NotIdentifiableError) else now  # the first refusal
             if isinstance(out, Found):
                 break
-    if settings.estimator == "auto" and len(table) > 1 and (not isinstance(out, Found) or out.is_weak(table)):
+    few = 0  # recordings with an answer that rows which are moved on purpose do not explain as well
+    if isinstance(out, Found) and (best := out.answers[0]):
+        told = best.evidence.verdict(best.s) == "clear" or (best.gap >= CLEAR_GAP and best.unexplained < 1e-4)
+        few = told * len({s.recording for a in out.answers for s in a.stretches})
+    if settings.estimator == "auto" and len(table) > 1 and 2 * few < len(table):
         imposed = learn_imposed(asked, settings)
         if isinstance(imposed, Imposed):
             return _moved_on_purpose(imposed)
-    out = out or _undivided(asked, Gate(asked, settings.seed, settings.strength), settings)
+    out = out or _undivided(asked, gate, settings)
     if isinstance(out, Found):
         out.answers = [completed(a, settings) for a in out.answers]
     return out
@@ -290,7 +269,8 @@ class _Part(NamedTuple):
 
 def _fitted(found: Explanation, views: list[View], out: Found, settings: Settings) -> list[_Part]:
     """Return what the hypotheses are by displacements, apart for each place; names what does not agree in `out`."""
-    table, states, done = found.views[0].table, found.fine_states(), list[_Part]()
+    table, done = found.views[0].table, list[_Part]()
+    states = found.seen([v.all for v in found.views])[1]
     for k in np.argsort(-found.supports):
         h = found.hypotheses[k]
         view = found.views[h.view]
@@ -299,7 +279,7 @@ def _fitted(found: Explanation, views: list[View], out: Found, settings: Setting
         given = [s for s in given if s.duration >= SHORT_STRETCH * usual and len(table.piece(s)) > 2]
         if not given:
             continue
-        alike = [v for v in views if has_turns(v) == has_turns(view)]
+        alike = [v for v in views if v.turns == view.turns]
         spans = steady(view, h.rows, given)
         fit, view = best_fit(alike, view, h.rows, spans, settings)
         if len(spans) < len(given) and len(again := steady(view, fit.rows, given)) > len(spans):
@@ -395,7 +375,7 @@ def _divided(
     _odd_ones(out, table)
     taken = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
     if settings.phases and len(table) > 1:
-        places = [k for k, v in enumerate(found.views) if not has_turns(v) and not is_surface(v)]
+        places = [k for k, v in enumerate(found.views) if not v.turns and not v.curved]
         lone = lone_contacts(found, places, lambda view, s: gate.evidence(view, [s]).n_rows)
         lone = [s for s in lone if not any(meet(s, other) for other in taken)]
         out.unlearnt += [(s, IN_ONE_ONLY) for s in lone]
@@ -446,7 +426,7 @@ def differs(view: View, fit: RowFit, spans: Sequence[Stretch], others: set[int])
     worst = np.linalg.svd(way - way.mean(axis=0), full_matrices=False)[2][0]
     still = fit.motion.y @ np.linalg.pinv(view.W).T @ rows.T @ worst
     held = [np.ptp(still[p]) for p, j in zip(fit.motion.parts, fit.motion.recs, strict=True) if j in others]
-    row, unit = worst @ rows, "mm (or mrad)" if has_turns(view) else "mm"
+    row, unit = worst @ rows, "mm (or mrad)" if view.turns else "mm"
     words = sum_in_words(row * np.sign(row[np.argmax(np.abs(row))]), view.features.row_names, "+.2f", 0.05)
     return (
         f"{table.moved[spans[0].recording].name} moves {1e3 * np.ptp(way @ worst):.3g} {unit} along a direction "
@@ -475,16 +455,6 @@ def sharpened(view: View, rows: np.ndarray, s: Stretch) -> Stretch:
     return Stretch(s.recording, start, end)
 
 
-def has_turns(view: View) -> bool:
-    """Return True if the view has rows of rotation."""
-    return "rad/s" in view.features.row_units
-
-
-def is_surface(view: View) -> bool:
-    """Return True if surfaces of second order are constant rows of the view."""
-    return getattr(view.features, "form", "") == "surface"
-
-
 def best_fit(
     candidates: Sequence[View], view: View, rows: np.ndarray, spans: Sequence[Stretch], settings: Settings
 ) -> tuple[RowFit, View]:
@@ -500,15 +470,15 @@ def best_fit(
     s = settings.n_constraints or len(rows)
 
     def fitted(v: View) -> RowFit:
-        start = rows if v is view and s == len(rows) else np.linalg.qr(levels_on(v, spans)[1][:s].T)[0].T
+        start = rows if v is view and s == len(rows) else orthonormal_rows(levels_on(v, spans)[1][:s])
         return RowFit(Motion.of(v, spans, settings), start).best()
 
-    fits = [(fitted(v), v) for v in candidates if (v.largest >= s or v is view) and (v is view or not is_surface(v))]
+    fits = [(fitted(v), v) for v in candidates if (v.largest >= s or v is view) and (v is view or not v.curved)]
     best = fits[0]
     for fit, v in fits[1:]:
         if fit.nats(best[0]) > OTHER_VIEW:
             best = fit, v
-    curved = [v for v in candidates if is_surface(v) and v is not view] if s == 1 else []
+    curved = [v for v in candidates if v.curved and v is not view] if s == 1 else []
     gain, left = misfit(best[0]) if curved else (0.0, 0.0)
     if gain > LEAST_GAIN and left > LEAST_SAID:
         fit = fitted(curved[0])  # what has another shape, beyond what the arm's own errors explain
@@ -538,11 +508,14 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     if is_firm(view, fit.rows, share, spans):
         a.evidence = replace(a.evidence, firm=a.s)
     known = placed(view, fit, None) if settings.mechanism else None
-    if whole and not has_turns(view) and (known is None or "axis" in known.kind.unknowns):
+    if whole and not view.turns and (known is None or "axis" in known.kind.unknowns):
         a.firm = whole_fit(whole, fit, lambda f, v: gate.evidence(v, spans).verdict(len(f.rows)) == "clear")
         if a.firm and known is not None and held_kind(known, fit.motion)[0] is not known.kind:
             # a grip that gives way turns more than it slides: where the place tells as much, it tells it better
             a.firm = a.firm if a.firm[0].variance <= GIVING * fit.variance else None
+    e = np.concatenate([np.diff(table.moved[s.recording].q, 3, axis=0) for s in spans])
+    noise = np.sqrt(np.median(e**2) / 0.455 / 20.0) if len(e) else 0.0  # of positions, by their third differences
+    a.over_noise = float(np.sqrt(fit.variance) / (noise + 1e-6))
     if refusal := _refused(a, settings):
         return refusal
     a.misfit = misfit(fit)
@@ -573,7 +546,7 @@ def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     soft = a.gap < CLEAR_GAP and not at_one_place(a.fit, a.view)
     if a.gap < WEAK_GAP:
         why, code = f"no constraint is shown: the gap is {a.gap:.2g} for {rows}, {WEAK_GAP:g} is the least", "weak-gap"
-    elif over_noise(a) > ABSOLUTE and (soft or (not told and a.gap < CONTRADICTED * CLEAR_GAP)):
+    elif a.over_noise > ABSOLUTE and (soft or (not told and a.gap < CONTRADICTED * CLEAR_GAP)):
         why = f"{rows} would be soft (gap {a.gap:.2g}), and elsewhere in each recording, as in free motion"
     elif a.contradiction:
         why = f"{rows} would explain the recordings, but {a.contradiction}"
@@ -599,7 +572,7 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
     elif evidence.verdict(a.s) != "clear":
         out.append(f"weak evidence: {evidence.sentence()}")
     table = a.view.table
-    together = np.median([joints_at_once(table.piece(s), table.noises[s.recording]) for s in a.stretches])
+    together = np.median([joints_at_once(table.piece(s), table.noises[s.recording])[0] for s in a.stretches])
     if together < FEW_JOINTS_AT_ONCE and table.u.shape[1] > 3:
         out.append(f"move all joints together: where {together:.1f} move at a time, friction looks like a constraint")
     if a.errors is not None and a.errors.beyond and settings.arm.zeros:
@@ -609,15 +582,15 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
             f"is this the robot that was recorded? Joints' {off}, would explain what is left: {ratio:.0f} times what "
             "joint_offset_std and link_error_std say"
         )
-    (gain, left), times = a.misfit, over_noise(a)
+    gain, left = a.misfit
     leaves = f"the hand leaves what fits best by {1e3 * left:.2g} mm (or mrad)"
     if a.shape is not None:
         return out
     if left > LEAST_SAID and gain > LEAST_GAIN:
         out.append(f"{leaves} in the same way in all recordings: the true shape is another one")
-    elif left > LEAST_SAID and fit.alike > 2.0 and times > ABSOLUTE:
-        out.append(f"{leaves}, {times:.0f} times the encoders' noise: it gives way, or has another shape")
-    if is_surface(a.view) and kind_of(fit, a.view) is None:
+    elif left > LEAST_SAID and fit.alike > 2.0 and a.over_noise > ABSOLUTE:
+        out.append(f"{leaves}, {a.over_noise:.0f} times the encoders' noise: it gives way, or has another shape")
+    if a.view.curved and kind_of(fit, a.view) is None:
         out.append("what holds the hand is a curved surface of no simple kind: its rows are right only where shown")
     return out
 
@@ -626,15 +599,15 @@ def completed(a: Answer, settings: Settings) -> Answer:
     """Return the answer with all rows of the hand, its grip, and the rows in the requested axes."""
     table, known, (fit, view) = a.view.table, a.placed, a.firm or (a.fit, a.view)
     if a.firm is not None:
-        levels = fit.motion.levels
+        levels = fit.motion.least[0]
         a.whole = Rows(view.features, view.selection(fit.rows), levels, gaps_of(levels, table.u.shape[1]))
     if known is not None:
         a.warnings += [known.doubt] if known.doubt else []
         kind, rms, apart = held_kind(known, fit.motion)
         kept = rms < min(KEPT, apart / WEAK_GAP)
         grip: Grip = "firm" if kind.orientation != "free" else "kept" if kept else "loose"
-        known = known.of_kind(kind)
-        a.placed = replace(known, mechanism=replace(known.mechanism, grip=grip, orientation_rms=rms))
+        held: dict[str, Any] = {"orientation": kind.orientation, "name": kind.name, "orientation_rms": rms}
+        a.placed = replace(known, kind=kind, mechanism=replace(known.mechanism, grip=grip, **held))
         if isinstance(view.features, PlaceRows) or a.firm or a.shape or grip == "firm":
             features, selection = a.placed.rows(view)
             gaps = a.whole.gaps if a.firm is not None else {len(selection): a.gap}
@@ -648,7 +621,7 @@ def completed(a: Answer, settings: Settings) -> Answer:
         a.asked = a.whole._replace(features=features, selection=selection)
     else:
         v = View(features, table)
-        levels = fit.motion.seen_as(features, v.W).levels if a.firm else levels_on(v, a.stretches)[0]
+        levels = fit.motion.seen_as(features, v.W).least[0] if a.firm else levels_on(v, a.stretches)[0]
         a.asked = Rows(features, selection, levels, gaps_of(levels, table.u.shape[1]))
     if (gap := a.asked.gap) < CLEAR_GAP:
         said = f"weak gap: {gap:.2g} for {counted(len(selection), 'row')}, {CLEAR_GAP:g} is clear"
@@ -670,13 +643,6 @@ def at_one_place(fit: RowFit, view: View) -> bool:
     return float(np.sqrt(np.mean((centres - np.median(centres, axis=0)) ** 2))) <= PLACE_RATIO * within
 
 
-def over_noise(a: Answer) -> float:
-    """Return the residual of the rows over the noise of recorded positions, estimated from third differences."""
-    e = np.concatenate([np.diff(a.view.table.moved[s.recording].q, 3, axis=0) for s in a.stretches])
-    noise = np.sqrt(np.median(e**2) / 0.455 / 20.0) if len(e) else 0.0
-    return float(np.sqrt(a.fit.variance) / (noise + 1e-6))
-
-
 def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float:
     """Return |d log mu| that is not exceeded in 68 % of draws and postures in a mask of samples.
 
@@ -688,7 +654,7 @@ def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float
     Phi = view.Phi[few]
     back = np.linalg.pinv(Lambda @ Phi, rcond=1e-6)
     by_rows = (beside @ Phi @ back).transpose(0, 2, 1) - (beside @ np.linalg.pinv(Lambda)).T
-    change = errors.both @ by_rows.reshape(len(few), -1).T
+    change = (errors.noise + errors.arm) @ by_rows.reshape(len(few), -1).T
     turned = view.features.batch_with_derivative(view.table.q[few])[1]
     by_zeros = np.einsum("nvp,npve->en", back @ Lambda, turned)
     return float(np.quantile(np.abs(change + errors.delta[:, : len(by_zeros)] @ by_zeros), STATED))

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -81,10 +82,11 @@ class Motion:
             y = displacements(features, x, way if settings.by_rates else None)
             k = evenly(len(x), max(LEAST, MOST // len(stretches)))
             out.append((y[k], x[k], way[k]))
+        ends = np.cumsum([0, *(len(z) for z, *_ in out)])
         y, x, way = (np.concatenate(z) for z in zip(*out, strict=True))
         y, Phi, way = y @ view.W.T, view.W @ features.batch(x), way if settings.by_rates else None
         place = None if twist is None else twist.poses(x)[:, :3, 3]
-        parts, recs = slices([len(z) for z, *_ in out]), [s.recording for s in stretches]
+        parts, recs = [slice(*edges) for edges in pairwise(ends)], [s.recording for s in stretches]
         return Motion(features, view.W, settings.arm, x, y, Phi, place, way, twist, parts, recs)
 
     def by_the_arm(self, x: np.ndarray) -> np.ndarray:
@@ -113,20 +115,12 @@ class Motion:
         return float(np.degrees(np.median(np.sqrt(np.sum(turns * spread, axis=1)))))
 
     @cached_property
-    def _least(self) -> tuple[np.ndarray, np.ndarray]:
+    def least(self) -> tuple[np.ndarray, np.ndarray]:
+        """RMS displacement along each direction, smallest first, over that of equally strong joints [1]; directions."""
         y, x = self.y, self.x if self.way is None else self.way
         if self.way is None:
             y, x = (np.concatenate([z[p] - z[p].mean(axis=0) for p in self.parts]) for z in (y, x))
         return relative_levels(y.T @ y, np.einsum("npv,nqv->pq", self.Phi, self.Phi), x)
-
-    def least_displaced(self, s: int) -> np.ndarray:
-        """Return s orthonormal rows (s, r) with the least displacement, relative to the rows of its postures."""
-        return np.linalg.qr(self._least[1][:s].T)[0].T
-
-    @property
-    def levels(self) -> np.ndarray:
-        """RMS displacement along each direction, smallest first, over that of equally strong joints [1]; shape (r,)."""
-        return self._least[0]
 
 
 def changes_by_links(
@@ -168,12 +162,6 @@ def changes_by_links(
         if dW is not None:
             out[-1] += np.einsum("npix,nxe,ni->npe", dW, E[:, :3], V, optimize=True)
     return np.concatenate(out, axis=2)
-
-
-def slices(lengths: Sequence[int]) -> list[slice]:
-    """Return slices of these lengths, one after the other."""
-    edges = np.cumsum([0, *lengths])
-    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
 
 class RowFit:

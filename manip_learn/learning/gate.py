@@ -19,7 +19,7 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import counted
 from manip_learn.learning.repeats import once_each
-from manip_learn.learning.search import least_used
+from manip_learn.learning.search import Hypothesis, least_used
 from manip_learn.learning.table import BELIEVED, LEAST_SLIP, OVER_NOISE, Stretch, Table, View, displacements, whitening
 from manip_learn.recordings.trajectory import Trajectory
 
@@ -83,24 +83,17 @@ class Evidence:
             n = i + 1 if lower >= self.believed else n
         return max(n, min(self.firm, len(self.strengths)))
 
-    def clear(self, s: int) -> bool:
-        """Return True if s rows are clearly constrained."""
-        return 0 < s <= self.n_rows and self.lower[s - 1] >= max(CLEAR, self.believed)
-
-    def verdict(self, s: int) -> str:
-        """Return `"none"`, `"weak"` or `"clear"` for s rows."""
-        return "none" if not self.n_rows else "clear" if self.clear(s) and self.n_pieces >= FEWEST else "weak"
-
-    @property
-    def states(self) -> list[str]:
-        """State of each row: `"held"`, `"free"` or `"untried"`."""
-        n, most = self.n_rows, max(self.levels, default=0.0)
-        return ["held"] * n + ["free" if x >= most / 6.0 and x > 0.0 else "untried" for x in self.levels[n:]]
+    def verdict(self, s: int, fewest: int = FEWEST) -> str:
+        """Return `"none"`, `"weak"` or `"clear"` for s rows; clear of so many pieces at least."""
+        clear = self.n_pieces >= fewest and 0 < s <= self.n_rows and self.lower[s - 1] >= max(CLEAR, self.believed)
+        return "none" if not self.n_rows else "clear" if clear else "weak"
 
     @property
     def rows(self) -> tuple[RowSupport, ...]:
         """Evidence for each row, most firmly held first."""
-        return tuple(map(RowSupport, self.strengths.tolist(), self.chances.tolist(), self.states))
+        n, most = self.n_rows, max(self.levels, default=0.0)
+        states = ["held"] * n + ["free" if x >= most / 6.0 and x > 0.0 else "untried" for x in self.levels[n:]]
+        return tuple(map(RowSupport, self.strengths.tolist(), self.chances.tolist(), states))
 
     def sentence(self) -> str:
         """Return the evidence in words."""
@@ -117,15 +110,21 @@ class Evidence:
         return said if self.n_pieces >= FEWEST else said + few
 
 
-class _Phase(NamedTuple):
-    """Piece at evenly spaced phases: postures, displacements relative to its length, weight of each bin."""
+def _aligned(pieces: Sequence[Trajectory], scale: np.ndarray, n_bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return pieces at evenly spaced phases: postures, displacements relative to their length, weights of the bins.
 
-    q: np.ndarray
-    steps: np.ndarray
-    weight: np.ndarray
+    Backward strokes are reversed, and pieces that mostly run backward: A u = 0 also holds for -u.
 
-    @staticmethod
-    def of(t: Trajectory, scale: np.ndarray, n_bins: int) -> _Phase:
+    Args:
+        pieces: g pieces.
+        scale: shape (nv,), usual size of each velocity.
+        n_bins: Number of bins k of `NODES` steps each.
+
+    Returns:
+        Shapes (g, k NODES, nq), (g, k NODES, nv) and (g, k).
+    """
+    found = []
+    for t in pieces:
         time, u = t.time, np.asarray(t.u)
         half = 0.5 * np.diff(time)[:, None]
         rate = np.linalg.norm(u / scale, axis=1, keepdims=True)
@@ -136,19 +135,16 @@ class _Phase(NamedTuple):
         nodes = np.stack([np.interp(at[::2], time, way) for way in ways[:-1]], axis=1)
         q = np.stack([np.interp(at[1::2], time, x) for x in t.q.T], axis=1)
         weight = 1.0 / np.maximum(np.diff(at[:: 2 * NODES]), 1e-12 * t.duration)
-        return _Phase(q, np.diff(nodes, axis=0) / length, length**2 * weight / weight.mean())
-
-    @property
-    def bins(self) -> np.ndarray:
-        """Displacement of each bin."""
-        return self.steps.reshape(len(self.weight), NODES, -1).sum(axis=1)
-
-    def aligned(self, common: np.ndarray, scale: np.ndarray) -> _Phase:
-        """Reverse backward strokes, and a piece that mostly runs backward: A u = 0 also holds for -u."""
-        own = np.linalg.svd(self.bins / scale, full_matrices=False)[2][0]
-        along = self.bins / scale @ (own if own @ common >= 0.0 else -own)
-        out = self._replace(steps=self.steps * np.repeat(np.where(along < 0.0, -1.0, 1.0), NODES)[:, None])
-        return _Phase(*(x[::-1] for x in out)) if along.sum() < -0.5 * np.abs(along).sum() else out
+        found.append((q, np.diff(nodes, axis=0) / length, length**2 * weight / weight.mean()))
+    q, steps, weight = (np.stack(x) for x in zip(*found, strict=True))
+    bins = steps.reshape(len(steps), n_bins, NODES, -1).sum(axis=2) / scale
+    common = np.linalg.svd(np.concatenate(bins), full_matrices=False)[2][0]
+    for i, own in enumerate(np.linalg.svd(bins, full_matrices=False)[2][:, 0]):
+        along = bins[i] @ (own if own @ common >= 0.0 else -own)
+        steps[i] *= np.repeat(np.where(along < 0.0, -1.0, 1.0), NODES)[:, None]
+        if along.sum() < -0.5 * np.abs(along).sum():
+            q[i], steps[i], weight[i] = q[i, ::-1], steps[i, ::-1], weight[i, ::-1]
+    return q, steps, weight
 
 
 def recombined(
@@ -173,20 +169,17 @@ def recombined(
     scale = np.maximum(size, 0.3 * size.max())
     most = int(min(MOST_BINS, max(np.median([len(t) for t in pieces]) // 2, 1)))
     n_bins = int(np.clip(round(float(np.median([t.duration for t in pieces])) / BIN_SECONDS), min(4, most), most))
-    paths, g = [_Phase.of(t, scale, n_bins) for t in pieces], len(pieces)
-    common = np.linalg.svd(np.concatenate([p.bins / scale for p in paths]), full_matrices=False)[2][0]
-    paths = [p.aligned(common, scale) for p in paths]
-    Phi = np.stack([features.batch(p.q) for p in paths])
+    (q, steps, weight), g = _aligned(pieces, scale, n_bins), len(pieces)
+    Phi = np.stack([features.batch(x) for x in q])
     W = whitening(Phi.reshape(-1, *Phi.shape[2:]), features.row_units)
     if not len(W):
         return Evidence(none, none, none, none, g)
-    steps = [p.steps for p in paths]
+    bins = steps.reshape(g, n_bins, NODES, -1).sum(axis=2)
     if g < FEWEST:  # too few to exchange between: joints are shifted in phase against each other too
-        steps += [np.roll(p.steps, round(k * NODES * n_bins / 8), axis=0) for k in range(1, 8) for p in paths]
-    weight = np.stack([p.weight for p in paths])
-    parts = np.einsum("gnpv,anv->gnvap", W @ Phi, np.stack(steps))
+        steps = np.concatenate([np.roll(steps, round(k * NODES * n_bins / 8), axis=1) for k in range(8)])
+    parts = np.einsum("gnpv,anv->gnvap", W @ Phi, steps)
     parts = parts.reshape(g, n_bins, NODES, *parts.shape[2:]).sum(axis=2) * np.sqrt(weight)[:, :, None, None, None]
-    energy = float(np.mean(weight[:, :, None] * np.stack([p.bins for p in paths]) ** 2))
+    energy = float(np.mean(weight[:, :, None] * bins**2))
 
     def moments(order: np.ndarray) -> np.ndarray:
         """Return the mean of r r^T over the bins of each piece, for m arrangements of the joints (m, nv, g)."""
@@ -226,17 +219,16 @@ def recombined(
             return found
 
 
-def joints_at_once(t: Trajectory, noise: float) -> float:
-    """Return the effective number of joints that move at the same time, 1 for a single one; 0 at rest."""
-    u = np.asarray(t.u)
-    squares = u[np.sum(u**2, axis=1) > OVER_NOISE**2 * noise * u.shape[1]] ** 2
-    return float(np.median(np.sum(squares, axis=1) ** 2 / np.sum(squares**2, axis=1))) if len(squares) else 0.0
+def joints_at_once(t: Trajectory, noise: float) -> tuple[float, float]:
+    """Return how many joints move at the same time, and how much all but the fastest do over a variance of the noise.
 
-
-def others_move(t: Trajectory, noise: float) -> float:
-    """Return the mean square velocity of all joints but the fastest one, over the variance of the noise."""
-    square = np.sort(np.mean(np.asarray(t.u) ** 2, axis=0))[:-1]
-    return float(square.mean() / max(noise, 1e-300))
+    The number is an effective one, 1 for a single joint, 0 at rest; the other is a mean square velocity over the noise.
+    """
+    square = np.asarray(t.u) ** 2
+    others = np.sort(np.mean(square, axis=0))[:-1].mean() / max(noise, 1e-300)
+    square = square[np.sum(square, axis=1) > OVER_NOISE**2 * noise * square.shape[1]]
+    at_once = np.median(np.sum(square, axis=1) ** 2 / np.sum(square**2, axis=1)) if len(square) else 0.0
+    return float(at_once), float(others)
 
 
 def steady(view: View, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[Stretch]:
@@ -290,11 +282,13 @@ def ways_to_choose(table: Table, view: View, stretches: Sequence[Stretch]) -> fl
     return math.exp(min(max(log_ways, 0.0), 700.0))  # a larger number is none
 
 
+@dataclass(frozen=True)
 class Gate:
     """Test of a hypothesis that was selected among several views and numbers of rows."""
 
-    def __init__(self, views: Sequence[View], seed: int = 0, believed: float = BELIEVED):
-        self.table, self.tried, self.seed, self.believed = views[0].table, sum(v.largest for v in views), seed, believed
+    table: Table
+    seed: int = 0
+    believed: float = BELIEVED
 
     def pieces(self, stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Trajectory]]:
         """Return the stretches that do not repeat each other, with their motions."""
@@ -306,27 +300,28 @@ class Gate:
     def evidence(self, view: View, stretches: Sequence[Stretch], choices: float | None = None) -> Evidence:
         """Return the evidence of stretches; `choices` is counted by default, see `recombined`."""
         stretches, pieces = self.pieces(stretches)
-        choices = self.tried * ways_to_choose(self.table, view, stretches) if choices is None else choices
+        choices = view.tried * ways_to_choose(self.table, view, stretches) if choices is None else choices
         return recombined(view.features, pieces, self.seed, choices, self.believed)
 
-    def __call__(self, view: View, rows: np.ndarray, share: float, stretches: Sequence[Stretch]) -> bool:
+    def __call__(self, view: View, h: Hypothesis, stretches: Sequence[Stretch]) -> bool:
         """Return True if rows are constrained in stretches, by the recombination test or by one place.
 
         Args:
             view: View of the rows.
-            rows: shape (s, r), whitened.
-            share: Share of the free velocity that may violate the rows.
+            h: Hypothesis of the rows.
             stretches: Stretches in which they are constrained.
         """
-        agreeing = steady(view, rows, stretches)
+        if view.curved and h.s > 2:  # three surfaces meet in points
+            return False
+        agreeing = steady(view, h.rows, stretches)
         for some in (stretches, agreeing) if len(agreeing) < len(stretches) else (stretches,):
             recs = {s.recording for s in some}
             if not recs or len(recs) < min(2, len(self.table)):
                 return False
             each = [(p, self.table.noises[s.recording]) for s, p in zip(*self.pieces(some), strict=True)]
-            together, others = ([f(*x) for x in each] for f in (joints_at_once, others_move))
-            if each and (np.median(together) >= 1.1 or np.median(others) >= OVER_NOISE**2):
+            together, others = np.median([joints_at_once(*x) for x in each], axis=0) if each else (0.0, 0.0)
+            if together >= 1.1 or others >= OVER_NOISE**2:
                 found = self.evidence(view, some)
-                if found.n_rows >= len(rows) and (len(recs) >= FEWEST or found.clear(len(rows))):
+                if found.n_rows >= h.s and (len(recs) >= FEWEST or found.verdict(h.s, 0) == "clear"):
                     return True
-        return is_firm(view, rows, share, stretches)
+        return is_firm(view, h.rows, h.scale[1], stretches)

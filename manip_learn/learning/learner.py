@@ -15,13 +15,14 @@ from manip_learn.constraint.skill import Skill
 from manip_learn.errors import (
     FeatureError,
     NotFittedError,
+    NotIdentifiableError,
     NumberOfConstraintsError,
     RecordingError,
     advice,
     an,
     listed,
 )
-from manip_learn.learning.answer import learn
+from manip_learn.learning.answer import Found, advised, learn
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import Context, LearningReport, made, reports
 from manip_learn.learning.skill import skill_of
@@ -234,13 +235,16 @@ class ConstraintLearner:
         exact = self.velocities == "recorded" or self._robot is None or all(t.exact for t in recordings.demonstrations)
         chosen: dict[str, Any] = {"arm": arm, "by_rates": exact, "seed": self.seed, "habits": self.keep_habits}
         chosen |= {"phases": self.phases == "auto", "mechanism": self.mechanism == "auto"}
-        chosen |= {"strength": self.strength, "switch": self.switching_cost}
+        chosen |= {"strength": self.strength, "switch": self.switching_cost, "asked": tuple(self._feature_maps)}
         settings = Settings(self.n_constraints, self.estimator, self.policy_model, **chosen)
         # for the provenance; the features are stored in the constraint itself
         said = [name for name in inspect.signature(type(self)).parameters if name not in ("features", "renamed")]
         origin = made(given, {name: getattr(self, name) for name in said})
         context = Context(table, recordings, few.demonstrations.notes, origin, started)
-        found = learn(table, self._feature_maps, settings, progress, recordings.warnings)
+        found = learn(table, settings, progress)
+        if not isinstance(found, Found):
+            known = isinstance(found, NotIdentifiableError)
+            raise advised(found, table, settings, recordings.warnings) if known else found
         wholes, self.constraints_, self.reports_ = zip(*reports(found, context), strict=True)
         self.constraint_, self.report_ = self.constraints_[0], self.reports_[0]
         self.skill_ = skill_of(wholes, found, table)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from manip_learn.constraint.mechanism import (
     rows_of,
 )
 from manip_learn.errors import FeatureError
-from manip_learn.learning.fit import LEAST_RAD, RowFit, autocorrelation, slices
+from manip_learn.learning.fit import LEAST_RAD, RowFit, autocorrelation
 from manip_learn.learning.search import LEAST_GAIN
 from manip_learn.learning.table import View
 from manip_learn.learning.uncertainty import STATED, Errors
@@ -76,10 +76,6 @@ class Placed:
         features = movable(features, view.table.q)
         return features, np.eye(features.n_rows)
 
-    def of_kind(self, kind: MechanismKind) -> Placed:
-        """Return the same place for another kind of mechanism of its type."""
-        return replace(self, kind=kind, mechanism=replace(self.mechanism, orientation=kind.orientation, name=kind.name))
-
 
 def movable(features: MechanismRows, q: np.ndarray) -> MechanismRows:
     """Return the rows of a mechanism that the arm can move at postures q (n, nq)."""
@@ -104,7 +100,7 @@ def placed(view: View, fit: RowFit, errors: Errors | None) -> Placed | None:
     if radius is not None and not kind.name.endswith("firm") and radius[0] > FARTHEST:
         return None
     off = []  # axis [deg], point and radius [m], pitch [m/rad] of each draw
-    for B in errors.both[:FEW] if errors is not None else ():
+    for B in (errors.noise + errors.arm)[:FEW] if errors is not None else ():
         rows = fit.rows + B.reshape(len(fit.rows), -1) @ fit.perp
         other = kind_of(fit, view, np.linalg.qr(rows.T)[0].T)
         if other is None or other[0].type != kind.type:
@@ -170,7 +166,8 @@ def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | Curv
     if p is None or fit.rows.shape[0] > 2:
         return None
     chosen = [part.start + evenly(part.stop - part.start, max(2, MOST_PLACES // len(parts))) for part in parts]
-    p, parts = p[np.concatenate(chosen)], slices([len(c) for c in chosen])
+    p, ends = p[np.concatenate(chosen)], np.cumsum([0, *map(len, chosen)])
+    parts = [slice(*edges) for edges in pairwise(ends)]
     middle = p.mean(axis=0)
     first, second, normal = np.linalg.svd(p - middle, full_matrices=False)[2]
     # rows that are none are those of a plane or of a line

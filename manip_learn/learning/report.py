@@ -29,7 +29,7 @@ from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
 from manip_learn.learning.fit import CLEAR_GAP
 from manip_learn.learning.gate import RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.table import Table, energy_shares, still_joints
+from manip_learn.learning.table import Table, still_joints
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names, evenly
 from manip_learn.robot import html_card
 
@@ -321,7 +321,8 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Le
     if still := still_joints(table.joint_names, table.u[inside]):
         unknown = "what the arm did not try cannot be told from what it could not do"
         warnings.append(f"{named('joint', still)} hardly moved: {unknown}")
-    shares = energy_shares(np.sum(table.u[inside] ** 2, axis=0))
+    energy = np.sum(table.u[inside] ** 2, axis=0)
+    shares = energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
     kind = "motion-constrained" if answer.estimator == "null-space" else "self-imposed"
     free = free_directions(selection, used)
     same = "estimator mechanism policy_model policy_residuals uncertainty_deg mu_uncertainty".split()

@@ -14,9 +14,10 @@ from itertools import combinations, groupby, islice, pairwise, product
 
 import numpy as np
 
-from manip_learn.constraint.features.frame_jacobian import AXES
-from manip_learn.learning.table import CHANGE, SHORTEST, SWITCH, Samples, Stretch, View
-from manip_learn.linalg import row_space_angle
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.mechanism_rows import PlaceRows
+from manip_learn.learning.table import CHANGE, SHORTEST, SWITCH, Samples, Stretch, Table, View
+from manip_learn.linalg import orthonormal_rows, row_space_angle
 
 LEAST_GAIN = 40.0  # [nats] of a hypothesis, without its best supporter, less the price of its parameters
 FAR_OFF = 0.02  # share of held samples that may be far off: bounds the evidence against
@@ -169,11 +170,6 @@ def least_used(M: np.ndarray, S: np.ndarray, noise: np.ndarray) -> tuple[np.ndar
     return np.sqrt(np.maximum(values, noise[:, None])), vectors.transpose(0, 2, 1) @ inverse
 
 
-def orthonormal(directions: np.ndarray, s: int) -> np.ndarray:
-    """Return orthonormal rows that span the first s of each set of directions, shape (w, s, r)."""
-    return np.linalg.qr(directions[:, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1)
-
-
 def distinct(rows: np.ndarray, most: int | None = None) -> list[int]:
     """Return the numbers of the first orthonormal rows (h, s, r) with different row spaces, at most `most`."""
     h, s, r = rows.shape
@@ -200,16 +196,14 @@ def proposed(m: Samples, states: np.ndarray, largest: int, whole: bool) -> list[
     squares = (m.rates[:, :, None] * m.rates[:, None]).reshape(n, -1)
     products = np.column_stack([squares, m.gram.reshape(n, -1), m.noise, m.moving(), np.ones(n)])
 
-    def cumulated(mask: np.ndarray) -> np.ndarray:
-        return np.insert(np.cumsum(products * (m.weight * mask)[:, None], axis=0), 0, 0.0, axis=0)
-
     def used(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         M, S = (np.ascontiguousarray(x).reshape(-1, r, r) for x in np.split(sums[:, : 2 * r * r], 2, axis=1))
         return least_used(M, S, sums[:, -3] / np.maximum(sums[:, -1], 1e-12))
 
+    weights = [m.weight * (states == k) for k in range(int(states.max(initial=0)) + 1)]
+    totals = [np.insert(np.cumsum(products * w[:, None], axis=0), 0, 0.0, axis=0) for w in weights]
     groups: list[tuple[np.ndarray, int | None]] = []
-    for k in range(int(states.max(initial=0)) + 1):
-        total = cumulated(states == k)
+    for total in totals:
         each = total[m.first[1:]] - total[m.first[:-1]]
         shown = np.flatnonzero(each[:, -1] > 0.0)
         few = shown[:: max(1, len(shown) // 16)]
@@ -218,12 +212,12 @@ def proposed(m: Samples, states: np.ndarray, largest: int, whole: bool) -> list[
         pooled = [each[few], each[pairs].sum(axis=1), each.sum(axis=0, keepdims=True)]
         groups.append((np.concatenate(pooled), None))
     if not whole:
-        total, windows, owner = cumulated(states == 0), [], []
+        windows, owner = [], []
         for (a, b), length in product(pairwise(m.first), (0.6, 1.2, 2.0)):
             time = m.time[a:b]
             starts = np.arange(time[0], max(time[-1] - length, time[0]) + 1e-9, 0.5 * length)
             low, high = np.searchsorted(time, starts) + a, np.searchsorted(time, starts + length) + a
-            some = (total[high] - total[low])[high - low > 2 * r]
+            some = (totals[0][high] - totals[0][low])[high - low > 2 * r]
             some = some[(some[:, -2] > 0.5 * length) & (some[:, -1] > 0.8 * length)]
             windows.append(some)
             owner += [(a, length)] * len(some)
@@ -242,7 +236,7 @@ def proposed(m: Samples, states: np.ndarray, largest: int, whole: bool) -> list[
         for sizes, directions, most in found:
             gap = sizes[:, s] / sizes[:, s - 1]
             chosen = np.flatnonzero(gap > PROPOSAL_GAP)
-            kept.append(orthonormal(directions[chosen[np.argsort(-gap[chosen])][:most]], s))
+            kept.append(orthonormal_rows(directions[chosen[np.argsort(-gap[chosen])][:most], :s]))
         rows = np.concatenate(kept)
         out.append(rows[distinct(rows)])
     return out
@@ -257,7 +251,7 @@ class Explanation:
     def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = SWITCH):
         self.views, self.hypotheses, self.switch = list(views), list(hypotheses), switch
         m = views[0].thin
-        self.values, self.states = self._seen([v.thin for v in views])
+        self.values, self.states = self.seen([v.thin for v in views])
         self.explained = self.values[np.arange(len(self.values)), self.states]
         for k, h in enumerate(hypotheses):
             gain = np.where(self.states == k + 1, self.values[:, k + 1] - self.others(k), 0.0)
@@ -265,7 +259,7 @@ class Explanation:
             self.hypotheses[k] = replace(h, gains=gains)
         self.supports = np.array([h.support for h in self.hypotheses])
 
-    def _seen(self, samples: Sequence[Samples]) -> tuple[np.ndarray, np.ndarray]:
+    def seen(self, samples: Sequence[Samples]) -> tuple[np.ndarray, np.ndarray]:
         """Return the evidence of samples of each view for free motion and all hypotheses, and their states."""
         free = np.zeros(len(samples[0].time))
         values = np.column_stack([free, *(h.nats(samples[h.view]) for h in self.hypotheses)])
@@ -276,10 +270,6 @@ class Explanation:
     def others(self, k: int) -> np.ndarray:
         """Return the evidence of each sample for its best explanation without the k-th hypothesis [nats]."""
         return np.delete(self.values, k + 1, axis=1).max(axis=1)
-
-    def fine_states(self) -> np.ndarray:
-        """Return the state of each sample of the whole table, 0 for free motion."""
-        return self._seen([v.all for v in self.views])[1]
 
     def with_(self, hypotheses: Sequence[Hypothesis]) -> Explanation:
         """Return the explanation by other hypotheses."""
@@ -389,27 +379,27 @@ def fitted(
         if np.count_nonzero(own & m.moving()) >= 3 * m.rates.shape[1]:
             w = np.where(own, m.weight / (m.noise * steady + m.free * share), 0.0)  # by their expected variance
             M, S = (m.rates.T * w) @ m.rates, np.tensordot(w, m.gram, axes=1)
-            h = replace(h, rows=orthonormal(least_used(M[None], S[None], np.zeros(1))[1], h.s)[0])
+            h = replace(h, rows=orthonormal_rows(least_used(M[None], S[None], np.zeros(1))[1][0, : h.s]))
         out.append(h)
     gains = scored(views, out, SCALES, baseline, switch)
     best = gains.sum(axis=0).argmax(axis=1)
     return [replace(out[i], scale=SCALES[k], gains=gains[:, i, k]) for i, k in enumerate(best)]
 
 
-def contained(view: View, views: Sequence[View]) -> bool:
-    """Return True if another view has these rows and more; `plainest` moves its hypotheses back in the end.
-
-    The rows of the place alone are never left out: plainest first, as they are few.
-    """
-    f, frame = view.features, getattr(view.features, "frame", None)
-    forms = [getattr(v.features, "form", "") for v in views if getattr(v.features, "frame", None) == frame]
-    return getattr(f, "reference", "") == "world" and f.n_rows == len(AXES) and "point and rotation" in forms
-
-
 def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
     """Return the fitted candidates that gain most over an explanation, a few for each view and number of rows."""
     views, baseline, switch, best = now.views, now.explained, now.switch, list[Hypothesis]()
-    for number in (i for i in allowed if not contained(views[i], views)):
+    whole = [f for f in (v.features for v in views) if isinstance(f, PlaceRows) and f.form == "point and rotation"]
+    for number in allowed:
+        f = views[number].features
+        # other views have the whole twist and more; `plainest` moves their hypotheses back in the end
+        if (
+            isinstance(f, FrameJacobian)
+            and f.reference == "world"
+            and f.n_rows == 6
+            and f.frame in [w.frame for w in whole]
+        ):
+            continue
         for rows in proposed(views[number].thin, now.states, views[number].largest, bool(np.isinf(switch))):
             tried = [Hypothesis(number, one) for one in rows]
             gains = scored(views, tried, FIRST, baseline, switch)
@@ -429,7 +419,7 @@ def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
     return out + going
 
 
-Test = Callable[[View, Hypothesis, list[Stretch]], bool]
+Test = Callable[[View, Hypothesis, Sequence[Stretch]], bool]
 
 
 def added(now: Explanation, believed: Test, refused: list[Hypothesis], allowed: Sequence[int]) -> Explanation:
@@ -491,18 +481,19 @@ def lone_contacts(
         supported: Function of a view and a stretch: number of rows for which it is evidence.
     """
     out = list[Stretch]()
-    for i in range(len(found.views[0].table)):
-        views = [v.of_recording(i) for v in found.views]
+    for i, moved in enumerate(found.views[0].table.moved):
+        alone = Table([moved])
+        views = [v.of_recording(i, alone) for v in found.views]
         rest, m = Explanation(views, found.hypotheses, found.switch), views[0].thin
         free = np.sum(m.weight[(rest.states == 0) & m.moving()])
-        alone = candidates(rest, places) if free > SHORTEST else []
-        firm = [h for h in alone if h.scale[1] <= ALONE and h.support > LEAST_GAIN]
+        tried = candidates(rest, places) if free > SHORTEST else []
+        firm = [h for h in tried if h.scale[1] <= ALONE and h.support > LEAST_GAIN]
         if not firm:
             continue
         h, k = max(firm, key=lambda h: h.support), len(found.hypotheses)
         both = rest.with_([*found.hypotheses, h])
         values = both.values[:, k + 1] - both.others(k)
-        for s in both.stretches(k + 1, both.fine_states()):
+        for s in both.stretches(k + 1, both.seen([v.all for v in views])[1]):
             # less the quarter that gains most, the price, and the change into it and out of it
             parts = [values[(m.time >= a) & (m.time < b)].sum() for a, b in pairwise(np.linspace(s.start, s.end, 5))]
             worth = sum(parts) - max(parts) - h.price(s.duration) - found.switch

@@ -104,7 +104,9 @@ class Table:
         self.recording = np.repeat(np.arange(len(lengths)), lengths)
         self.noises = [velocity_noise(t.time, np.asarray(t.u)) for t in moved]
         self.noise = np.repeat(self.noises, lengths)
-        self.weight = np.concatenate([_weights(t.time) for t in moved])
+        steps = [np.minimum(np.diff(t.time), 0.2) if len(t) > 1 else np.array([0.01]) for t in moved]
+        halves = [0.5 * (np.append(x, x[-1]) + np.insert(x, 0, x[0])) for x in steps]  # a gap is no evidence
+        self.weight = np.concatenate([x[:n] for x, n in zip(halves, lengths, strict=True)])
         self.seconds = float(self.weight.sum())
         self.step = step = max(1, round(len(self.time) / max(self.seconds, 1e-9) / SCAN_RATE))
         self.thin = np.concatenate([np.arange(a + min(step, b - a) // 2, b, step) for a, b in pairwise(self.first)])
@@ -137,22 +139,11 @@ class Table:
         return self.moved[s.recording][s.start : s.end]
 
 
-def energy_shares(energy: np.ndarray) -> np.ndarray:
-    """Return the share of each joint in the sum, which is 1."""
-    return energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
-
-
 def still_joints(names: Sequence[str], u: np.ndarray) -> list[str]:
     """Return the names of the joints that hardly move, if others do."""
-    shares = energy_shares(np.sum(u**2, axis=0))
+    shares = np.sum(u**2, axis=0) / max(float(np.sum(u**2)), np.finfo(np.float64).tiny)
     still = [name for name, share in zip(names, shares, strict=True) if share < STILL_ENERGY]
     return still if len(still) < len(shares) else []
-
-
-def _weights(time: np.ndarray) -> np.ndarray:
-    """Return the time that each sample represents [s]; a gap in a recording is no evidence."""
-    steps = np.minimum(np.diff(time), 0.2) if len(time) > 1 else np.array([0.01])
-    return (0.5 * (np.append(steps, steps[-1]) + np.insert(steps, 0, steps[0])))[: len(time)]
 
 
 def velocity_noise(time: np.ndarray, u: np.ndarray) -> float:
@@ -201,11 +192,6 @@ class Samples(NamedTuple):
         """Return the samples k, with their first ones and other fields."""
         return Samples(**{n: x[k] for n, x in self._asdict().items() if n != "first"} | {"first": first} | other)
 
-    def of_recording(self, i: int) -> Samples:
-        """Return the samples of one recording."""
-        k = np.arange(*self.first[i : i + 2])
-        return self.at(k, np.array([0, len(k)]), recording=0 * k)
-
     def moving(self) -> np.ndarray:
         """Return a mask of the samples that move beyond the noise."""
         return self.free > OVER_NOISE**2 * self.noise
@@ -233,13 +219,16 @@ class View:
         W: shape (r, p), whitening matrix; r is 0 if the frame does not move.
         largest: Largest number of rows that leave a null space.
         all, thin: All samples, and evenly spaced ones for the search.
+        tried: Number of hypotheses, of all views, among which one of this view is selected.
+        turns, curved: True with rows of rotation; if surfaces of second order are constant rows.
     """
 
     def __init__(self, features: FeatureMap, table: Table):
         self.features, self.table = features, table
         self.Phi = features.batch(table.q)
         self.W = whitening(self.Phi, features.row_units)
-        self.r, self.largest = len(self.W), 0
+        self.r, self.largest, self.tried = len(self.W), 0, 1
+        self.turns, self.curved = "rad/s" in features.row_units, getattr(features, "form", "") == "surface"
         if not self.r:
             return
         white = self.W @ self.Phi
@@ -254,10 +243,11 @@ class View:
         k = table.thin
         self.thin = self.all.at(k, np.searchsorted(k, table.first), weight=table.weight[k] * table.step)
 
-    def of_recording(self, i: int) -> View:
-        """Return the view of one recording alone, whitened as that of all."""
-        out = copy.copy(self)
-        out.table, out.all, out.thin = Table([self.table.moved[i]]), self.all.of_recording(i), self.thin.of_recording(i)
+    def of_recording(self, i: int, alone: Table) -> View:
+        """Return the view of one recording alone, with its table, whitened as that of all."""
+        out, each = copy.copy(self), [(m, np.arange(*m.first[i : i + 2])) for m in (self.all, self.thin)]
+        out.all, out.thin = (m.at(k, np.array([0, len(k)]), recording=0 * k) for m, k in each)
+        out.table = alone
         return out
 
     def way(self, inside: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -121,11 +121,6 @@ class Errors:
     delta: np.ndarray
     beyond: float = 0.0  # [rad] of the joints' zeros that explain far more than what was thought of the arm
 
-    @property
-    def both(self) -> np.ndarray:
-        """Sum of both parts, shape (k, m)."""
-        return self.noise + self.arm
-
 
 def errors_of(fit: RowFit, arm: ArmErrors, rng: np.random.Generator) -> Errors | None:
     """Draw errors of the rows of a fit; None with a single recording, or if only one row space is possible."""

@@ -21,7 +21,7 @@ from manip_learn.constraint.mechanism import MECHANISM_KINDS, ON_THE_AXIS, POSIT
 from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit
 from manip_learn.learning.place import Placed, kind_of, movable
 from manip_learn.learning.table import View
-from manip_learn.linalg import null_basis, pivoted_rows
+from manip_learn.linalg import null_basis, orthonormal_rows, pivoted_rows
 from manip_learn.recordings.trajectory import evenly
 
 # [deg] RMS orientation of a firmly held hand about the mechanism: grips of a weld in simulation give way by 0.03
@@ -48,29 +48,23 @@ def whole_fit(
     best, largest = None, (False, WEAK_GAP)
     for view in views:
         motion = place.motion.seen_as(view.features, view.W)
-        levels = np.append(motion.levels, 1.0)
+        levels, few = np.append(motion.least[0], 1.0), evenly(len(motion.x), 50)
+        J = motion.hand.batch(motion.x)
         for s in range(view.largest, len(place.rows), -1):
             gap = float(levels[s] / max(levels[s - 1], 1e-12))
             if gap <= WEAK_GAP or (True, gap) <= largest:
                 continue
-            fit = RowFit(motion, motion.least_displaced(s)).best()
-            if not as_a_grip(fit, len(place.rows)):
+            fit = RowFit(motion, orthonormal_rows(motion.least[1][:s])).best()
+            turned = np.sum(np.einsum("nij,nj->ni", J[:, 3:], fit.shortest_way_back()) ** 2, axis=1)
+            away = np.degrees(np.median([np.sqrt(np.mean(turned[p])) for p in motion.parts]))
+            free = (x @ null_basis(A) for x, A in zip(J[few, :3], fit.rows @ motion.Phi[few], strict=True))
+            moves = [np.count_nonzero(np.linalg.svd(x, compute_uv=False) > ON_THE_AXIS) for x in free]
+            if away > gives_way(motion) or 3 - int(np.median(moves)) < len(place.rows):
                 continue
             named = kind_of(fit, view) is not None
             if (named, gap) > largest and (named or (gap > CLEAR_GAP and believed(fit, view))):
                 best, largest = (fit, view), (named, gap)
     return best
-
-
-def as_a_grip(fit: RowFit, n_places: int) -> bool:
-    """Return whether rows constrain the orientation as a grip does, and n directions of the position at least."""
-    motion, few = fit.motion, evenly(len(fit.motion.x), 50)
-    J = motion.hand.batch(motion.x)
-    turned = np.sum(np.einsum("nij,nj->ni", J[:, 3:], fit.shortest_way_back()) ** 2, axis=1)
-    away = np.degrees(np.median([np.sqrt(np.mean(turned[p])) for p in motion.parts]))
-    free = np.stack([J_v @ null_basis(A) for J_v, A in zip(J[few, :3], fit.rows @ motion.Phi[few], strict=True)])
-    moves = np.count_nonzero(np.linalg.svd(free, compute_uv=False) > ON_THE_AXIS, axis=1)
-    return away <= gives_way(motion) and 3 - int(np.median(moves)) >= n_places
 
 
 def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, float]:
