@@ -92,7 +92,7 @@ def describe(
         words = looks(mechanism)
         if not told and mechanism.place:
             words += f", {mechanism.place}"
-        if mechanism.orientation != "free" and not set(ROTATIONS) & set(names):
+        if mechanism.grip == "kept" or (mechanism.orientation != "free" and not set(ROTATIONS) & set(names)):
             words += f"; {mechanism.turns}"
         other = not told and mechanism.type in FREE_MOVES and getattr(features, "reference", None) == "world"
         sentences.append(

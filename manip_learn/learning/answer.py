@@ -23,6 +23,7 @@ from manip_learn.learning.imposed import Imposed, learn_imposed
 from manip_learn.learning.place import Placed, kind_of, placed, reshaped
 from manip_learn.learning.search import LEAST_GAIN, Explanation, broken_energy, explain, lone_contacts
 from manip_learn.learning.table import (
+    LEAST_MOTION,
     REST_SPEED,
     SHORTEST,
     Settings,
@@ -48,7 +49,6 @@ ABSOLUTE, PLACE_RATIO = 3.0, 3.0
 # times the variance that rows of the position leave, above which rows of the whole hand show how the grip gives way
 GIVING = 4.0
 BY_THE_ARM = np.radians(10.0)  # between rows that errors of the arm may have turned apart
-LEAST_SAID = 1e-3  # [m] by which a hand must leave what fits best in the same way before it is said
 ADVISED = ("weak-gap", "no-evidence", "no-freedom")  # codes of refusals that other recordings may lift
 DISAGREES = "does not agree with the other recordings"
 IN_ONE_ONLY = "appears in one recording only"
@@ -122,11 +122,11 @@ class Answer:
 
     @property
     def uncertainty_deg(self) -> float | None:
-        """Error of the rows that is not exceeded in 68 % of cases [deg]; of the axis if no further row is possible."""
+        """Error of the rows that is not exceeded in 68 % of cases [deg], in the places of the hand."""
         known = [part for part in self.uncertainty.values() if part is not None]
         total = float(np.linalg.norm(known)) if known else None
-        full, mechanism = len(self.whole.selection) == self.whole.features.n_rows, self.mechanism
-        return mechanism.uncertainty.get("axis", total) if mechanism is not None and full else total
+        full = len(self.whole.selection) == self.whole.features.n_rows
+        return self.placed.off_deg if full and self.placed is not None and self.placed.off_deg is not None else total
 
     @property
     def contradiction(self) -> str:
@@ -480,7 +480,7 @@ def best_fit(
             best = fit, v
     curved = [v for v in candidates if v.curved and v is not view] if s == 1 else []
     gain, left = misfit(best[0]) if curved else (0.0, 0.0)
-    if gain > LEAST_GAIN and left > LEAST_SAID:
+    if gain > LEAST_GAIN and left > LEAST_MOTION:
         fit = fitted(curved[0])  # what has another shape, beyond what the arm's own errors explain
         gaps = gaps_of(levels_on(curved[0], spans)[0], view.features.nv)
         if fit.nats(best[0]) > LEAST_GAIN and gaps.get(s, 0.0) >= WEAK_GAP:
@@ -508,7 +508,7 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     if is_firm(view, fit.rows, share, spans):
         a.evidence = replace(a.evidence, firm=a.s)
     known = placed(view, fit, None) if settings.mechanism else None
-    if whole and not view.turns and (known is None or "axis" in known.kind.unknowns):
+    if whole:
         a.firm = whole_fit(whole, fit, lambda f, v: gate.evidence(v, spans).verdict(len(f.rows)) == "clear")
         if a.firm and known is not None and held_kind(known, fit.motion)[0] is not known.kind:
             # a grip that gives way turns more than it slides: where the place tells as much, it tells it better
@@ -586,9 +586,9 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
     leaves = f"the hand leaves what fits best by {1e3 * left:.2g} mm (or mrad)"
     if a.shape is not None:
         return out
-    if left > LEAST_SAID and gain > LEAST_GAIN:
+    if left > LEAST_MOTION and gain > LEAST_GAIN:
         out.append(f"{leaves} in the same way in all recordings: the true shape is another one")
-    elif left > LEAST_SAID and fit.alike > 2.0 and a.over_noise > ABSOLUTE:
+    elif left > LEAST_MOTION and fit.alike > 2.0 and a.over_noise > ABSOLUTE:
         out.append(f"{leaves}, {a.over_noise:.0f} times the encoders' noise: it gives way, or has another shape")
     if a.view.curved and kind_of(fit, a.view) is None:
         out.append("what holds the hand is a curved surface of no simple kind: its rows are right only where shown")

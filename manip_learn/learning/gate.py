@@ -20,7 +20,16 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import counted
 from manip_learn.learning.repeats import once_each
 from manip_learn.learning.search import Hypothesis, least_used
-from manip_learn.learning.table import BELIEVED, LEAST_SLIP, OVER_NOISE, Stretch, Table, View, displacements, whitening
+from manip_learn.learning.table import (
+    BELIEVED,
+    LEAST_MOTION,
+    OVER_NOISE,
+    Stretch,
+    Table,
+    View,
+    displacements,
+    whitening,
+)
 from manip_learn.recordings.trajectory import Trajectory
 
 FEWEST = 3  # recordings, below which nothing is clear
@@ -31,7 +40,6 @@ NODES, MOST_BINS, BIN_SECONDS = 4, 24, 0.25
 RECOMBINATIONS, MOST_RECOMBINATIONS, MOST_PIECES = 199, 3184, 16  # at first, until decided; pieces that take part
 FLOOR = 1e-5  # levels below this may be what interpolation leaves
 SURE = NormalDist().inv_cdf(0.995)
-SLIPS = 4.0  # times as far along held rows as most recordings go, from which the hand has slipped
 FIRM_GAP, FIRM_SHARE, SAME_PLACE = 40.0, 0.01, 0.02  # free motion of people's hands reaches gaps of 11
 
 
@@ -237,8 +245,8 @@ def steady(view: View, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[S
     for inside in (view.table.inside([x]) for x in stretches):
         moved.append(np.sqrt(np.sum(np.var(view.way(inside, rows), axis=0))) if inside.any() else 0.0)
         noise.append(2.0 * OVER_NOISE * np.sqrt(len(rows) * np.sum(m.noise[inside] * m.weight[inside] ** 2)))
-    usual = SLIPS * np.median(moved) if moved else 0.0
-    most = np.maximum(max(usual, LEAST_SLIP), np.minimum(noise, 2.0 * usual))
+    usual = OVER_NOISE * np.median(moved) if moved else 0.0
+    most = np.maximum(max(usual, LEAST_MOTION), np.minimum(noise, 2.0 * usual))
     kept = [x for x, way, least in zip(stretches, moved, most, strict=True) if way <= least]
     return kept if 2 * len(kept) > len(stretches) else list(stretches)
 

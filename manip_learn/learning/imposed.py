@@ -49,7 +49,7 @@ from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError, advice, counted
 from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, gaps_of, levels_on, solve
-from manip_learn.learning.table import STILL_ENERGY, Settings, Table, View
+from manip_learn.learning.table import NONE, Settings, Table, View
 from manip_learn.learning.uncertainty import STATED, Errors, angles
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned
 
@@ -515,7 +515,7 @@ def separated(view: View, seed: int) -> np.ndarray | NotIdentifiableError:
         x = least_squares(e, x, J, method="lm", ftol=gain, max_nfev=200, args=(own, u[few])).x
     k = x.size // u.shape[1]
     w = beta @ ((Vt[:k].T / sigma[:k]) @ x.reshape(k, -1))
-    if np.sum(w**2) < STILL_ENERGY * np.sum(u**2):
+    if np.sum(w**2) < NONE * np.sum(u**2):
         use = advice("; use {}", "estimator='joint'", "--estimator joint")
         return NotIdentifiableError(f"no null-space motion is left beside the task{use}", code="no-null-motion")
     return w

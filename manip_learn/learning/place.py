@@ -19,6 +19,7 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place
 from manip_learn.constraint.mechanism import (
     KIND_BY_NAME,
     LEAST_PITCH,
+    ON_THE_AXIS,
     Mechanism,
     MechanismKind,
     mechanism_of,
@@ -28,7 +29,7 @@ from manip_learn.constraint.mechanism import (
 from manip_learn.errors import FeatureError
 from manip_learn.learning.fit import LEAST_RAD, RowFit, autocorrelation
 from manip_learn.learning.search import LEAST_GAIN
-from manip_learn.learning.table import View
+from manip_learn.learning.table import LEAST_MOTION, View
 from manip_learn.learning.uncertainty import STATED, Errors
 from manip_learn.linalg import null_basis
 from manip_learn.recordings.trajectory import evenly
@@ -37,7 +38,6 @@ FEW = 200  # draws of an error for which a place is read again
 # [deg] and shares of the radius: a place is known badly (a handle would leave the hand), and widely
 POOR_AXIS, POOR_PLACE, WIDE_PLACE = 5.0, 0.2, 0.02
 MOST_PLACES = 1500  # places of the hand
-BENT = 1e-3  # [m] by which a hand leaves a line or a circle that may be a rail of another shape
 PIECES = (2, 4, 8, 16, 32)  # of a spline; as many as foretell the other recordings best
 KNOWN = {"axis": slice(0, 3), "point": slice(3, 6), "point-across": slice(3, 6), "pitch": slice(6, 7)}
 Places = Float[np.ndarray, "n 3"]
@@ -46,11 +46,12 @@ FARTHEST = 3.0  # [m] beyond this an axis or a centre is not told from a line or
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Mechanism with its kind and its place."""
+    """Mechanism with its kind, its place, and the error of the direction in which the hand moves or is held [deg]."""
 
     mechanism: Mechanism
     kind: MechanismKind
     place: Place
+    off_deg: float | None = None
 
     @property
     def doubt(self) -> str:
@@ -99,7 +100,7 @@ def placed(view: View, fit: RowFit, errors: Errors | None) -> Placed | None:
     radius = arc_of(kind, place, p)
     if radius is not None and not kind.name.endswith("firm") and radius[0] > FARTHEST:
         return None
-    off = []  # axis [deg], point and radius [m], pitch [m/rad] of each draw
+    off, few, ahead = [], p[evenly(len(p), FEW)], headings(kind, place, p[evenly(len(p), FEW)])
     for B in (errors.noise + errors.arm)[:FEW] if errors is not None else ():
         rows = fit.rows + B.reshape(len(fit.rows), -1) @ fit.perp
         other = kind_of(fit, view, np.linalg.qr(rows.T)[0].T)
@@ -112,23 +113,42 @@ def placed(view: View, fit: RowFit, errors: Errors | None) -> Placed | None:
         away = arc_of(kind, there, p)
         wider = abs(away[0] - radius[0]) if away and radius else 0.0
         axis = math.degrees(math.atan2(turned, abs(place.axis @ there.axis)))
-        off.append((axis, float(np.linalg.norm(d)), wider, abs(there.pitch - place.pitch)))
+        aside = np.degrees(np.arccos(np.clip(np.abs(np.sum(ahead * headings(kind, there, few), axis=1)), 0.0, 1.0)))
+        off.append((axis, float(np.linalg.norm(d)), wider, abs(there.pitch - place.pitch), float(np.median(aside))))
     told = {name.removesuffix("-across") for name in kind.unknowns} | ({"radius"} if radius else set())
-    stated = zip(("axis", "point", "radius", "pitch"), np.quantile(off, STATED, axis=0) if off else (), strict=False)
-    uncertainty = {name: float(size) for name, size in stated if name in told}
+    # axis [deg], point and radius [m], pitch [m/rad], direction [deg]
+    sizes = np.quantile(off, STATED, axis=0).tolist() if off else ()
+    stated = zip(("axis", "point", "radius", "pitch"), sizes, strict=False)
+    uncertainty = {name: size for name, size in stated if name in told}
     # a single recording does not show its error: a millimetre along the axis does not count
     error = uncertainty.get("pitch", 1e-3 / radius[1] if radius is not None and errors is None else 0.0)
     if kind.name == "screw, firm" and abs(place.pitch) < max(LEAST_PITCH, 3.0 * error):
         kind = KIND_BY_NAME["hinge, firm"]
         uncertainty.pop("pitch", None)
-    return _placed(kind, place, p, uncertainty, fit)
+    return _placed(kind, place, p, uncertainty, fit, max(sizes[-1], uncertainty.get("axis", 0.0)) if off else None)
 
 
-def _placed(kind: MechanismKind, place: Place, p: Places, uncertainty: dict[str, float], fit: RowFit) -> Placed:
+def headings(kind: MechanismKind, place: Place, p: Places) -> Places:
+    """Return the unit vectors in which a mechanism moves hands at places p, or holds them where they move in a surface.
+
+    Of a hand on the axis it is the axis.
+    """
+    d = p - place.point
+    across, along = d - np.outer(d @ place.axis, place.axis), np.broadcast_to(place.axis, p.shape)
+    helix = np.cross(place.axis, d) + place.pitch * place.axis
+    field = {"ball": d, "other": across, "hinge": helix, "screw": helix}.get(kind.type, along)
+    near = (np.linalg.norm(across, axis=1) < ON_THE_AXIS) & (kind.type != "ball")
+    field = np.where(near[:, None], along, field)
+    return field / np.maximum(np.linalg.norm(field, axis=1, keepdims=True), 1e-12)
+
+
+def _placed(
+    kind: MechanismKind, place: Place, p: Places, uncertainty: dict[str, float], fit: RowFit, off: float | None = None
+) -> Placed:
     """Return the mechanism of a kind at a place, with the radius [m] and the arc [rad] of the hand."""
     (away, arc), grip = arc_of(kind, place, p) or (None, None), "loose" if kind.orientation == "free" else "firm"
     known = {"grip": grip, "uncertainty": uncertainty, "arc": arc, **fit.motion.hand.seen_from}
-    return Placed(mechanism_of(kind, place, away, **known), kind, place)
+    return Placed(mechanism_of(kind, place, away, **known), kind, place, off)
 
 
 def kind_of(fit: RowFit, view: View, rows: np.ndarray | None = None) -> tuple[MechanismKind, Place] | None:
@@ -197,7 +217,7 @@ def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | Curv
         uncertainty = {"axis": math.hypot(math.degrees(axis), arm_deg), "point": point, "radius": point}
         uncertainty |= {"pitch": pitch} if "pitch" in kind.unknowns else {}
         return _placed(kind, place, p, uncertainty, fit)
-    curve = _curve(p, parts) if len(fit.rows) == 2 and len(parts) > 2 and before > BENT**2 else None
+    curve = _curve(p, parts) if len(fit.rows) == 2 and len(parts) > 2 and before > LEAST_MOTION**2 else None
     if curve is None or gain(curve[1], 12) <= LEAST_GAIN:
         return None
     hand = fit.motion.hand

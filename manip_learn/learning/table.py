@@ -27,19 +27,16 @@ SWITCH = 16.0  # [nats] a change of state: a chance of exp(-16) for each tenth o
 CHANGE = 0.1  # [s] samples closer together tell the same story; a change of what is held takes as long
 OVER_NOISE = 4.0  # standard deviations beyond which it is motion
 SCAN_RATE = 25.0  # samples a second that are enough to judge a hypothesis
-SHORTEST = 0.3  # [s] a stretch shorter than this is chance
+SHORTEST = 3.0 * CHANGE  # [s] a stretch shorter than this is chance
 CUBIC = 4  # directions that a smooth motion fills of a window
-LEAST_SLIP = 1e-3  # [rad] of the joints that a hand must leave what it held, to have slipped: a millimetre
-STILL_ENERGY = 1e-6  # share of the motion below which a joint is not moved
-PRUNE = 1e-6  # rows of Phi below this share of the largest of their unit are copies or zero
+# [rad or m] less is no motion that is shown by hand, no slip, and no other shape: half a millimetre at the tip
+LEAST_MOTION = 1e-3
+NONE = 1e-6  # share below which there is nothing: of the motion, for a joint; of the largest row of Phi of a unit
 # ratio to the usual speed, or distance from the middle, beyond which a sample is a fault of the recording: a hand that
 # usually moves at 1 mm/s would have to move at 10 m/s, and a posture within 1 rad of the middle be 10,000 rad off
 OUTLIER_FACTOR = 1e4
 # [rad/s or m/s] of the fastest joint, below which it is at rest: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
 REST_SPEED = 0.02
-SHOWN = 1e-3  # [rad or m] that some joint moves in any motion shown by hand: half a millimetre at the tip
-# standard deviations between the least and the largest of a million numbers by chance, and some more
-BEYOND_NOISE = 12.0
 # postures closer together than this share of their size are one and the same, and less of it in a second is no motion
 _SAME = 1e-9
 
@@ -142,7 +139,7 @@ class Table:
 def still_joints(names: Sequence[str], u: np.ndarray) -> list[str]:
     """Return the names of the joints that hardly move, if others do."""
     shares = np.sum(u**2, axis=0) / max(float(np.sum(u**2)), np.finfo(np.float64).tiny)
-    still = [name for name, share in zip(names, shares, strict=True) if share < STILL_ENERGY]
+    still = [name for name, share in zip(names, shares, strict=True) if share < NONE]
     return still if len(still) < len(shares) else []
 
 
@@ -206,8 +203,8 @@ def whitening(Phi: np.ndarray, units: Sequence[str]) -> np.ndarray:
     """
     S = np.einsum("npv,nqv->pq", Phi, Phi, optimize=True) / len(Phi)
     size, names = np.sqrt(np.diag(S)), np.array(units)
-    moves = np.array([size[i] > PRUNE * size[names == unit].max() for i, unit in enumerate(names)])
-    return whitener(S * np.outer(moves, moves), PRUNE**2)
+    moves = np.array([size[i] > NONE * size[names == unit].max() for i, unit in enumerate(names)])
+    return whitener(S * np.outer(moves, moves), NONE**2)
 
 
 class View:
@@ -336,13 +333,14 @@ def refuse_noise(recorded: Demonstrations) -> None:
             return
         moved, noise = np.ptp(t.q, axis=0), np.sqrt(position_noise(t.time, t.q))
         j = int(np.argmax(moved / noise))
-        if moved[j] >= BEYOND_NOISE * noise[j] and np.max(moved) >= SHOWN:
+        if moved[j] >= 3.0 * OVER_NOISE * noise[j] and np.max(moved) >= LEAST_MOTION:
             return
         joint = t.joint_names[j] if len(t.joint_names) == t.q.shape[1] else f"column {j}"
         said = f"{joint} in {t.name}, by {moved[j]:.2g} where its noise is {noise[j]:.2g} (standard deviation)"
         found.append((moved[j] / noise[j], said))
-    text = f"no joint moves farther than the noise of its positions does, and {SHOWN:g} rad or m: the farthest is "
-    raise NotIdentifiableError(f"{text}{max(found)[1]}: record a motion", code="no-motion")
+    least = f"the noise of its positions does, and {LEAST_MOTION:g} rad or m"
+    why = f"no joint moves farther than {least}: the farthest is {max(found)[1]}: record a motion"
+    raise NotIdentifiableError(why, code="no-motion")
 
 
 def refuse_still_hand(features: FeatureMap, demonstrations: Demonstrations) -> None:

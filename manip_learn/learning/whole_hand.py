@@ -59,7 +59,8 @@ def whole_fit(
             away = np.degrees(np.median([np.sqrt(np.mean(turned[p])) for p in motion.parts]))
             free = (x @ null_basis(A) for x, A in zip(J[few, :3], fit.rows @ motion.Phi[few], strict=True))
             moves = [np.count_nonzero(np.linalg.svd(x, compute_uv=False) > ON_THE_AXIS) for x in free]
-            if away > gives_way(motion) or 3 - int(np.median(moves)) < len(place.rows):
+            clear = min(GIVES_WAY if gap < CLEAR_GAP else np.inf, motion.turned_by_joints / CLEAR_GAP)
+            if away > clear or 3 - int(np.median(moves)) < len(place.rows):
                 continue
             named = kind_of(fit, view) is not None
             if (named, gap) > largest and (named or (gap > CLEAR_GAP and believed(fit, view))):
