@@ -12,8 +12,8 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ManipLearnError, MissingExtraError, an
-from manip_learn.learning.fit import CLEAR_GAP
 from manip_learn.learning.report import LearningReport
+from manip_learn.learning.search import CLEAR_GAP
 from manip_learn.learning.table import BELIEVED
 from manip_learn.playback.palette import COLOURS, rollout_colours
 

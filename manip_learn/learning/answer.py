@@ -17,13 +17,23 @@ from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.constraint.mechanism import CURVE, Grip, Mechanism
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named, number_if_known
-from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit, gaps_of, levels_on
+from manip_learn.learning.fit import Motion, RowFit, gaps_of, levels_on
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once, steady
 from manip_learn.learning.imposed import Imposed, learn_imposed
 from manip_learn.learning.place import Placed, kind_of, placed, reshaped
-from manip_learn.learning.search import LEAST_GAIN, Explanation, broken_energy, explain, lone_contacts
+from manip_learn.learning.search import (
+    CLEAR_GAP,
+    LEAST_GAIN,
+    SLIGHT,
+    WEAK_GAP,
+    Explanation,
+    broken_energy,
+    explain,
+    lone_contacts,
+)
 from manip_learn.learning.table import (
     LEAST_MOTION,
+    OVER_NOISE,
     REST_SPEED,
     SHORTEST,
     Settings,
@@ -39,15 +49,6 @@ from manip_learn.learning.whole_hand import KEPT, asked_rows, held_kind, whole_f
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.load import Progress
 
-CONTRADICTED = 2.0  # ratio of gaps from which another number of rows contradicts the answered one
-SOFT_ENERGY = 1e-2  # share of the motion that breaks rows, above which they are called soft
-SHORT_STRETCH = 0.25  # of the usual length, below which a stretch is chance
-OTHER_VIEW = 20.0  # [nats] from which other features are likelier than plainer ones
-SHOWN_BY = 0.6  # share of the recordings that must show a constraint before one that does not is called odd
-# residual over the noise, and scatter of the place between recordings over that within each, that are no noise any more
-ABSOLUTE, PLACE_RATIO = 3.0, 3.0
-# times the variance that rows of the position leave, above which rows of the whole hand show how the grip gives way
-GIVING = 4.0
 BY_THE_ARM = np.radians(10.0)  # between rows that errors of the arm may have turned apart
 ADVISED = ("weak-gap", "no-evidence", "no-freedom")  # codes of refusals that other recordings may lift
 DISAGREES = "does not agree with the other recordings"
@@ -136,7 +137,7 @@ class Answer:
         best = max(self.gaps, key=lambda s: self.gaps[s])
         if self.evidence.n_rows < self.s:
             return f"the recombination test supports {self.evidence.n_rows}: {self.evidence.sentence()}"
-        if best < self.s and self.gaps[best] >= CONTRADICTED * self.gap:
+        if best < self.s and self.gaps[best] >= WEAK_GAP * self.gap:
             return f"the gap supports {best}: {self.gaps[best]:.3g} against {self.gap:.3g}"
         return ""
 
@@ -276,7 +277,7 @@ def _fitted(found: Explanation, views: list[View], out: Found, settings: Setting
         view = found.views[h.view]
         given = [sharpened(view, h.rows, s) for s in found.stretches(k + 1, states)]
         usual = np.median([s.duration for s in given]) if given else 0.0
-        given = [s for s in given if s.duration >= SHORT_STRETCH * usual and len(table.piece(s)) > 2]
+        given = [s for s in given if s.duration >= 0.5 * usual and len(table.piece(s)) > 2]
         if not given:
             continue
         alike = [v for v in views if v.turns == view.turns]
@@ -395,7 +396,7 @@ def _odd_ones(out: Found, table: Table) -> None:
     missing = set(range(len(table))) - {s.recording for s in stretches}
     for a in out.answers:
         numbers, view, motion = Counter(s.recording for s in a.stretches), a.view, a.fit.motion
-        if len(numbers) >= max(2.0, SHOWN_BY * len(table)):
+        if len(numbers) >= max(2.0, 0.5 * len(table)):
             for i in missing - set(out.odd):
                 out.odd[i] = differs(view, a.fit, [table.wholes[i]], set(numbers))
         held = np.median([np.ptp(motion.y[p] @ a.rows.T, axis=0).max() for p in motion.parts])
@@ -476,7 +477,7 @@ def best_fit(
     fits = [(fitted(v), v) for v in candidates if (v.largest >= s or v is view) and (v is view or not v.curved)]
     best = fits[0]
     for fit, v in fits[1:]:
-        if fit.nats(best[0]) > OTHER_VIEW:
+        if fit.nats(best[0]) > LEAST_GAIN:
             best = fit, v
     curved = [v for v in candidates if v.curved and v is not view] if s == 1 else []
     gain, left = misfit(best[0]) if curved else (0.0, 0.0)
@@ -485,7 +486,7 @@ def best_fit(
         gaps = gaps_of(levels_on(curved[0], spans)[0], view.features.nv)
         if fit.nats(best[0]) > LEAST_GAIN and gaps.get(s, 0.0) >= WEAK_GAP:
             return fit, curved[0]
-    near = [(f, v) for f, v in fits if best[0].nats(f) < OTHER_VIEW]
+    near = [(f, v) for f, v in fits if best[0].nats(f) < LEAST_GAIN]
     return next((x for x in near if kind_of(*x)), near[0])
 
 
@@ -512,7 +513,7 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
         a.firm = whole_fit(whole, fit, lambda f, v: gate.evidence(v, spans).verdict(len(f.rows)) == "clear")
         if a.firm and known is not None and held_kind(known, fit.motion)[0] is not known.kind:
             # a grip that gives way turns more than it slides: where the place tells as much, it tells it better
-            a.firm = a.firm if a.firm[0].variance <= GIVING * fit.variance else None
+            a.firm = a.firm if a.firm[0].variance <= OVER_NOISE * fit.variance else None
     e = np.concatenate([np.diff(table.moved[s.recording].q, 3, axis=0) for s in spans])
     noise = np.sqrt(np.median(e**2) / 0.455 / 20.0) if len(e) else 0.0  # of positions, by their third differences
     a.over_noise = float(np.sqrt(fit.variance) / (noise + 1e-6))
@@ -546,7 +547,7 @@ def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     soft = a.gap < CLEAR_GAP and not at_one_place(a.fit, a.view)
     if a.gap < WEAK_GAP:
         why, code = f"no constraint is shown: the gap is {a.gap:.2g} for {rows}, {WEAK_GAP:g} is the least", "weak-gap"
-    elif a.over_noise > ABSOLUTE and (soft or (not told and a.gap < CONTRADICTED * CLEAR_GAP)):
+    elif a.over_noise > OVER_NOISE and (soft or (not told and a.gap < WEAK_GAP * CLEAR_GAP)):
         why = f"{rows} would be soft (gap {a.gap:.2g}), and elsewhere in each recording, as in free motion"
     elif a.contradiction:
         why = f"{rows} would explain the recordings, but {a.contradiction}"
@@ -560,10 +561,10 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
     best = max(a.gaps, key=lambda s: a.gaps[s])
     if a.firm is None and given is not None and best != a.s and a.gaps[best] >= WEAK_GAP:
         out.append(f"{rows} learnt, but the gap supports {best}: {a.gaps[best]:.3g} against {a.gap:.3g}")
-    if a.firm is None and given is None and best > a.s and a.gaps[best] >= CONTRADICTED * a.gap:
+    if a.firm is None and given is None and best > a.s and a.gaps[best] >= WEAK_GAP * a.gap:
         more = counted(best - a.s, "further row")
         out.append(f"{more} kept softly (gap {a.gaps[best]:.3g}): by the way of moving, or by something that gives way")
-    if a.unexplained > SOFT_ENERGY:
+    if a.unexplained > SLIGHT:
         share = f"{100 * a.unexplained:.2g} % of the motion's energy"
         out.append(f"{share} breaks the constraint: it is soft, or the demonstrator moves the rows on purpose")
     if len(evidence.strengths) and evidence.n_rows < a.s:
@@ -588,7 +589,7 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
         return out
     if left > LEAST_MOTION and gain > LEAST_GAIN:
         out.append(f"{leaves} in the same way in all recordings: the true shape is another one")
-    elif left > LEAST_MOTION and fit.alike > 2.0 and a.over_noise > ABSOLUTE:
+    elif left > LEAST_MOTION and fit.alike > 2.0 and a.over_noise > OVER_NOISE:
         out.append(f"{leaves}, {a.over_noise:.0f} times the encoders' noise: it gives way, or has another shape")
     if a.view.curved and kind_of(fit, a.view) is None:
         out.append("what holds the hand is a curved surface of no simple kind: its rows are right only where shown")
@@ -640,7 +641,7 @@ def at_one_place(fit: RowFit, view: View) -> bool:
     along = motion.place[:, [("x", "y", "z").index(n) for n in f.row_names]] @ view.selection(fit.rows).T
     centres = np.array([along[p].mean(axis=0) for p in motion.parts])
     within = np.median([np.sqrt(np.mean((along[p] - c) ** 2)) for p, c in zip(motion.parts, centres, strict=True)])
-    return float(np.sqrt(np.mean((centres - np.median(centres, axis=0)) ** 2))) <= PLACE_RATIO * within
+    return float(np.sqrt(np.mean((centres - np.median(centres, axis=0)) ** 2))) <= OVER_NOISE * within
 
 
 def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float:

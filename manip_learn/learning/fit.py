@@ -34,8 +34,6 @@ from manip_learn.recordings.velocities import positions_along
 from manip_learn.robot.batch.batch_kinematics import link_twists
 
 MOST, LEAST = 4000, 60  # samples of all stretches, and of each
-# between the use of rows and of the next one: below the first nothing is told, from the second on it is clear
-WEAK_GAP, CLEAR_GAP = 3.0, 10.0
 LEAST_RAD = 4e-5  # less is no difference: rails, tables and encoders are no better
 FLOOR = 0.05  # share of the mean variance that every sample has besides
 

@@ -19,7 +19,7 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import counted
 from manip_learn.learning.repeats import once_each
-from manip_learn.learning.search import Hypothesis, least_used
+from manip_learn.learning.search import SLIGHT, Hypothesis, least_used
 from manip_learn.learning.table import (
     BELIEVED,
     LEAST_MOTION,
@@ -40,7 +40,7 @@ NODES, MOST_BINS, BIN_SECONDS = 4, 24, 0.25
 RECOMBINATIONS, MOST_RECOMBINATIONS, MOST_PIECES = 199, 3184, 16  # at first, until decided; pieces that take part
 FLOOR = 1e-5  # levels below this may be what interpolation leaves
 SURE = NormalDist().inv_cdf(0.995)
-FIRM_GAP, FIRM_SHARE, SAME_PLACE = 40.0, 0.01, 0.02  # free motion of people's hands reaches gaps of 11
+FIRM_GAP = 40.0  # free motion of people's hands reaches gaps of 11
 
 
 class RowSupport(NamedTuple):
@@ -258,7 +258,7 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
     the recombination test does not apply.
     """
     table, m, s, shown = view.table, view.all, len(rows), {x.recording for x in stretches}
-    if len(shown) < FEWEST or share > FIRM_SHARE or table.q.shape != table.u.shape or s >= view.r:
+    if len(shown) < FEWEST or share > SLIGHT or table.q.shape != table.u.shape or s >= view.r:
         return False
     inside = table.inside(stretches)
     w = m.weight * inside
@@ -274,7 +274,7 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
         middles.append(t.q[np.searchsorted(t.time, 0.5 * (x.start + x.end))])
     straight = [np.linspace(middles[0], q, 21) for q in middles[1:]]
     off = [np.linalg.norm(rows @ view.W @ displacements(view.features, line)[-1]) for line in straight]
-    return bool(max(off) <= SAME_PLACE * np.median(came))
+    return bool(max(off) <= SLIGHT * np.median(came))
 
 
 def ways_to_choose(table: Table, view: View, stretches: Sequence[Stretch]) -> float:

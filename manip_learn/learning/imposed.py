@@ -48,7 +48,8 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError, advice, counted
-from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, gaps_of, levels_on, solve
+from manip_learn.learning.fit import gaps_of, levels_on, solve
+from manip_learn.learning.search import CLEAR_GAP, WEAK_GAP
 from manip_learn.learning.table import NONE, Settings, Table, View
 from manip_learn.learning.uncertainty import STATED, Errors, angles
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned

@@ -24,11 +24,12 @@ FAR_OFF = 0.02  # share of held samples that may be far off: bounds the evidence
 SCALES = tuple((steady, share) for steady in (1.0, 3.0, 9.0) for share in (0.003, 0.01, 0.03, 0.1, 0.2))
 FIRST = ((2.0, 0.1), (2.0, 0.01))  # scales by which proposals are compared
 SAME = np.radians(3.0)  # rows closer together are one proposal
-PROPOSAL_GAP = 2.5  # below it nothing is proposed; less than WEAK_GAP, which decides in the end
+# between the use of rows and of the next one: below the first nothing is told, from the second on it is clear
+WEAK_GAP, CLEAR_GAP = 3.0, 10.0
 MOST_CONSTRAINTS, MOST_TESTED, KEPT, TURNS = 6, 6, 4, 4  # answered; tested by the gate a time; of each kind; of fits
-FEW_HELD = 0.4  # share of the motion, below which what no place explains is looked for in the whole twist
+FEW_HELD = 0.2  # share of the motion, below which what no place explains is looked for in the whole twist
 MOST_OF_WINDOWS = 40  # proposals of windows, and of pairs of them, of each view and number of rows
-ALONE = 0.03  # share of the free velocity that breaks rows, up to which one recording alone shows them held
+SLIGHT = 0.01  # share of the free velocity, of a way or of an extent that is as good as none
 AT_ONCE = 4_000_000  # numbers in memory together
 
 
@@ -235,7 +236,7 @@ def proposed(m: Samples, states: np.ndarray, largest: int, whole: bool) -> list[
         kept = []
         for sizes, directions, most in found:
             gap = sizes[:, s] / sizes[:, s - 1]
-            chosen = np.flatnonzero(gap > PROPOSAL_GAP)
+            chosen = np.flatnonzero(gap > WEAK_GAP)
             kept.append(orthonormal_rows(directions[chosen[np.argsort(-gap[chosen])][:most], :s]))
         rows = np.concatenate(kept)
         out.append(rows[distinct(rows)])
@@ -487,7 +488,7 @@ def lone_contacts(
         rest, m = Explanation(views, found.hypotheses, found.switch), views[0].thin
         free = np.sum(m.weight[(rest.states == 0) & m.moving()])
         tried = candidates(rest, places) if free > SHORTEST else []
-        firm = [h for h in tried if h.scale[1] <= ALONE and h.support > LEAST_GAIN]
+        firm = [h for h in tried if h.scale[1] <= SLIGHT and h.support > LEAST_GAIN]
         if not firm:
             continue
         h, k = max(firm, key=lambda h: h.support), len(found.hypotheses)

@@ -18,8 +18,9 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import MECHANISM_KINDS, ON_THE_AXIS, POSITION_ROWS, Mechanism, MechanismKind
-from manip_learn.learning.fit import CLEAR_GAP, WEAK_GAP, Motion, RowFit
+from manip_learn.learning.fit import Motion, RowFit
 from manip_learn.learning.place import Placed, kind_of, movable
+from manip_learn.learning.search import CLEAR_GAP, WEAK_GAP
 from manip_learn.learning.table import View
 from manip_learn.linalg import null_basis, orthonormal_rows, pivoted_rows
 from manip_learn.recordings.trajectory import evenly
