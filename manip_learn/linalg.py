@@ -81,10 +81,10 @@ def null_basis(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n k"]:
     return Vt[rank_of(sigma, A.shape) :].T
 
 
-def orthonormal_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s p"]:
-    """The matrix with orthonormal rows closest to M (polar factor): keeps the row space, and the rows where it can.
+def orthonormal_rows(M: Float[np.ndarray, "*n s p"]) -> Float[np.ndarray, "*n s p"]:
+    """Return the matrix with orthonormal rows closest to M (polar factor), of each matrix of a stack.
 
-    The rows of M must be independent.
+    It keeps the row space, and the rows where it can. The rows of M must be independent.
     """
     U, _, Vt = np.linalg.svd(M, full_matrices=False)
     return U @ Vt

@@ -13,8 +13,7 @@ from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ManipLearnError, MissingExtraError, an
 from manip_learn.learning.report import LearningReport
-from manip_learn.learning.search import CLEAR_GAP
-from manip_learn.learning.table import BELIEVED
+from manip_learn.learning.table import BELIEVED, CLEAR_GAP
 from manip_learn.playback.palette import COLOURS, rollout_colours
 
 if TYPE_CHECKING:

@@ -186,18 +186,16 @@ def test_doors_in_different_places_are_not_one_hinge(robot_of):
 
 
 @pytest.mark.parametrize(
-    ("axis", "point", "radius", "doubted"),
-    [(4.9, 0.059, 0.3, False), (5.1, 0.0, 0.3, True), (0.0, 0.061, 0.3, True), (0.0, 0.0041, 0.001, True)],
+    ("off", "point", "doubted"), [(None, 5e-3, False), (0.9, 5e-3, False), (1.1, 5e-3, True), (0.0, 6e-3, True)]
 )
-def test_a_place_that_is_known_badly_is_doubted(axis, point, radius, doubted):
-    """From 5 degrees or a fifth of the radius on, a fifth of 2 cm at least; it says how far the motion went."""
-    uncertainty, kind = {"axis": axis, "point": point, "radius": point}, KIND_BY_NAME["hinge"]
-    m = Mechanism("hinge", AXIS, np.zeros(3), radius, uncertainty=uncertainty, arc=0.5)
-    doubt = Placed(m, kind, Place(AXIS, np.zeros(3))).doubt
-    assert ("known badly" in doubt) == doubted
+def test_a_place_that_is_known_badly_is_doubted(off, point, doubted):
+    """From a degree of the direction on, or of the place seen from the hand; it says how far the motion went."""
+    m = Mechanism("hinge", AXIS, np.zeros(3), 0.3, uncertainty={"axis": 0.1, "point": point}, arc=0.5)
+    doubt = Placed(m, KIND_BY_NAME["hinge"], Place(AXIS, np.zeros(3)), off).doubt
+    assert (f"known badly, to {1e3 * point:.2g} mm" in doubt) == doubted
     assert not doubted or re.match(r"move it by at least \d+ degrees, not 29: ", doubt)
     line = Mechanism("line", AXIS, uncertainty={"axis": 60.0})
-    assert Placed(line, KIND_BY_NAME["line"], Place(AXIS, np.zeros(3))).doubt == ""
+    assert Placed(line, KIND_BY_NAME["line"], Place(AXIS, np.zeros(3)), 60.0).doubt == ""
 
 
 def test_one_trajectory_is_an_answer_with_a_warning(robot_of):

@@ -12,6 +12,7 @@ from manip_learn.learning.fit import Motion, RowFit
 from manip_learn.learning.place import placed
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View
 from manip_learn.learning.uncertainty import errors_of
+from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings.velocities import derive_velocities
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
@@ -35,7 +36,7 @@ def fitted(robot: ml.Robot, kind: str, postures: list[np.ndarray]) -> tuple[RowF
     handle = robot.position(MIDDLE, robot.frame(TIP))
     view = View(PlaceRows(robot, TIP, form, handle), Table(demos))
     motion = Motion.of(view, [Stretch(i, *map(float, ends)) for i, ends in enumerate(view.table.ends)], Settings())
-    fit = RowFit(motion, motion.least_displaced(s)).best()
+    fit = RowFit(motion, orthonormal_rows(motion.least[1][:s])).best()
     found = placed(view, fit, errors_of(fit, ArmErrors(), np.random.default_rng(0)))
     assert found is not None and found.kind.name == kind
     return fit, found.mechanism

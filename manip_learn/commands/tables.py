@@ -188,7 +188,7 @@ def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tu
 def print_learnt(console: Console, learnt: LearntTask, explain: bool = False, more: Sequence[str] = ()) -> None:
     """The sentence, the evidence, the warnings; with `explain` its terms and more."""
     from manip_learn.learning.report import RecordingOverview
-    from manip_learn.learning.search import CLEAR_GAP
+    from manip_learn.learning.table import CLEAR_GAP
 
     report = learnt.report
     say(console, *([learnt.headline] if learnt.headline else []), style="bold")

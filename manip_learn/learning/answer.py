@@ -15,27 +15,22 @@ from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap, sum_in_words
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.constraint.mechanism import CURVE, Grip, Mechanism
+from manip_learn.constraint.mechanism import CURVE, ON_THE_AXIS, Grip, Mechanism
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named, number_if_known
 from manip_learn.learning.fit import Motion, RowFit, gaps_of, levels_on
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once, steady
 from manip_learn.learning.imposed import Imposed, learn_imposed
 from manip_learn.learning.place import Placed, kind_of, placed, reshaped
-from manip_learn.learning.search import (
+from manip_learn.learning.search import Explanation, broken_energy, explain, lone_contacts
+from manip_learn.learning.table import (
     CLEAR_GAP,
     LEAST_GAIN,
-    SLIGHT,
-    WEAK_GAP,
-    Explanation,
-    broken_energy,
-    explain,
-    lone_contacts,
-)
-from manip_learn.learning.table import (
     LEAST_MOTION,
     OVER_NOISE,
     REST_SPEED,
     SHORTEST,
+    SLIGHT,
+    WEAK_GAP,
     Settings,
     Stretch,
     Table,
@@ -277,7 +272,7 @@ def _fitted(found: Explanation, views: list[View], out: Found, settings: Setting
         view = found.views[h.view]
         given = [sharpened(view, h.rows, s) for s in found.stretches(k + 1, states)]
         usual = np.median([s.duration for s in given]) if given else 0.0
-        given = [s for s in given if s.duration >= 0.5 * usual and len(table.piece(s)) > 2]
+        given = [s for s in given if s.duration >= 0.25 * usual and len(table.piece(s)) > 2]  # a shorter one is chance
         if not given:
             continue
         alike = [v for v in views if v.turns == view.turns]
@@ -509,7 +504,7 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     if is_firm(view, fit.rows, share, spans):
         a.evidence = replace(a.evidence, firm=a.s)
     known = placed(view, fit, None) if settings.mechanism else None
-    if whole:
+    if whole and not (known and known.kind.type == "ball" and (known.mechanism.radius or 0.0) > ON_THE_AXIS):
         a.firm = whole_fit(whole, fit, lambda f, v: gate.evidence(v, spans).verdict(len(f.rows)) == "clear")
         if a.firm and known is not None and held_kind(known, fit.motion)[0] is not known.kind:
             # a grip that gives way turns more than it slides: where the place tells as much, it tells it better

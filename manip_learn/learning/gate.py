@@ -19,11 +19,13 @@ import numpy as np
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import counted
 from manip_learn.learning.repeats import once_each
-from manip_learn.learning.search import SLIGHT, Hypothesis, least_used
+from manip_learn.learning.search import Hypothesis, least_used
 from manip_learn.learning.table import (
     BELIEVED,
+    CLEAR_GAP,
     LEAST_MOTION,
     OVER_NOISE,
+    SLIGHT,
     Stretch,
     Table,
     View,
@@ -34,13 +36,12 @@ from manip_learn.recordings.trajectory import Trajectory
 
 FEWEST = 3  # recordings, below which nothing is clear
 CHANCE = 0.01  # of so little motion by independent joints, above which nothing is shown
-CLEAR, LEANING = 4.0, 1.3  # strengths with 99 % confidence, the choice paid for; of a row ranked before
+CLEAR = 4.0  # strength with 99 % confidence, the choice paid for
 # postures in a bin of phase, bins at most, and the time that one should cover [s]. Set by hand
 NODES, MOST_BINS, BIN_SECONDS = 4, 24, 0.25
 RECOMBINATIONS, MOST_RECOMBINATIONS, MOST_PIECES = 199, 3184, 16  # at first, until decided; pieces that take part
 FLOOR = 1e-5  # levels below this may be what interpolation leaves
 SURE = NormalDist().inv_cdf(0.995)
-FIRM_GAP = 40.0  # free motion of people's hands reaches gaps of 11
 
 
 class RowSupport(NamedTuple):
@@ -84,9 +85,9 @@ class Evidence:
         n = 0
         rows = zip(self.strengths, self.lower, self.chances, self.levels, strict=True)
         for i, (strength, lower, p, level) in enumerate(rows):
-            if strength < LEANING and level <= LEANING * self.levels[0]:
+            if strength < self.believed and level <= self.believed * self.levels[0]:
                 continue  # never tried, as little by exchanged joints: it counts with a held row after it
-            if p > CHANCE or strength < LEANING:
+            if p > CHANCE or strength < self.believed:
                 break
             n = i + 1 if lower >= self.believed else n
         return max(n, min(self.firm, len(self.strengths)))
@@ -222,7 +223,7 @@ def recombined(
         error = SURE * math.sqrt((0.5 * math.pi + 0.5 * z**2) / n) * spread
         near = np.abs(np.log(np.maximum(found.lower, 1e-300) / believed)) < error
         near |= (np.abs(chances - CHANCE) < SURE * math.sqrt(CHANCE / n)) & (chances * (n + 1) > 1.5)
-        decided = np.append((chances > CHANCE) | (strengths < LEANING), True)
+        decided = np.append((chances > CHANCE) | (strengths < believed), True)
         if n >= MOST_RECOMBINATIONS or not near[: np.argmax(decided) + 1].any():
             return found
 
@@ -264,7 +265,7 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
     w = m.weight * inside
     M, S = (m.rates.T * w) @ m.rates, np.tensordot(w, m.gram, axes=1)
     (sizes,), _ = least_used(M[None], S[None], m.noise[inside].mean()[None])
-    if sizes[s] < FIRM_GAP * sizes[s - 1]:
+    if sizes[s] < OVER_NOISE * CLEAR_GAP * sizes[s - 1]:
         return False
     middles, came = [], []
     for x in stretches:

@@ -49,8 +49,7 @@ from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError, advice, counted
 from manip_learn.learning.fit import gaps_of, levels_on, solve
-from manip_learn.learning.search import CLEAR_GAP, WEAK_GAP
-from manip_learn.learning.table import NONE, Settings, Table, View
+from manip_learn.learning.table import CLEAR_GAP, NONE, WEAK_GAP, Settings, Table, View
 from manip_learn.learning.uncertainty import STATED, Errors, angles
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned
 
@@ -73,7 +72,6 @@ NO_NOISE = 1e-8  # share of the energy below which least squares answer
 # shares of the energy: noise enough for an answer, a thousandth of the speed, better than recorded velocities are; and
 # the least variance, a millionth of the speed, also with rest postures of their own. Its square is rounding
 RESOLVED, LEAST = 1e-6, 1e-12
-SETTLED = 1e-6  # squared last step in standard errors
 EXPLAINED, SURER = 0.3, 5.0  # share of left-out motion that a policy may leave; nats by which other features are better
 SAME_PATH = 0.15  # root mean square distance from a path, over its standard deviation, within which a motion repeats it
 MOST_UNCERTAIN = 30.0  # [deg] beyond that rows are no answer
@@ -232,7 +230,7 @@ class PolicyFit:
         for _ in range(steps):
             H = here.hessian
             B = -solve(H + damping * np.diag(np.diag(H)), here.J.T @ here.e)
-            if not B @ H @ B >= SETTLED * here.noise or damping > 1e6:
+            if not B @ H @ B >= RESOLVED * here.noise or damping > 1e6:
                 break
             kept = (here.determined >= min(0.1, np.max(here.determined, initial=0.0)))[here.d.grades]
             d = copy(here.d)

@@ -28,15 +28,13 @@ from manip_learn.constraint.mechanism import (
 )
 from manip_learn.errors import FeatureError
 from manip_learn.learning.fit import LEAST_RAD, RowFit, autocorrelation
-from manip_learn.learning.search import LEAST_GAIN
-from manip_learn.learning.table import LEAST_MOTION, View
+from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, View
 from manip_learn.learning.uncertainty import STATED, Errors
 from manip_learn.linalg import null_basis
 from manip_learn.recordings.trajectory import evenly
 
 FEW = 200  # draws of an error for which a place is read again
-# [deg] and shares of the radius: a place is known badly (a handle would leave the hand), and widely
-POOR_AXIS, POOR_PLACE, WIDE_PLACE = 5.0, 0.2, 0.02
+POOR = 1.0  # [deg] error of the direction, or of the place as seen from the hand, above which it is known badly
 MOST_PLACES = 1500  # places of the hand
 PIECES = (2, 4, 8, 16, 32)  # of a spline; as many as foretell the other recordings best
 KNOWN = {"axis": slice(0, 3), "point": slice(3, 6), "point-across": slice(3, 6), "pitch": slice(6, 7)}
@@ -59,14 +57,13 @@ class Placed:
         m = self.mechanism
         if m.radius is None or m.arc is None:
             return ""
-        axis, point, arc = m.uncertainty.get("axis", 0.0), m.uncertainty.get("point", 0.0), math.degrees(m.arc)
-        worst = max(axis / POOR_AXIS, point / (POOR_PLACE * max(m.radius, 0.02)))
-        if worst <= 1.0 and (point <= WIDE_PLACE * m.radius or self.kind.orientation != "free"):
+        arc, point = math.degrees(m.arc), m.uncertainty.get("point", 0.0)
+        worst = max(self.off_deg or 0.0, math.degrees(point / max(m.radius, 0.3))) / POOR  # within 30 cm to 5 mm
+        if worst <= 1.0:
             return ""
-        needed = min(arc * math.sqrt(max(4.0 * worst, 3.0 * point / (WIDE_PLACE * max(m.radius, 1e-3)))), 90.0)
+        needed = min(2.0 * arc * math.sqrt(worst), 90.0)  # half of it is left then
         how = f"move it by at least {needed:.0f} degrees, not {arc:.0f}" if arc < needed else "record it more often"
-        what = f"it looks like {m.sentence}, but its place is known badly"
-        return f"{how}: {what if worst > 1.0 else f'its place is known to {1e3 * point:.0f} mm only'}"
+        return f"{how}: it looks like {m.sentence}, but its place is known badly, to {1e3 * point:.2g} mm"
 
     def rows(self, view: View) -> tuple[FeatureMap, np.ndarray]:
         """Return Phi and Lambda of the mechanism, without rows that this arm cannot move."""

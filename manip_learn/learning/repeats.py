@@ -24,7 +24,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import listed
-from manip_learn.learning.table import Stretch
+from manip_learn.learning.table import SLIGHT, Stretch
 from manip_learn.recordings.trajectory import OPTIONAL_ARRAYS, Demonstrations, Trajectory, distinct_names
 from manip_learn.recordings.velocities import noise_variance
 
@@ -39,15 +39,9 @@ AS_NOISE = 2.0
 REPEATED_SHARE = 0.9
 # the same of a round, which is not trimmed; the noise of two joints leaves the path once in 50 samples
 ROUND_SHARE = 0.98
-# largest distance that may be allowed, over the extent of the path; where noise or long chords exceed it nothing can be
-# told. Of 28 kinds of generated sets, whole and cut (6 recordings, 4 arms, no noise, seeds 30000 to 30003), the nearest
-# two are 3.6 % of their extent apart in reaches that are repeated, 6.7 % in contacts
-NEAREST_PATH_SHARE = 0.01
-# what a cubic leaves at a seam over the way through it, above which nothing moves there: noise alone leaves 0.6
-SEAM_LEFT = 0.25
-# speed at a seam over the mean one, above which a motion was cut rather than ended: the last 10 of 200 samples of a
-# motion that comes to rest have 0.03
-SEAM_SPEED = 0.2
+# of the way through a seam, what a cubic leaves of it where something moves (noise alone leaves 0.6); its speed over
+# the mean one where a motion was cut rather than ended: the last 10 of 200 samples of one that comes to rest have 0.03
+SEAM = 0.2
 
 # postures of a recording that are compared, those of a first look, and how many of these must be near
 POSTURES, PROBES, PROBES_NEAR = 200, 9, 6
@@ -179,7 +173,8 @@ class _Path:
         second = np.linalg.norm(np.diff(q, n=2, axis=0), axis=1) if len(q) > 2 else np.zeros(1)
         chord = 0.25 * np.max(second[np.clip(a[best] - np.array([[0], [1]]), 0, len(second) - 1)], axis=0)
         most = AS_NOISE * np.sqrt(self.noise2 + other.noise2 + chord**2)
-        lies = distance <= np.minimum(most, NEAREST_PATH_SHARE * max(self.extent, other.extent))
+        # where noise or long chords exceed it nothing can be told
+        lies = distance <= np.minimum(most, SLIGHT * max(self.extent, other.extent))
         return float(np.max(distance[lies])) if np.mean(lies) >= share else None
 
     def known_from(self, *, alone: bool) -> tuple[int, float] | None:
@@ -193,7 +188,7 @@ class _Path:
         step = np.linalg.norm(np.diff(q, axis=0), axis=1).max(initial=0.0)
         gap = np.linalg.norm(q[:last] - q[inside], axis=1).min(initial=np.inf)
         # at a first look one posture of the last part is enough
-        if not 0 < last < len(q) - 1 or gap > NEAREST_PATH_SHARE * self.extent + step:
+        if not 0 < last < len(q) - 1 or gap > SLIGHT * self.extent + step:
             return None
 
         def distance(start: int, way: int) -> float | None:
@@ -223,7 +218,7 @@ def _repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
     probes = cKDTree(np.concatenate([p.trajectory.q[p.evenly(PROBES)] for p in paths]))
     pairs = list[tuple[int, int]]()
     for j, path in enumerate(paths):
-        within = NEAREST_PATH_SHARE * path.extent + path.way[-1] / POSTURES
+        within = SLIGHT * path.extent + path.way[-1] / POSTURES
         hits = probes.query_ball_point(path.trajectory.q[path.evenly(POSTURES)], within)
         near = np.bincount(np.unique(np.concatenate(hits)).astype(int) // PROBES) >= PROBES_NEAR
         pairs += [(int(i), j) for i in np.flatnonzero(near) if i != j]
@@ -263,7 +258,7 @@ def _chains(paths: Sequence[_Path]) -> list[list[int]]:
             usual = max(float(np.max(_left_by_cubics(q, 2 * half))) for q in (a.q, later))
             speed = (paths[before].way[-1] + paths[after].way[-1]) / (len(a) + len(b))
             way, pause = np.linalg.norm(seam[-1] - seam[0]), b.time[0] - a.time[-1]
-            moves = left < NEAREST_PATH_SHARE * told and way > max(SEAM_SPEED * speed * 2 * half, left / SEAM_LEFT)
+            moves = left < SLIGHT * told and way > max(SEAM * speed * 2 * half, left / SEAM)
             goes_on = 0.0 <= pause <= 2.0 * max(np.median(np.diff(a.time)), np.median(np.diff(b.time)))
             if before != after and (goes_on or left <= AS_NOISE * usual + 1e-12):
                 seams.append((not (goes_on or moves), after != before + 1, left, before, after))

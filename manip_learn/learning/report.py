@@ -28,8 +28,7 @@ from manip_learn.errors import counted, error_in_words, listed, named, printable
 from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
 from manip_learn.learning.gate import RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.search import CLEAR_GAP
-from manip_learn.learning.table import Table, still_joints
+from manip_learn.learning.table import CLEAR_GAP, Table, still_joints
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names, evenly
 from manip_learn.robot import html_card
 

@@ -16,20 +16,27 @@ import numpy as np
 
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.learning.table import CHANGE, SHORTEST, SWITCH, Samples, Stretch, Table, View
+from manip_learn.learning.table import (
+    CHANGE,
+    LEAST_GAIN,
+    SHORTEST,
+    SLIGHT,
+    SWITCH,
+    WEAK_GAP,
+    Samples,
+    Stretch,
+    Table,
+    View,
+)
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 
-LEAST_GAIN = 40.0  # [nats] of a hypothesis, without its best supporter, less the price of its parameters
 FAR_OFF = 0.02  # share of held samples that may be far off: bounds the evidence against
 SCALES = tuple((steady, share) for steady in (1.0, 3.0, 9.0) for share in (0.003, 0.01, 0.03, 0.1, 0.2))
 FIRST = ((2.0, 0.1), (2.0, 0.01))  # scales by which proposals are compared
 SAME = np.radians(3.0)  # rows closer together are one proposal
-# between the use of rows and of the next one: below the first nothing is told, from the second on it is clear
-WEAK_GAP, CLEAR_GAP = 3.0, 10.0
 MOST_CONSTRAINTS, MOST_TESTED, KEPT, TURNS = 6, 6, 4, 4  # answered; tested by the gate a time; of each kind; of fits
 FEW_HELD = 0.2  # share of the motion, below which what no place explains is looked for in the whole twist
 MOST_OF_WINDOWS = 40  # proposals of windows, and of pairs of them, of each view and number of rows
-SLIGHT = 0.01  # share of the free velocity, of a way or of an extent that is as good as none
 AT_ONCE = 4_000_000  # numbers in memory together
 
 

@@ -9,8 +9,7 @@ from itertools import combinations, combinations_with_replacement
 import numpy as np
 
 from manip_learn.learning.fit import LEAST_RAD, RowFit, autocorrelation, solve
-from manip_learn.learning.search import LEAST_GAIN
-from manip_learn.learning.table import ArmErrors
+from manip_learn.learning.table import LEAST_GAIN, ArmErrors
 from manip_learn.linalg import complement_rows, row_space_angles
 from manip_learn.recordings.trajectory import evenly
 

@@ -17,11 +17,17 @@ from scipy.spatial.transform import Rotation
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceForm, PlaceRows
-from manip_learn.constraint.mechanism import MECHANISM_KINDS, ON_THE_AXIS, POSITION_ROWS, Mechanism, MechanismKind
+from manip_learn.constraint.mechanism import (
+    MECHANISM_KINDS,
+    MIXED,
+    ON_THE_AXIS,
+    POSITION_ROWS,
+    Mechanism,
+    MechanismKind,
+)
 from manip_learn.learning.fit import Motion, RowFit
 from manip_learn.learning.place import Placed, kind_of, movable
-from manip_learn.learning.search import CLEAR_GAP, WEAK_GAP
-from manip_learn.learning.table import View
+from manip_learn.learning.table import CLEAR_GAP, WEAK_GAP, View
 from manip_learn.linalg import null_basis, orthonormal_rows, pivoted_rows
 from manip_learn.recordings.trajectory import evenly
 
@@ -29,7 +35,6 @@ from manip_learn.recordings.trajectory import evenly
 # to 1.5, hands kept straight by habit by 1.6 to 5
 GIVES_WAY = 1.5
 KEPT = 8.0  # [deg] RMS of the orientation above which a hand was free to turn: loose grips reach 5.9 to 30
-PURE = 0.2  # share of other columns in a row that lies in some columns
 
 
 def whole_fit(
@@ -143,7 +148,7 @@ def asked_rows(
         """Return the rows with no share in other columns."""
         own = np.array([n in kept for n in columns])
         _, sigma, Vt = np.linalg.svd(selection[:, ~own].T)
-        return Vt[np.append(sigma, np.zeros(len(selection) - len(sigma))) < PURE] @ (selection * own)
+        return Vt[np.append(sigma, np.zeros(len(selection) - len(sigma))) < MIXED] @ (selection * own)
 
     own_axes = isinstance(features, PoseRows) and features.own_axes
     given: FeatureMap | None = next((f for f in poses if f.own_axes == own_axes), None)
