@@ -23,8 +23,8 @@ from manip_learn.learning.table import (
     Stretch,
     Table,
     View,
-    check_fastest,
     displacements,
+    refuse_unusable,
     unusable,
     velocity_noise,
 )
@@ -71,12 +71,12 @@ def test_the_fastest_sample_may_not_be_far_out_of_line(rng):
         parts = np.array_split(np.arange(40), 4)
         given = Demonstrations([Trajectory(1.0 * k, np.cumsum(u, axis=0)[k], fast[k], names) for k in parts])
         if factor < 1e4:
-            check_fastest(given)
+            refuse_unusable(given, given, SENSORS)
             continue
         with pytest.raises(
             RecordingError, match=r"sample 7 \(trajectory 0\) moves at -1.02e\+04 in joint 'c', 1.0e\+04"
         ):
-            check_fastest(given)
+            refuse_unusable(given, given, SENSORS)
 
 
 def test_what_is_too_little_or_too_odd_to_learn_from(rng):

@@ -48,6 +48,7 @@ BY_THE_ARM = np.radians(10.0)  # between rows that errors of the arm may have tu
 ADVISED = ("weak-gap", "no-evidence", "no-freedom")  # codes of refusals that other recordings may lift
 DISAGREES = "does not agree with the other recordings"
 IN_ONE_ONLY = "appears in one recording only"
+Refusal = NotIdentifiableError | RecordingError
 FEW_JOINTS_AT_ONCE = 1.6  # as of a hand-guided arm with friction
 
 
@@ -171,10 +172,10 @@ def _moved_on_purpose(found: Imposed) -> Found:
     return Found([answer])
 
 
-def advised(
-    refusal: NotIdentifiableError, table: Table, settings: Settings, facts: Sequence[str]
-) -> NotIdentifiableError:
+def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[str]) -> Refusal:
     """Return the refusal with advice: the likeliest remedies first, then the reason and the facts."""
+    if isinstance(refusal, RecordingError):
+        return refusal
     causes = list(refusal.advice)
     if refusal.code in ADVISED:
         if len(table) < FEWEST:
@@ -189,15 +190,14 @@ def advised(
         if (fastest := float(np.max(np.abs(table.u)))) < REST_SPEED:
             causes.append(f"move faster, noise hides a motion in which no joint exceeds {fastest:.2g} rad/s")
         if not causes:
-            causes.append(
-                "record again, in contact, from other starts: no constraint is confirmed by several recordings"
-            )
+            unsure = "no constraint is confirmed by several recordings"
+            causes.append(f"record again, in contact, from other starts: {unsure}")
     why = "; ".join([str(refusal), *facts])
     said = f"{'; or '.join(causes[:2])}. {why[0].upper()}{why[1:]}" if causes else why
     return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*causes, *facts))
 
 
-def learn(table: Table, settings: Settings, progress: Progress) -> Found | NotIdentifiableError | RecordingError:
+def learn(table: Table, settings: Settings, progress: Progress) -> Found | Refusal:
     """Return an answer for each part of the recordings, clear ones first; or a refusal, without advice.
 
     Args:
@@ -354,10 +354,8 @@ def _divided(
         for a in [a for a in out.answers if not a.clear and (best.clear or a.gap < CLEAR_GAP)]:
             out.answers.remove(a)
             out.unlearnt += [(s, "kept, not shown to be held") for s in a.stretches]
-            kept = f"{counted(a.s, 'row')} in {counted(len(a.stretches), 'stretch')}"
-            out.warnings.append(
-                f"{kept} not learnt: the way of moving may keep them, nothing holds them (gap {a.gap:.3g})"
-            )
+            kept = f"{counted(a.s, 'row')} in {counted(len(a.stretches), 'stretch')} not learnt: the way of moving"
+            out.warnings.append(f"{kept} may keep them, nothing holds them (gap {a.gap:.3g})")
     for spans, refusal in refused:
         out.warnings.append(f"a further constraint is not learnt: {refusal}")
         out.unlearnt += [(s, "what several recordings show here could not be learnt") for s in spans]
@@ -415,20 +413,18 @@ def differs(view: View, fit: RowFit, spans: Sequence[Stretch], others: set[int])
         spans: Stretches of the recording.
         others: Numbers of the others.
     """
-    table, rows = view.table, view.selection(fit.rows)
+    table, rows, back = view.table, view.selection(fit.rows), np.linalg.pinv(view.W)
     inside = table.inside(spans)
-    rates = np.einsum("npv,nv->np", view.Phi[inside], table.u[inside]) @ rows.T
-    way = np.cumsum(rates * table.weight[inside, None], axis=0)
+    way = view.way(inside, rows @ back)
     worst = np.linalg.svd(way - way.mean(axis=0), full_matrices=False)[2][0]
-    still = fit.motion.y @ np.linalg.pinv(view.W).T @ rows.T @ worst
+    still, way = fit.motion.y @ (rows @ back).T @ worst, way @ worst
     held = [np.ptp(still[p]) for p, j in zip(fit.motion.parts, fit.motion.recs, strict=True) if j in others]
     row, unit = worst @ rows, "mm (or mrad)" if view.turns else "mm"
     words = sum_in_words(row * np.sign(row[np.argmax(np.abs(row))]), view.features.row_names, "+.2f", 0.05)
-    return (
-        f"{table.moved[spans[0].recording].name} moves {1e3 * np.ptp(way @ worst):.3g} {unit} along a direction "
-        f"({words}) that {len(others)} others hold still (median {1e3 * np.median(held):.2g}), "
-        f"fastest at {table.time[inside][np.argmax(np.abs(rates @ worst))]:.2f} s"
-    )
+    moves = f"{table.moved[spans[0].recording].name} moves {1e3 * np.ptp(way):.3g} {unit} along a direction ({words})"
+    fastest = table.time[inside][np.argmax(np.abs(np.diff(way, prepend=way[0])) / table.weight[inside])]
+    still = f"that {len(others)} others hold still (median {1e3 * np.median(held):.2g})"
+    return f"{moves} {still}, fastest at {fastest:.2f} s"
 
 
 def sharpened(view: View, rows: np.ndarray, s: Stretch) -> Stretch:
@@ -572,12 +568,9 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
     if together < FEW_JOINTS_AT_ONCE and table.u.shape[1] > 3:
         out.append(f"move all joints together: where {together:.1f} move at a time, friction looks like a constraint")
     if a.errors is not None and a.errors.beyond and settings.arm.zeros:
-        ratio = a.errors.beyond / settings.arm.zeros
-        off = f"zeros {np.degrees(a.errors.beyond):.2g} degrees off, or links {1e3 * ratio * settings.arm.links:.2g} mm"
-        out.append(
-            f"is this the robot that was recorded? Joints' {off}, would explain what is left: {ratio:.0f} times what "
-            "joint_offset_std and link_error_std say"
-        )
+        off, ratio = f"zeros {np.degrees(a.errors.beyond):.2g} degrees off", a.errors.beyond / settings.arm.zeros
+        off += f", or links {1e3 * ratio * settings.arm.links:.2g} mm, would explain what is left: {ratio:.0f} times"
+        out.append(f"is this the robot that was recorded? Joints' {off} what joint_offset_std and link_error_std say")
     gain, left = a.misfit
     leaves = f"the hand leaves what fits best by {1e3 * left:.2g} mm (or mrad)"
     if a.shape is not None:
@@ -610,7 +603,7 @@ def completed(a: Answer, settings: Settings) -> Answer:
             a.whole = a.whole._replace(features=features, selection=selection, gaps=gaps)
     if isinstance(a.shape, CurveRows):
         a.whole = a.whole._replace(features=a.shape, selection=np.eye(2))
-    features, selection = asked_rows(*a.whole[:2], a.mechanism, settings.asked, table.q)
+    features, selection = asked_rows(*a.whole[:2], a.placed, settings.asked, table.q)
     if features is a.whole.features and selection is a.whole.selection:
         a.asked = a.whole
     elif len(selection) == len(a.whole.selection) and features.n_rows >= a.whole.features.n_rows:
@@ -669,10 +662,8 @@ def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | Not
         if s <= v.r and (best is None or gaps.get(s, 0.0) > 1.1 * best[2].get(best[1], 0.0)):
             best = v, s, gaps
     if best is None:
-        s, most = counted(settings.n_constraints or 1, "constraint"), max(v.r for v in views)
-        return NotIdentifiableError(
-            f"{s} asked for, but the arm moves {most} rows here: ask for fewer", code="no-freedom"
-        )
+        asked = f"{counted(settings.n_constraints or 1, 'constraint')} asked for, but the arm moves"
+        return NotIdentifiableError(f"{asked} {max(v.r for v in views)} rows here: ask for fewer", code="no-freedom")
     v, s, gaps = best
     gap = gaps.get(s, 0.0)
     if settings.n_constraints is None and (len(gate.pieces(table.wholes)[0]) >= FEWEST or gap < WEAK_GAP):

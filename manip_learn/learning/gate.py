@@ -278,19 +278,6 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
     return bool(max(off) <= SLIGHT * np.median(came))
 
 
-def ways_to_choose(table: Table, view: View, stretches: Sequence[Stretch]) -> float:
-    """Return the number of choices of as many stretches, as long as these, from all recordings."""
-    m, numbers = view.thin, Counter(s.recording for s in stretches)
-    moving = m.weight * m.moving()
-    whole = np.bincount(m.recording, moving, minlength=len(table))
-    log_ways = math.lgamma(len(table) + 1) - math.lgamma(len(numbers) + 1) - math.lgamma(len(table) - len(numbers) + 1)
-    for i, n in numbers.items():
-        inside = [(m.recording == i) & (m.time >= s.start) & (m.time <= s.end) for s in stretches if s.recording == i]
-        spans = [np.sum(moving[own]) for own in inside]
-        log_ways += sum(math.log(whole[i] / span) for span in spans if span > 0.0) - math.lgamma(n + 1)
-    return math.exp(min(max(log_ways, 0.0), 700.0))  # a larger number is none
-
-
 @dataclass(frozen=True)
 class Gate:
     """Test of a hypothesis that was selected among several views and numbers of rows."""
@@ -307,10 +294,22 @@ class Gate:
         return [stretches[k] for k in kept], [pieces[k] for k in kept]
 
     def evidence(self, view: View, stretches: Sequence[Stretch], choices: float | None = None) -> Evidence:
-        """Return the evidence of stretches; `choices` is counted by default, see `recombined`."""
+        """Return the evidence of stretches.
+
+        `choices`, see `recombined`, are by default those of as many stretches, as long as these, from all recordings,
+        times the hypotheses of all views.
+        """
         stretches, pieces = self.pieces(stretches)
-        choices = view.tried * ways_to_choose(self.table, view, stretches) if choices is None else choices
-        return recombined(view.features, pieces, self.seed, choices, self.believed)
+        m, n, numbers = view.thin, len(self.table), Counter(s.recording for s in stretches)
+        moving = m.weight * m.moving()
+        whole = np.bincount(m.recording, moving, minlength=n)
+        log_ways = math.lgamma(n + 1) - math.lgamma(len(numbers) + 1) - math.lgamma(n - len(numbers) + 1)
+        log_ways -= sum(math.lgamma(k + 1) for k in numbers.values())
+        for s in stretches:
+            span = np.sum(moving[(m.recording == s.recording) & (m.time >= s.start) & (m.time <= s.end)])
+            log_ways += math.log(whole[s.recording] / span) if span > 0.0 else 0.0
+        ways = view.tried * math.exp(min(max(log_ways, 0.0), 700.0))  # a larger number is none
+        return recombined(view.features, pieces, self.seed, ways if choices is None else choices, self.believed)
 
     def __call__(self, view: View, h: Hypothesis, stretches: Sequence[Stretch]) -> bool:
         """Return True if rows are constrained in stretches, by the recombination test or by one place.

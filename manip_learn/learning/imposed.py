@@ -49,7 +49,7 @@ from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError, advice, counted
 from manip_learn.learning.fit import gaps_of, levels_on, solve
-from manip_learn.learning.table import CLEAR_GAP, NONE, WEAK_GAP, Settings, Table, View
+from manip_learn.learning.table import CLEAR_GAP, LEAST_GAIN, NONE, WEAK_GAP, Settings, Table, View
 from manip_learn.learning.uncertainty import STATED, Errors, angles
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned
 
@@ -61,18 +61,17 @@ MODELS |= {"rbf": ("rbf32",), "affine-offset": ("affine", "offset"), "harmonic1"
 MODELS |= {"harmonic2": (*MODELS["harmonic1"], "harmonic2")}
 MODELS |= {"auto": (*MODELS["harmonic1"], "quadratic", "cubic", "harmonic2")}
 EXACT = ("affine", "harmonic1", "quadratic", "harmonic2", "cubic", "quartic", "quintic")  # fewest parameters first
-HOPELESS, FEW = 0.6, 500  # share of left-out motion that a plain policy leaves of some samples, beyond hope
+FEW = 500  # samples that a plain policy is tried on
 MOST_COLUMNS = 400  # parameters of the general policy: the time of a step grows with their cube
 COMPARED, MOST = 4500, 60_000  # velocities that the search looks at, and the last fit: more only sharpen the answer
 OWN_RECORDINGS, OWN_STARTS = 16, 100  # rest postures of their own make the cost bumpy: many starts on few samples
 RANDOM_STARTS, SUBSPACES = 3, 10  # where no closed-form start leads to the noise; within the rows that were found
 PREDICTS = 1.2  # left-out motion over that without a policy, up to which a policy predicts it
 ABOVE_NOISE, UNEQUAL = 1.5, 2.0  # variance over that of the noise that is more than noise; over the least of all joints
-NO_NOISE = 1e-8  # share of the energy below which least squares answer
 # shares of the energy: noise enough for an answer, a thousandth of the speed, better than recorded velocities are; and
 # the least variance, a millionth of the speed, also with rest postures of their own. Its square is rounding
 RESOLVED, LEAST = 1e-6, 1e-12
-EXPLAINED, SURER = 0.3, 5.0  # share of left-out motion that a policy may leave; nats by which other features are better
+EXPLAINED = 0.3  # share of left-out motion that a policy may leave; twice as much of a few samples is beyond hope
 SAME_PATH = 0.15  # root mean square distance from a path, over its standard deviation, within which a motion repeats it
 MOST_UNCERTAIN = 30.0  # [deg] beyond that rows are no answer
 DRAWS, TINY = 400, 1e-300  # of the recordings, for the spread of the rows; what keeps a quotient finite
@@ -375,7 +374,7 @@ def learn_imposed(views: list[View], settings: Settings) -> Imposed | NotIdentif
         except LinAlgError:
             why = "the motion is too short or too much alike for a policy model: move further, and differently"
             one = NotIdentifiableError(why, code="too-few-samples")
-        if not isinstance(best, Imposed) or (isinstance(one, Imposed) and one.nats > best.nats + SURER):
+        if not isinstance(best, Imposed) or (isinstance(one, Imposed) and one.nats > best.nats + LEAST_GAIN):
             best = one
     if not isinstance(best, Imposed):
         return best
@@ -430,7 +429,7 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
 
     if settings.estimator == "auto":  # where a plain policy foretells hardly anything, no richer one is tried
         plain = search(Data(v, MODELS["affine"], seed, few[:: -(-len(few) // FEW)]), rng)
-        if all(fit.held_out > HOPELESS * fit.energy for fit in plain):
+        if all(fit.held_out > 2.0 * EXPLAINED * fit.energy for fit in plain):
             return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
 
     def searched(mixing: np.ndarray | None) -> tuple[list[PolicyFit], PolicyFit]:
@@ -439,7 +438,7 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
 
     fits, chosen = searched(None)
     floor, energy = chosen.d.floor, len(few) * nv * chosen.d.mean_square
-    noisy = len(few) * chosen.noise > NO_NOISE * energy
+    noisy = len(few) * chosen.noise > 1e-2 * RESOLVED * energy
     if noisy and (mixing := mixing_of(table)) is not None:
         fits, chosen = max((fits, chosen), searched(mixing), key=lambda found: found[1].nats(floor))
     if len(chosen.rows) == 0:

@@ -5,38 +5,19 @@ from __future__ import annotations
 import inspect
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Self, final, get_args
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.skill import Skill
-from manip_learn.errors import (
-    FeatureError,
-    NotFittedError,
-    NotIdentifiableError,
-    NumberOfConstraintsError,
-    RecordingError,
-    advice,
-    an,
-    listed,
-)
+from manip_learn.errors import FeatureError, NotFittedError, NumberOfConstraintsError, RecordingError, advice, an
 from manip_learn.learning.answer import Found, advised, learn
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import Context, LearningReport, made, reports
 from manip_learn.learning.skill import skill_of
-from manip_learn.learning.table import (
-    BELIEVED,
-    SWITCH,
-    ArmErrors,
-    EstimatorName,
-    Settings,
-    Table,
-    check_fastest,
-    refuse_noise,
-    refuse_still_hand,
-)
+from manip_learn.learning.table import BELIEVED, SWITCH, ArmErrors, EstimatorName, Settings, Table, refuse_unusable
 from manip_learn.learning.thinning import MOST_SAMPLES, EvenChoice, read_evenly
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.given import Given, check_joints, parts_of, recordings_given
@@ -152,6 +133,7 @@ class ConstraintLearner:
             setattr(self, _ALIASES[name], value)
         self._feature_maps = list(features) if isinstance(features, Sequence) else [features]
         self._check()
+        self._robot: Robot | None = getattr(self._feature_maps[0], "robot", None)
 
     def _check(self) -> None:
         """Refuse settings out of range."""
@@ -206,33 +188,34 @@ class ConstraintLearner:
         for learnt in _LEARNT:  # a fit that raises must not leave the result of other demonstrations behind
             vars(self).pop(learnt, None)
         if others:  # fit(X, y), as other libraries have it
-            got = listed(map(an, (demonstrations, *others)))
+            got = " and ".join(map(an, (demonstrations, *others)))
             why = f"fit takes all recordings as one argument, got {got}: write fit((time, q, u)), or a list of these"
             raise RecordingError(why, code="type")
         for features in self._feature_maps:
             robot = getattr(features, "robot", None)
             if robot is not None and self._robot is not None:
                 check_joints(self._robot.joint_names, robot)
+        derive = partial(with_velocities, robot=self._robot, velocities=self.velocities)
+        choose = partial(EvenChoice, self.max_samples, derive)
         given = recordings_given(demonstrations, self._robot, self._feature_maps[0].nv, self.velocities)
         if not isinstance(given, Demonstrations):
-            given = read_evenly(self._choose, given, client, progress).demonstrations
+            given = read_evenly(choose, given, client, progress).demonstrations
         with one_thread():
-            self._learn(given, progress or (lambda stage, share: None))
+            self._learn(given, choose, progress or (lambda stage, share: None))
         return self
 
-    def _learn(self, given: Demonstrations, progress: Progress) -> None:
+    def _learn(self, given: Demonstrations, choose: Callable[..., EvenChoice], progress: Progress) -> None:
         """Learn: independent recordings -> one table -> hypotheses -> answers -> reports, constraints and a skill."""
         started = time.perf_counter()
         recordings = IndependentRecordings.of(given)
         demonstrations = with_velocities(recordings.demonstrations, self._robot, self.velocities)
-        refuse_noise(recordings.demonstrations)
-        check_fastest(demonstrations)
-        refuse_still_hand(self._feature_maps[0], demonstrations)
-        few = self._choose(*parts_of(demonstrations))
-        recordings = recordings.only([k.number for k in few.kept])
+        exact = self.velocities == "recorded" or self._robot is None or all(t.exact for t in recordings.demonstrations)
+        refuse_unusable(recordings.demonstrations, demonstrations, self._feature_maps[0])
+        few = choose(*parts_of(demonstrations))
+        origins = tuple(recordings.origins[k.number] for k in few.kept)
+        recordings = recordings._replace(demonstrations=few.demonstrations, origins=origins)
         table = Table(list(few.demonstrations))
         arm = ArmErrors(math.radians(self.joint_offset_std), 1e-3 * self.link_error_std)
-        exact = self.velocities == "recorded" or self._robot is None or all(t.exact for t in recordings.demonstrations)
         chosen: dict[str, Any] = {"arm": arm, "by_rates": exact, "seed": self.seed, "habits": self.keep_habits}
         chosen |= {"phases": self.phases == "auto", "mechanism": self.mechanism == "auto"}
         chosen |= {"strength": self.strength, "switch": self.switching_cost, "asked": tuple(self._feature_maps)}
@@ -243,21 +226,11 @@ class ConstraintLearner:
         context = Context(table, recordings, few.demonstrations.notes, origin, started)
         found = learn(table, settings, progress)
         if not isinstance(found, Found):
-            known = isinstance(found, NotIdentifiableError)
-            raise advised(found, table, settings, recordings.warnings) if known else found
+            raise advised(found, table, settings, recordings.warnings)
         wholes, self.constraints_, self.reports_ = zip(*reports(found, context), strict=True)
         self.constraint_, self.report_ = self.constraints_[0], self.reports_[0]
         self.skill_ = skill_of(wholes, found, table)
         progress("learning", 1.0)
-
-    @property
-    def _choose(self) -> partial[EvenChoice]:
-        derive = partial(with_velocities, robot=self._robot, velocities=self.velocities)
-        return partial(EvenChoice, self.max_samples, derive)
-
-    @property
-    def _robot(self) -> Robot | None:
-        return getattr(self._feature_maps[0], "robot", None)
 
     if not TYPE_CHECKING:  # otherwise every name would be an attribute
 

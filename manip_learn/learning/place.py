@@ -114,7 +114,7 @@ def placed(view: View, fit: RowFit, errors: Errors | None) -> Placed | None:
         off.append((axis, float(np.linalg.norm(d)), wider, abs(there.pitch - place.pitch), float(np.median(aside))))
     told = {name.removesuffix("-across") for name in kind.unknowns} | ({"radius"} if radius else set())
     # axis [deg], point and radius [m], pitch [m/rad], direction [deg]
-    sizes = np.quantile(off, STATED, axis=0).tolist() if off else ()
+    sizes: list[float] = np.quantile(off, STATED, axis=0).tolist() if off else []
     stated = zip(("axis", "point", "radius", "pitch"), sizes, strict=False)
     uncertainty = {name: size for name, size in stated if name in told}
     # a single recording does not show its error: a millimetre along the axis does not count

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import listed
@@ -104,11 +104,6 @@ class IndependentRecordings(NamedTuple):
         demonstrations = Demonstrations([whole[i] for i in kept], given.notes)
         return IndependentRecordings(demonstrations, tuple(origins[i] for i in kept), given, tuple(warnings))
 
-    def only(self, numbers: Sequence[int]) -> IndependentRecordings:
-        """Return the recordings with these numbers."""
-        demonstrations = Demonstrations([self.demonstrations[i] for i in numbers], self.demonstrations.notes)
-        return self._replace(demonstrations=demonstrations, origins=tuple(self.origins[i] for i in numbers))
-
     def places(self, stretch: Stretch) -> tuple[Stretch, ...]:
         """Return the stretches of the given recordings, on their own clocks, that make up one of `demonstrations`."""
         out = []
@@ -131,6 +126,7 @@ class _Path:
         trajectory: The recording, of postures with shape (T, n) [rad or m].
         way: shape (T,), length of the path to each posture, of means over neighbours so that noise averages out [rad].
         heading: shape (T, n), direction of the path at each sample, not normalised.
+        few, probes: Numbers of samples that are evenly spaced along the path, to compare, and for a first look.
         extent: Diagonal of its bounding box [rad].
         noise2: Variance of a posture, all joints together, no less than `REPEATED_RAD` squared [rad^2].
     """
@@ -144,20 +140,18 @@ class _Path:
         self.way = np.interp(i, edges[:-1] + 0.5 * (lengths - 1), way)
         near = max(1, round(len(q) / WAY_PARTS))
         self.heading = q[np.minimum(i + near, len(q) - 1)] - q[np.maximum(i - near, 0)]
+        even = [np.linspace(0.0, self.way[-1], n) for n in (POSTURES, PROBES)]
+        self.few, self.probes = (np.searchsorted(self.way, x).clip(0, len(q) - 1) for x in even)
         self.extent = float(np.linalg.norm(np.ptp(q, axis=0)))
         noise = noise_variance(trajectory.time, q) if len(q) > 5 else np.zeros(1)
         self.noise2 = REPEATED_RAD**2 + float(np.sum(noise))
-
-    def evenly(self, n: int) -> Int[np.ndarray, " m"]:
-        """Return the numbers of n samples, evenly spaced along the path."""
-        return np.searchsorted(self.way, np.linspace(0.0, self.way[-1], n)).clip(0, len(self.way) - 1)
 
     def distance_from(self, other: _Path, share: float = REPEATED_SHARE, way: int = 0) -> float | None:
         """Return the largest distance of the postures that lie on the other path [rad].
 
         None if these are less than a share of it, in the same direction (`way` 1), the opposite one (-1) or either (0).
         """
-        q, few = other.trajectory.q, self.evenly(POSTURES)
+        q, few = other.trajectory.q, self.few
         chosen = self.trajectory.q[few]
         nearest = cKDTree(q).query(chosen, k=NEAREST)[1]  # of fewer samples the last one again
         # segments between two samples; of those that the motion passes in the right direction the nearest
@@ -215,11 +209,11 @@ def once_each(stretches: Sequence[Stretch], pieces: Sequence[Trajectory]) -> lis
 
 def _repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
     """Return the recordings that repeat another -> that one, which repeats none, and the largest distance [rad]."""
-    probes = cKDTree(np.concatenate([p.trajectory.q[p.evenly(PROBES)] for p in paths]))
+    probes = cKDTree(np.concatenate([p.trajectory.q[p.probes] for p in paths]))
     pairs = list[tuple[int, int]]()
     for j, path in enumerate(paths):
         within = SLIGHT * path.extent + path.way[-1] / POSTURES
-        hits = probes.query_ball_point(path.trajectory.q[path.evenly(POSTURES)], within)
+        hits = probes.query_ball_point(path.trajectory.q[path.few], within)
         near = np.bincount(np.unique(np.concatenate(hits)).astype(int) // PROBES) >= PROBES_NEAR
         pairs += [(int(i), j) for i in np.flatnonzero(near) if i != j]
     lies = {(i, j): d for i, j in sorted(pairs) if (d := paths[i].distance_from(paths[j])) is not None}

@@ -16,18 +16,7 @@ import numpy as np
 
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.learning.table import (
-    CHANGE,
-    LEAST_GAIN,
-    SHORTEST,
-    SLIGHT,
-    SWITCH,
-    WEAK_GAP,
-    Samples,
-    Stretch,
-    Table,
-    View,
-)
+from manip_learn.learning.table import CHANGE, LEAST_GAIN, SHORTEST, SLIGHT, WEAK_GAP, Samples, Stretch, Table, View
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 
 FAR_OFF = 0.02  # share of held samples that may be far off: bounds the evidence against
@@ -256,7 +245,7 @@ class Explanation:
     The gains of each hypothesis are those over the others.
     """
 
-    def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = SWITCH):
+    def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis], switch: float):
         self.views, self.hypotheses, self.switch = list(views), list(hypotheses), switch
         m = views[0].thin
         self.values, self.states = self.seen([v.thin for v in views])
@@ -397,16 +386,12 @@ def fitted(
 def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
     """Return the fitted candidates that gain most over an explanation, a few for each view and number of rows."""
     views, baseline, switch, best = now.views, now.explained, now.switch, list[Hypothesis]()
-    whole = [f for f in (v.features for v in views) if isinstance(f, PlaceRows) and f.form == "point and rotation"]
+    maps = [v.features for v in views]
+    whole = [f.frame for f in maps if isinstance(f, PlaceRows) and f.form == "point and rotation"]
     for number in allowed:
-        f = views[number].features
+        f = maps[number]
         # other views have the whole twist and more; `plainest` moves their hypotheses back in the end
-        if (
-            isinstance(f, FrameJacobian)
-            and f.reference == "world"
-            and f.n_rows == 6
-            and f.frame in [w.frame for w in whole]
-        ):
+        if isinstance(f, FrameJacobian) and (f.reference, f.n_rows) == ("world", 6) and f.frame in whole:
             continue
         for rows in proposed(views[number].thin, now.states, views[number].largest, bool(np.isinf(switch))):
             tried = [Hypothesis(number, one) for one in rows]
@@ -456,7 +441,7 @@ def added(now: Explanation, believed: Test, refused: list[Hypothesis], allowed: 
     return now
 
 
-def explain(views: Sequence[View], believed: Test, switch: float = SWITCH, first: int = 0) -> Explanation:
+def explain(views: Sequence[View], believed: Test, switch: float, first: int = 0) -> Explanation:
     """Add one hypothesis after the other, as long as one gains enough and the gate accepts it.
 
     Args:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
@@ -50,9 +49,12 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
         reach = Step("reach", constraint, **opening)
         closing, opening = _gripping(constraint.features, table, chosen, place)
         steps += [reach, Step("way", constraint, shown, **closing)]
-    end = _end_of(constraints[usual[-1]].features, table, chosen)
-    if end is not None:
-        steps.append(Step("reach", None, place=end, **opening))
+    ends = [(contacts[-1].piece.q[-1], table.moved[recording].q[-1]) for recording, contacts in chosen.items()]
+    poses = poses_of(constraints[usual[-1]].features, np.concatenate(ends).reshape(2 * len(ends), -1))
+    if poses is not None:
+        last, end = poses[0::2, :3, 3], poses[1::2, :3, 3]
+        if np.median(np.linalg.norm(end - last, axis=1)) > LEAVES:
+            steps.append(Step("reach", None, place=np.median(end, axis=0), **opening))
     return Skill(tuple(constraints), tuple(steps), (note,) if times < len(order) else ())
 
 
@@ -107,13 +109,3 @@ def _gripping(
     names = [robot.joint_names[i] for i in fingers]
     closed, opened = (dict(zip(names, map(float, q), strict=True)) for q in np.median(grips, axis=0))
     return {"gripper": "close", "fingers": closed}, {"gripper": "open", "fingers": opened}
-
-
-def _end_of(features: FeatureMap, table: Table, chosen: dict[int, list[_Contact]]) -> Float[np.ndarray, " 3"] | None:
-    """Return the position of the hand at the end of the recordings, if it left the last contact [m]."""
-    ends = [(contacts[-1].piece.q[-1], table.moved[recording].q[-1]) for recording, contacts in chosen.items()]
-    poses = poses_of(features, np.concatenate(ends).reshape(2 * len(ends), -1))
-    if poses is None:
-        return None
-    last, end = poses[0::2, :3, 3], poses[1::2, :3, 3]
-    return np.median(end, axis=0) if np.median(np.linalg.norm(end - last, axis=1)) > LEAVES else None

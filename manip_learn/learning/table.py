@@ -307,67 +307,55 @@ def displacements(features: FeatureMap, x: np.ndarray, way: np.ndarray | None = 
 # --------------------------------------------------- recordings and samples from which nothing can be learnt
 
 
-def check_fastest(demonstrations: Demonstrations) -> None:
-    """Refuse a velocity that is far out of line with all others.
+def refuse_unusable(recorded: Demonstrations, derived: Demonstrations, features: FeatureMap) -> None:
+    """Refuse recordings in which nothing moves, of another hand, or with a velocity far out of line with all others.
+
+    Args:
+        recorded: Recordings as they were given.
+        derived: The same with velocities.
+        features: First feature map.
 
     Raises:
-        RecordingError: There is one.
-    """
-    u = np.concatenate([np.asarray(t.u) for t in demonstrations])
-    speed = np.linalg.norm(u, axis=1)
-    if not np.any(moving := speed > _SAME):  # slopes of a rest without noise are what rounding leaves
-        return
-    sample = int(np.argmax(speed))
-    ratio = float(speed[sample]) / float(np.median(speed[moving]))
-    if ratio > OUTLIER_FACTOR:
-        number = np.searchsorted(np.cumsum([len(t) for t in demonstrations]), sample, side="right")
-        joint = int(np.argmax(np.abs(u[sample])))
-        moves = f"moves at {u[sample, joint]:.3g} in joint {demonstrations.joint_names[joint]!r}, {ratio:.1e} times"
-        text = f"sample {sample} (trajectory {number}) {moves} the median speed: remove the outlier"
-        raise RecordingError(text, code="outlier")
-
-
-def refuse_noise(recorded: Demonstrations) -> None:
-    """Refuse recordings in which no joint moves beyond the noise of its encoder, or as far as in any demonstration.
-
-    Raises:
-        NotIdentifiableError: In none of them.
+        NotIdentifiableError: No joint moves beyond the noise of its encoder, or none that moves the frame.
+        RecordingError: There is an outlier.
     """
     found = []
     for t in recorded:
         if len(t) < FEWEST_JUDGED:
-            return
+            break
         moved, noise = np.ptp(t.q, axis=0), np.sqrt(position_noise(t.time, t.q))
         j = int(np.argmax(moved / noise))
         if moved[j] >= 3.0 * OVER_NOISE * noise[j] and np.max(moved) >= LEAST_MOTION:
-            return
+            break
         joint = t.joint_names[j] if len(t.joint_names) == t.q.shape[1] else f"column {j}"
         said = f"{joint} in {t.name}, by {moved[j]:.2g} where its noise is {noise[j]:.2g} (standard deviation)"
         found.append((moved[j] / noise[j], said))
-    least = f"the noise of its positions does, and {LEAST_MOTION:g} rad or m"
-    why = f"no joint moves farther than {least}: the farthest is {max(found)[1]}: record a motion"
-    raise NotIdentifiableError(why, code="no-motion")
-
-
-def refuse_still_hand(features: FeatureMap, demonstrations: Demonstrations) -> None:
-    """Refuse motions of joints that do not move the frame.
-
-    Raises:
-        NotIdentifiableError: Code `still-hand`; says which hand moved.
-    """
-    if not isinstance(features, FrameJacobian) or any(t.q.shape[1] != features.nv for t in demonstrations):
+    else:
+        least = f"the noise of its positions does, and {LEAST_MOTION:g} rad or m"
+        why = f"no joint moves farther than {least}: the farthest is {max(found)[1]}: record a motion"
+        raise NotIdentifiableError(why, code="no-motion")
+    u = np.concatenate([np.asarray(t.u) for t in derived])
+    speed = np.linalg.norm(u, axis=1)
+    sample, moving = int(np.argmax(speed)), speed > _SAME  # slopes of a rest without noise are what rounding leaves
+    ratio = float(speed[sample]) / float(np.median(speed[moving])) if np.any(moving) else 0.0
+    if ratio > OUTLIER_FACTOR:
+        number = np.searchsorted(np.cumsum([len(t) for t in derived]), sample, side="right")
+        joint = int(np.argmax(np.abs(u[sample])))
+        moves = f"moves at {u[sample, joint]:.3g} in joint {derived.joint_names[joint]!r}, {ratio:.1e} times"
+        text = f"sample {sample} (trajectory {number}) {moves} the median speed: remove the outlier"
+        raise RecordingError(text, code="outlier")
+    if not isinstance(features, FrameJacobian) or any(t.q.shape[1] != features.nv for t in derived):
         return
     robot, frame = features.robot, features.frame.name
-    span = np.max([np.ptp(t.q, axis=0) for t in demonstrations], axis=0)
+    span = np.max([np.ptp(t.q, axis=0) for t in derived], axis=0)
     moved = [joint for joint, s in zip(robot.joint_names, span, strict=True) if s > MOVED]
     own = np.array([robot.moves(joint, frame) for joint in robot.joint_names])
-    if not moved or not own.any() or np.any(span[own] > MOVED):
-        return
-    hand = next((tip for tip in likely_tips(robot) if any(robot.moves(joint, tip) for joint in moved)), "")
-    which = f", which move {hand!r}{advice(': name it with {}', f'frame={hand!r}', f'--frame {hand}')}" if hand else ""
-    least = f"its joints changed by {np.max(span[own]):.2g} (rad or m) at most in a recording, {MOVED:g} is a motion"
-    text = f"{frame!r} stood still: {least}; what moved is {named('joint', moved)}{which}"
-    raise NotIdentifiableError(text, code="still-hand")
+    if moved and own.any() and not np.any(span[own] > MOVED):
+        hand = next((tip for tip in likely_tips(robot) if any(robot.moves(joint, tip) for joint in moved)), "")
+        how = advice(": name it with {}", f"frame={hand!r}", f"--frame {hand}")
+        least = f"its joints changed by {np.max(span[own]):.2g} (rad or m) at most, {MOVED:g} is a motion"
+        why = f"{least}; what moved is {named('joint', moved)}{f', which move {hand!r}{how}' if hand else ''}"
+        raise NotIdentifiableError(f"{frame!r} stood still: {why}", code="still-hand")
 
 
 def unusable(table: Table, r: int, n_constraints: int | None) -> NotIdentifiableError | RecordingError | None:

@@ -17,14 +17,7 @@ from scipy.spatial.transform import Rotation
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceForm, PlaceRows
-from manip_learn.constraint.mechanism import (
-    MECHANISM_KINDS,
-    MIXED,
-    ON_THE_AXIS,
-    POSITION_ROWS,
-    Mechanism,
-    MechanismKind,
-)
+from manip_learn.constraint.mechanism import MECHANISM_KINDS, MIXED, ON_THE_AXIS, POSITION_ROWS, MechanismKind
 from manip_learn.learning.fit import Motion, RowFit
 from manip_learn.learning.place import Placed, kind_of, movable
 from manip_learn.learning.table import CLEAR_GAP, WEAK_GAP, View
@@ -120,14 +113,14 @@ def _turned(known: Placed, T: Float[np.ndarray, "T 4 4"]) -> dict[str, float]:
 
 
 def asked_rows(
-    features: FeatureMap, selection: np.ndarray, mechanism: Mechanism | None, asked: Sequence[FeatureMap], q: np.ndarray
+    features: FeatureMap, selection: np.ndarray, known: Placed | None, asked: Sequence[FeatureMap], q: np.ndarray
 ) -> tuple[FeatureMap, Float[np.ndarray, "k r"]]:
     """Return the rows in the requested axes: combinations x Lambda with no share in other columns; else all.
 
     Args:
         features: Phi of all rows that constrain the hand.
         selection: shape (s, p), their Lambda.
-        mechanism: Mechanism, or None.
+        known: Mechanism, or None.
         asked: Requested feature maps.
         q: shape (n, nq), postures.
 
@@ -135,10 +128,10 @@ def asked_rows(
         Phi and Lambda.
     """
     poses, names = [f for f in asked if isinstance(f, PoseRows)], {n for f in asked for n in f.row_names}
-    if isinstance(features, MechanismRows) and mechanism is not None and names == set(AXES[:3]):
-        own, radius = POSITION_ROWS.get(mechanism.type), mechanism.radius
+    if isinstance(features, MechanismRows) and known is not None and names == set(AXES[:3]):
+        own, radius = POSITION_ROWS.get(known.kind.type), known.mechanism.radius
         if own and len(poses) == len(asked) and (radius is None or radius >= ON_THE_AXIS):
-            features = movable(features.with_rows(own, None if mechanism.type == "screw" else radius), q)
+            features = movable(features.with_rows(own, None if known.kind.type == "screw" else radius), q)
             return features, np.eye(features.n_rows)
     if len(poses) < len(asked) or not isinstance(features, PoseRows | PlaceRows):
         return features, selection
