@@ -14,7 +14,6 @@ from task_sets import moving as recordings
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.learning.answer import sharpened
 from manip_learn.learning.search import Samples, broken_energy, distinct, evidence, viterbi
 from manip_learn.learning.table import Stretch, Table, View
 from manip_learn.linalg import row_space_angle
@@ -138,7 +137,7 @@ def test_ends_that_have_left_the_rows_are_cut_off():
     view = View(ml.CustomFeatures(lambda q: np.eye(2), ("x", "y"), 2), Table([moved(h) for h in heights]))
     row = np.linalg.qr(np.linalg.solve(view.W.T, [[0.0], [1.0]]))[0].T
     given = [Stretch(0, 1.0, 3.0), Stretch(1, 1.0, 4.0), Stretch(2, 1.0, 3.0), Stretch(3, 1.0, 2.0)]
-    cut = [sharpened(view, row, stretch) for stretch in given]
+    cut = [view.sharpened(row, stretch) for stretch in given]
     assert cut[0].start == 1.0 and 2.83 < cut[0].end < 2.89
     assert cut[1] == given[1] and cut[3] == given[3]  # a recording's end; too short to tell
     assert 1.11 < cut[2].start < 1.17 and cut[2].end == 3.0

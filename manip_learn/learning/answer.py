@@ -18,7 +18,7 @@ from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.constraint.mechanism import CURVE, ON_THE_AXIS, Grip, Mechanism
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named, number_if_known
 from manip_learn.learning.fit import Motion, RowFit, gaps_of, levels_on
-from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once, steady
+from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once
 from manip_learn.learning.imposed import Imposed, learn_imposed
 from manip_learn.learning.place import Placed, kind_of, placed, reshaped
 from manip_learn.learning.search import Explanation, broken_energy, explain, lone_contacts
@@ -28,7 +28,6 @@ from manip_learn.learning.table import (
     LEAST_MOTION,
     OVER_NOISE,
     REST_SPEED,
-    SHORTEST,
     SLIGHT,
     WEAK_GAP,
     Settings,
@@ -48,8 +47,10 @@ BY_THE_ARM = np.radians(10.0)  # between rows that errors of the arm may have tu
 ADVISED = ("weak-gap", "no-evidence", "no-freedom")  # codes of refusals that other recordings may lift
 DISAGREES = "does not agree with the other recordings"
 IN_ONE_ONLY = "appears in one recording only"
-Refusal = NotIdentifiableError | RecordingError
 FEW_JOINTS_AT_ONCE = 1.6  # as of a hand-guided arm with friction
+
+
+Refusal = NotIdentifiableError | RecordingError
 
 
 class Rows(NamedTuple):
@@ -59,11 +60,6 @@ class Rows(NamedTuple):
     selection: Float[np.ndarray, "s p"]
     levels: Float[np.ndarray, " r"]
     gaps: dict[int, float]
-
-    @property
-    def gap(self) -> float:
-        """Gap of its number of rows."""
-        return self.gaps.get(len(self.selection), 0.0)
 
 
 @dataclass(eq=False)
@@ -108,7 +104,7 @@ class Answer:
 
     def __post_init__(self) -> None:
         self.whole = self.asked = Rows(self.view.features, self.view.selection(self.rows), self.levels, self.gaps)
-        self.s, self.gap = len(self.rows), self.whole.gap
+        self.s, self.gap = len(self.rows), self.gaps.get(len(self.rows), 0.0)
 
     @property
     def mechanism(self) -> Mechanism | None:
@@ -225,7 +221,7 @@ def learn(table: Table, settings: Settings, progress: Progress) -> Found | Refus
     for rivals, views in ((first, first), ([*first, *whole], whole), (curved, curved), (asked, asked)):
         for view in views:
             view.tried = sum(rival.largest for rival in rivals)
-    switch, gate = settings.switch if settings.phases else np.inf, Gate(table, settings.seed, settings.strength)
+    switch, gate = settings.switch if settings.phases else np.inf, Gate(settings.seed, settings.strength)
     # the place of the hand first; then its whole twist, if that does not explain; then curved surfaces
     out: Found | NotIdentifiableError | None = None
     for share, views in enumerate(([*first, *whole], whole if first else [], curved)):
@@ -270,15 +266,15 @@ def _fitted(found: Explanation, views: list[View], out: Found, settings: Setting
     for k in np.argsort(-found.supports):
         h = found.hypotheses[k]
         view = found.views[h.view]
-        given = [sharpened(view, h.rows, s) for s in found.stretches(k + 1, states)]
+        given = [view.sharpened(h.rows, s) for s in found.stretches(k + 1, states)]
         usual = np.median([s.duration for s in given]) if given else 0.0
         given = [s for s in given if s.duration >= 0.25 * usual and len(table.piece(s)) > 2]  # a shorter one is chance
         if not given:
             continue
         alike = [v for v in views if v.turns == view.turns]
-        spans = steady(view, h.rows, given)
+        spans = view.steady(h.rows, given)
         fit, view = best_fit(alike, view, h.rows, spans, settings)
-        if len(spans) < len(given) and len(again := steady(view, fit.rows, given)) > len(spans):
+        if len(spans) < len(given) and len(again := view.steady(fit.rows, given)) > len(spans):
             spans = again
             fit, view = best_fit(alike, view, fit.rows, spans, settings)
         for s in (s for s in given if s not in spans):
@@ -425,26 +421,6 @@ def differs(view: View, fit: RowFit, spans: Sequence[Stretch], others: set[int])
     fastest = table.time[inside][np.argmax(np.abs(np.diff(way, prepend=way[0])) / table.weight[inside])]
     still = f"that {len(others)} others hold still (median {1e3 * np.median(held):.2g})"
     return f"{moves} {still}, fastest at {fastest:.2f} s"
-
-
-def sharpened(view: View, rows: np.ndarray, s: Stretch) -> Stretch:
-    """Return the stretch without ends that have moved along the rows further than its inner part.
-
-    A hand that leaves a surface at a flat angle has moved along the rows before its velocity shows it.
-    """
-    inside = view.table.inside([s])
-    time = view.table.time[inside]
-    inner = (time >= s.start + SHORTEST) & (time <= s.end - SHORTEST)
-    if s.duration < 4.0 * SHORTEST or np.count_nonzero(inner) < 10:
-        return s
-    way = view.way(inside, rows)
-    away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
-    left = time[(away > 2.5 * np.quantile(away[inner], 0.9)) & ~inner]
-    before, after = left[left < s.start + SHORTEST], left[left > s.end - SHORTEST]
-    first, last = view.table.ends[s.recording]
-    start = float(time[time > before[-1]][0]) if len(before) and s.start > first else s.start
-    end = float(time[time < after[0]][-1]) if len(after) and s.end < last else s.end
-    return Stretch(s.recording, start, end)
 
 
 def best_fit(
@@ -612,7 +588,7 @@ def completed(a: Answer, settings: Settings) -> Answer:
         v = View(features, table)
         levels = fit.motion.seen_as(features, v.W).least[0] if a.firm else levels_on(v, a.stretches)[0]
         a.asked = Rows(features, selection, levels, gaps_of(levels, table.u.shape[1]))
-    if (gap := a.asked.gap) < CLEAR_GAP:
+    if (gap := a.asked.gaps.get(len(selection), 0.0)) < CLEAR_GAP:
         said = f"weak gap: {gap:.2g} for {counted(len(selection), 'row')}, {CLEAR_GAP:g} is clear"
         a.warnings.append(f"{said}; the constraint may be soft, or the recordings noisy")
     return a
@@ -666,7 +642,7 @@ def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | Not
         return NotIdentifiableError(f"{asked} {max(v.r for v in views)} rows here: ask for fewer", code="no-freedom")
     v, s, gaps = best
     gap = gaps.get(s, 0.0)
-    if settings.n_constraints is None and (len(gate.pieces(table.wholes)[0]) >= FEWEST or gap < WEAK_GAP):
+    if settings.n_constraints is None and (len(gate.pieces(v, table.wholes)[0]) >= FEWEST or gap < WEAK_GAP):
         unused = f"what the motion leaves unused ({counted(s, 'direction')}, gap {gap:.3g}) is held, not never tried"
         why = f"nothing shows that {unused}: {gate.evidence(v, table.wholes, 1.0).sentence()}"
         return NotIdentifiableError(why, code="no-evidence" if gap >= WEAK_GAP else "weak-gap", gaps=gaps)

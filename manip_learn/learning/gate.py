@@ -20,18 +20,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import counted
 from manip_learn.learning.repeats import once_each
 from manip_learn.learning.search import Hypothesis, least_used
-from manip_learn.learning.table import (
-    BELIEVED,
-    CLEAR_GAP,
-    LEAST_MOTION,
-    OVER_NOISE,
-    SLIGHT,
-    Stretch,
-    Table,
-    View,
-    displacements,
-    whitening,
-)
+from manip_learn.learning.table import BELIEVED, CLEAR_GAP, OVER_NOISE, SLIGHT, Stretch, View, displacements, whitening
 from manip_learn.recordings.trajectory import Trajectory
 
 FEWEST = 3  # recordings, below which nothing is clear
@@ -240,18 +229,6 @@ def joints_at_once(t: Trajectory, noise: float) -> tuple[float, float]:
     return float(at_once), float(others)
 
 
-def steady(view: View, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[Stretch]:
-    """Return the stretches that rest along the rows as most do; in the others the hand slips."""
-    m, moved, noise = view.all, [], []
-    for inside in (view.table.inside([x]) for x in stretches):
-        moved.append(np.sqrt(np.sum(np.var(view.way(inside, rows), axis=0))) if inside.any() else 0.0)
-        noise.append(2.0 * OVER_NOISE * np.sqrt(len(rows) * np.sum(m.noise[inside] * m.weight[inside] ** 2)))
-    usual = OVER_NOISE * np.median(moved) if moved else 0.0
-    most = np.maximum(max(usual, LEAST_MOTION), np.minimum(noise, 2.0 * usual))
-    kept = [x for x, way, least in zip(stretches, moved, most, strict=True) if way <= least]
-    return kept if 2 * len(kept) > len(stretches) else list(stretches)
-
-
 def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stretch]) -> bool:
     """Return True if rows rest at one place in at least three recordings, each time reached from elsewhere.
 
@@ -282,14 +259,13 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
 class Gate:
     """Test of a hypothesis that was selected among several views and numbers of rows."""
 
-    table: Table
     seed: int = 0
     believed: float = BELIEVED
 
-    def pieces(self, stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Trajectory]]:
+    def pieces(self, view: View, stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Trajectory]]:
         """Return the stretches that do not repeat each other, with their motions."""
-        stretches = [s for s in stretches if len(self.table.piece(s)) > 2]
-        pieces = [self.table.piece(s) for s in stretches]
+        stretches = [s for s in stretches if len(view.table.piece(s)) > 2]
+        pieces = [view.table.piece(s) for s in stretches]
         kept = once_each(stretches, pieces)
         return [stretches[k] for k in kept], [pieces[k] for k in kept]
 
@@ -299,8 +275,8 @@ class Gate:
         `choices`, see `recombined`, are by default those of as many stretches, as long as these, from all recordings,
         times the hypotheses of all views.
         """
-        stretches, pieces = self.pieces(stretches)
-        m, n, numbers = view.thin, len(self.table), Counter(s.recording for s in stretches)
+        stretches, pieces = self.pieces(view, stretches)
+        m, n, numbers = view.thin, len(view.table), Counter(s.recording for s in stretches)
         moving = m.weight * m.moving()
         whole = np.bincount(m.recording, moving, minlength=n)
         log_ways = math.lgamma(n + 1) - math.lgamma(len(numbers) + 1) - math.lgamma(n - len(numbers) + 1)
@@ -321,12 +297,12 @@ class Gate:
         """
         if view.curved and h.s > 2:  # three surfaces meet in points
             return False
-        agreeing = steady(view, h.rows, stretches)
+        agreeing = view.steady(h.rows, stretches)
         for some in (stretches, agreeing) if len(agreeing) < len(stretches) else (stretches,):
             recs = {s.recording for s in some}
-            if not recs or len(recs) < min(2, len(self.table)):
+            if not recs or len(recs) < min(2, len(view.table)):
                 return False
-            each = [(p, self.table.noises[s.recording]) for s, p in zip(*self.pieces(some), strict=True)]
+            each = [(p, view.table.noises[s.recording]) for s, p in zip(*self.pieces(view, some), strict=True)]
             together, others = np.median([joints_at_once(*x) for x in each], axis=0) if each else (0.0, 0.0)
             if together >= 1.1 or others >= OVER_NOISE**2:
                 found = self.evidence(view, some)

@@ -44,7 +44,6 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 from scipy.fft import dct
 from scipy.linalg import LinAlgError, cholesky, eigh, solve_triangular
-from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError, advice, counted
@@ -61,7 +60,6 @@ MODELS |= {"rbf": ("rbf32",), "affine-offset": ("affine", "offset"), "harmonic1"
 MODELS |= {"harmonic2": (*MODELS["harmonic1"], "harmonic2")}
 MODELS |= {"auto": (*MODELS["harmonic1"], "quadratic", "cubic", "harmonic2")}
 EXACT = ("affine", "harmonic1", "quadratic", "harmonic2", "cubic", "quartic", "quintic")  # fewest parameters first
-FEW = 500  # samples that a plain policy is tried on
 MOST_COLUMNS = 400  # parameters of the general policy: the time of a step grows with their cube
 COMPARED, MOST = 4500, 60_000  # velocities that the search looks at, and the last fit: more only sharpen the answer
 OWN_RECORDINGS, OWN_STARTS = 16, 100  # rest postures of their own make the cost bumpy: many starts on few samples
@@ -428,7 +426,7 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
         names.pop()
 
     if settings.estimator == "auto":  # where a plain policy foretells hardly anything, no richer one is tried
-        plain = search(Data(v, MODELS["affine"], seed, few[:: -(-len(few) // FEW)]), rng)
+        plain = search(Data(v, MODELS["affine"], seed, few[:: -(-len(few) // 500)]), rng)
         if all(fit.held_out > 2.0 * EXPLAINED * fit.energy for fit in plain):
             return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
 
@@ -509,8 +507,16 @@ def separated(view: View, seed: int) -> np.ndarray | NotIdentifiableError:
     for share, gain in STAGES:
         own = basis[:, sigma > share * sigma[0]]
         x = np.append(x, np.zeros(own.shape[1] * u.shape[1] - x.size))
-        e, J = (lambda x, *known, i=i: residual_and_jacobian(x, *known)[i] for i in (0, 1))
-        x = least_squares(e, x, J, method="lm", ftol=gain, max_nfev=200, args=(own, u[few])).x
+        damping, (e, J) = 1e-3, residual_and_jacobian(x, own, u[few])
+        for _ in range(200):
+            H = J.T @ J  # by Levenberg and Marquardt
+            there = x - np.linalg.solve(H + damping * np.diag(H).mean() * np.eye(len(H)), J.T @ e)
+            after = residual_and_jacobian(there, own, u[few])
+            less = 1.0 - float(np.sum(after[0] ** 2)) / max(float(e @ e), TINY)
+            damping *= 0.1 if less > 0.0 else 10.0
+            x, (e, J) = (there, after) if less > 0.0 else (x, (e, J))
+            if 0.0 <= less < gain or damping > 1e6:
+                break
     k = x.size // u.shape[1]
     w = beta @ ((Vt[:k].T / sigma[:k]) @ x.reshape(k, -1))
     if np.sum(w**2) < NONE * np.sum(u**2):

@@ -35,7 +35,6 @@ from manip_learn.recordings.trajectory import evenly
 
 FEW = 200  # draws of an error for which a place is read again
 POOR = 1.0  # [deg] error of the direction, or of the place as seen from the hand, above which it is known badly
-MOST_PLACES = 1500  # places of the hand
 PIECES = (2, 4, 8, 16, 32)  # of a spline; as many as foretell the other recordings best
 KNOWN = {"axis": slice(0, 3), "point": slice(3, 6), "point-across": slice(3, 6), "pitch": slice(6, 7)}
 Places = Float[np.ndarray, "n 3"]
@@ -182,7 +181,7 @@ def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | Curv
     p, parts = fit.motion.place, fit.motion.parts
     if p is None or fit.rows.shape[0] > 2:
         return None
-    chosen = [part.start + evenly(part.stop - part.start, max(2, MOST_PLACES // len(parts))) for part in parts]
+    chosen = [part.start + evenly(part.stop - part.start, max(2, 1500 // len(parts))) for part in parts]
     p, ends = p[np.concatenate(chosen)], np.cumsum([0, *map(len, chosen)])
     parts = [slice(*edges) for edges in pairwise(ends)]
     middle = p.mean(axis=0)

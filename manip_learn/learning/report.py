@@ -332,7 +332,7 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Le
         row_names=features.row_names,
         reference=getattr(features, "reference", None),
         free_directions=tuple(tuple(map(float, row)) for row in free),
-        gap=answer.asked.gap,
+        gap=answer.asked.gaps.get(len(selection), 0.0),
         gap_table=answer.asked.gaps,
         levels=tuple(map(float, answer.asked.levels)),
         energy_fraction=answer.unexplained,

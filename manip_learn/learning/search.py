@@ -21,7 +21,6 @@ from manip_learn.linalg import orthonormal_rows, row_space_angle
 
 FAR_OFF = 0.02  # share of held samples that may be far off: bounds the evidence against
 SCALES = tuple((steady, share) for steady in (1.0, 3.0, 9.0) for share in (0.003, 0.01, 0.03, 0.1, 0.2))
-FIRST = ((2.0, 0.1), (2.0, 0.01))  # scales by which proposals are compared
 SAME = np.radians(3.0)  # rows closer together are one proposal
 MOST_CONSTRAINTS, MOST_TESTED, KEPT, TURNS = 6, 6, 4, 4  # answered; tested by the gate a time; of each kind; of fits
 FEW_HELD = 0.2  # share of the motion, below which what no place explains is looked for in the whole twist
@@ -395,7 +394,7 @@ def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
             continue
         for rows in proposed(views[number].thin, now.states, views[number].largest, bool(np.isinf(switch))):
             tried = [Hypothesis(number, one) for one in rows]
-            gains = scored(views, tried, FIRST, baseline, switch)
+            gains = scored(views, tried, ((2.0, 0.1), (2.0, 0.01)), baseline, switch)  # two of the scales tell enough
             support = (gains.sum(axis=0) - (gains.max(axis=0) if len(gains) > 1 else 0.0)).max(axis=1)
             order = np.argsort(-support, kind="stable")
             order = order[support[order] > 0.0]

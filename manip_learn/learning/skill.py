@@ -16,7 +16,6 @@ from manip_learn.errors import counted
 from manip_learn.learning.answer import Answer, Found
 from manip_learn.learning.table import Table
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot.robot import Robot
 
 LEAVES = 0.02  # [m] that a hand goes after its last contact if it was taken away from there, and not only let go
 GRIPS = 0.1  # share of its range that a gripper's joint moves when it closes or opens
@@ -71,26 +70,23 @@ def _contacts_in_order(answers: Sequence[Answer], table: Table) -> dict[int, lis
     return out
 
 
-def _gripping(
-    features: FeatureMap, table: Table, chosen: dict[int, list[_Contact]], place: int
-) -> tuple[dict[str, Any], dict[str, Any]]:
+def _gripping(features: FeatureMap, table: Table, chosen: dict[int, list[_Contact]], k: int) -> list[dict[str, Any]]:
     """Return what a gripper does in a step as contact begins, and what opens it again, as arguments of `Step`.
 
     Both are empty unless in most recordings joints that do not move the hand move or press then.
     """
-    robot: Robot | None = getattr(features, "robot", None)
-    frame = getattr(features, "frame", None)
+    robot, frame = getattr(features, "robot", None), getattr(features, "frame", None)
     if robot is None or frame is None or robot.nq != robot.nv:
-        return {}, {}
+        return [{}, {}]
     ranges = robot.position_upper - robot.position_lower
     idle = [not robot.moves(name, frame.name) for name in robot.joint_names]
     fingers = np.flatnonzero(idle & np.isfinite(ranges))
     if not len(fingers):
-        return {}, {}
+        return [{}, {}]
     grips: list[tuple[np.ndarray, np.ndarray]] = []
     for recording, contacts in chosen.items():
-        piece, whole = contacts[place].piece, table.moved[recording]
-        since = contacts[place - 1].piece.time[-1] if place else -np.inf
+        piece, whole = contacts[k].piece, table.moved[recording]
+        since = contacts[k - 1].piece.time[-1] if k else -np.inf
         before = (since < whole.time) & (whole.time < piece.time[0])
         held = (piece.time[0] <= whole.time) & (whole.time <= piece.time[-1])
         if not before.any():
@@ -105,7 +101,7 @@ def _gripping(
         if moves.any():
             grips.append((closed, opened))
     if len(grips) <= 0.5 * len(chosen):
-        return {}, {}
+        return [{}, {}]
     names = [robot.joint_names[i] for i in fingers]
     closed, opened = (dict(zip(names, map(float, q), strict=True)) for q in np.median(grips, axis=0))
-    return {"gripper": "close", "fingers": closed}, {"gripper": "open", "fingers": opened}
+    return [{"gripper": "close", "fingers": closed}, {"gripper": "open", "fingers": opened}]

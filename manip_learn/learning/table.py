@@ -107,9 +107,8 @@ class Table:
         self.recording = np.repeat(np.arange(len(lengths)), lengths)
         self.noises = [velocity_noise(t.time, np.asarray(t.u)) for t in moved]
         self.noise = np.repeat(self.noises, lengths)
-        steps = [np.minimum(np.diff(t.time), 0.2) if len(t) > 1 else np.array([0.01]) for t in moved]
-        halves = [0.5 * (np.append(x, x[-1]) + np.insert(x, 0, x[0])) for x in steps]  # a gap is no evidence
-        self.weight = np.concatenate([x[:n] for x, n in zip(halves, lengths, strict=True)])
+        clocks = [np.cumsum(np.minimum(np.diff(t.time, prepend=t.time[0]), 0.2)) for t in moved]  # no gap is evidence
+        self.weight = np.concatenate([np.gradient(x) if len(x) > 1 else np.array([0.01]) for x in clocks])
         self.seconds = float(self.weight.sum())
         self.step = step = max(1, round(len(self.time) / max(self.seconds, 1e-9) / SCAN_RATE))
         self.thin = np.concatenate([np.arange(a + min(step, b - a) // 2, b, step) for a, b in pairwise(self.first)])
@@ -256,6 +255,36 @@ class View:
     def way(self, inside: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return the integral of the velocities along whitened rows (s, r) over a mask of samples, shape (k, s)."""
         return np.cumsum(self.all.rates[inside] * self.all.weight[inside, None], axis=0) @ rows.T
+
+    def steady(self, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[Stretch]:
+        """Return the stretches that rest along the rows as most do; in the others the hand slips."""
+        m, moved, noise = self.all, [], []
+        for inside in (self.table.inside([x]) for x in stretches):
+            moved.append(np.sqrt(np.sum(np.var(self.way(inside, rows), axis=0))) if inside.any() else 0.0)
+            noise.append(2.0 * OVER_NOISE * np.sqrt(len(rows) * np.sum(m.noise[inside] * m.weight[inside] ** 2)))
+        usual = OVER_NOISE * np.median(moved) if moved else 0.0
+        most = np.maximum(max(usual, LEAST_MOTION), np.minimum(noise, 2.0 * usual))
+        kept = [x for x, way, least in zip(stretches, moved, most, strict=True) if way <= least]
+        return kept if 2 * len(kept) > len(stretches) else list(stretches)
+
+    def sharpened(self, rows: np.ndarray, s: Stretch) -> Stretch:
+        """Return the stretch without ends that have moved along the rows further than its inner part.
+
+        A hand that leaves a surface at a flat angle has moved along the rows before its velocity shows it.
+        """
+        inside = self.table.inside([s])
+        time = self.table.time[inside]
+        inner = (time >= s.start + SHORTEST) & (time <= s.end - SHORTEST)
+        if s.duration < 4.0 * SHORTEST or np.count_nonzero(inner) < 10:
+            return s
+        way = self.way(inside, rows)
+        away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
+        left = time[(away > 2.5 * np.quantile(away[inner], 0.9)) & ~inner]
+        before, after = left[left < s.start + SHORTEST], left[left > s.end - SHORTEST]
+        first, last = self.table.ends[s.recording]
+        start = float(time[time > before[-1]][0]) if len(before) and s.start > first else s.start
+        end = float(time[time < after[0]][-1]) if len(after) and s.end < last else s.end
+        return Stretch(s.recording, start, end)
 
     def selection(self, rows: np.ndarray) -> np.ndarray:
         """Return Lambda in the features' own rows, orthonormal, from whitened ones."""
