@@ -121,12 +121,12 @@ def test_files_of_an_experiment(tmp_path):
 
 def test_table_has_the_shape_that_checks_read():
     """Constraint -> paper and ours -> way to learn -> mean, sd, median, worst, seconds_per_fit and shares."""
-    trials = [{name: ANSWER | {"test": float(i)} for name in table.COMPARED} for i in (1, 2, 6)]
+    trials = [{name: ANSWER | {"test": float(i)} for name in table.LABELS} for i in (1, 2, 6)]
     trials[1]["auto"] = {"refused": "too-few"}
     result = table.TableResult(dict.fromkeys(SELECTIONS, trials))
     assert list(result.to_dict()) == ["x y", "x rz", "y rz"]
     for rows, block in result.to_dict().items():
-        assert block["paper"] == PAPER_NMIE[rows] and set(block["ours"]) == set(table.COMPARED)
+        assert block["paper"] == PAPER_NMIE[rows] and set(block["ours"]) == set(table.LABELS)
         assert block["ours"]["separate"] == {
             "mean": 3.0, "sd": pytest.approx(7.0**0.5), "median": 2.0, "worst": 6.0, "n": 3, "seconds_per_fit": 0.5,
             "train": summary([0.1] * 3), "scale_free": summary([0.2] * 3), "angle_deg": summary([0.3] * 3),

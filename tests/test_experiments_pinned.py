@@ -101,7 +101,7 @@ def turned_rmse() -> dict[str, Any]:
     learnt = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0]])
     true, turned = true_constraint("x y"), Constraint(learnt, planar_features())
     where = draw_starts(3, rng), draw_targets(3, rng)
-    (q, pi), (own_q, own_pi) = (rmse.climbing_rollouts(true, *where, climbed) for climbed in (None, turned))
+    (q, pi), (own_q, own_pi) = (rmse.climbing(true, *where, climbed) for climbed in (None, turned))
     return {"policies": policy_rmse(pi, own_pi).tolist(), "postures": policy_rmse(q, own_q).tolist()}
 
 

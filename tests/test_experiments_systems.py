@@ -61,7 +61,7 @@ def test_climbing_rollouts_are_euler_steps_of_the_papers_law(rng):
     """From posture to posture in 0.02 s: u = A^+ b + N grad mu, and the policies returned are grad mu."""
     constraint = Constraint(Setup("x y").selection, planar_features())
     starts, targets = draw_starts(3, rng), draw_targets(3, rng)
-    for q, pi, target in zip(*rmse.climbing_rollouts(constraint, starts, targets), targets, strict=True):
+    for q, pi, target in zip(*rmse.climbing(constraint, starts, targets), targets, strict=True):
         assert q.shape == (100, 3)
         assert_allclose(pi[7], manipulability_gradient(constraint, q[7]), atol=1e-12)
         for i in (0, 1, 40, 98):

@@ -66,17 +66,18 @@ def test_the_fastest_sample_may_not_be_far_out_of_line(rng):
     """An outlier is 1e4 times the usual speed, and named."""
     names, u = tuple("abcd"), rng.standard_normal((40, 4))
     fast = u / np.linalg.norm(u, axis=1)[:, None]
+    moves = Demonstrations([Trajectory(0.01 * np.arange(40), np.outer(np.linspace(0.0, 1.0, 40), np.ones(4)))])
     for factor in (0.98e4, 1.02e4):
         fast[7] = [0.0, 0.0, -factor, 0.0]
         parts = np.array_split(np.arange(40), 4)
         given = Demonstrations([Trajectory(1.0 * k, np.cumsum(u, axis=0)[k], fast[k], names) for k in parts])
         if factor < 1e4:
-            refuse_unusable(given, given, SENSORS)
+            refuse_unusable(moves, given, SENSORS)
             continue
         with pytest.raises(
             RecordingError, match=r"sample 7 \(trajectory 0\) moves at -1.02e\+04 in joint 'c', 1.0e\+04"
         ):
-            refuse_unusable(given, given, SENSORS)
+            refuse_unusable(moves, given, SENSORS)
 
 
 def test_what_is_too_little_or_too_odd_to_learn_from(rng):

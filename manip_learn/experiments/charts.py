@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,18 +18,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, GRID = "#2b2f36", "#d9dde3"
-STYLE: dict[Any, Any] = {
-    "font.size": 9.0,
-    "axes.edgecolor": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "svg.hashsalt": "manip_learn",  # the same bytes every time
-    "figure.constrained_layout.use": True,
-}
+STYLE: dict[Any, Any] = {"font.size": 9.0, "axes.edgecolor": INK, "figure.constrained_layout.use": True}
+STYLE |= {"grid.color": GRID, "grid.linewidth": 0.6, "svg.hashsalt": "manip_learn"}  # the same bytes every time
+STYLE |= {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True}
+
+
+Figures = dict[str, "Figure"]  # by their names
 
 
 def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: object):
@@ -64,9 +57,7 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
     return paths
 
 
-@final
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """One part of a chart.
 
     Attributes:

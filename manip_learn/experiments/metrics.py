@@ -10,10 +10,8 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 Manipulabilities = Float[np.ndarray, " n"]  # of the true constraint, or of the learnt one, at the same n postures
 
 
-def manipulability_along(
-    features: FeatureMap, Lambda: Float[np.ndarray, "s p"], q: Float[np.ndarray, "n nq"]
-) -> Manipulabilities:
-    """Return mu(q) = sqrt(det(A A^T)) at many postures, A = Lambda Phi(q); equation (4) of Manavalan and Howard.
+def manipulability_along(features: FeatureMap, Lambda: np.ndarray, q: np.ndarray) -> Manipulabilities:
+    """Return mu(q) = sqrt(det(A A^T)) at postures q (n, nq), A = Lambda Phi(q); equation (4) of Manavalan and Howard.
 
     Computed as the product of the singular values of A. Unit: product of the units of the constraint's rows.
     """

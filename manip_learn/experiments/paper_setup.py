@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Literal, final
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -30,11 +30,8 @@ AXES = "x y rz"
 SELECTIONS = ("x y", "x rz", "y rz")
 
 # NMIE of the learnt manipulability, mean and s.d. of 50 trials, as printed (ambiguous by a factor of 1e-3)
-PAPER_NMIE: dict[str, dict[str, float]] = {
-    "x y": {"mean": 1e-6, "sd": 7e-6},
-    "x rz": {"mean": 7e-6, "sd": 4e-5},
-    "y rz": {"mean": 2e-8, "sd": 3e-8},
-}
+_PRINTED = (1e-6, 7e-6), (7e-6, 4e-5), (2e-8, 3e-8)
+PAPER_NMIE = {rows: {"mean": mean, "sd": sd} for rows, (mean, sd) in zip(SELECTIONS, _PRINTED, strict=True)}
 # x, y only: RMSE of pi_mu against the learnt one, 20 rollouts of 100 points [rad/s]
 PAPER_RMSE: dict[str, float] = {"mean": 2.069e-4, "sd": 1.001e-4}
 # a real Sawyer that opens a drawer; its data were not published
@@ -45,7 +42,6 @@ Law = Callable[[Float[np.ndarray, "g n"]], Float[np.ndarray, "g k"]]  # g postur
 Motions = tuple[Float[np.ndarray, "g T n"], Float[np.ndarray, "g T nv"]]  # postures [rad], velocities [rad/s]
 
 
-@final
 @dataclass(frozen=True)
 class Setup:
     """A kind of demonstrations.
@@ -153,23 +149,21 @@ def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.G
     n = setup.trajectories
     starts, targets = draw_starts(n, rng), draw_targets(n, rng)
     rest = REST if setup.policy != "own" else REST + rng.uniform(-0.5, 0.5, size=(n, 3))
-    policies: dict[str, Law] = {
-        "zero": np.zeros_like,
-        "sinusoidal": lambda q: np.column_stack(
-            [np.sin(q[:, 1]), np.cos(q[:, 0]) * np.sin(q[:, 2]), -np.sin(q[:, 0] + q[:, 2])]
-        ),
-    }
-    policy = policies.get(setup.policy, lambda q: rest - q)
+
+    def policy(q: np.ndarray) -> np.ndarray:
+        """Return pi(q) [rad/s]."""
+        if setup.policy == "sinusoidal":
+            return np.column_stack([np.sin(q[:, 1]), np.cos(q[:, 0]) * np.sin(q[:, 2]), -np.sin(q[:, 0] + q[:, 2])])
+        return np.zeros_like(q) if setup.policy == "zero" else rest - q
+
     motions = reach(Constraint(Lambda, planar_features()), policy, tip, starts, targets, setup.points)
     return with_noise(recorded(planar_arm(), STEP, motions), setup.noise, rng)
 
 
-def null_parts(
-    features: FeatureMap, demonstrations: Demonstrations, Lambda: Float[np.ndarray, "s 3"]
-) -> Float[np.ndarray, "n 3"]:
-    """Return the true null-space part of every sample, w = N u."""
-    q = np.concatenate([t.q for t in demonstrations])
-    u = np.concatenate([t.u for t in demonstrations if t.u is not None])
+def null_parts(features: FeatureMap, given: Demonstrations, Lambda: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    """Return the true null-space part of every sample, w = N u, of a Lambda (s, 3)."""
+    q = np.concatenate([t.q for t in given])
+    u = np.concatenate([t.u for t in given if t.u is not None])
     A = Lambda @ features.batch(q)
     return u - np.einsum("nvs,nsw,nw->nv", np.linalg.pinv(A), A, u)
 

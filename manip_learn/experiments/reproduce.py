@@ -17,7 +17,6 @@ import numpy as np
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
 from manip_learn.experiments.charts import save_figure
-from manip_learn.experiments.results import ExperimentResult
 from manip_learn.experiments.rmse import RMSE
 from manip_learn.experiments.sawyer import SAWYER
 from manip_learn.experiments.singular_starts import NEAR_SINGULAR, SINGULAR, BadStart
@@ -40,7 +39,7 @@ def reproduce(
     progress: Progress | None = None,
     *,
     workers: int | None = None,
-    on_result: Callable[[str, ExperimentResult], None] | None = None,
+    on_result: Callable[[str, Any], None] | None = None,
 ) -> dict[str, Any]:
     """Run one experiment of the paper, or all, and set our numbers beside the printed ones.
 
@@ -91,7 +90,8 @@ def reproduce(
                 progress(name, next(done) / total)
 
         with one_thread():
-            result = part.run(trials, np.random.default_rng([seed, zlib.crc32(part.name.encode())]), workers, on_trial)
+            rng = np.random.default_rng([seed, zlib.crc32(part.name.encode())])
+            result: Any = part.run(trials, rng, workers, on_trial)
         results[part.name] = result.to_dict()
         if on_result is not None:
             on_result(part.name, result)
@@ -100,18 +100,16 @@ def reproduce(
     return results
 
 
-def write_result(part: str, result: ExperimentResult, folder: Path, settings: dict[str, Any]) -> list[Path]:
+def write_result(part: str, result: Any, folder: Path, settings: dict[str, Any]) -> list[Path]:
     """Write JSON, CSV, Markdown and figures of one part; OutputError if they cannot be written."""
     content = {"experiment": part, "settings": settings, "result": result.to_dict()}
     table, rows = io.StringIO(), result.rows()
     writer = csv.DictWriter(table, list(dict.fromkeys(name for row in rows for name in row)), "", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    paths = [
-        write_atomically(folder / f"{part}.json", json.dumps(content, indent=1, allow_nan=False) + "\n"),
-        write_atomically(folder / f"{part}.csv", table.getvalue()),
-        write_atomically(folder / f"{part}.md", result.markdown() + "\n"),
-    ]
+    texts = {"json": json.dumps(content, indent=1, allow_nan=False) + "\n", "csv": table.getvalue()}
+    texts["md"] = result.markdown() + "\n"
+    paths = [write_atomically(folder / f"{part}.{kind}", text) for kind, text in texts.items()]
     for name, figure in result.figures().items():
         paths += save_figure(figure, folder, name)
     return paths

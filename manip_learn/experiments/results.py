@@ -3,39 +3,15 @@
 from __future__ import annotations
 
 import json
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-class ExperimentResult(ABC):
-    """Numbers with those of the paper, as a table and as figures; the children are frozen dataclasses."""
-
-    @abstractmethod
-    def to_dict(self) -> dict[str, Any]:
-        """Return numbers and strings for JSON, with `paper` and `ours`."""
-
-    @abstractmethod
-    def rows(self) -> list[dict[str, Any]]:
-        """Return one dictionary per line of the CSV file."""
-
-    @abstractmethod
-    def markdown(self) -> str:
-        """Return tables for the documentation."""
-
-    @abstractmethod
-    def figures(self) -> dict[str, Figure]:
-        """Draw the figures, name -> figure."""
-
 
 @dataclass(frozen=True, eq=False)
-class TrialsResult(ExperimentResult):
+class TrialsResult:
     """Outcome of every trial of some cases.
 
     Attributes:
@@ -78,13 +54,10 @@ def share(flags: Iterable[bool]) -> float | None:
 
 def number(value: float | None, digits: int = 2) -> str:
     """Return a number for a table: 1.2e-07, 0.31, 12, or a dash for None."""
-    if value is None:
-        return "-"
-    if value == 0.0:
-        return "0"
-    if 0.01 <= abs(value) < 1000.0:
-        return f"{value:.{max(digits, 1)}g}" if abs(value) < 10 else f"{value:.0f}"
-    return f"{value:.{digits - 1}e}"
+    if not value:
+        return "-" if value is None else "0"
+    plain = f"{value:.{max(digits, 1)}g}" if abs(value) < 10 else f"{value:.0f}"
+    return plain if 0.01 <= abs(value) < 1000.0 else f"{value:.{digits - 1}e}"
 
 
 def mean_and_sd(statistics: Mapping[str, Any]) -> str:

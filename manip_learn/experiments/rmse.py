@@ -7,7 +7,8 @@ also the two policies at the postures of one trajectory, where differences do no
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -15,14 +16,11 @@ from jaxtyping import Float
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.experiments import paper_setup as paper
-from manip_learn.experiments.charts import Panel, strips
+from manip_learn.experiments.charts import Figures, Panel, strips
 from manip_learn.experiments.metrics import policy_rmse
 from manip_learn.experiments.results import TrialsResult, markdown_table, mean_and_sd, number, row_words, summary
 from manip_learn.experiments.table import LABELS, learn
 from manip_learn.experiments.trials import Trials
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 ESTIMATORS = ("joint-affine", "joint-rbf", "separate")
 # comparison -> words for tables; all with the root mean square over 100 points of the length of the difference
@@ -33,9 +31,9 @@ _KINDS = {
 }
 PRINTED_FOR = "x y"  # the constraint that the paper tested
 _ROLLOUTS, _POINTS = 20, 100
+Starts = Float[np.ndarray, "m 3"]
 
 
-@final
 @dataclass(frozen=True)
 class RmseCase:
     """The constrained rows of the paper's demonstrations, which are to be learnt."""
@@ -52,24 +50,19 @@ def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
     true = paper.true_constraint(case.rows)
     demos = paper.demonstrate(paper.Setup(case.rows), true.selection, rng)
     reaches = paper.draw_starts(_ROLLOUTS, rng), paper.draw_targets(_ROLLOUTS, rng)
-    q, pi = climbing_rollouts(true, *reaches)
+    q, pi = climbing(true, *reaches)
     out: dict[str, Any] = {}
     for name in ESTIMATORS:
         seed = int(rng.integers(2**63))
         learnt = Constraint(learn(name, true.features, demos, true.selection, seed)[0], true.features)
-        own_q, own_pi = climbing_rollouts(true, *reaches, learnt)
-        errors = (policy_rmse(pi, own_pi), policy_rmse(q, own_q), policy_rmse(pi, climb_along(learnt, q)))
+        own_q, own_pi = climbing(true, *reaches, learnt)
+        errors = (policy_rmse(pi, own_pi), policy_rmse(q, own_q), policy_rmse(pi, climb(learnt, q)))
         out[name] = {kind: error.tolist() for kind, error in zip(_KINDS, errors, strict=True)}
     out["size"] = float(np.sqrt(np.mean(np.sum(pi**2, axis=-1))))
     return out
 
 
-def climbing_rollouts(
-    constraint: Constraint,
-    q: Float[np.ndarray, "m 3"],
-    targets: Float[np.ndarray, "m 3"],
-    climbed: Constraint | None = None,
-) -> paper.Motions:
+def climbing(constraint: Constraint, q: Starts, targets: Starts, climbed: Constraint | None = None) -> paper.Motions:
     """Return postures and pi_mu under u = A^+ b + N pi_mu, equations (2) and (13).
 
     Args:
@@ -79,18 +72,15 @@ def climbing_rollouts(
         climbed: Constraint whose mu is climbed; that of the task by default.
     """
     climbed = climbed or constraint
-    postures, _ = paper.reach(
-        constraint, lambda q: manipulability_batch(climbed, q).gradient, paper.tip, q, targets, _POINTS
-    )
-    return postures, climb_along(climbed, postures)
+    postures, _ = paper.reach(constraint, partial(climb, climbed), paper.tip, q, targets, _POINTS)
+    return postures, climb(climbed, postures)
 
 
-def climb_along(constraint: Constraint, q: Float[np.ndarray, "m T nq"]) -> Float[np.ndarray, "m T nv"]:
-    """Return pi_mu = grad mu, equation (13), along trajectories."""
-    return manipulability_batch(constraint, q.reshape(-1, q.shape[2])).gradient.reshape(q.shape)
+def climb(constraint: Constraint, q: Float[np.ndarray, "*n nq"]) -> Float[np.ndarray, "*n nv"]:
+    """Return pi_mu = grad mu, equation (13), at postures, or along trajectories."""
+    return manipulability_batch(constraint, q.reshape(-1, q.shape[-1])).gradient.reshape(q.shape)
 
 
-@final
 class RmseResult(TrialsResult):
     """RMSE of every rollout of every trial, see `rmse_trial`."""
 
@@ -99,11 +89,10 @@ class RmseResult(TrialsResult):
 
     def to_dict(self) -> dict[str, Any]:
         """Return paper and ours, over all rollouts; `policy_size` is the root mean square of the true policy."""
-        ours = {
-            rows: {name: {kind: summary(self._values(rows, name, kind)) for kind in _KINDS} for name in ESTIMATORS}
-            | {"policy_size": float(np.mean([t["size"] for t in trials]))}
-            for rows, trials in self.outcomes.items()
-        }
+        ours: dict[str, dict[str, Any]] = {}
+        for rows, trials in self.outcomes.items():
+            ours[rows] = {e: {kind: summary(self._values(rows, e, kind)) for kind in _KINDS} for e in ESTIMATORS}
+            ours[rows]["policy_size"] = float(np.mean([t["size"] for t in trials]))
         return {"paper": paper.PAPER_RMSE | {"rows": PRINTED_FOR}, "ours": ours}
 
     def markdown(self) -> str:
@@ -118,20 +107,16 @@ class RmseResult(TrialsResult):
         first, *others = _KINDS.values()
         return markdown_table(["rows", "estimator", first, "... worst", *others], lines)
 
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> Figures:
         """Draw every rollout as a dot, the comparison of the paper above."""
-        panels = [
-            [
-                Panel(
-                    {LABELS[name]: self._values(rows, name, kind) for name in ESTIMATORS},
-                    f"RMSE, {_KINDS[kind]}".replace(" [", "\n["),
-                    f"constrained rows {row_words(rows)}" if kind == "two_policies" else "",
-                    paper.PAPER_RMSE["mean"] if (rows, kind) == (PRINTED_FOR, "two_policies") else None,
-                )
-                for rows in self.outcomes
-            ]
-            for kind in ("two_policies", "one_trajectory")
-        ]
+
+        def panel(rows: str, kind: str) -> Panel:
+            values = {LABELS[name]: self._values(rows, name, kind) for name in ESTIMATORS}
+            label, above = f"RMSE, {_KINDS[kind]}".replace(" [", "\n["), kind == "two_policies"
+            printed = paper.PAPER_RMSE["mean"] if above and rows == PRINTED_FOR else None
+            return Panel(values, label, f"constrained rows {row_words(rows)}" if above else "", printed)
+
+        panels = [[panel(rows, kind) for rows in self.outcomes] for kind in ("two_policies", "one_trajectory")]
         return {"rmse": strips(panels, "estimator; a dot is a rollout, a bar the median", 9.0, 6.4)}
 
 

@@ -10,8 +10,9 @@ recordings with replacement (a bootstrap resample), and those that were not draw
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
-from typing import TYPE_CHECKING, Any, final
+from functools import cache, partial
+from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -21,10 +22,10 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments import paper_setup as paper
-from manip_learn.experiments.charts import Panel, strips
+from manip_learn.experiments.charts import Figures, Panel, strips
 from manip_learn.experiments.metrics import mie, nmie, policy_rmse
 from manip_learn.experiments.results import TrialsResult, markdown_table, mean_and_sd, number, share, summary
-from manip_learn.experiments.rmse import climb_along
+from manip_learn.experiments.rmse import climb
 from manip_learn.experiments.trials import Trials
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.linalg import row_space_angle
@@ -35,9 +36,6 @@ from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 # the paper's numbers: the pose that the null-space policy leads to [rad], and the starts
 DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
 _START_LOW, _START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # [rad]
@@ -46,7 +44,7 @@ _ROLLOUTS, ROLLOUT_POINTS = 20, 100  # that the RMSE is taken over, samples of e
 _DAMPING = 0.05  # [m] of the inverse in the rollouts: targets may be out of reach
 FRAME = "right_gripper_tip"
 # source -> recordings
-FOLDERS = {"model": "", "kind physics": "sawyer_drawer", "hard physics": "sawyer_drawer_hard"}
+FOLDERS = {"kind physics": "sawyer_drawer", "hard physics": "sawyer_drawer_hard"}
 READINGS = ("constrained row", "free direction")
 BETWEEN = " | "  # the words of a case
 _ERRORS = ("mie", "nmie", "mie_held", "nmie_held", "angle_deg")
@@ -58,15 +56,14 @@ def sawyer_arm() -> Robot:
     return load_robot("sawyer")
 
 
-@final
 @dataclass(frozen=True)
 class SawyerCase:
     """One way to read the paper's drawer.
 
     Attributes:
-        source: Origin of the demonstrations, a key of `FOLDERS`: a motion of the model; a grip within a micrometre,
-            noise of 1e-4 rad, 100 Hz, velocities derived from the positions; 2 mm of play in the grip, stick and slip,
-            1e-3 rad, 20 Hz, velocities as recorded, 60 ms old.
+        source: Origin of the demonstrations, `"model"` or a key of `FOLDERS`: a motion of the model; a grip within a
+            micrometre, noise of 1e-4 rad, 100 Hz, velocities derived from the positions; 2 mm of play in the grip,
+            stick and slip, 1e-3 rad, 20 Hz, velocities as recorded, 60 ms old.
         points: Samples of each demonstration; None for all.
         reading: Meaning of the direction of Lambda_x or Lambda_y, one of `READINGS`.
         direction: `"x"` or `"y"`.
@@ -93,14 +90,9 @@ class SawyerCase:
         return Constraint(np.eye(len(axes))[rows], FrameJacobian(sawyer_arm(), FRAME, " ".join(axes)))
 
 
-CASES = {
-    case.name: case
-    for source in FOLDERS
-    for points in ((_POINTS,) if source == "model" else (_POINTS, None))
-    for reading in READINGS
-    for direction in ("x", "y")
-    for case in [SawyerCase(source, points, reading, direction)]
-}
+_GIVEN: list[tuple[str, int | None]] = [("model", _POINTS), *product(FOLDERS, (_POINTS, None))]
+_EVERY = [SawyerCase(*given, reading, direction) for given in _GIVEN for reading in READINGS for direction in "xy"]
+CASES = {case.name: case for case in _EVERY}
 
 
 def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
@@ -126,10 +118,8 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
         mu, other = manipulability_batch(true, q).mu, manipulability_batch(learnt, q).mu
         out |= {f"mie{held}": mie(mu, other), f"nmie{held}": nmie(mu, other)}
     # of pi_mu = grad mu, equation (13), against pi_mu~ on 20 rollouts of 100 points under pi_mu
-    climbed, _ = motions(
-        true, lambda q: manipulability_batch(true, q).gradient, _ROLLOUTS, ROLLOUT_POINTS, rng, _DAMPING
-    )
-    return out | {"rmse": policy_rmse(climb_along(true, climbed), climb_along(learnt, climbed)).tolist()}
+    climbed, _ = motions(true, partial(climb, true), _ROLLOUTS, ROLLOUT_POINTS, rng, _DAMPING)
+    return out | {"rmse": policy_rmse(climb(true, climbed), climb(learnt, climbed)).tolist()}
 
 
 def motions(
@@ -146,10 +136,9 @@ def motions(
 def drawn(case: SawyerCase, rng: Generator) -> tuple[Demonstrations, Demonstrations]:
     """Return demonstrations to learn from, and others to test on: none is in both."""
     if case.source == "model":
-        train, test = (
-            motions(case.constraint, lambda q: DEFAULT_POSE - q, DEMONSTRATIONS, _POINTS, rng) for _ in range(2)
-        )
-        return paper.recorded(sawyer_arm(), _STEP, train), paper.recorded(sawyer_arm(), _STEP, test)
+        settings = case.constraint, lambda q: DEFAULT_POSE - q, DEMONSTRATIONS, _POINTS, rng
+        train, test = (paper.recorded(sawyer_arm(), _STEP, motions(*settings)) for _ in range(2))
+        return train, test
     opens_along_x = (case.direction == "x") == (case.reading == "free direction")
     every = turned_recordings(FOLDERS[case.source], opens_along_x, case.points)
     chosen = rng.integers(len(every), size=DEMONSTRATIONS)
@@ -157,6 +146,7 @@ def drawn(case: SawyerCase, rng: Generator) -> tuple[Demonstrations, Demonstrati
     return Demonstrations(every[int(i)] for i in chosen), Demonstrations(every[int(i)] for i in others)
 
 
+@cache
 def turned_recordings(folder: str, along_x: bool, points: int | None) -> Demonstrations:
     """Return all demonstrations, as from an arm whose base is turned.
 
@@ -169,16 +159,11 @@ def turned_recordings(folder: str, along_x: bool, points: int | None) -> Demonst
     """
     offset = -np.deg2rad(25.0) + (0.0 if along_x else np.pi / 2)  # the recorded drawer opens at 25 degrees from x
     shift = np.eye(7)[sawyer_arm().joint_names.index("right_j0")] * offset
-    turned = (Trajectory(t.time, t.q + shift, t.u, t.joint_names, t.name) for t in _recordings(folder))
+    given = with_velocities(load_demonstrations(folder, sawyer_arm(), velocities="recorded"), sawyer_arm())
+    turned = (Trajectory(t.time, t.q + shift, t.u, t.joint_names, t.name) for t in given)
     return Demonstrations(t if points is None else subsample(t, points) for t in turned)
 
 
-@cache
-def _recordings(folder: str) -> Demonstrations:
-    return with_velocities(load_demonstrations(folder, sawyer_arm(), velocities="recorded"), sawyer_arm())
-
-
-@final
 class SawyerResult(TrialsResult):
     """Outcome of every trial, see `sawyer_trial`; a case is its source, its reading and its direction."""
 
@@ -191,9 +176,9 @@ class SawyerResult(TrialsResult):
                 "rows_right": share(t.get("rows") == t["rows_true"] for t in trials),
                 "inside": share(t["angle_deg"] <= t["stated_deg"] for t in trials if t.get("stated_deg") is not None),
             }
-        note = "a real Sawyer, data unpublished: the paper's numbers hold the friction, compliance and noise of an arm"
-        paper_numbers = {"mie": paper.PAPER_SAWYER_MIE, "rmse": dict(paper.PAPER_SAWYER_RMSE)}
-        return {"paper": paper_numbers | {"note": f"{note} that we do not have"}, "ours": ours}
+        note = "a real Sawyer, data unpublished: friction, compliance and noise of an arm that we do not have"
+        printed = {"mie": paper.PAPER_SAWYER_MIE, "rmse": dict(paper.PAPER_SAWYER_RMSE), "note": note}
+        return {"paper": printed, "ours": ours}
 
     def markdown(self) -> str:
         """Return a table of all readings with the paper's numbers."""
@@ -207,7 +192,7 @@ class SawyerResult(TrialsResult):
         header = ["demonstrations", "reading", "Lambda", "MIE, training", "MIE, held out", "NMIE, held out"]
         return markdown_table([*header, "angle [deg], median (worst)", "RMSE, mean +- s.d.", "rows found"], lines)
 
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> Figures:
         """Draw MIE on held-out recordings and RMSE of every trial."""
         learnt: dict[str, list[dict[str, Any]]] = {}
         for case, trials in self.outcomes.items():
@@ -217,10 +202,8 @@ class SawyerResult(TrialsResult):
         means = {label: [float(np.mean(t["rmse"])) for t in trials] for label, trials in learnt.items()}
         mie_label = "MIE on held-out recordings\n[m$^2$ for one row, m$^4$ for two]"
         rmse_label = "RMSE of the policy, mean of 20 rollouts\n[m/rad for one row, m$^2$/rad for two]"
-        panels = [
-            [Panel(errors, mie_label, paper=paper.PAPER_SAWYER_MIE)],
-            [Panel(means, rmse_label, paper=paper.PAPER_SAWYER_RMSE["mean"])],
-        ]
+        first = Panel(errors, mie_label, paper=paper.PAPER_SAWYER_MIE)
+        panels = [[first], [Panel(means, rmse_label, paper=paper.PAPER_SAWYER_RMSE["mean"])]]
         return {"sawyer": strips(panels, "recordings: reading of Lambda; a dot is a trial, a bar the median", 9.0, 9.0)}
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -17,15 +17,12 @@ from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, N
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.point_attractor import PointAttractor
-from manip_learn.experiments.charts import INK, new_figure
+from manip_learn.experiments.charts import INK, Figures, new_figure
 from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_arm, true_constraint
-from manip_learn.experiments.results import ExperimentResult, markdown_table, number
+from manip_learn.experiments.results import markdown_table, number
 from manip_learn.experiments.table import LABELS, learn
 from manip_learn.linalg import matlab_tolerance
 from manip_learn.playback.palette import COLOURS
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Numbers = dict[str, Any]  # of one rollout, see `numbers_of`
 DURATION = 5.0  # [s]
@@ -36,9 +33,7 @@ _LEARNT = "joint-affine"  # how Lambda is learnt, from 100 of the paper's demons
 _SETTLED = 100.0  # joint speed after the first second above which the arm still leaps [rad/s]
 
 
-@final
-@dataclass(frozen=True)
-class Claim:
+class Claim(NamedTuple):
     """A claim of the paper and its outcome here.
 
     Attributes:
@@ -54,9 +49,8 @@ class Claim:
     verdict: str = ""
 
 
-@final
 @dataclass(frozen=True, eq=False)
-class StartResult(ExperimentResult):
+class StartResult:
     """Rollouts of the paper's law and of our controller.
 
     Attributes:
@@ -78,21 +72,16 @@ class StartResult(ExperimentResult):
         for numbers in ours.values():
             if numbers["chaotic"]:
                 numbers |= dict.fromkeys(("final_error", "min_manipulability", "lowest_step", "late_speed"))
-        return {
-            "paper": {"claims": [claim.text for claim in self.claims]},
-            "ours": ours,
-            "claims": [vars(claim) for claim in self.claims],
-            "rounding": self.rounding,
-        }
+        paper, claims = {"claims": [claim.text for claim in self.claims]}, [claim._asdict() for claim in self.claims]
+        return {"paper": paper, "ours": ours, "claims": claims, "rounding": self.rounding}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one line per sample of every rollout."""
-        names = ("time", "q1", "q2", "q3", "manipulability", "task_error")
-        return [
-            {"law": law, **dict(zip(names, line, strict=True))}
-            for law, r in self.rollouts.items()
-            for line in np.column_stack([r.time, r.q, r.manipulability, r.task_error]).tolist()
-        ]
+        names, out = ("law", "time", "q1", "q2", "q3", "manipulability", "task_error"), list[dict[str, Any]]()
+        for law, r in self.rollouts.items():
+            lines = np.column_stack([r.time, r.q, r.manipulability, r.task_error]).tolist()
+            out += [dict(zip(names, (law, *line), strict=True)) for line in lines]
+        return out
 
     def markdown(self) -> str:
         """Return the claims, and the key numbers of the rollouts."""
@@ -101,17 +90,12 @@ class StartResult(ExperimentResult):
         for law, n in self.to_dict()["ours"].items():
             cells = ["chaotic" if n["chaotic"] else number(n[key]) for key in ("final_error", "min_manipulability")]
             lines.append([law, *cells, number(n["max_velocity"])])
-        parts = [
-            markdown_table(["claim of the paper", "measured here", "holds as printed"], claims),
-            f"Lambda of the manipulability policy: learnt by *{LABELS[_LEARNT]}* from 100 demonstrations; the task "
-            "part uses the true one.",
-            markdown_table(
-                ["law", "final error [m]", "smallest mu after step 3", "largest joint speed [rad/s]"], lines
-            ),
-        ]
-        return "\n\n".join(parts)
+        learnt = f"Lambda of the manipulability policy: learnt by *{LABELS[_LEARNT]}* from 100 demonstrations"
+        header = ["law", "final error [m]", "smallest mu after step 3", "largest joint speed [rad/s]"]
+        judged = markdown_table(["claim of the paper", "measured here", "holds as printed"], claims)
+        return f"{judged}\n\n{learnt}; the task part uses the true one.\n\n{markdown_table(header, lines)}"
 
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> Figures:
         """Draw the arm over time above, the manipulability over time below; the last column is our controller."""
         leap = "\n(chaotic after the first step)" if self.rounding else ""
         columns = {f"paper's law, {p} policy{leap}": [self.rollouts[law_name(p, dt)] for dt in STEPS] for p in POLICIES}
@@ -128,15 +112,12 @@ def numbers_of(rollout: Rollout) -> Numbers:
     """Return key numbers: the least manipulability from step 3 on, the speed in the last four fifths, and others."""
     speed = np.max(np.abs(rollout.u), axis=1)
     lowest = 3 + int(np.argmin(rollout.manipulability[3:]))
-    return {
-        "final_error": float(rollout.task_error[-1]),
-        "min_manipulability": float(rollout.manipulability[lowest]),
-        "lowest_step": lowest,
-        "max_velocity": float(np.max(speed)),
-        "largest_step": float(np.max(speed) * rollout.time[1]),
-        "late_speed": float(np.max(speed[len(rollout) // 5 :])),
-        "chaotic": bool(np.max(np.abs(rollout.q)) > 1e6),  # [rad] beyond which no digit is left below 1e-10 of a turn
-    }
+    found: Numbers = {"final_error": float(rollout.task_error[-1]), "lowest_step": lowest}
+    found["min_manipulability"], found["max_velocity"] = float(rollout.manipulability[lowest]), float(np.max(speed))
+    found["largest_step"] = float(np.max(speed) * rollout.time[1])
+    found["late_speed"] = float(np.max(speed[len(rollout) // 5 :]))
+    found["chaotic"] = bool(np.max(np.abs(rollout.q)) > 1e6)  # [rad]: no digit is left below 1e-10 of a turn
+    return found
 
 
 def singular_claims(rollouts: dict[str, Rollout], _rounding: object) -> list[Claim]:
@@ -158,13 +139,12 @@ def singular_claims(rollouts: dict[str, Rollout], _rounding: object) -> list[Cla
     nears = seen("mu {min_manipulability:.2g}, up to {max_velocity:.0f} rad/s", attractor)
     climbs = seen("final error {final_error:.2g} m, mu >= {min_manipulability:.3f} from step 3", climb)
     is_away = climb[0]["final_error"] < REACHED and climb[0]["min_manipulability"] > 0.5
+    drops, lowest = "The pseudo-inverse drops singular values below 1.332e-15", attractor[0]["min_manipulability"]
     return [
-        Claim(
-            "The pseudo-inverse drops singular values below 1.332e-15", measured, threshold == "1.332e-15" and is_below
-        ),
+        Claim(drops, measured, threshold == "1.332e-15" and is_below),
         Claim("The zero policy never leaves the singularity", *stays),
         Claim("The attractor arrives", *arrives),
-        Claim("... but comes near another singularity on its way", nears, attractor[0]["min_manipulability"] < 0.1),
+        Claim("... but comes near another singularity on its way", nears, lowest < 0.1),
         Claim("... after around 70 steps", dips, near_70[0], verdict),
         Claim("The manipulability policy arrives and stays away from singularities", climbs, is_away),
     ]
@@ -191,7 +171,7 @@ def near_singular_claims(rollouts: dict[str, Rollout], rounding: dict[str, Numbe
     ]
 
 
-def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, float]) -> Figure:
+def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, float]) -> Any:
     """Draw one column per law: the arm at some moments, early ones pale, and the manipulability of every sample.
 
     Args:
@@ -224,7 +204,6 @@ def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, 
     return figure
 
 
-@final
 @dataclass(frozen=True)
 class BadStart:
     """Settings of a comparison.
@@ -250,11 +229,8 @@ class BadStart:
 
         Truncation fires only if the row space is right to 1e-16: the task uses the true A, the policy the learnt one.
         """
-        null: dict[str, NullSpacePolicy] = {
-            "zero": ZeroPolicy(3),
-            "attractor": JointAttractor(self.rest),
-            "manipulability": ManipulabilityAscent(learnt, logarithmic=product),
-        }
+        null: dict[str, NullSpacePolicy] = {"zero": ZeroPolicy(3), "attractor": JointAttractor(self.rest)}
+        null["manipulability"] = ManipulabilityAscent(learnt, logarithmic=product)
         bare: dict[str, Any] = {} if product else {"inverse": self.inverse, "limits": False}
         task = PointAttractor([*self.target, 0.0], gain=1.0)
         return ResolvedRateController(true_constraint("x y"), task, null[policy], **bare)
@@ -295,17 +271,7 @@ def _radians(*degrees: float) -> tuple[float, ...]:
     return tuple(np.deg2rad(degrees))
 
 
-SINGULAR = BadStart(
-    "singular-start",
-    _radians(90.0 + 1e-12, 360.0, -360.0),  # stretched out straight
-    _radians(-190.0, 9.0, -307.0),
-    "truncated",
-    singular_claims,
-)
-NEAR_SINGULAR = BadStart(
-    "near-singular-start",
-    _radians(90.0, -180.0, -180.0 + 1e-10),  # folded
-    _radians(-33.0, -283.0, 193.0),
-    "exact",
-    near_singular_claims,
-)
+_STRAIGHT, _REST = _radians(90.0 + 1e-12, 360.0, -360.0), _radians(-190.0, 9.0, -307.0)
+SINGULAR = BadStart("singular-start", _STRAIGHT, _REST, "truncated", singular_claims)
+_FOLDED, _OTHER = _radians(90.0, -180.0, -180.0 + 1e-10), _radians(-33.0, -283.0, 193.0)
+NEAR_SINGULAR = BadStart("near-singular-start", _FOLDED, _OTHER, "exact", near_singular_claims)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import time
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, final
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.experiments.charts import Panel, strips
+from manip_learn.experiments.charts import Figures, Panel, strips
 from manip_learn.experiments.metrics import manipulability_along, nmie, scale_free_nmie
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup, demonstrate, null_parts, planar_features
 from manip_learn.experiments.results import TrialsResult, markdown_table, mean_and_sd, number, row_words, share, summary
@@ -31,21 +31,10 @@ from manip_learn.learning.table import Stretch, Table, View
 from manip_learn.linalg import complement_rows, row_space_angle
 from manip_learn.recordings.trajectory import Demonstrations
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 # estimator -> its name in tables and figures
-LABELS: dict[str, str] = {
-    "joint-affine": "joint, affine policy",
-    "joint-quadratic": "joint, quadratic policy",
-    "joint-cubic": "joint, cubic policy",
-    "joint-rbf": "joint, 32 radial functions",
-    "separate": "separate, then all rows at once",
-    "separate-row-by-row": "separate, then row by row",
-    "true-w": "true null-space part",
-    "auto": "as shipped",
-}
-COMPARED = tuple(LABELS)
+LABELS = {f"joint-{degree}": f"joint, {degree} policy" for degree in ("affine", "quadratic", "cubic")}
+LABELS |= {"joint-rbf": "joint, 32 radial functions", "separate": "separate, then all rows at once"}
+LABELS |= {"separate-row-by-row": "separate, then row by row", "true-w": "true null-space part", "auto": "as shipped"}
 Matrix = Float[np.ndarray, "s p"]
 
 
@@ -82,20 +71,17 @@ def _best_row(Phi: np.ndarray, w: np.ndarray, frame: np.ndarray) -> Float[np.nda
 
     # the search has local minima; more than three starts an angle found no lower ones on the paper's reaches
     starts = itertools.product(np.pi * (np.arange(3) + 0.5) / 3, repeat=len(frame) - 1)
-    stop: dict[str, float] = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15)  # relative: at rounding
-    fits = [least_squares(residuals, start, method="lm", **stop) for start in starts]
+    fits = [least_squares(residuals, x, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15) for x in starts]
     return unit_vector(min(fits, key=lambda fit: fit.cost).x) @ frame
 
 
-def learn(
-    estimator: str, features: FeatureMap, demonstrations: Demonstrations, true: Matrix, seed: int
-) -> tuple[Matrix, bool]:
+def learn(estimator: str, features: FeatureMap, given: Demonstrations, true: Matrix, seed: int) -> tuple[Matrix, bool]:
     """Learn Lambda from demonstrations in one of the compared ways.
 
     Args:
         estimator: A key of `LABELS`.
         features: Phi.
-        demonstrations: With velocities.
+        given: Demonstrations with velocities.
         true: True Lambda: `true-w` is given its null-space motion, and all but `auto` its number of rows.
         seed: Of k-means and random starts.
 
@@ -107,8 +93,8 @@ def learn(
     """
     s, (kind, _, policy) = len(true), estimator.partition("-")
     if estimator in ("true-w", "separate-row-by-row"):
-        view = View(features, Table(list(demonstrations)))
-        w = null_parts(features, demonstrations, true) if estimator == "true-w" else separated(view, seed)
+        view = View(features, Table(list(given)))
+        w = null_parts(features, given, true) if estimator == "true-w" else separated(view, seed)
         if isinstance(w, NotIdentifiableError):
             raise w
         if estimator == "separate-row-by-row":
@@ -118,11 +104,10 @@ def learn(
         return view.selection(levels_on(View(features, view.table), every)[1][:s]), False
     settings: dict[str, Any] = {} if kind == "auto" else {"estimator": kind, "n_constraints": s}
     settings |= {"policy_model": policy} if policy else {}
-    learner = ConstraintLearner(features, velocities="recorded", seed=seed, **settings).fit(demonstrations)
+    learner = ConstraintLearner(features, velocities="recorded", seed=seed, **settings).fit(given)
     return learner.constraint_.selection, bool(learner.report_.warnings)
 
 
-@final
 @dataclass(frozen=True)
 class LearningCase:
     """Demonstrations, and the ways to learn from them, keys of `LABELS`."""
@@ -162,28 +147,20 @@ def statistics(trials: list[dict[str, Any]], estimator: str, rows: str) -> dict[
     """Return the statistics of one estimator: first its NMIE on the test set, last shares of the trials."""
     outcomes = [t[estimator] for t in trials]
     numbers = {key: summary(o.get(key) for o in outcomes) for key in ("test", "train", "scale_free", "angle_deg")}
-    return (
-        numbers.pop("test")
-        | numbers
-        | {
-            "seconds_per_fit": summary(o.get("seconds") for o in outcomes)["median"],
-            "rows_right": share(o.get("rows") == len(rows.split()) for o in outcomes),
-            "warned": share(bool(o.get("warned")) for o in outcomes),
-            "refused": share("refused" in o for o in outcomes),
-        }
-    )
+    out = numbers.pop("test") | numbers | {"seconds_per_fit": summary(o.get("seconds") for o in outcomes)["median"]}
+    out["rows_right"] = share(o.get("rows") == len(rows.split()) for o in outcomes)
+    out["warned"] = share(bool(o.get("warned")) for o in outcomes)
+    return out | {"refused": share("refused" in o for o in outcomes)}
 
 
-@final
 class TableResult(TrialsResult):
     """Outcome of every trial of the paper's three constraints, see `learning_trial`."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return constraint -> paper and ours, test set first."""
-        return {
-            rows: {"paper": dict(PAPER_NMIE[rows]), "ours": {name: statistics(trials, name, rows) for name in COMPARED}}
-            for rows, trials in self.outcomes.items()
-        }
+        every = self.outcomes.items()
+        ours = {rows: {name: statistics(trials, name, rows) for name in LABELS} for rows, trials in every}
+        return {rows: {"paper": dict(PAPER_NMIE[rows]), "ours": block} for rows, block in ours.items()}
 
     def markdown(self) -> str:
         """Return the table with the paper's numbers, one block per constraint."""
@@ -197,18 +174,14 @@ class TableResult(TrialsResult):
             parts.append(f"**Constrained rows {row_words(rows)}**\n\n{markdown_table(header, lines)}")
         return "\n\n".join(parts)
 
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> Figures:
         """Draw every trial as a dot."""
-        panels = [
-            Panel(
-                {LABELS[name]: [t[name]["test"] for t in trials if "test" in t[name]] for name in COMPARED},
-                "NMIE on the test set (no unit)",
-                f"constrained rows {row_words(rows)}",
-                PAPER_NMIE[rows]["mean"],
-            )
-            for rows, trials in self.outcomes.items()
-        ]
+        panels, label = list[Panel](), "NMIE on the test set (no unit)"
+        for rows, trials in self.outcomes.items():
+            values = {LABELS[name]: [t[name]["test"] for t in trials if "test" in t[name]] for name in LABELS}
+            panels.append(Panel(values, label, f"constrained rows {row_words(rows)}", PAPER_NMIE[rows]["mean"]))
         return {"table": strips([panels], "estimator; a dot is a trial, a bar the median")}
 
 
-TABLE = Trials("table", learning_trial, {rows: LearningCase(Setup(rows), COMPARED) for rows in SELECTIONS}, TableResult)
+CASES = {rows: LearningCase(Setup(rows), tuple(LABELS)) for rows in SELECTIONS}
+TABLE = Trials("table", learning_trial, CASES, TableResult)

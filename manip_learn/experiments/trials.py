@@ -6,7 +6,7 @@ import os
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, final
+from typing import Any
 
 from numpy.random import Generator, default_rng
 
@@ -15,7 +15,6 @@ from manip_learn.experiments.results import TrialsResult
 from manip_learn.linalg import one_thread
 
 
-@final
 @dataclass(frozen=True)
 class Trials:
     """An experiment that runs each of its cases in independent trials.
