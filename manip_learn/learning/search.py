@@ -25,7 +25,7 @@ SAME = np.radians(3.0)  # rows closer together are one proposal
 MOST_CONSTRAINTS, MOST_TESTED, KEPT, TURNS = 6, 6, 4, 4  # answered; tested by the gate a time; of each kind; of fits
 FEW_HELD = 0.2  # share of the motion, below which what no place explains is looked for in the whole twist
 MOST_OF_WINDOWS = 40  # proposals of windows, and of pairs of them, of each view and number of rows
-AT_ONCE = 4_000_000  # numbers in memory together
+AT_ONCE = 1_000_000  # numbers in memory together
 
 
 Scale = tuple[float, float]
