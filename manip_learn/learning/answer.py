@@ -21,7 +21,7 @@ from manip_learn.learning.fit import Motion, RowFit, gaps_of, levels_on
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once
 from manip_learn.learning.imposed import Imposed, learn_imposed
 from manip_learn.learning.place import Placed, kind_of, placed, reshaped
-from manip_learn.learning.search import Explanation, broken_energy, explain, lone_contacts
+from manip_learn.learning.search import SAME, Explanation, broken_energy, explain, lone_contacts
 from manip_learn.learning.table import (
     CLEAR_GAP,
     LEAST_GAIN,
@@ -43,7 +43,6 @@ from manip_learn.learning.whole_hand import KEPT, asked_rows, held_kind, whole_f
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.load import Progress
 
-BY_THE_ARM = np.radians(10.0)  # between rows that errors of the arm may have turned apart
 ADVISED = ("weak-gap", "no-evidence", "no-freedom")  # codes of refusals that other recordings may lift
 DISAGREES = "does not agree with the other recordings"
 IN_ONE_ONLY = "appears in one recording only"
@@ -300,7 +299,7 @@ def angle_between(one: _Part | Answer, other: _Part | Answer) -> float:
 
 def _at_the_same_place(one: _Part, other: _Part, settings: Settings) -> _Part | None:
     """Return both parts as one, of different recordings that share a place but for errors of the arm; else None."""
-    if angle_between(one, other) >= BY_THE_ARM or {s.recording for s in one.spans} & {s.recording for s in other.spans}:
+    if angle_between(one, other) > 3.0 * SAME or {s.recording for s in one.spans} & {s.recording for s in other.spans}:
         return None
     spans = [*one.spans, *other.spans]
     both, view = best_fit([other.view], other.view, one.fit.rows, spans, settings)
@@ -360,8 +359,10 @@ def _divided(
         shown = " and ".join(counted(len(t), "recording") for t in tasks)
         out.warnings.append(f"the recordings show {len(tasks)} tasks, {shown}: each constraint is learnt from its own")
     for i, (a, b) in enumerate(pairwise(out.answers), 1):
-        if (deg := np.degrees(angle_between(a, b))) < 5.0:
-            out.warnings.append(f"constraints {i} and {i + 1} differ by {deg:.1f} deg only: kept apart, not averaged")
+        if (angle := angle_between(a, b)) < 2.0 * SAME:
+            out.warnings.append(
+                f"constraints {i} and {i + 1} differ by {np.degrees(angle):.1f} deg only: kept apart, not averaged"
+            )
     _odd_ones(out, table)
     taken = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
     if settings.phases and len(table) > 1:

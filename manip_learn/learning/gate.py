@@ -25,7 +25,6 @@ from manip_learn.recordings.trajectory import Trajectory
 
 FEWEST = 3  # recordings, below which nothing is clear
 CHANCE = 0.01  # of so little motion by independent joints, above which nothing is shown
-CLEAR = 4.0  # strength with 99 % confidence, the choice paid for
 # postures in a bin of phase, bins at most, and the time that one should cover [s]. Set by hand
 NODES, MOST_BINS, BIN_SECONDS = 4, 24, 0.25
 RECOMBINATIONS, MOST_RECOMBINATIONS, MOST_PIECES = 199, 3184, 16  # at first, until decided; pieces that take part
@@ -83,7 +82,7 @@ class Evidence:
 
     def verdict(self, s: int, fewest: int = FEWEST) -> str:
         """Return `"none"`, `"weak"` or `"clear"` for s rows; clear of so many pieces at least."""
-        clear = self.n_pieces >= fewest and 0 < s <= self.n_rows and self.lower[s - 1] >= max(CLEAR, self.believed)
+        clear = self.n_pieces >= fewest and 0 < s <= self.n_rows and self.lower[s - 1] >= max(OVER_NOISE, self.believed)
         return "none" if not self.n_rows else "clear" if clear else "weak"
 
     @property

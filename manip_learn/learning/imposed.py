@@ -64,8 +64,7 @@ MOST_COLUMNS = 400  # parameters of the general policy: the time of a step grows
 COMPARED, MOST = 4500, 60_000  # velocities that the search looks at, and the last fit: more only sharpen the answer
 OWN_RECORDINGS, OWN_STARTS = 16, 100  # rest postures of their own make the cost bumpy: many starts on few samples
 RANDOM_STARTS, SUBSPACES = 3, 10  # where no closed-form start leads to the noise; within the rows that were found
-PREDICTS = 1.2  # left-out motion over that without a policy, up to which a policy predicts it
-ABOVE_NOISE, UNEQUAL = 1.5, 2.0  # variance over that of the noise that is more than noise; over the least of all joints
+ABOVE_NOISE = 1.5  # variance over that of the noise, of other joints, or of motion without a policy, that is more
 # shares of the energy: noise enough for an answer, a thousandth of the speed, better than recorded velocities are; and
 # the least variance, a millionth of the speed, also with rest postures of their own. Its square is rounding
 RESOLVED, LEAST = 1e-6, 1e-12
@@ -147,7 +146,7 @@ def mixing_of(table: Table) -> np.ndarray | None:
     for _ in range(10 if len(e) >= 20 * nv else 0):
         S = (e / np.einsum("ni,ni->n", e, np.linalg.solve(S, e.T).T)[:, None]).T @ e
         S *= nv / np.trace(S)
-    return np.linalg.inv(np.linalg.cholesky(S)) if np.linalg.cond(S) >= UNEQUAL else None
+    return np.linalg.inv(np.linalg.cholesky(S)) if np.linalg.cond(S) >= ABOVE_NOISE else None
 
 
 class PolicyFit:
@@ -338,7 +337,7 @@ def likeliest(fits: Iterable[PolicyFit]) -> PolicyFit:
 
     Likelihood alone believes in a rich policy that follows each of a few recordings.
     """
-    some = [f for f in fits if f.held_out <= PREDICTS * max(f.energy, f.n_residuals * RESOLVED * f.d.mean_square)]
+    some = [f for f in fits if f.held_out <= ABOVE_NOISE * max(f.energy, f.n_residuals * RESOLVED * f.d.mean_square)]
     return max(some, key=lambda f: f.nats(f.d.floor)) if some else min(fits, key=lambda f: f.held_out)
 
 

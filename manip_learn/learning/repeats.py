@@ -37,8 +37,6 @@ AS_NOISE = 2.0
 # least share of a recording's way that lies on another's: copies are trimmed by a few samples at their ends. The rest
 # of a way is the least that is told to repeat what comes before it in one file
 REPEATED_SHARE = 0.9
-# the same of a round, which is not trimmed; the noise of two joints leaves the path once in 50 samples
-ROUND_SHARE = 0.98
 # of the way through a seam, what a cubic leaves of it where something moves (noise alone leaves 0.6); its speed over
 # the mean one where a motion was cut rather than ended: the last 10 of 200 samples of one that comes to rest have 0.03
 SEAM = 0.2
@@ -187,7 +185,9 @@ class _Path:
 
         def distance(start: int, way: int) -> float | None:
             before, rest = (_Path(self.trajectory.part(part)) for part in (slice(start), slice(start, None)))
-            return rest.distance_from(before, ROUND_SHARE, way)
+            return rest.distance_from(
+                before, 1.0 - 2.0 * SLIGHT, way
+            )  # the noise of two joints leaves the path once in 50 samples
 
         way = 0 if alone else 1
         if distance(last, way) is None or (not alone and distance(last, -1) is not None):

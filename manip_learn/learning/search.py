@@ -19,8 +19,8 @@ from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.learning.table import CHANGE, LEAST_GAIN, SHORTEST, SLIGHT, WEAK_GAP, Samples, Stretch, Table, View
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 
-FAR_OFF = 0.02  # share of held samples that may be far off: bounds the evidence against
 SCALES = tuple((steady, share) for steady in (1.0, 3.0, 9.0) for share in (0.003, 0.01, 0.03, 0.1, 0.2))
+FAR_OFF = 2.0 * SLIGHT  # share of held samples that may be far off: bounds the evidence against
 SAME = np.radians(3.0)  # rows closer together are one proposal
 MOST_CONSTRAINTS, MOST_TESTED, KEPT, TURNS = 6, 6, 4, 4  # answered; tested by the gate a time; of each kind; of fits
 FEW_HELD = 0.2  # share of the motion, below which what no place explains is looked for in the whole twist

@@ -9,12 +9,10 @@ from itertools import combinations, combinations_with_replacement
 import numpy as np
 
 from manip_learn.learning.fit import LEAST_RAD, RowFit, autocorrelation, solve
-from manip_learn.learning.table import LEAST_GAIN, ArmErrors
+from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, ArmErrors
 from manip_learn.linalg import complement_rows, row_space_angles
 from manip_learn.recordings.trajectory import evenly
 
-ONE_PLACE = 4.5e-4  # [rad] RMS by which recordings of one place differ: half a millimetre
-WORST_ZEROS = np.radians(1.0)  # [rad] of arms of hobby servos: what may explain a difference between recordings
 DRAWS = 1000  # of an error: a quantile of 68 % to 3 %
 STATED = 0.68  # share of cases within what is stated
 TAU = np.append(0.0, np.geomspace(1e-6, 3e-2, 60))  # [rad] zeros to be thought of beyond what is thought beforehand
@@ -32,7 +30,7 @@ def groups_of(fit: RowFit) -> list[set[int]]:
     """
     m, recs = fit.m, sorted(set(fit.motion.recs))
     away = [np.sqrt(np.mean(np.sum(fit.r[p] ** 2, axis=1))) for p in fit.motion.parts]
-    if len(recs) < 2 or not m or max(away) < ONE_PLACE:
+    if len(recs) < 2 or not m or max(away) < 0.5 * LEAST_MOTION:
         return [set(recs)]
     few = [recs[i] for i in evenly(len(recs), 16)]
     ridge = 1e-9 * np.diag(np.diag(np.sum([*fit.G.values()], axis=0)[:m, :m]))
@@ -54,7 +52,7 @@ def groups_of(fit: RowFit) -> list[set[int]]:
     def nats(groups: dict[tuple[int, ...], np.ndarray]) -> float:
         """Return the evidence of groups with joint offsets eliminated, net of their price [nats]."""
         S = np.sum([*groups.values()], axis=0)
-        K = S[:-1, :-1] + variance / WORST_ZEROS**2 * np.eye(len(S) - 1)
+        K = S[:-1, :-1] + variance / TAU[-1] ** 2 * np.eye(len(S) - 1)
         cost = max(float(S[-1, -1] - S[-1, :-1] @ np.linalg.solve(K, S[:-1, -1])), 0.0) + dof * LEAST_RAD**2
         return -0.5 * n * float(np.log(cost)) - 0.5 * m * len(groups) * float(np.log(max(n, 2.0)))
 
@@ -93,7 +91,7 @@ def misfit(fit: RowFit) -> tuple[float, float]:
     X = np.concatenate([fit.X[:, :, :-1], fit.without_constants(P), fit.X[:, :, -1:]], axis=2)
     G, plain = fit.sums(X), fit.X.shape[2] - 1
     total, prior, costs = np.sum([*G.values()], axis=0), np.zeros(X.shape[2] - 1), np.full(2, fit.dof * LEAST_RAD**2)
-    prior[fit.m : plain] = fit.variance / WORST_ZEROS**2
+    prior[fit.m : plain] = fit.variance / TAU[-1] ** 2
     for mine in G.values():
         rest = total - mine
         for i, d in enumerate((plain, len(prior))):

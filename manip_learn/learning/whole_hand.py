@@ -20,14 +20,14 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceF
 from manip_learn.constraint.mechanism import MECHANISM_KINDS, MIXED, ON_THE_AXIS, POSITION_ROWS, MechanismKind
 from manip_learn.learning.fit import Motion, RowFit
 from manip_learn.learning.place import Placed, kind_of, movable
-from manip_learn.learning.table import CLEAR_GAP, WEAK_GAP, View
+from manip_learn.learning.table import CLEAR_GAP, OVER_NOISE, WEAK_GAP, View
 from manip_learn.linalg import null_basis, orthonormal_rows, pivoted_rows
 from manip_learn.recordings.trajectory import evenly
 
 # [deg] RMS orientation of a firmly held hand about the mechanism: grips of a weld in simulation give way by 0.03
 # to 1.5, hands kept straight by habit by 1.6 to 5
 GIVES_WAY = 1.5
-KEPT = 8.0  # [deg] RMS of the orientation above which a hand was free to turn: loose grips reach 5.9 to 30
+KEPT = OVER_NOISE * GIVES_WAY  # above which a hand was free to turn: loose grips reach 5.9 to 30
 
 
 def whole_fit(
