@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, GRID = "#2b2f36", "#d9dde3"
+# sizes in points
 STYLE: dict[Any, Any] = {"font.size": 9.0, "axes.edgecolor": INK, "figure.constrained_layout.use": True}
 STYLE |= {"grid.color": GRID, "grid.linewidth": 0.6, "svg.hashsalt": "manip_learn"}  # the same bytes every time
 STYLE |= {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True}
