@@ -515,7 +515,7 @@ def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     soft = a.gap < CLEAR_GAP and not at_one_place(a.fit, a.view)
     if a.gap < WEAK_GAP:
         why, code = f"no constraint is shown: the gap is {a.gap:.2g} for {rows}, {WEAK_GAP:g} is the least", "weak-gap"
-    elif a.over_noise > OVER_NOISE and (soft or (not told and a.gap < WEAK_GAP * CLEAR_GAP)):
+    elif a.over_noise > OVER_NOISE and (soft or (not told and a.gap < 2.0 * CLEAR_GAP)):
         why = f"{rows} would be soft (gap {a.gap:.2g}), and elsewhere in each recording, as in free motion"
     elif a.contradiction:
         why = f"{rows} would explain the recordings, but {a.contradiction}"
