@@ -73,7 +73,7 @@ class ShownPlaces:
         mechanism, shown = constraint.mechanism, constraint.shown
         if shown is None:
             return None
-        free = mechanism is not None and mechanism.grip == "loose" and mechanism.orientation == "free"
+        free = mechanism is not None and mechanism.orientation == "free"  # kept by habit is free, too
         apart = shown.hold is None and free and len(shown.grasps) > 0 and not isinstance(motion, PathMotion)
         grasps, hold = (shown.grasps, None) if apart else (shown.grasps[:0], shown.begin)
         ahead = [shown.coordinates.of(np.array([shown.grasps[0], grasp]))[1] for grasp in grasps]
