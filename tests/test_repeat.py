@@ -213,6 +213,17 @@ def test_no_step_is_faster_than_asked(given: dict[str, float], most: float):
     assert f"{again.rollout.time[-1]:.3g} s" in repr(again) and f"at most {fast.max():.2g} m/s" in repr(again)
 
 
+def test_what_was_doubted_when_it_was_learnt_is_said_again():
+    """All warnings of the answers that it follows, in one note; none where there were none."""
+    _, _, skill, start = fast_drawer()
+    way = skill.constraints[0]
+    doubted = ml.Constraint(way.selection, way.features, way.provenance | {"warnings": ["weak gap: 6", "only 2"]})
+    clear = ml.Constraint(way.selection, way.features, way.provenance | {"warnings": []})
+    (note,) = [n for n in ml.repeat(doubted, start).notes if "warning" in n]
+    assert note.startswith("learnt with 2 warnings") and note.endswith("weak gap: 6; only 2")
+    assert not any("warning" in n for n in ml.repeat(clear, start).notes)
+
+
 def test_as_fast_as_was_shown_is_faster_only_where_that_is_asked_for():
     """By default 0.25 m/s, and the note has both times; "shown" has the time that was shown; None limits nothing."""
     robot, tip, skill, start = fast_drawer()

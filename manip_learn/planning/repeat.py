@@ -21,7 +21,7 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import APPROACH_SPEED, FreeDirection, motion
 from manip_learn.control.way import simulate_way
-from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, advice, an, spoken
+from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, advice, an, counted, spoken
 from manip_learn.linalg import complement_rows, finite
 from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.plan import Around, moved_to, plan
@@ -175,6 +175,12 @@ def repeat(
     if robot is None or not skill.steps:
         raise TargetError("there is nothing to do again: the recordings show no step with a robot")
     notes, around = [*skill.constraints[0].notes, *skill.notes], Surroundings()
+    if doubts := [
+        str(doubt) for constraint in skill.constraints for doubt in constraint.provenance.get("warnings", ())
+    ]:
+        notes.append(
+            f"learnt with {counted(len(doubts), 'warning')}, read them before an arm moves: {'; '.join(doubts)}"
+        )
     if moved is not None:
         skill = skill.moved(_rigid(moved))
     q, said = robot.checked_posture(start), progress or (lambda _title, _share: None)
