@@ -18,7 +18,7 @@ from generated_motions import (
 )
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableError
 from manip_learn.experiments.metrics import manipulability_along, nmie
 from manip_learn.learning import ConstraintLearner
@@ -149,6 +149,20 @@ def test_the_planar_reach():
     assert learner.report_.n_constraints == 2
     assert nmie_along(demos, truth, learner.constraint_) < 1e-9
     assert learner.report_.sentence.startswith("The tip is steered on purpose along x and y; it can turn about z.")
+
+
+def test_rows_of_no_frame_are_found_beside_those_of_a_frame():
+    """One joint goes back twice as far as another goes on, and the hand is held nowhere: the rows of one's own win."""
+    robot, rng, rows = load_robot("sawyer"), np.random.default_rng(3), np.zeros((3, 7))
+    rows[0, [1, 3]], rows[1, [0, 5]], rows[2, [2, 4]] = (1.0, 2.0), (1.0, -1.0), (1.0, 1.0)
+    time, across, demos = np.arange(0.0, 4.0, 0.01), np.eye(7) - np.outer(rows[0], rows[0]) / 5.0, []
+    for _ in range(6):
+        waves = [np.sin(rng.uniform(0.5, 2.0) * time + rng.uniform(0.0, 6.0)) for _ in range(4)]
+        way = sum(np.outer(wave, rng.normal(0.0, 0.25, 7)) for wave in waves) @ across
+        demos.append((time, rng.uniform(-0.4, 0.4, 7) + way - way[0] + rng.normal(0.0, 1e-5, way.shape)))
+    own = CustomFeatures(lambda q: rows, ("a", "b", "c"), 7)
+    report = ConstraintLearner([FrameJacobian(robot, "right_gripper_tip"), own]).fit(demos).report_
+    assert report.row_names == ("a", "b", "c") and report.n_constraints == 1 and not report.warnings
 
 
 def test_refusal_of_the_last_candidate_does_not_hide_an_answer():

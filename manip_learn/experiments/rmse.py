@@ -31,7 +31,6 @@ _KINDS = {
 }
 PRINTED_FOR = "x y"  # the constraint that the paper tested
 _ROLLOUTS, _POINTS = 20, 100
-Starts = Float[np.ndarray, "m 3"]
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,9 @@ def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
     return out
 
 
-def climbing(constraint: Constraint, q: Starts, targets: Starts, climbed: Constraint | None = None) -> paper.Motions:
+def climbing(
+    constraint: Constraint, q: np.ndarray, targets: np.ndarray, climbed: Constraint | None = None
+) -> paper.Motions:
     """Return postures and pi_mu under u = A^+ b + N pi_mu, equations (2) and (13).
 
     Args:

@@ -47,7 +47,6 @@ FRAME = "right_gripper_tip"
 FOLDERS = {"kind physics": "sawyer_drawer", "hard physics": "sawyer_drawer_hard"}
 READINGS = ("constrained row", "free direction")
 BETWEEN = " | "  # the words of a case
-_ERRORS = ("mie", "nmie", "mie_held", "nmie_held", "angle_deg")
 
 
 @cache
@@ -146,7 +145,6 @@ def drawn(case: SawyerCase, rng: Generator) -> tuple[Demonstrations, Demonstrati
     return Demonstrations(every[int(i)] for i in chosen), Demonstrations(every[int(i)] for i in others)
 
 
-@cache
 def turned_recordings(folder: str, along_x: bool, points: int | None) -> Demonstrations:
     """Return all demonstrations, as from an arm whose base is turned.
 
@@ -159,9 +157,13 @@ def turned_recordings(folder: str, along_x: bool, points: int | None) -> Demonst
     """
     offset = -np.deg2rad(25.0) + (0.0 if along_x else np.pi / 2)  # the recorded drawer opens at 25 degrees from x
     shift = np.eye(7)[sawyer_arm().joint_names.index("right_j0")] * offset
-    given = with_velocities(load_demonstrations(folder, sawyer_arm(), velocities="recorded"), sawyer_arm())
-    turned = (Trajectory(t.time, t.q + shift, t.u, t.joint_names, t.name) for t in given)
+    turned = (Trajectory(t.time, t.q + shift, t.u, t.joint_names, t.name) for t in _recordings(folder))
     return Demonstrations(t if points is None else subsample(t, points) for t in turned)
+
+
+@cache
+def _recordings(folder: str) -> Demonstrations:
+    return with_velocities(load_demonstrations(folder, sawyer_arm(), velocities="recorded"), sawyer_arm())
 
 
 class SawyerResult(TrialsResult):
@@ -169,9 +171,9 @@ class SawyerResult(TrialsResult):
 
     def to_dict(self) -> dict[str, Any]:
         """Return paper and ours."""
-        ours = {}
+        ours, errors = {}, ("mie", "nmie", "mie_held", "nmie_held", "angle_deg")
         for case, trials in self.outcomes.items():
-            ours[case] = {error: summary(t.get(error) for t in trials) for error in _ERRORS} | {
+            ours[case] = {error: summary(t.get(error) for t in trials) for error in errors} | {
                 "rmse": summary(v for t in trials for v in t.get("rmse", ())),
                 "rows_right": share(t.get("rows") == t["rows_true"] for t in trials),
                 "inside": share(t["angle_deg"] <= t["stated_deg"] for t in trials if t.get("stated_deg") is not None),

@@ -34,8 +34,8 @@ from manip_learn.learning.table import (
     Stretch,
     Table,
     View,
+    excitation,
     maps_of,
-    still_joints,
     unusable,
 )
 from manip_learn.learning.uncertainty import STATED, Errors, angles, errors_of, groups_of, misfit
@@ -179,7 +179,7 @@ def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[
         if not settings.phases:
             allowed = advice(", or allow {}", "phases='auto'", "--phases auto")
             causes.append(f"cut the recordings to the contact, since no single constraint fits the whole{allowed}")
-        if still := still_joints(table.joint_names, table.u):
+        if still := excitation(table.joint_names, table.u)[1]:
             locked = advice(" ({})", f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still))
             causes.append(f"move {named('joint', still)} too, or lock what shall hardly move{locked}")
         if (fastest := float(np.max(np.abs(table.u)))) < REST_SPEED:
@@ -477,7 +477,8 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     if is_firm(view, fit.rows, share, spans):
         a.evidence = replace(a.evidence, firm=a.s)
     known = placed(view, fit, None) if settings.mechanism else None
-    if whole and not (known and known.kind.type == "ball" and (known.mechanism.radius or 0.0) > ON_THE_AXIS):
+    told = known is not None and known.kind.type == "ball" and (known.mechanism.radius or 0.0) > ON_THE_AXIS
+    if whole and fit.motion.hand is not None and not told:
         a.firm = whole_fit(whole, fit, lambda f, v: gate.evidence(v, spans).verdict(len(f.rows)) == "clear")
         if a.firm and known is not None and held_kind(known, fit.motion)[0] is not known.kind:
             # a grip that gives way turns more than it slides: where the place tells as much, it tells it better

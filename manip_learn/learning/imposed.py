@@ -435,7 +435,7 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
 
     fits, chosen = searched(None)
     floor, energy = chosen.d.floor, len(few) * nv * chosen.d.mean_square
-    noisy = len(few) * chosen.noise > 1e-2 * RESOLVED * energy
+    noisy = len(few) * chosen.noise > 1e-2 * RESOLVED * energy  # else least squares answer, far below what is resolved
     if noisy and (mixing := mixing_of(table)) is not None:
         fits, chosen = max((fits, chosen), searched(mixing), key=lambda found: found[1].nats(floor))
     if len(chosen.rows) == 0:

@@ -211,10 +211,10 @@ class ConstraintLearner:
         demonstrations = with_velocities(recordings.demonstrations, self._robot, self.velocities)
         exact = self.velocities == "recorded" or self._robot is None or all(t.exact for t in recordings.demonstrations)
         refuse_unusable(recordings.demonstrations, demonstrations, self._feature_maps[0])
-        few = choose(*parts_of(demonstrations))
-        origins = tuple(recordings.origins[k.number] for k in few.kept)
-        recordings = recordings._replace(demonstrations=few.demonstrations, origins=origins)
-        table = Table(list(few.demonstrations))
+        chosen_few = choose(*parts_of(demonstrations))
+        few, origins = chosen_few.demonstrations, tuple(recordings.origins[k.number] for k in chosen_few.kept)
+        recordings = recordings._replace(demonstrations=few, origins=origins)
+        table = Table(list(few))
         arm = ArmErrors(math.radians(self.joint_offset_std), 1e-3 * self.link_error_std)
         chosen: dict[str, Any] = {"arm": arm, "by_rates": exact, "seed": self.seed, "habits": self.keep_habits}
         chosen |= {"phases": self.phases == "auto", "mechanism": self.mechanism == "auto"}
@@ -223,7 +223,7 @@ class ConstraintLearner:
         # for the provenance; the features are stored in the constraint itself
         said = [name for name in inspect.signature(type(self)).parameters if name not in ("features", "renamed")]
         origin = made(given, {name: getattr(self, name) for name in said})
-        context = Context(table, recordings, few.demonstrations.notes, origin, started)
+        context = Context(table, recordings, few.notes, origin, started)
         found = learn(table, settings, progress)
         if not isinstance(found, Found):
             raise advised(found, table, settings, recordings.warnings)

@@ -96,7 +96,8 @@ def placed(view: View, fit: RowFit, errors: Errors | None) -> Placed | None:
     radius = arc_of(kind, place, p)
     if radius is not None and not kind.name.endswith("firm") and radius[0] > FARTHEST:
         return None
-    off, few, ahead = [], p[evenly(len(p), FEW)], headings(kind, place, p[evenly(len(p), FEW)])
+    off, few = [], p[evenly(len(p), FEW)]
+    ahead = headings(kind, place, few)
     for B in (errors.noise + errors.arm)[:FEW] if errors is not None else ():
         rows = fit.rows + B.reshape(len(fit.rows), -1) @ fit.perp
         other = kind_of(fit, view, np.linalg.qr(rows.T)[0].T)

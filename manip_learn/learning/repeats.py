@@ -246,10 +246,7 @@ def _chains(paths: Sequence[_Path]) -> list[list[int]]:
         step = np.mean(np.linalg.norm(np.diff(a.q[-_SEAM[0] - 1 :], axis=0), axis=1))
         for after in (long[k] for k in np.flatnonzero(np.linalg.norm(starts - a.q[-1], axis=1) <= _SEAM[0] * step)):
             b = paths[after].trajectory
-            half, later = (
-                int(np.clip(min(len(a), len(b)) // SEAM_SHARE, *_SEAM)),
-                b.q[np.array_equal(a.q[-1], b.q[0]) :],
-            )
+            half, later = int(np.clip(min(len(a), len(b)) // SEAM_SHARE, *_SEAM)), b.q[_shared(a, b) :]
             seam = np.concatenate([a.q[-half:], later[:half]])
             left = float(_left_by_cubics(seam, 2 * half)[0])
             usual = max(float(np.max(_left_by_cubics(q, 2 * half))) for q in (a.q, later))
@@ -279,6 +276,11 @@ def _left_by_cubics(q: Float[np.ndarray, "T n"], width: int) -> Float[np.ndarray
     return np.sqrt(np.mean(np.sum(left**2, axis=1), axis=1))
 
 
+def _shared(before: Trajectory, after: Trajectory) -> int:
+    """Return 1 if the second piece begins with the last sample of the first; else 0."""
+    return int(np.array_equal(before.q[-1], after.q[0]))
+
+
 def _joined(given: Sequence[Trajectory], chain: list[int]) -> tuple[Trajectory, tuple[tuple[int, float], ...]]:
     """Return the pieces of a recording as one, named after them, on the clock of the first, and its origin.
 
@@ -287,7 +289,7 @@ def _joined(given: Sequence[Trajectory], chain: list[int]) -> tuple[Trajectory, 
     parts, origin = [given[chain[0]]], [(chain[0], 0.0)]
     for i in chain[1:]:
         a, added = given[origin[-1][0]], origin[-1][1]
-        parts.append(given[i].part(slice(np.array_equal(a.q[-1], given[i].q[0]), None)))
+        parts.append(given[i].part(slice(_shared(a, given[i]), None)))
         step, pause = float(np.median(np.diff(a.time))), float(parts[-1].time[0] - a.time[-1])
         origin.append((i, added if 0.0 < pause <= 2.0 * step else added + step - pause))
     if len(parts) == 1:

@@ -28,7 +28,7 @@ from manip_learn.errors import counted, error_in_words, listed, named, printable
 from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
 from manip_learn.learning.gate import RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.table import CLEAR_GAP, Table, still_joints
+from manip_learn.learning.table import CLEAR_GAP, Table, excitation
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names, evenly
 from manip_learn.robot import html_card
 
@@ -317,11 +317,10 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Le
     if len(notes) > MOST_NOTES:  # of thousands of files, not thousands of sentences
         notes[MOST_NOTES:] = [f"and {len(notes) - MOST_NOTES} more notes of this kind"]
     inside = table.inside(answer.stretches)
-    if still := still_joints(table.joint_names, table.u[inside]):
+    shares, still = excitation(table.joint_names, table.u[inside])
+    if still:
         unknown = "what the arm did not try cannot be told from what it could not do"
         warnings.append(f"{named('joint', still)} hardly moved: {unknown}")
-    energy = np.sum(table.u[inside] ** 2, axis=0)
-    shares = energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
     kind = "motion-constrained" if answer.estimator == "null-space" else "self-imposed"
     free = free_directions(selection, used)
     same = "estimator mechanism policy_model policy_residuals uncertainty_deg mu_uncertainty".split()
@@ -337,7 +336,7 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Le
         levels=tuple(map(float, answer.asked.levels)),
         energy_fraction=answer.unexplained,
         held_out_residual=math.sqrt(answer.held_out),
-        excitation=dict(zip(table.joint_names, shares.tolist(), strict=True)),
+        excitation=shares,
         n_samples=int(inside.sum()),
         n_trajectories=len(answer.stretches),
         seconds=time.perf_counter() - context.started,

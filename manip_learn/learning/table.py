@@ -141,11 +141,12 @@ class Table:
         return self.moved[s.recording][s.start : s.end]
 
 
-def still_joints(names: Sequence[str], u: np.ndarray) -> list[str]:
-    """Return the names of the joints that hardly move, if others do."""
-    shares = np.sum(u**2, axis=0) / max(float(np.sum(u**2)), np.finfo(np.float64).tiny)
-    still = [name for name, share in zip(names, shares, strict=True) if share < NONE]
-    return still if len(still) < len(shares) else []
+def excitation(names: Sequence[str], u: np.ndarray) -> tuple[dict[str, float], list[str]]:
+    """Return the share of each joint in the energy of the motion, and the joints that hardly move, if others do."""
+    energy = np.sum(u**2, axis=0)
+    shares = dict(zip(names, (energy / max(float(energy.sum()), np.finfo(np.float64).tiny)).tolist(), strict=True))
+    still = [name for name, share in shares.items() if share < NONE]
+    return shares, still if len(still) < len(shares) else []
 
 
 def velocity_noise(time: np.ndarray, u: np.ndarray) -> float:
@@ -363,6 +364,7 @@ def refuse_unusable(recorded: Demonstrations, derived: Demonstrations, features:
         least = f"the noise of its positions does, and {LEAST_MOTION:g} rad or m"
         why = f"no joint moves farther than {least}: the farthest is {max(found)[1]}: record a motion"
         raise NotIdentifiableError(why, code="no-motion")
+    # a velocity far out of line with all others
     u = np.concatenate([np.asarray(t.u) for t in derived])
     speed = np.linalg.norm(u, axis=1)
     sample, moving = int(np.argmax(speed)), speed > _SAME  # slopes of a rest without noise are what rounding leaves
@@ -373,6 +375,7 @@ def refuse_unusable(recorded: Demonstrations, derived: Demonstrations, features:
         moves = f"moves at {u[sample, joint]:.3g} in joint {derived.joint_names[joint]!r}, {ratio:.1e} times"
         text = f"sample {sample} (trajectory {number}) {moves} the median speed: remove the outlier"
         raise RecordingError(text, code="outlier")
+    # joints that move, but none of those that move the frame
     if not isinstance(features, FrameJacobian) or any(t.q.shape[1] != features.nv for t in derived):
         return
     robot, frame = features.robot, features.frame.name

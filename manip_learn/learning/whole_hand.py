@@ -45,10 +45,10 @@ def whole_fit(
         believed: Function of a fit and a view: True if the recordings show that all rows are constrained.
     """
     best, largest = None, (False, WEAK_GAP)
+    J, few = place.motion.hand.batch(place.motion.x), evenly(len(place.motion.x), 50)
     for view in views:
         motion = place.motion.seen_as(view.features, view.W)
-        levels, few = np.append(motion.least[0], 1.0), evenly(len(motion.x), 50)
-        J = motion.hand.batch(motion.x)
+        levels = np.append(motion.least[0], 1.0)
         for s in range(view.largest, len(place.rows), -1):
             gap = float(levels[s] / max(levels[s - 1], 1e-12))
             if gap <= WEAK_GAP or (True, gap) <= largest:
@@ -58,8 +58,7 @@ def whole_fit(
             away = np.degrees(np.median([np.sqrt(np.mean(turned[p])) for p in motion.parts]))
             free = (x @ null_basis(A) for x, A in zip(J[few, :3], fit.rows @ motion.Phi[few], strict=True))
             moves = [np.count_nonzero(np.linalg.svd(x, compute_uv=False) > ON_THE_AXIS) for x in free]
-            clear = min(GIVES_WAY if gap < CLEAR_GAP else np.inf, motion.turned_by_joints / CLEAR_GAP)
-            if away > clear or 3 - int(np.median(moves)) < len(place.rows):
+            if away > gives_way(motion, gap) or 3 - int(np.median(moves)) < len(place.rows):
                 continue
             named = kind_of(fit, view) is not None
             if (named, gap) > largest and (named or (gap > CLEAR_GAP and believed(fit, view))):
@@ -88,9 +87,12 @@ def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, floa
     return max(firm, key=lambda k: (k.n_rows, -rms[k.orientation]), default=known.kind), kept, apart
 
 
-def gives_way(motion: Motion) -> float:
-    """Return the largest RMS rotation of a hand in a firm grip, far less than by independent joints [deg]."""
-    return min(GIVES_WAY, motion.turned_by_joints / CLEAR_GAP)
+def gives_way(motion: Motion, gap: float = 0.0) -> float:
+    """Return the largest RMS rotation of a hand in a firm grip, far less than by independent joints [deg].
+
+    Where the gap is clear, the latter alone counts.
+    """
+    return min(GIVES_WAY if gap < CLEAR_GAP else np.inf, motion.turned_by_joints / CLEAR_GAP)
 
 
 def _turned(known: Placed, T: Float[np.ndarray, "T 4 4"]) -> dict[str, float]:

@@ -175,12 +175,10 @@ def repeat(
     if robot is None or not skill.steps:
         raise TargetError("there is nothing to do again: the recordings show no step with a robot")
     notes, around = [*skill.constraints[0].notes, *skill.notes], Surroundings()
-    if doubts := [
-        str(doubt) for constraint in skill.constraints for doubt in constraint.provenance.get("warnings", ())
-    ]:
-        notes.append(
-            f"learnt with {counted(len(doubts), 'warning')}, read them before an arm moves: {'; '.join(doubts)}"
-        )
+    told = [str(doubt) for constraint in skill.constraints for doubt in constraint.provenance.get("warnings") or ()]
+    if doubts := list(dict.fromkeys(told)):  # those of all recordings stand with each constraint
+        said_of = counted(len(doubts), "warning")
+        notes.append(f"learnt with {said_of}, read them before an arm moves: {'; '.join(doubts)}")
     if moved is not None:
         skill = skill.moved(_rigid(moved))
     q, said = robot.checked_posture(start), progress or (lambda _title, _share: None)
