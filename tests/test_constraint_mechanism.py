@@ -11,9 +11,9 @@ from case import case
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
-from manip_learn.constraint.features.mechanism_rows import AT_A_DISTANCE, Place, PlaceForm, PlaceRows, mechanism_weights
-from manip_learn.constraint.features.weighed_velocity import PlaceWeights
+from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import MECHANISM_KINDS
+from manip_learn.constraint.place import AT_A_DISTANCE, Place, PlaceWeights, mechanism_weights
 
 TIP = "right_gripper_tip"
 AXIS = np.array([0.6, 0.64, 0.48])

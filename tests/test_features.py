@@ -22,8 +22,9 @@ from manip_learn.constraint.features import (
     Stacked,
 )
 from manip_learn.constraint.features.frame_jacobian import AXES, parse_axes
-from manip_learn.constraint.features.mechanism_rows import ROW_UNITS, PlaceRows
+from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
+from manip_learn.constraint.place import ROW_UNITS
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold, PointAttractor, motion

@@ -21,7 +21,7 @@ from manip_learn.constraint.features import (
     RelativeFrameJacobian,
     Stacked,
 )
-from manip_learn.constraint.features.mechanism_rows import ROW_UNITS, PlaceRows
+from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.constraint.manipulability import (
     gradient_of,
     log_manipulability_gradient,
@@ -30,6 +30,7 @@ from manip_learn.constraint.manipulability import (
     smallest_gradient,
 )
 from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.constraint.place import ROW_UNITS
 from manip_learn.robot.robot import Robot
 
 H = 1e-5

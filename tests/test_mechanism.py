@@ -9,8 +9,9 @@ import pytest
 from mechanism_motions import T, about, along, ball, demonstrate, wave
 
 import manip_learn as ml
-from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place, across
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import KIND_BY_NAME, Mechanism
+from manip_learn.constraint.place import Place, across
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.place import Placed
 

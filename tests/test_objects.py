@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.constraint.features import MechanismRows
-from manip_learn.constraint.features.mechanism_rows import across
+from manip_learn.constraint.place import across
 from manip_learn.errors import ConstraintMismatchError, RecordingError, RobotError
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import Robot, load_robot

@@ -20,7 +20,8 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, 
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.constraint.features.other_features import described_features
 from manip_learn.constraint.intention import Intention
-from manip_learn.constraint.mechanism import TURNING, Mechanism, named_rows, on_twist, read_mechanism
+from manip_learn.constraint.mechanism import TURNING, Mechanism
+from manip_learn.constraint.reading import named_rows, on_twist, read_mechanism
 from manip_learn.constraint.shown import Shown
 from manip_learn.constraint.task_frame import TaskFrame, task_frame
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, an, spoken

@@ -1,87 +1,51 @@
-"""What holds the hand, in the terms of a machine: a line, a plane, a hinge, a ball, a screw, an orientation.
+"""What holds the hand, in the terms of a machine: a line, a plane, a hinge, a ball, a screw, an orientation, a curve.
 
-The lower pairs of a machine are the subgroups of SE(3), and the motions that one of them allows are a constant space of
-twists; the type, the axis and the pitch of a mechanism are therefore read from Lambda itself.
+Its kind, what the hand may do while it holds on, and where it is say all: the rows that are zero, the chart of a grasp
+(`Mechanism.at`), and with it every motion, what was shown, a drawing and a sentence.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.curve_rows import CurveRows
-from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
-from manip_learn.constraint.features.mechanism_rows import (
-    AT_A_DISTANCE,
-    MechanismRows,
-    Place,
-    PlaceRows,
-    mechanism_weights,
-)
-from manip_learn.linalg import null_basis
-from manip_learn.robot.rotations import skew
+from manip_learn.constraint.chart import Chart
+from manip_learn.constraint.curve import CURVE_ROWS, Curve
+from manip_learn.constraint.place import Place, across, mechanism_weights
+from manip_learn.errors import ConstraintError
+from manip_learn.linalg import finite
 
+Kind = Literal["line", "plane", "space", "hinge", "screw", "cylinder", "ball", "curve"]
 MechanismType = Literal["line", "plane", "hinge", "ball", "screw", "held-orientation", "other"]
 Orientation = Literal["free", "about-axis", "fixed", "carried"]
-TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
-_ABOUT, _AXLE = "turn-1 turn-2", "axis point-across"
-# name, type, orientation, what is constant, what is fitted, rows
-_TABLE: tuple[tuple[str, MechanismType, Orientation, str, str, str], ...] = (
-    ("plane", "plane", "free", "height", "axis", "axial"),
-    ("plane, turning", "plane", "about-axis", "height axis-in-hand", "axis", f"axial {_ABOUT}"),
-    ("plane, not turning", "plane", "fixed", "height orientation", "axis", f"axial {_ABOUT} turn"),
-    ("line", "line", "free", "across-line", "axis", "slide-1 slide-2"),
-    ("line, not turning", "line", "fixed", "across-line orientation", "axis", f"slide-1 slide-2 {_ABOUT} turn"),
-    ("hinge", "hinge", "free", "radius height", _AXLE, "radial axial"),
-    ("hinge, turning", "hinge", "about-axis", "radius height axis-in-hand", _AXLE, f"radial axial {_ABOUT}"),
-    ("hinge, not turning", "hinge", "fixed", "radius height orientation", _AXLE, f"radial axial {_ABOUT} turn"),
-    ("hinge, firm", "hinge", "carried", "axis-in-hand point-in-hand", _AXLE, f"{_ABOUT} slide-1 slide-2 slide"),
-    ("ball", "ball", "free", "distance", "point", "spherical"),
-    ("ball, firm", "ball", "carried", "point-in-hand", "point", "slide-1 slide-2 slide"),
-    ("cylinder", "other", "free", "radius", _AXLE, "radial"),
-    ("sleeve, firm", "other", "carried", "axis-in-hand axis-line-in-hand", _AXLE, f"{_ABOUT} slide-1 slide-2"),
-    ("screw", "screw", "free", "radius thread", f"{_AXLE} pitch", "radial helical"),
-    (
-        "screw, firm",
-        "screw",
-        "carried",
-        "axis-in-hand screw-in-hand",
-        f"{_AXLE} pitch",
-        f"{_ABOUT} slide-1 slide-2 screw",
-    ),
-    ("direction", "held-orientation", "about-axis", "axis-in-hand", "axis", _ABOUT),
-    ("orientation", "held-orientation", "fixed", "orientation", "", f"{_ABOUT} turn"),
-)
-# rows of translation and of rotation stand apart where each is of one kind to this share: a row of a learnt Lambda
-# leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
-MIXED = 0.2
-# [m] an axis or a centre farther away is read as this far: the fit to positions decides how far it is
-FARTHEST_START = 5.0
-# rows of `MechanismRows` that hold the place of a loosely held hand
-POSITION_ROWS: dict[str, tuple[str, ...]] = {
-    "hinge": ("radial", "axial"),
-    "screw": ("radial", "helical"),
-    "ball": ("spherical",),
-    "other": ("radial",),
-}
-Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
 Grip = Literal["firm", "kept", "loose"]
-CLEAR_SHARE = 0.1  # a row of `MechanismRows` is held, or free, to this share: see `MIXED`
-# [m/rad] a travel below this is that of a hinge: a tenth of the flattest thread in use (M6, 1 mm a turn, 0.16 mm/rad)
-LEAST_PITCH = 1.6e-5
-# [m] distance from an axis below which the place of the hand does not tell the angle about it: an arm that places its
-# hand to a millimetre tells it to a fifth of a radian there, its orientation tells it better
-ON_THE_AXIS = 5e-3
-# the axis that the learner fitted belongs to these rows if it is nearer to theirs than this: 1 degree
-SAME_AXIS = 0.9998
+TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
+_ABOUT = "turn-1 turn-2"
+# what is fitted; rows that hold the place of a hand; all rows of one that is carried, where it turns with the mechanism
+_KINDS: dict[Kind, tuple[str, str, str]] = {
+    "plane": ("axis", "axial", ""),
+    "line": ("axis", "across-1 across-2", ""),
+    "hinge": ("axis point-across", "radial axial", f"{_ABOUT} slide-1 slide-2 slide"),
+    "ball": ("point", "spherical", "slide-1 slide-2 slide"),
+    "cylinder": ("axis point-across", "radial", f"{_ABOUT} slide-1 slide-2"),
+    "screw": ("axis point-across pitch", "radial helical", f"{_ABOUT} slide-1 slide-2 screw"),
+    "space": ("", "", ""),
+    "curve": ("", "across-1 across-2", ""),
+}
+_HELD: dict[Orientation, str] = {
+    "free": "",
+    "about-axis": _ABOUT,
+    "fixed": f"{_ABOUT} turn",
+    "carried": f"{_ABOUT} turn",
+}
+_TYPES: dict[Kind, MechanismType] = {"space": "held-orientation", "cylinder": "other", "curve": "other"}
 _TURNS: dict[Orientation, str] = {
     "free": "the hand may turn",
     "about-axis": "the hand may turn about {axis} only",
@@ -89,15 +53,30 @@ _TURNS: dict[Orientation, str] = {
     "carried": "the hand turns with it",
 }
 CURVE = "curve"  # name of what is no lower pair, and holds the hand to a line of any shape
-_NAMES: dict[MechanismType, str] = {
+_NAMES: dict[Kind, str] = {
     "line": "a line ",
     "plane": "a plane ",
     "hinge": "a hinge: ",
     "ball": "a ball: ",
     "screw": "a screw: ",
-    "held-orientation": "a held orientation",
-    "other": "a cylinder: ",
+    "space": "a held orientation",
+    "cylinder": "a cylinder: ",
+    "curve": "a curve",
 }
+Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
+CLEAR_SHARE = 0.1  # a row of `MechanismRows` is held, or free, to this share: see `MIXED`
+# [m] distance from an axis below which the place of the hand does not tell the angle about it: an arm that places its
+# hand to a millimetre tells it to a fifth of a radian there, its orientation tells it better
+ON_THE_AXIS = 5e-3
+GRIP = 0.02  # [m] a hand this near to a mechanism is on it: people take hold of a handle a finger's breadth further on
+
+
+def held_rows(kind: Kind, orientation: Orientation) -> tuple[str, ...]:
+    """Return the names of the rows of `MechanismRows`, or of `CurveRows`, that a mechanism leaves zero."""
+    _, place, carried = _KINDS[kind]
+    names = carried if carried and orientation == "carried" else f"{place} {_HELD[orientation]}"
+    turning = dict[str, str](zip(TURNING, CURVE_ROWS[3:], strict=True)) if kind == "curve" else {}  # of the base's axes
+    return tuple(turning.get(name, name) for name in names.split())
 
 
 @final
@@ -107,20 +86,29 @@ class MechanismKind:
 
     Attributes:
         name: Unique name.
-        type: What it is called in a report.
+        kind: What the place of the hand is held to.
         orientation: What the hand may do: turn as it likes (`"free"`), turn about the mechanism's axis only
             (`"about-axis"`), not turn at all (`"fixed"`), or it turns with the mechanism (`"carried"`).
-        holds: Names of the quantities that are constant (see `QUANTITIES` of the learner).
-        unknowns: Which of `"axis"`, `"point-across"` (two numbers), `"point"` (three) and `"pitch"` are fitted.
-        rows: Rows of `MechanismRows` that are then zero.
     """
 
     name: str
-    type: MechanismType
+    kind: Kind
     orientation: Orientation
-    holds: tuple[str, ...]
-    unknowns: tuple[str, ...]
-    rows: tuple[str, ...]
+
+    @property
+    def type(self) -> MechanismType:
+        """What it is called in a report."""
+        return _TYPES.get(self.kind, self.kind)  # type: ignore[arg-type]  # the others are called as they are
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Which of `"axis"`, `"point-across"` (two numbers), `"point"` (three) and `"pitch"` are fitted."""
+        return ("axis",) if self.name == "direction" else tuple(_KINDS[self.kind][0].split())
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Rows of `MechanismRows` that are then zero."""
+        return held_rows(self.kind, self.orientation)
 
     @property
     def n_rows(self) -> int:
@@ -130,177 +118,27 @@ class MechanismKind:
     @property
     def constant(self) -> bool:
         """Whether its rows are constant rows of the frame's Jacobian."""
-        return self.type in ("line", "plane", "held-orientation")
+        return self.kind in ("line", "plane", "space")
 
 
+_TURNING_NAMES = {"free": "", "about-axis": ", turning", "fixed": ", not turning", "carried": ", firm"}
+_OTHER_NAMES = {"cylinder, firm": "sleeve, firm", "space, turning": "direction", "space, not turning": "orientation"}
+# those that the learner tells apart
+_TOLD: dict[Kind, tuple[Orientation, ...]] = {
+    "plane": ("free", "about-axis", "fixed"),
+    "line": ("free", "fixed"),
+    "hinge": ("free", "about-axis", "fixed", "carried"),
+    "ball": ("free", "carried"),
+    "cylinder": ("free", "carried"),
+    "screw": ("free", "carried"),
+    "space": ("about-axis", "fixed"),
+}
 MECHANISM_KINDS: tuple[MechanismKind, ...] = tuple(
-    MechanismKind(*row[:3], *(tuple(words.split()) for words in row[3:])) for row in _TABLE
+    MechanismKind(_OTHER_NAMES.get(name := kind + _TURNING_NAMES[o], name), kind, o)
+    for kind in _TOLD
+    for o in _TOLD[kind]
 )
 KIND_BY_NAME = {kind.name: kind for kind in MECHANISM_KINDS}
-
-
-Read = tuple[MechanismKind, Place]
-
-
-def read_kind(
-    features: FeatureMap,
-    selection: Float[np.ndarray, "s p"],
-    immovable: Float[np.ndarray, "k p"],
-    p: Float[np.ndarray, "N 3"],
-) -> Read | None:
-    """The mechanism that leaves these rows zero, and where it is; None if it is none that a machine has.
-
-    Args:
-        features: Rows of a frame's twist, along axes that rest with what holds it, or `PlaceRows`.
-        selection: Lambda, orthonormal rows.
-        immovable: Rows that this arm cannot move, orthonormal.
-        p: Places of the hand [m].
-    """
-    if isinstance(features, PlaceRows):
-        if features.form == "twist":
-            return of_twists(null_basis(np.concatenate([selection, immovable])).T, features.middle)
-        if features.form == "surface":
-            return _of_surface(selection, features.middle, p)
-        return of_point_rows(selection, immovable, features.middle)
-    if not isinstance(features, PoseRows) or features.own_axes:
-        return None
-    held, blind = (on_twist(features.row_names, rows, distance=True) for rows in (selection, immovable))
-    return of_point_rows(held, blind, p.mean(axis=0))
-
-
-def on_twist(
-    names: Sequence[str], rows: Float[np.ndarray, "s p"], *, distance: bool = False
-) -> Float[np.ndarray, "s k"]:
-    """Rows of some of (v, w) as rows of all six, or of [v; (p - m).v; w] with no share of the distance."""
-    out = np.zeros((len(rows), len(AXES) + distance))
-    for name, column in zip(names, rows.T, strict=True):
-        out[:, AXES.index(name) + (distance and AXES.index(name) > 2)] = column
-    return out
-
-
-def rows_of(
-    kind: MechanismKind, place: Place, radius: float | None, twist: PoseRows
-) -> tuple[FeatureMap, Float[np.ndarray, "s p"]]:
-    """Phi and Lambda of a mechanism: constant rows of a twist where they do, rows about an axis or a centre else.
-
-    Of a helix no radius is said: its row is that of one radius only, and grips differ.
-    """
-    if not kind.constant:
-        of_one = set(kind.rows) & set(AT_A_DISTANCE) and kind.type != "screw"
-        options: dict[str, Any] = {"axis": place.axis, "point": place.point, "pitch": place.pitch, **twist.seen_from}
-        options["radius"] = radius if of_one else None
-        return MechanismRows(twist.robot, twist.frame.name, kind.rows, **options), np.eye(kind.n_rows)
-    # the point of the hand that is held is its own origin, wherever that is
-    rows = mechanism_weights(kind.rows, Place(place.axis, np.zeros(3)), None).at(np.zeros((1, 3)))[0][0]
-    used = [part for part in (slice(0, 3), slice(3, 6)) if np.any(rows[:, part])]
-    axes = [name for part in used for name in AXES[part]]
-    return twist.with_axes(axes), np.concatenate([rows[:, part] for part in used], axis=1)
-
-
-def of_point_rows(
-    selection: Float[np.ndarray, "s k"],
-    immovable: Float[np.ndarray, "m k"],
-    middle: Float[np.ndarray, " 3"],
-    *,
-    aligned: bool = True,
-) -> Read | None:
-    """From rows of [v; (p - m).v; w]: what holds the point, and how the hand may turn besides.
-
-    Rows that the arm cannot move hold the point as well as any; of how the hand is held they say nothing.
-    """
-    position, turning = np.concatenate([selection, immovable])[:, :4], selection[:, 4:]
-    held, turns = _rank(position), _rank(turning) if turning.size else 0
-    if held is None or turns is None or turns == 1 or held > 2:
-        return None
-    axis = np.linalg.svd(turning)[2][2] if turns == 2 else None
-    rows = np.linalg.svd(position)[2][:held]
-    normals, distances = rows[:, :3], rows[:, 3]
-    far = float(np.linalg.norm(distances)) * FARTHEST_START < 1.0
-    if held == 0:
-        name, place = "", Place(Z if axis is None else axis, middle)
-    elif held == 1:
-        centre = middle - normals[0] * distances[0] / max(distances[0] ** 2, FARTHEST_START**-2)
-        name, place = "plane" if far else "ball", Place(_unit(normals[0]), middle if far else centre)
-    elif far:
-        name, place = "line", Place(_unit(np.cross(*normals)), middle)
-    else:
-        along = distances[1] * normals[0] - distances[0] * normals[1]
-        name, place = "hinge", Place(_unit(along), middle - distances @ normals / float(distances @ distances))
-    found = KIND_BY_NAME.get({0: name, 2: f"{name}, turning", 3: f"{name}, not turning"}[turns])
-    if held == 0:
-        found = {2: KIND_BY_NAME["direction"], 3: KIND_BY_NAME["orientation"]}.get(turns)
-    turned = aligned and axis is not None and held and abs(float(axis @ place.axis)) < 1.0 - MIXED
-    return None if found is None or turned else (found, place)
-
-
-def _rank(block: Float[np.ndarray, "s k"]) -> int | None:
-    """Number of rows that lie in these columns; None if some lie in them in part."""
-    sizes = np.linalg.svd(block, compute_uv=False)
-    if np.any((sizes > MIXED) & (sizes < np.sqrt(1.0 - MIXED**2))):
-        return None
-    return int(np.count_nonzero(sizes > 0.5))
-
-
-def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -> Read | None:
-    """From the twists (v, w) about m that are left free; every displacement is a screw (G. Chasles)."""
-    U, turning, axes = np.linalg.svd(free[:, 3:])
-    turns, axis = int(np.count_nonzero(turning > MIXED)), axes[0]
-    spun, slides = U.T[:turns] @ free, (U.T[turns:] @ free)[:, :3]
-    match turns, len(free):
-        case 0, 1:
-            return KIND_BY_NAME["line, not turning"], Place(_unit(free[0, :3]), middle)
-        case 0, 2:
-            return KIND_BY_NAME["plane, not turning"], Place(_unit(np.cross(*slides)), middle)
-        case 0, 3:
-            return KIND_BY_NAME["orientation"], Place(Z, middle)
-        case 1, (1 | 2):
-            across = spun[0, :3] / (spun[0, 3:] @ axis)
-            foot = middle + np.cross(axis, across)
-            if len(slides) == 0:
-                return KIND_BY_NAME["screw, firm"], Place(axis, foot, float(across @ axis))
-            if np.linalg.norm(np.cross(slides[0], axis)) < MIXED * np.linalg.norm(slides[0]):
-                return KIND_BY_NAME["sleeve, firm"], Place(axis, foot)
-        case 1, 3 if np.max(np.abs(slides @ axis)) < MIXED:
-            return KIND_BY_NAME["plane, turning"], Place(axis, middle)
-        case 1, 4:
-            return KIND_BY_NAME["direction"], Place(axis, middle)
-        case 3, 3:  # v_i = w_i x (m - c) for all three
-            away = np.linalg.lstsq(np.concatenate([skew(x) for x in spun[:, 3:]]), spun[:, :3].reshape(-1), rcond=None)[
-                0
-            ]
-            return KIND_BY_NAME["ball, firm"], Place(Z, middle - away)
-    return None
-
-
-def _of_surface(
-    selection: Float[np.ndarray, "s 12"], middle: Float[np.ndarray, " 3"], p: Float[np.ndarray, "N 3"]
-) -> Read | None:
-    """From rows n.v + sum B_ij (p - m)_i v_j: a cylinder's side, B = I - a a^T; a helix has another row, B = [a]."""
-    n, B = selection[:, :3], selection[:, 3:].reshape(-1, 3, 3)
-    odd = 0.5 * (B - B.transpose(0, 2, 1)).reshape(len(B), -1)
-    U, sizes, _ = np.linalg.svd(odd)
-    side = U[:, -1]
-    C, foot = np.tensordot(side, B, axes=1), side @ n
-    values, vectors = np.linalg.eigh(0.5 * (C + C.T))
-    order = np.argsort(np.abs(values))
-    along, one, other = values[order]
-    if abs(along) > MIXED * abs(one) or abs(one - other) > MIXED * abs(other):
-        return None
-    axis, size = vectors[:, order[0]], 0.5 * float(one + other)
-    point = middle - (foot - (foot @ axis) * axis) / size
-    if len(selection) == 1:
-        return KIND_BY_NAME["cylinder"], Place(axis, point)
-    if len(selection) != 2 or sizes[0] < MIXED:
-        return None
-    # the other row is that of rho^2 a - h a x (p - c)
-    T = np.tensordot(U[:, 0], B, axes=1)
-    turn = 0.5 * np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]])
-    square = float(np.mean(np.sum(np.cross(p - point, axis) ** 2, axis=1)))
-    return KIND_BY_NAME["screw"], Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis))
-
-
-def _unit(x: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    return x / np.linalg.norm(x)
 
 
 @final
@@ -333,6 +171,7 @@ class Mechanism:
         orientation_rms: RMS deviation of the orientation of the hand during contact, seen from the base or from what
             turns with the mechanism, the smaller one [deg]; None if it was not determined.
         relative_to: Name of the frame in which axis and point are given and the hand is seen; None for the base.
+        curve: Of a hand that goes along one; None for the others.
     """
 
     type: MechanismType
@@ -347,6 +186,7 @@ class Mechanism:
     name: str = ""
     orientation_rms: float | None = None
     relative_to: str | None = None
+    curve: Curve | None = None
 
     def __post_init__(self) -> None:
         for what in ("axis", "point"):
@@ -367,32 +207,41 @@ class Mechanism:
         return Mechanism.from_dict, (self.to_dict(),)  # a read-only view of a dictionary cannot be pickled
 
     @property
+    def kind(self) -> Kind:
+        """What the place of the hand is held to; of a held orientation nothing, `"space"`."""
+        if self.name in KIND_BY_NAME:
+            return KIND_BY_NAME[self.name].kind
+        own: dict[str, Kind] = {"held-orientation": "space", "other": "curve" if self.name == CURVE else "cylinder"}
+        return own.get(self.type, self.type)  # type: ignore[arg-type]  # the others are called as they are
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Names of the rows that are zero."""
+        return held_rows(self.kind, self.orientation)
+
+    @property
     def n_free(self) -> int:
         """Number of free coordinates: along the mechanism, and of the hand's own turn."""
-        held = KIND_BY_NAME[self.name].n_rows if self.name in KIND_BY_NAME else 2 + 3 * (self.orientation == "fixed")
-        return 6 - held
+        return 6 - len(self.rows)
 
     @property
     def sentence(self) -> str:
         """The mechanism in words and numbers, e.g. `"a line along (1.00, 0.00, 0.00); the hand may turn"`."""
-        name = "a curve" if self.name == CURVE else _NAMES[self.type]
-        return f"{name}{self.place}; {self.turns}"
+        return f"{_NAMES[self.kind]}{self.place}; {self.turns}"
 
     @property
     def noun(self) -> str:
         """Its type, or `"curve"`: in sentences."""
-        return CURVE if self.name == CURVE else self.type
+        return CURVE if self.kind == CURVE else self.type
 
     @property
     def place(self) -> str:
         """Its axis, centre, pitch and distance in words, in the robot's base frame; empty for an orientation."""
         if self.axis is None and self.grip == "firm" and self.type in ("line", "hinge", "screw"):
             return "fixed to the hand" + ("" if self.radius is None else f", {self.radius:.3f} m from its origin")
-        if self.name == CURVE:
-            return ""
         axis, point = in_words(self.axis), in_words(self.point)
-        words = {"line": f"along {axis}", "plane": f"across {axis}", "ball": f"centre {point}", "held-orientation": ""}
-        said = words.get(self.type, f"axis {axis} through {point}")
+        words = {"line": f"along {axis}", "plane": f"across {axis}", "ball": f"centre {point}", "space": "", CURVE: ""}
+        said = words.get(self.kind, f"axis {axis} through {point}")
         said += f" in {self.relative_to!r}" if said and self.relative_to else ""
         if self.pitch is not None:
             said += f", {1e3 * self.pitch:.2f} mm a radian"
@@ -401,9 +250,7 @@ class Mechanism:
     @property
     def turns(self) -> str:
         """How the hand may turn, in words."""
-        around = "its normal" if self.type == "plane" else "the axis"
-        if self.type == "held-orientation" and self.axis is not None:
-            around = in_words(self.axis)
+        around = {"plane": "its normal", "space": in_words(self.axis)}.get(self.kind, "the axis")
         slides = " and may slide along it" if self.name.startswith("sleeve") else ""
         if self.grip == "kept" and self.orientation_rms is not None:
             return f"the hand kept its orientation to {self.orientation_rms:.1f} degrees, by habit"
@@ -414,18 +261,139 @@ class Mechanism:
         R = transform[:3, :3]
         axis = None if self.axis is None else R @ self.axis
         point = None if self.point is None else R @ self.point + transform[:3, 3]
-        return dataclasses.replace(self, axis=axis, point=point)
+        curve = None if self.curve is None else self.curve.moved(transform)
+        return dataclasses.replace(self, axis=axis, point=point, curve=curve)
+
+    def reversed(self) -> Mechanism:
+        """This mechanism with the other sense of its axis, or of its curve; a pitch stays as it is."""
+        axis = None if self.axis is None else -self.axis
+        curve = None if self.curve is None else Curve(self.curve.points[::-1])
+        return dataclasses.replace(self, axis=axis, curve=curve)
+
+    def features(self, robot: Any, frame: str) -> Any:
+        """Return the rows that are zero for a frame of a robot, Phi (6 - k, nv), of unit length at any distance.
+
+        Raises:
+            ConstraintError: The place of the mechanism is not known, or nothing is held.
+        """
+        from manip_learn.constraint.features import CurveRows, MechanismRows  # which stand above
+
+        place, seen = self.located(), self.relative_to
+        if self.curve is not None:  # a hand that turns with a curve turns at a rate that is no row's
+            rows = held_rows("curve", "free" if self.orientation == "carried" else self.orientation)
+            return CurveRows(robot, frame, self.curve, rows, seen)
+        g = {"axis": place.axis, "point": place.point, "pitch": place.pitch}
+        return MechanismRows(robot, frame, self.rows, **g, relative_to=seen)
+
+    def located(self) -> Place:
+        """Return the axis, a point and the pitch.
+
+        Raises:
+            ConstraintError: The kind has an axis or a point that is not known.
+        """
+        needed = {name.removesuffix("-across") for name in _KINDS[self.kind][0].split()} - {"pitch"}
+        if any(getattr(self, name) is None for name in needed) or (self.kind == CURVE and self.curve is None):
+            raise ConstraintError(
+                f"it is not known where the mechanism is ({self.sentence}): learn it from rows along the base's axes"
+            )
+        axis = Z if self.axis is None else self.axis / np.linalg.norm(self.axis)
+        return Place(axis, np.zeros(3) if self.point is None else self.point, self.pitch or 0.0)
+
+    def off(self, place: Float[np.ndarray, " 3"]) -> float:
+        """Return how far a hand at a place is from where it can hold the mechanism [m]; 0 where that is not known."""
+        g = self.located()
+        d = place - g.point
+        across = d - (d @ g.axis) * g.axis
+        if self.curve is not None:
+            return float(np.linalg.norm(place - self.curve.at(self.curve.nearest(place[None]))[0]))
+        if self.kind in ("line", "plane"):
+            return 0.0 if self.point is None else float(np.linalg.norm(across if self.kind == "line" else d - across))
+        if self.radius is None or self.orientation == "carried":
+            return 0.0
+        return abs(float(np.linalg.norm(d if self.kind == "ball" else across)) - self.radius)
+
+    def at(self, pose: ArrayLike, within: float = GRIP) -> Chart:
+        """Return the chart of a hand that took hold at a pose, where its free coordinates are 0.
+
+        The coordinates are ways and angles along the mechanism, then the hand's own turns where it may turn.
+
+        Args:
+            pose: shape (4, 4), in the frame in which the mechanism is given.
+            within: How far the hand may be off the mechanism [m].
+
+        Raises:
+            ConstraintError: The hand is farther off, no pose, or a mechanism whose place is not known.
+
+        Example:
+            >>> import numpy as np
+            >>> import manip_learn as ml
+            >>> hinge = ml.Mechanism("hinge", axis=(0, 0, 1), point=(0, 0, 0), orientation="carried", grip="firm")
+            >>> grasp = np.eye(4)
+            >>> grasp[0, 3] = 0.5
+            >>> hinge.at(grasp).pose([np.pi / 2])[:3, 3].round(6)
+            array([0. , 0.5, 0. ])
+        """
+        if (grasp := finite(pose, 4, 4)) is None:
+            raise ConstraintError(f"a grasp is a pose (4, 4) of finite numbers, got {pose!r:.80}")
+        g, p, none = self.located(), grasp[:3, 3], np.zeros((0, 3))
+        if (off := self.off(p)) > within:
+            raise ConstraintError(
+                f"the hand is {1e3 * off:.3g} mm off the mechanism ({self.sentence}), {1e3 * within:.3g} mm are "
+                "allowed: begin where it can hold it"
+            )
+        is_carried = self.orientation == "carried"
+        turn, travel = none, none
+        match self.kind:
+            case "line" | "curve":
+                travel = g.axis[None] if self.curve is None else self.curve.tangents(p[None])
+            case "plane":
+                travel = across(g.axis)
+            case "space":
+                travel = np.eye(3)
+            case "hinge" | "screw":
+                turn, travel = g.axis[None], g.pitch * g.axis[None]
+            case "cylinder":
+                turn, travel = np.outer([1.0, 0.0], g.axis), np.outer([0.0, 1.0], g.axis)
+            case "ball":  # loosely held by two turns across the lever of the hand
+                lever = p - g.point
+                length = float(np.linalg.norm(lever))
+                turn = np.eye(3) if is_carried else across(lever / length if length > 0.0 else Z)
+                travel = np.zeros((len(turn), 3))
+        turn = turn if len(turn) else np.zeros((len(travel), 3))
+        spin = {"free": np.eye(3), "about-axis": g.axis[None]}.get(self.orientation, none)
+        rest = np.zeros((len(spin), 3))
+        screws = np.vstack([travel + np.cross(g.point, turn), rest]), np.vstack([turn, rest])
+        return Chart(
+            grasp,
+            *screws,
+            np.vstack([np.zeros((len(turn), 3)), spin]),
+            is_carried=is_carried,
+            centre=g.point,
+            curve=self.curve,
+            rows=self._weights,
+        )
+
+    def _weights(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n h 6"]:
+        """Return the weights of the hand's twist in the rows that are zero."""
+        if self.curve is not None:
+            return self.curve.weights(p)[0][:, [CURVE_ROWS.index(name) for name in self.rows]]
+        return mechanism_weights(self.rows, self.located(), None).at(p)[0]
 
     def to_dict(self) -> dict[str, Any]:
         """Type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""
-        values = {n: x for n in _FIELDS if (x := getattr(self, n)) is not None or n != "relative_to"}
+        values = {n: x for n in _FIELDS if (x := getattr(self, n)) is not None or n not in ("relative_to", "curve")}
         plain = {name: x.tolist() if isinstance(x, np.ndarray) else x for name, x in values.items()}
+        if self.curve is not None:
+            plain["curve"] = self.curve.points.tolist()
         return plain | {"uncertainty": dict(self.uncertainty), "sentence": self.sentence}
 
     @staticmethod
     def from_dict(described: Mapping[str, Any]) -> Mechanism:
         """What `to_dict` wrote."""
-        return Mechanism(**{name: described[name] for name in _FIELDS if name in described})
+        values: dict[str, Any] = {name: described[name] for name in _FIELDS if name in described}
+        if values.get("curve") is not None:
+            values["curve"] = Curve(values["curve"])
+        return Mechanism(**values)
 
     def __str__(self) -> str:
         return self.sentence
@@ -441,115 +409,12 @@ def in_words(vector: np.ndarray | None) -> str:
     return "(" + ", ".join(f"{x + 0.0:.2f}" for x in np.round(vector, 2)) + ")"
 
 
-def read_mechanism(
-    selection: Float[np.ndarray, "s p"], features: FeatureMap, learnt: Mapping[str, Any]
-) -> Mechanism | None:
-    """The mechanism whose motions Lambda leaves free; None if it is none that a machine has, or features of no frame.
-
-    Args:
-        selection: Lambda, with orthonormal rows.
-        features: Phi.
-        learnt: What is known of how Lambda was learnt, empty if it was not: the mechanism fitted to positions adds the
-            place, the radius and the uncertainty, if it is the mechanism of these rows.
-    """
-    read, fitted, angle = None, learnt.get("mechanism"), learnt.get("uncertainty_deg")
-    spread = math.radians(angle) if isinstance(angle, int | float) else 0.0
-    if isinstance(features, MechanismRows):
-        shares = np.einsum("sp,sp->p", selection, selection)
-        held = {name for name, share in zip(features.row_names, shares, strict=True) if share > 0.5}
-        kind = next((k for k in MECHANISM_KINDS if set(k.rows) == held), None)
-        if kind is not None and not np.any(np.abs(shares - np.round(shares)) > CLEAR_SHARE):
-            read = mechanism_of(kind, features.geometry, features.radius)
-    elif isinstance(features, CurveRows):
-        along = np.array([not name.startswith("across") for name in features.row_names])
-        if len(selection) == 2 and not np.any(np.abs(selection[:, along]) > CLEAR_SHARE):
-            read = Mechanism("other", name=CURVE)
-    elif isinstance(features, PlaceRows):
-        read = _of_place_rows(selection, features, learnt.get("postures"), spread)
-    elif isinstance(features, PoseRows):
-        read = _of_twist_rows(selection, features, spread)
-    if read is not None and (seen_from := getattr(features, "relative_to", None)) is not None:
-        read = dataclasses.replace(read, relative_to=seen_from.name)
-    if read is None or not isinstance(fitted, Mapping):
-        return read
-    try:
-        known = Mechanism.from_dict(fitted)
-    except (KeyError, TypeError, ValueError):
-        return read  # of another version, or damaged: Lambda has said what it says
-    same = known.type == read.type and (known.orientation == read.orientation or "whole" in learnt)
-    if same and known.axis is not None and read.axis is not None:
-        same = known.axis.shape == (3,) and abs(float(known.axis @ read.axis)) > SAME_AXIS * np.linalg.norm(known.axis)
-    return known if same else read
-
-
-def _of_place_rows(selection: np.ndarray, features: PlaceRows, postures: Any, spread: float) -> Mechanism | None:
-    """The hand is where the postures show it; without them its radius is unknown, and so is a helix."""
-    shown = features.middle[None]
-    if isinstance(postures, list) and postures:
-        shown = np.array([features.twist.placement(q)[0] for q in postures])
-    read = read_kind(features, selection, np.zeros((0, features.n_rows)), shown)
-    if read is None or (read[0].name == "screw" and not postures):
-        return None
-    (kind, place), radius = _hinge_or_screw(read, shown[0], spread), None
-    if postures and set(kind.rows) & set(AT_A_DISTANCE):
-        out = shown - place.point
-        out -= 0.0 if kind.type == "ball" else np.outer(out @ place.axis, place.axis)
-        radius = float(np.linalg.norm(out, axis=1).mean())
-    return mechanism_of(kind, place, radius)
-
-
 def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **known: Any) -> Mechanism:
     """Return the mechanism of a kind at a place, with the radius of the hand [m] and what else is known of it."""
     told = {
         "axis": place.axis if "axis" in kind.unknowns else None,
-        "point": None if kind.type == "held-orientation" else place.point,
+        "point": None if kind.kind == "space" else place.point,
         "pitch": place.pitch if "pitch" in kind.unknowns else None,
         "grip": "firm" if kind.orientation == "carried" else "loose",
     }
     return Mechanism(kind.type, radius=radius, orientation=kind.orientation, name=kind.name, **told | known)
-
-
-def named_rows(
-    mechanism: Mechanism | None, features: FeatureMap, selection: Float[np.ndarray, "s p"]
-) -> tuple[FeatureMap, Float[np.ndarray, "s r"]]:
-    """Phi and Lambda of rows that are named after the mechanism, in the place of those of `PlaceRows`."""
-    kind = None if mechanism is None else KIND_BY_NAME.get(mechanism.name)
-    if mechanism is None or kind is None or not isinstance(features, PlaceRows):
-        return features, selection
-    axis = Z if mechanism.axis is None else mechanism.axis
-    point = features.middle if mechanism.point is None else mechanism.point
-    place = Place(_unit(axis), point, mechanism.pitch or 0.0)
-    return rows_of(kind, place, mechanism.radius, features.twist)
-
-
-def _of_twist_rows(selection: np.ndarray, features: PoseRows, spread: float) -> Mechanism | None:
-    """From constant rows of a frame's twist (v, w) of its origin, known to an angle [rad]; of no place."""
-    hand, none = np.zeros(3), np.zeros((0, features.n_rows))
-    if features.own_axes and len(selection) == 5 and features.n_rows == len(AXES):
-        read = of_twists(null_basis(on_twist(features.row_names, selection)).T, hand)
-        if read is None:
-            return None
-        kind, place = _hinge_or_screw(read, hand, spread)
-        found = mechanism_of(kind, place, None if kind.type == "line" else float(np.linalg.norm(place.point)))
-        return dataclasses.replace(found, axis=None, point=None, grip="firm")
-    held, blind = (on_twist(features.row_names, rows, distance=True) for rows in (selection, none))
-    read = of_point_rows(held, blind, hand, aligned=False)
-    if read is None:
-        return None
-    kind, place = read
-    if kind.type != "held-orientation":
-        if not set(AXES[:3]) <= set(features.row_names):
-            return None
-        if features.own_axes and kind.orientation != "fixed":
-            return None  # directions of a hand that turns are no line and no plane
-    found = mechanism_of(kind, place.as_told(), None, point=None)
-    return dataclasses.replace(found, axis=None) if features.own_axes else found
-
-
-def _hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], spread: float) -> Read:
-    """The one twist of a firm grip is a hinge's unless it travels more than three standard deviations of its angle."""
-    kind, place = read
-    radius = float(np.linalg.norm(place.point - hand))
-    if kind.name != "screw, firm" or abs(place.pitch) >= max(LEAST_PITCH, 3.0 * spread * math.hypot(1.0, radius)):
-        return read
-    return KIND_BY_NAME["hinge, firm"], place

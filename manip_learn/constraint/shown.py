@@ -13,11 +13,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import UnivariateSpline
 
-from manip_learn.constraint.features.curve_rows import Curve, CurveRows
+from manip_learn.constraint.curve import Curve
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
-from manip_learn.constraint.features.mechanism_rows import across
 from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.place import across
 from manip_learn.errors import counted
 from manip_learn.linalg import complement_rows
 from manip_learn.recordings.trajectory import Trajectory, evenly

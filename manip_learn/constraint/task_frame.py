@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
-from manip_learn.constraint.mechanism import MIXED, Mechanism
+from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.reading import MIXED
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_basis
 from manip_learn.robot.rotations import skew

@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceForm, PlaceRows
-from manip_learn.constraint.mechanism import MECHANISM_KINDS, MIXED, ON_THE_AXIS, POSITION_ROWS, MechanismKind
+from manip_learn.constraint.mechanism import MECHANISM_KINDS, ON_THE_AXIS, MechanismKind, held_rows
+from manip_learn.constraint.reading import MIXED
 from manip_learn.learning.fit import Motion, RowFit
 from manip_learn.learning.place import Placed, kind_of, movable
 from manip_learn.learning.table import CLEAR_GAP, OVER_NOISE, WEAK_GAP, View
@@ -131,8 +132,8 @@ def asked_rows(
     """
     poses, names = [f for f in asked if isinstance(f, PoseRows)], {n for f in asked for n in f.row_names}
     if isinstance(features, MechanismRows) and known is not None and names == set(AXES[:3]):
-        own, radius = POSITION_ROWS.get(known.kind.type), known.mechanism.radius
-        if own and len(poses) == len(asked) and (radius is None or radius >= ON_THE_AXIS):
+        own, radius = held_rows(known.kind.kind, "free"), known.mechanism.radius
+        if len(poses) == len(asked) and (radius is None or radius >= ON_THE_AXIS):
             features = movable(features.with_rows(own, None if known.kind.type == "screw" else radius), q)
             return features, np.eye(features.n_rows)
     if len(poses) < len(asked) or not isinstance(features, PoseRows | PlaceRows):

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from manip_learn.constraint.features.frame_jacobian import pose_error
-from manip_learn.constraint.features.mechanism_rows import across
+from manip_learn.constraint.place import across
 from manip_learn.errors import ConfigurationError, MissingExtraError, counted
 from manip_learn.planning.clearance import links_of
 from manip_learn.planning.surroundings import hand_of

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import final
-
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -13,55 +9,11 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, PoseRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.place import PlaceWeights
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
-ON_AXIS = 1e-5  # [m] below this distance from the axis (or the centre) a direction fades to zero instead of flipping
-
 EVERY_ROW = np.eye(6)  # the twist itself
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class PlaceWeights:
-    """W(p) = T_0 + sum_k p_k T_k; row i weighs (v, w) of a frame whose origin is at p, in the base frame.
-
-    Attributes:
-        constant: T_0, shape (r, 6).
-        by_place: T_k, shape (r, 6, 3).
-        free: Rows whose weights of v, y = T_0 + sum_k p_k T_k, are made unit length, y / sqrt(|y|^2 + e^2) with
-            e = `ON_AXIS`; with a direction b (otherwise zero) and a pitch h those of a helix about b at any distance,
-            (|y|^2 b - h y) / sqrt((|y|^2 + e^2) (|y|^2 + h^2 + e^2)). By number: b and h.
-    """
-
-    constant: Float[np.ndarray, "r 6"]
-    by_place: Float[np.ndarray, "r 6 3"]
-    free: Mapping[int, tuple[Float[np.ndarray, " 3"], float]] = field(default_factory=dict)
-
-    def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """W(p) and dW/dp at n places [m]."""
-        W = self.constant + (p @ self.by_place.reshape(-1, 3).T).reshape(len(p), -1, 6)
-        dW = np.broadcast_to(self.by_place, (len(p), *self.by_place.shape))
-        if self.free:
-            dW = dW.copy()
-        for i in self.free:
-            W[:, i, :3], dW[:, i, :3] = self.unit_length(i, p)
-        return W, dW
-
-    def unit_length(
-        self, i: int, p: Float[np.ndarray, "n 3"]
-    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
-        """The weights of v in a free row, and their derivative along p."""
-        (b, h), Y = self.free[i], self.by_place[i, :3]
-        y = self.constant[i, :3] + p @ Y.T
-        s, along = (y * y).sum(1)[:, None], y @ Y
-        edge, turned, rise = s + ON_AXIS**2, 1.0, 1.0
-        size, df = np.sqrt(edge), Y
-        if b.any():
-            size, turned, rise = np.sqrt(edge * (edge + h * h)), -h, 2.0 * edge + h * h
-            df = 2.0 * b[:, None] * along[:, None] - h * Y
-        f = (s * b + turned * y) / size
-        return f, (df - f[:, :, None] * (rise * along / size)[:, None]) / size[:, None]
 
 
 class WeighedVelocity(FeatureMap):

@@ -15,8 +15,9 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows, pose_error
-from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place, across
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import ON_THE_AXIS
+from manip_learn.constraint.place import Place, across
 from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.control.tasks.motion_profile import PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
