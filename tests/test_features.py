@@ -217,6 +217,8 @@ def test_rows_of_a_mechanism_in_numbers(panda, rng):
             "radial": x / rho @ J[:3],
             "tangential": np.cross(a, x) / rho @ J[:3],
             "axial": a @ J[:3],
+            "across-1": first @ J[:3],
+            "across-2": second @ J[:3],
             "helical": (rho**2 * a - h * np.cross(a, x)) / (rho * np.hypot(rho, h)) @ J[:3],
             "spherical": d / far @ J[:3],
             "turn-1": first @ J[3:],

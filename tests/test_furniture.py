@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.constraint.shown import FreeCoordinates, Shown
+from manip_learn.constraint.shown import Shown
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import furniture_of
 from manip_learn.playback.recorded_motion import recorded_motion
@@ -48,10 +48,10 @@ def as_shown(kind, way):
     begin, end = place(kind, np.array([0.0, way]))
     turns, sense = kind != "line", np.sign(way)
     axes = sense * np.array([MECHANISMS[kind]["axis"]])
-    free = FreeCoordinates("around" if turns else "straight", "rad" if turns else "m", axes, CENTRE)
+    free = ml.Mechanism("hinge" if turns else "line", axes[0], CENTRE)
     numbers = abs(way), 0.0, abs(way), abs(way), abs(way), 0.1, 1.0
     return Shown(
-        free.unit, *numbers, False, 5, begin, 0.0, np.zeros((2, 1)), np.arange(2.0), begin, np.eye(3), 0.0, True, free
+        "rad" if turns else "m", *numbers, False, 5, begin, 0.0, np.zeros((2, 1)), np.arange(2.0), begin, np.eye(3), 0.0, True, free
     )
 
 

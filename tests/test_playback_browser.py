@@ -14,7 +14,7 @@ from test_replay_tracks import START, drawer, rollout  # noqa: F401
 import manip_learn as ml
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.constraint.shown import FreeCoordinates, Shown
+from manip_learn.constraint.shown import Shown
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection
@@ -278,7 +278,7 @@ def test_live_view_follows(robot_of, opened):
 def shown_drawer(robot):
     """A drawer as it is learnt from recordings that took hold where the hand is at START, and pulled it towards -x."""
     hold = robot.position(START, robot.frame("right_gripper_tip"))
-    free = FreeCoordinates("straight", "m", np.array([[-1.0, 0.0, 0.0]]), np.zeros(3))
+    free = ml.Mechanism("line", [-1.0, 0.0, 0.0])
     path, times = np.linspace(0.0, 0.12, 20)[:, None], np.linspace(0.0, 1.2, 20)
     numbers = 0.12, 0.0, 0.12, 0.12, 0.12, 0.1, 1.2
     shown = Shown("m", *numbers, True, 5, hold, 0.0, path, times, hold, np.eye(3), 0.0, True, free)

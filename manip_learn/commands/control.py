@@ -12,13 +12,13 @@ import numpy as np
 from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
 from manip_learn.commands.options import ControlOptions, PlanOptions, vector
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
-from manip_learn.control.tasks.driven_motion import direction_in_words
 from manip_learn.control.tasks.motion import motion_to, null_policy
 from manip_learn.control.way import WayDone, leads_away, simulate_way
 from manip_learn.errors import TargetError
@@ -326,5 +326,5 @@ def aim_of(constraint: Constraint, task: PointAttractor, rollout: Rollout) -> Ai
     if np.count_nonzero(whole) == len(free):  # the free directions are axes of the target
         ignored = tuple(name for name, counts in zip(features.row_names, whole, strict=True) if counts)
     else:
-        ignored = tuple(direction_in_words(row, features.row_names) for row in free)
+        ignored = tuple(sum_in_words(row, features.row_names, "+.3g", 1e-3) for row in free)
     return Aim(distance, size, off, ignored, 0.0)

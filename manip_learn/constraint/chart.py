@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.curve_rows import Curve
-from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors
+from manip_learn.constraint.curve import Curve
+from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors, skew
 
 
 @final
@@ -36,7 +36,7 @@ class Chart:
         turn: shape (k, 3): X_i = (v_i, w_i) [m, rad per unit of s_i]: the velocity at the origin, and the angular one.
         spin: shape (k, 3), c_i, by which the hand turns by itself [rad per unit of s_i].
         is_carried: Whether the hand turns with the mechanism. Its rotation then tells the angle, otherwise its place.
-        centre: shape (3,), a point that stays where it is while only the angles change [m].
+        centre: shape (3,), a point that stays where it is while only the angles change [m]; of one screw it is known.
         curve: Along which the hand goes, in the place of screws.
         rows: Place (1, 3) -> weights (1, h, 6) of the hand's twist in the h rows that are held.
     """
@@ -54,20 +54,21 @@ class Chart:
         rows: Callable[[Float[np.ndarray, "1 3"]], Float[np.ndarray, "1 h 6"]] | None = None,
     ):
         self.grasp, self._p, self._R = grasp, grasp[:3, 3].copy(), grasp[:3, :3].copy()
-        self.travel, self.turn, self.spin, self._carried = travel, turn, spin, is_carried
-        self._centre = np.zeros(3) if centre is None else centre
+        self.turn, self.spin, self._carried = turn, spin, is_carried
         self._curve, self._rows = curve, rows
         self._at = 0.0 if curve is None else float(curve.nearest(self._p[None])[0])
         by_itself = ~turn.any(axis=1) & (np.sum(spin**2, axis=1) > np.sum(travel**2, axis=1))
         self.n_ways = len(spin) - int(np.count_nonzero(by_itself))
-        self._turns = int(np.count_nonzero(turn.any(axis=1)))
-        self._spins = bool(spin.any())
-        self._out = self._p - self._centre
-        if self._turns == 1:
-            size = math.sqrt(turn[0] @ turn[0])
-            self._axis, self._scale = turn[0] / size, size
-            self._out = self._out - (self._out @ self._axis) * self._axis
-            self._around = np.cross(self._axis, self._out)
+        self._turns, self._spins = int(np.count_nonzero(turn.any(axis=1))), bool(spin.any())
+        self._size = math.sqrt(turn[0] @ turn[0]) if self._turns == 1 else 1.0
+        self._axis = turn[0] / self._size
+        if centre is None:  # the point of the axis next to the origin
+            centre = skew(self._axis).dot(travel[0]) / self._size if self._turns == 1 else np.zeros(3)
+        self._centre, self._slide = centre, travel - np.cross(centre, turn)
+        out = self._p - centre
+        self._held = -self._R.T @ out  # the point of a carried hand that is at the centre, in its axes
+        self._out = out - (out @ self._axis) * self._axis if self._turns == 1 else out
+        self._around = skew(self._axis).dot(self._out)
 
     def coordinates(self, pose: Float[np.ndarray, "*n 4 4"], near: float = 0.0) -> Float[np.ndarray, "*n k"]:
         """Return the free coordinates of a hand [m or rad], or of a hand along a motion.
@@ -89,39 +90,35 @@ class Chart:
             else:
                 d = p - self._centre
                 angle = np.arctan2(d @ self._around, d @ self._out)
-            turns = np.round((near * self._scale - angle.flat[0]) / (2.0 * math.pi))
-            angle = (angle if angle.ndim == 0 else np.unwrap(angle)) + 2.0 * math.pi * turns
-            s[..., 0] = angle / self._scale
+            turns = round((near * self._size - float(angle.flat[0])) / (2.0 * math.pi))
+            s[..., 0] = ((angle if angle.ndim == 0 else np.unwrap(angle)) + 2.0 * math.pi * turns) / self._size
             if n > 1:
-                s[..., 1] = (p - self._p) @ self.travel[1]
+                s[..., 1] = (p - self._p) @ self._slide[1]
         elif n:
-            s[..., :n] = (p - self._p) @ self.travel[:n].T / np.sum(self.travel[:n] ** 2, axis=1)
+            s[..., :n] = (p - self._p) @ self._slide[:n].T / np.sum(self._slide[:n] ** 2, axis=1)
         if own := len(self.spin) - n:
             c = self.spin[n:]
             s[..., n:] = _vectors(Q) @ c.T if own == 3 else _turn_about(Q, c[0])[..., None]
         return s
 
-    def displacement(self, s: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Return g(s), by which the mechanism displaces what is fixed to it."""
-        s, g = np.asarray(s, dtype=np.float64), np.eye(4)
+    def pose(self, s: ArrayLike) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of the hand at free coordinates (k,) [m or rad]; those left out at the end are 0."""
+        s, out, place = self._whole(s), self.grasp.copy(), self._p
         if self._curve is not None:
             at = np.array([self._at, self._at + s[0]])
             (before, after), (c0, c1) = self._curve.frames(at), self._curve.at(at)
-            g[:3, :3] = after @ before.T
-            g[:3, 3] = c1 - g[:3, :3] @ c0
-            return g
-        g[:3, 3] = s @ self.travel
-        if self._turns:
-            w = s @ self.turn
-            g[:3, :3], g[:3, 3] = rotation_matrix(w), left_jacobian(w) @ g[:3, 3]
-        return g
-
-    def pose(self, s: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Return the pose of the hand at free coordinates (k,) [m or rad]; those left out at the end are 0."""
-        s = np.append(s, np.zeros(len(self.spin) - np.size(s)))
-        out = self.displacement(s) @ self.grasp
-        if not self._carried:
-            out[:3, :3] = rotation_matrix(s @ self.spin) @ self._R if self._spins else self._R
+            G = after @ before.T
+            out[:3, 3] = c1 + G @ (place - c0)
+        elif self._turns:
+            G = rotation_matrix(s @ self.turn)
+            out[:3, 3] = self._centre + G.dot(place - self._centre) + s @ self._slide
+        else:
+            G = None
+            out[:3, 3] = place + s @ self._slide
+        if self._carried and G is not None:
+            out[:3, :3] = G.dot(self._R)
+        elif self._spins:
+            out[:3, :3] = rotation_matrix(s @ self.spin).dot(self._R)
         return out
 
     def twist(self, s: ArrayLike, pose: Float[np.ndarray, "4 4"] | None = None) -> Float[np.ndarray, "6 k"]:
@@ -131,35 +128,49 @@ class Chart:
             s: shape (k,), free coordinates [m or rad].
             pose: shape (4, 4), of a hand that goes on from elsewhere; None for one that is on the mechanism.
         """
-        s, K = np.append(s, np.zeros(len(self.spin) - np.size(s))), np.zeros((6, len(self.spin)))
+        s, K = self._whole(s), np.zeros((6, len(self.spin)))
         p = (self.pose(s) if pose is None else pose)[:3, 3]
+        turning, K[:3] = self.turn.T, self._slide.T
         if self._curve is not None:
             c, c1, c2 = (self._curve.at(np.array([self._at + s[0]]), order)[0] for order in range(3))
             turning = (np.cross(c1, c2) / (c1 @ c1))[:, None]
             K[:3, 0] = c1 + np.cross(turning[:, 0], p - c)
-        else:
-            K[:3], turning = self.travel.T, self.turn.T
-            if self._turns:
-                turning = left_jacobian(s @ self.turn) @ turning if self._turns > 1 else turning
-                K[:3] += np.cross(self._centre, turning - self.turn.T, axis=0) + np.cross(turning, p[:, None], axis=0)
+        elif self._turns:
+            turning = left_jacobian(s @ self.turn) @ turning if self._turns > 1 else turning
+            K[:3] -= skew(p - self._centre).dot(turning)
         if self._carried:
             K[3:, : turning.shape[1]] = turning
         elif self._spins:
             K[3:] = left_jacobian(s @ self.spin) @ self.spin.T
         return K
 
+    def _whole(self, s: ArrayLike) -> Float[np.ndarray, " k"]:
+        s = np.asarray(s, dtype=np.float64)
+        return s if len(s) == len(self.spin) else np.append(s, np.zeros(len(self.spin) - len(s)))
+
+    def error(self, pose: Float[np.ndarray, "4 4"], s: ArrayLike) -> Float[np.ndarray, " 6"]:
+        """Return the twist that takes the pose meant by free coordinates to that of the hand [m, rad].
+
+        Of a hand that is carried, the point that it holds at the centre moves as far as the twist says.
+        """
+        meant, out = self.pose(s), np.empty(6)
+        turned = pose[:3, :3] @ meant[:3, :3].T
+        out[:3], out[3:] = pose[:3, 3] - meant[:3, 3], rotation_vector(turned)
+        if self._carried and self._turns:
+            lever = meant[:3, :3] @ self._held
+            out[:3] += turned.dot(lever) - lever - skew(out[3:]).dot(lever)
+        return out
+
+    def heading(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
+        """Return the way of a hand along the first coordinate, and how what it holds turns meanwhile [m, rad]."""
+        return np.append(self.twist([], pose)[:3, 0], self.turn[0] + self.spin[0])
+
     def held_error(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " h"]:
         """Return how far a hand is off the mechanism along the held rows, 6 - k of them [m or rad].
 
         Counted from the pose on the mechanism that has the same free coordinates.
         """
-        meant = self.pose(self.coordinates(pose))
-        turned = rotation_vector(pose[:3, :3] @ meant[:3, :3].T)
-        moved = pose[:3, 3] - meant[:3, 3]
-        if self._carried and self._turns:  # of the point of the hand that is held, which a lever may take far
-            lever = meant[:3, :3] @ self._R.T @ (self._centre - self._p)
-            moved = moved + pose[:3, :3] @ meant[:3, :3].T @ lever - lever - np.cross(turned, lever)
-        return self._rows(pose[None, :3, 3])[0] @ np.append(moved, turned)  # type: ignore[misc]
+        return self._rows(pose[None, :3, 3])[0] @ self.error(pose, self.coordinates(pose))  # type: ignore[misc]
 
 
 def _vectors(Q: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 3"]:

@@ -136,27 +136,31 @@ class PlaceWeights:
     by_place: Float[np.ndarray, "r 6 3"]
     free: Mapping[int, tuple[Float[np.ndarray, " 3"], float]] = field(default_factory=dict)
 
+    def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
+        """W(p) at n places [m]."""
+        W = self.constant + (p @ self.by_place.reshape(-1, 3).T).reshape(len(p), -1, 6)
+        for i, (b, h) in self.free.items():
+            y = W[:, i, :3]
+            s = (y * y).sum(1, keepdims=True)
+            edge = s + ON_AXIS**2
+            W[:, i, :3] = (s * b - h * y) / np.sqrt(edge * (edge + h * h)) if b.any() else y / np.sqrt(edge)
+        return W
+
     def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
         """W(p) and dW/dp at n places [m]."""
-        W = self.constant + (p @ self.by_place.reshape(-1, 3).T).reshape(len(p), -1, 6)
-        dW = np.broadcast_to(self.by_place, (len(p), *self.by_place.shape))
-        if self.free:
-            dW = dW.copy()
+        W, dW = self.values(p), np.broadcast_to(self.by_place, (len(p), *self.by_place.shape))
+        dW = dW.copy() if self.free else dW
         for i in self.free:
-            W[:, i, :3], dW[:, i, :3] = self.unit_length(i, p)
+            dW[:, i, :3] = self.slopes(i, p, W[:, i, :3])
         return W, dW
 
-    def unit_length(
-        self, i: int, p: Float[np.ndarray, "n 3"]
-    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
-        """The weights of v in a free row, and their derivative along p."""
+    def slopes(self, i: int, p: Float[np.ndarray, "n 3"], f: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+        """The derivative along p of the weights f of v in a free row."""
         (b, h), Y = self.free[i], self.by_place[i, :3]
         y = self.constant[i, :3] + p @ Y.T
-        s, along = (y * y).sum(1)[:, None], y @ Y
-        edge, turned, rise = s + ON_AXIS**2, 1.0, 1.0
-        size, df = np.sqrt(edge), Y
+        edge, along = (y * y).sum(1)[:, None] + ON_AXIS**2, y @ Y
+        size, df, rise = np.sqrt(edge), Y, 1.0
         if b.any():
-            size, turned, rise = np.sqrt(edge * (edge + h * h)), -h, 2.0 * edge + h * h
+            size, rise = np.sqrt(edge * (edge + h * h)), 2.0 * edge + h * h
             df = 2.0 * b[:, None] * along[:, None] - h * Y
-        f = (s * b + turned * y) / size
-        return f, (df - f[:, :, None] * (rise * along / size)[:, None]) / size[:, None]
+        return (df - f[:, :, None] * (rise * along / size)[:, None]) / size[:, None]

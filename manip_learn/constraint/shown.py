@@ -13,19 +13,18 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import UnivariateSpline
 
+from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.curve import Curve
-from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
-from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.mechanism import CURVE, Mechanism
 from manip_learn.constraint.place import across
 from manip_learn.errors import counted
 from manip_learn.linalg import complement_rows
 from manip_learn.recordings.trajectory import Trajectory, evenly
-from manip_learn.robot.rotations import angles_between, rotation_matrix
+from manip_learn.robot.rotations import angles_between
 
 Unit = Literal["m", "rad"]
-FreeKind = Literal["straight", "around", "sleeve", "ball", "curve"]
 # [m] contacts that begin within this distance of their middle begin at one place: a person finds a handle again to a
 # millimetre or two, a hand that is put down on a table does not
 SAME_PLACE = 3e-3
@@ -42,126 +41,20 @@ LEAST_SEEN = 0.02  # of the largest singular value of the hand's motion: in dire
 PURE_SHARE = 0.995  # share of a free direction that is translation: a learnt one leaks by its uncertainty, 0.1 at most
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class FreeCoordinates:
-    """Coordinates of a hand along what a mechanism leaves free, counted from where it began, and the places they mean.
-
-    Attributes:
-        kind: `"straight"`: along fixed directions; `"around"`: angle about an axis (a screw travels along it);
-            `"sleeve"`: arc about an axis and way along it; `"ball"`: rotation about a centre; `"curve"`: way along it.
-        unit: Of every coordinate.
-        axes: shape (k, 3), unit vectors in the base frame: the directions, the axis, a curve's tangent where contacts
-            began, or none of a ball's (its coordinates are the components of a rotation vector).
-        point: shape (3,), a point of the axis or the centre [m].
-        pitch: Travel along the axis a radian of turning [m/rad].
-        radius: Distance of the hand from the axis, to which the arcs of a sleeve belong [m].
-        by_hand: Whether the hand turns with the mechanism, so that its own rotation is the angle.
-        curve: Of a hand that follows one, in the sense in which the way counts.
-    """
-
-    kind: FreeKind
-    unit: Unit
-    axes: Float[np.ndarray, "k 3"]
-    point: Float[np.ndarray, " 3"]
-    pitch: float = 0.0
-    radius: float = 1.0
-    by_hand: bool = False
-    curve: Curve | None = None
-
-    @property
-    def is_way(self) -> bool:
-        """Whether there is one coordinate, so that "how far" says all."""
-        return self.kind in ("around", "curve") or (self.kind == "straight" and len(self.axes) == 1)
-
-    def of(self, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
-        """Coordinates of a hand along a motion, 0 at its first pose; angles without jumps."""
-        p = poses[:, :3, 3]
-        if self.kind == "straight":
-            return (p - p[0]) @ self.axes.T
-        if self.curve is not None:
-            s = self.curve.nearest(p)
-            return (s - s[0])[:, None]
-        if self.kind == "ball":
-            # rotation vectors that take the first place about the centre to the others on the shortest way
-            d = (p - self.point) / np.linalg.norm(p - self.point, axis=1, keepdims=True)
-            cross, cosine = np.cross(d[0], d), d @ d[0]
-            sine = np.linalg.norm(cross, axis=1)
-            return np.arctan2(sine, cosine)[:, None] * cross / np.maximum(sine, 1e-300)[:, None]
-        axis, d = self.axes[0], p - self.point
-        x = d - np.outer(d @ axis, axis)
-        if self.by_hand:
-            M = poses[:, :3, :3] @ poses[0, :3, :3].T
-            # the part of the rotation about the axis: twice the angle whose tangent is the ratio of the quaternion's
-            vee = np.stack([M[:, 2, 1] - M[:, 1, 2], M[:, 0, 2] - M[:, 2, 0], M[:, 1, 0] - M[:, 0, 1]], axis=1)
-            angle = np.arctan2(vee @ axis, np.trace(M, axis1=1, axis2=2) - 1.0)
-        else:
-            angle = np.arctan2(np.cross(x[0], x) @ axis, x @ x[0])
-        angle = np.unwrap(angle)
-        if self.kind == "around":
-            return angle[:, None]
-        return np.column_stack([self.radius * angle, (d - d[0]) @ axis])
-
-    def place(self, begin: Float[np.ndarray, " 3"], coordinates: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
-        """Where a hand that began at a place is after these coordinates [m]."""
-        if self.kind == "straight":
-            return begin + coordinates @ self.axes
-        if self.curve is not None:
-            return self.curve.along(begin, float(coordinates[0]))
-        d = begin - self.point
-        if self.kind == "ball":
-            return self.point + rotation_matrix(coordinates) @ d
-        axis = self.axes[0]
-        angle, travel = float(coordinates[0]), self.pitch * float(coordinates[0])
-        if self.kind == "sleeve":
-            angle, travel = angle / self.radius, float(coordinates[1])
-        return self.point + rotation_matrix(angle * axis) @ d + travel * axis
-
-    def turn(self, coordinates: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
-        """Rotation vector of a hand that is carried [rad]."""
-        if self.kind in ("straight", "curve"):
-            return np.zeros(3)
-        if self.kind == "ball":
-            return coordinates
-        return float(coordinates[0]) / (self.radius if self.kind == "sleeve" else 1.0) * self.axes[0]
-
-    def directions(self, place: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "k 3"]:
-        """Unit vectors along which a hand at a place may go."""
-        if self.kind == "straight":
-            return self.axes
-        if self.curve is not None:
-            return self.curve.tangents(place[None])
-        out = place - self.point
-        if self.kind == "ball":
-            return complement_rows(out[None] / np.linalg.norm(out))
-        around = np.cross(self.axes[0], out)
-        around = around / max(float(np.linalg.norm(around)), 1e-12)
-        return np.array([around, self.axes[0]] if self.kind == "sleeve" else [around])
-
-    def reversed(self) -> FreeCoordinates:
-        """The same with the other sense of its only coordinate."""
-        curve = None if self.curve is None else Curve(self.curve.points[::-1])
-        return replace(self, axes=-self.axes, curve=curve)
-
-    def moved(self, transform: Float[np.ndarray, "4 4"]) -> FreeCoordinates:
-        """Of the mechanism at another place, p' = R p + t."""
-        R, t = transform[:3, :3], transform[:3, 3]
-        curve = None if self.curve is None else self.curve.moved(transform)
-        return replace(self, axes=self.axes @ R.T, point=R @ self.point + t, curve=curve)
-
-
 def poses_of(features: FeatureMap, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 4 4"] | None:
     """Poses of the frame of the features [m], those of a relative one in its own base; None of features without one."""
     return None if features.twist is None else features.twist.poses(q)
 
 
-def free_coordinates(
+def free_mechanism(
     features: FeatureMap,
     selection: Float[np.ndarray, "s p"],
     mechanism: Mechanism | None,
     contacts: Sequence[Float[np.ndarray, "_ 4 4"]],
-) -> FreeCoordinates | None:
-    """The coordinates along what a constraint leaves free to the hand's place; None where it leaves nothing of it.
+) -> Mechanism | None:
+    """Return the mechanism along which a constraint leaves the hand's place free; None where nothing of it is free.
+
+    Where the constraint has no mechanism with a place, that is a line, a plane or all of space.
 
     Args:
         features: Phi.
@@ -169,30 +62,16 @@ def free_coordinates(
         mechanism: What the rows hold, where that has a name.
         contacts: Poses of the hand along each contact.
     """
-    kind = "" if mechanism is None else mechanism.type
-    if isinstance(features, CurveRows):
-        begin = np.median([poses[0, :3, 3] for poses in contacts], axis=0)
-        return FreeCoordinates("curve", "m", features.curve.tangents(begin[None]), np.zeros(3), curve=features.curve)
-    if mechanism is not None and mechanism.axis is not None and mechanism.point is not None:
-        point, by_hand = np.asarray(mechanism.point, dtype=np.float64), mechanism.orientation == "carried"
-        axes = np.asarray(mechanism.axis, dtype=np.float64)[None]
-        if kind in ("hinge", "screw"):
-            return FreeCoordinates("around", "rad", axes, point, mechanism.pitch or 0.0, by_hand=by_hand)
-        if kind == "other":
-            radius = mechanism.radius or 1.0
-            return FreeCoordinates("sleeve", "m", axes, point, radius=radius, by_hand=by_hand)
-    if mechanism is not None and kind == "ball" and mechanism.point is not None:
-        return FreeCoordinates("ball", "rad", np.eye(3), np.asarray(mechanism.point, dtype=np.float64))
-    # else fixed directions along which the place is free
-    axes = np.eye(3) if kind == "held-orientation" else np.zeros((0, 3))
-    if mechanism is not None and kind in ("line", "plane"):
-        if mechanism.axis is not None:
-            axis = np.asarray(mechanism.axis, dtype=np.float64)
-            axes = axis[None] if kind == "line" else across(axis)
-        else:  # fixed to the hand: its directions are those in which the hand did move
-            places = np.concatenate([c[:, :3, 3] - c[:, :3, 3].mean(axis=0) for c in contacts])
-            axes = np.linalg.svd(places, full_matrices=False)[2][: 1 if kind == "line" else 2]
-    elif kind != "held-orientation" and isinstance(features, FrameJacobian) and features.reference == "world":
+    kind = None if mechanism is None else mechanism.kind
+    turns = kind in ("hinge", "screw", "cylinder", "ball", "curve")
+    if mechanism is not None and (turns or mechanism.axis is not None or kind == "space"):
+        placed = mechanism.point is not None or kind in ("line", "plane", "space", "curve")
+        return mechanism if placed else None
+    axes = np.zeros((0, 3))
+    if kind in ("line", "plane"):  # fixed to the hand: its directions are those in which the hand did move
+        places = np.concatenate([c[:, :3, 3] - c[:, :3, 3].mean(axis=0) for c in contacts])
+        axes = np.linalg.svd(places, full_matrices=False)[2][: 1 if kind == "line" else 2]
+    elif isinstance(features, FrameJacobian) and features.reference == "world":
         linear = np.array([name in AXES[:3] for name in features.row_names])
         rows = complement_rows(selection)
         if len(rows) and linear.any():
@@ -202,8 +81,16 @@ def free_coordinates(
             for column, name in zip(pure.T, features.row_names, strict=True):
                 if name in AXES[:3]:
                     axes[:, AXES.index(name)] = column
-            axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    return FreeCoordinates("straight", "m", axes, np.zeros(3)) if len(axes) else None
+    return straight(axes)
+
+
+def straight(axes: Float[np.ndarray, "k 3"]) -> Mechanism | None:
+    """Return the line, the plane or the space in which a hand moves along some directions; None of no direction."""
+    made = {1: "line", 2: "plane", 3: "held-orientation"}
+    if len(axes) not in made:
+        return None
+    normal = complement_rows(axes) if len(axes) == 2 else axes
+    return Mechanism(made[len(axes)], None if len(axes) == 3 else normal[0] / np.linalg.norm(normal[0]))  # type: ignore[arg-type]
 
 
 @final
@@ -231,7 +118,7 @@ class Shown:
         orientation: shape (3, 3), of the hand where the typical contact began.
         turned: Largest angle of a hand from that where the other contacts began [rad].
         one_way: Whether the recordings agree on a sense; always True of paths on a surface.
-        coordinates: The free coordinates.
+        mechanism: What the hand goes along, in the sense of the recordings.
         force: What the hand exerted along them at the most, the median over the contacts [N]; None where no efforts
             were recorded, or where they show no such force, as those of an arm that a hand has guided.
         start: shape (k,), coordinates where contacts began, the median, counted from `begin` [m or rad].
@@ -256,7 +143,7 @@ class Shown:
     orientation: Float[np.ndarray, "3 3"]
     turned: float
     one_way: bool
-    coordinates: FreeCoordinates
+    mechanism: Mechanism
     force: float | None = None
     start: Float[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0))
     grasps: Float[np.ndarray, "n 4 4"] = field(default_factory=lambda: np.zeros((0, 4, 4)))
@@ -264,12 +151,33 @@ class Shown:
     @property
     def is_way(self) -> bool:
         """Whether there is one direction, so that the extent says which way was gone."""
-        return self.coordinates.is_way
+        return self.chart.n_ways == 1
+
+    @property
+    def chart(self) -> Chart:
+        """The chart of the hand that begins the path."""
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = self.orientation, self.begin
+        return self.mechanism.at(pose, np.inf)
+
+    @property
+    def poses(self) -> Float[np.ndarray, "T 4 4"]:
+        """Poses along the path, of a hand that turns with the mechanism only [m]."""
+        chart, sizes = self.chart, _sizes(self.mechanism)
+        return np.array([chart.pose(c / sizes) for c in self.path])
 
     @property
     def points(self) -> Float[np.ndarray, "T 3"]:
         """Places along the path [m]."""
-        return np.array([self.coordinates.place(self.begin, c) for c in self.path])
+        return self.poses[:, :3, 3]
+
+    def place_before(self, pose: Float[np.ndarray, "4 4"], far: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
+        """Return the place of a hand that is taken back along the way from a pose, by such coordinates [m]."""
+        return self.mechanism.at(pose, np.inf).pose(-far / _sizes(self.mechanism))[:3, 3]
+
+    def along(self, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
+        """Return the coordinates of the path of a hand along a motion [m or rad], 0 at its first pose."""
+        return _ways(self.mechanism, poses)
 
     @property
     def sentence(self) -> str:
@@ -303,7 +211,7 @@ class Shown:
             begin=R @ self.begin + t,
             orientation=R @ self.orientation,
             grasps=transform @ self.grasps,
-            coordinates=self.coordinates.moved(transform),
+            mechanism=self.mechanism.moved(transform),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -312,11 +220,7 @@ class Shown:
         for name in (*_ARRAYS, *_OF_03):
             value = getattr(self, name)
             content[name] = None if value is None else np.round(value, 6).tolist()
-        c = self.coordinates
-        content["coordinates"] = {"kind": c.kind, "unit": c.unit, "axes": c.axes.tolist(), "point": c.point.tolist()}
-        content["coordinates"] |= {"pitch": c.pitch, "radius": c.radius, "by_hand": c.by_hand}
-        if c.curve is not None:
-            content["coordinates"]["curve"] = c.curve.points.tolist()
+        content["mechanism"] = self.mechanism.to_dict()
         return content
 
     @staticmethod
@@ -326,11 +230,11 @@ class Shown:
             values: dict[str, Any] = {name: content[name] for name in _NUMBERS}
             for name in (*_ARRAYS, *_OF_03.intersection(content)):
                 values[name] = None if content[name] is None else np.array(content[name], dtype=np.float64)
-            free: dict[str, Any] = dict(content["coordinates"])
-            free |= {name: np.array(free[name], dtype=np.float64) for name in ("axes", "point")}
-            if "curve" in free:
-                free["curve"] = Curve(free["curve"])
-            return Shown(**values, coordinates=FreeCoordinates(**free), force=content.get("force"))
+            if "mechanism" not in content:
+                values["mechanism"], values["path"] = _of_02(content["coordinates"], values["path"])
+            else:
+                values["mechanism"] = Mechanism.from_dict(content["mechanism"])
+            return Shown(**values, force=content.get("force"))
         except (KeyError, TypeError, ValueError):
             return None
 
@@ -339,6 +243,37 @@ _NUMBERS = ("unit", "extent", "spread", "least", "most", "span", "speed", "secon
 _NUMBERS += ("turned", "one_way")
 _ARRAYS = ("hold", "path", "time", "begin", "orientation")
 _OF_03 = {"start", "grasps"}  # which files of 0.2 do not have
+
+
+def _of_02(c: dict[str, Any], path: Float[np.ndarray, "T k"]) -> tuple[Mechanism, Float[np.ndarray, "T n"]]:
+    """Return the mechanism and the path of a file of 0.2, which says directions; until 0.4."""
+    axes, point = (np.array(c[name], dtype=np.float64) for name in ("axes", "point"))
+    orientation = "carried" if c["by_hand"] or c["kind"] == "ball" else "free"
+    if c["kind"] == "straight":
+        mechanism = straight(axes)
+        travel = np.eye(3) if len(axes) == 3 else axes if len(axes) == 1 else across(mechanism.axis)  # type: ignore
+        return mechanism, path @ axes @ travel.T  # type: ignore[return-value]  # there is a direction
+    curve = Curve(c["curve"]) if "curve" in c else None
+    kind = {"around": "screw" if c["pitch"] else "hinge", "ball": "ball"}.get(c["kind"], "other")
+    told: dict[str, Any] = {"pitch": c["pitch"] or None, "radius": c["radius"] if c["kind"] == "sleeve" else None}
+    name = CURVE if curve is not None else ""
+    axis = None if kind == "ball" or name else axes[0]
+    return Mechanism(kind, axis, point, orientation=orientation, name=name, curve=curve, **told), path  # type: ignore[arg-type]
+
+
+def _sizes(mechanism: Mechanism) -> Float[np.ndarray, "..."]:
+    """Return by what coordinates are multiplied so that all have one unit: on a cylinder angles become arcs [m]."""
+    return np.array([mechanism.radius or 1.0, 1.0]) if mechanism.kind == "cylinder" else np.ones(1)
+
+
+def _turns(ball: Mechanism, grasp: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "n 3"]:
+    chart = ball.at(grasp, np.inf)
+    return chart.turn[: chart.n_ways]
+
+
+def _ways(mechanism: Mechanism, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
+    chart = mechanism.at(poses[0], np.inf)
+    return chart.coordinates(poses)[:, : chart.n_ways] * _sizes(mechanism)
 
 
 def shown_by(
@@ -360,14 +295,15 @@ def shown_by(
     if not poses or any(p is None for p in poses):
         return None
     motions: list[np.ndarray] = [p for p in poses if p is not None]
-    free = free_coordinates(features, selection, mechanism, motions)
+    free = free_mechanism(features, selection, mechanism, motions)
     if free is None:
         return None
-    ways = [free.of(p) for p in motions]
+    ways = [_ways(free, p) for p in motions]
+    is_way = ways[0].shape[1] == 1
     farthest = [int(np.argmax(np.linalg.norm(w, axis=1))) for w in ways]
     signed = np.array([float(w[i, 0]) for w, i in zip(ways, farthest, strict=True)])
     one_way = True
-    if free.is_way:
+    if is_way:
         one_way = abs(float(np.sum(signed))) >= ONE_SIDED * float(np.sum(np.abs(signed)))
         if np.sum(signed) < 0.0:
             free, ways, signed = free.reversed(), [-w for w in ways], -signed
@@ -375,28 +311,30 @@ def shown_by(
     if not np.all(np.isfinite(extents)) or float(np.median(extents)) <= 0.0:
         return None
     times = [contact.time - contact.time[0] for contact in contacts]
-    seconds = np.array([_duration(t, w, i, free.is_way) for t, w, i in zip(times, ways, farthest, strict=True)])
-    lengths = extents if free.is_way else np.array([np.linalg.norm(np.diff(w, axis=0), axis=1).sum() for w in ways])
+    seconds = np.array([_duration(t, w, i, is_way) for t, w, i in zip(times, ways, farthest, strict=True)])
+    lengths = extents if is_way else np.array([np.linalg.norm(np.diff(w, axis=0), axis=1).sum() for w in ways])
     grasps = np.array([p[0] for p in motions])
     middle = np.median(grasps[:, :3, 3], axis=0)
     scatter = float(np.max(np.linalg.norm(grasps[:, :3, 3] - middle, axis=1)))
     hold = middle if scatter <= SAME_PLACE else None
     off = np.abs(extents - np.median(extents)) + np.where(signed > 0.0, 0.0, np.inf)  # of those that went as most did
     # of an even number two are as near to the median, but for rounding: the first
-    typical = int(np.argmin(np.round(off, 9))) if free.is_way else _typical(times, ways)
-    time, path = _path(times[typical], ways[typical], farthest[typical], free.is_way)
+    typical = int(np.argmin(np.round(off, 9))) if is_way else _typical(times, ways)
+    time, path = _path(times[typical], ways[typical], farthest[typical], is_way)
     ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
     begin = grasps[typical].copy()
     if hold is not None:
         begin[:3, 3] = hold
-    start = np.median([free.of(np.array([begin, grasp]))[1] for grasp in grasps], axis=0)
+    start = np.median([_ways(free, np.array([begin, grasp]))[1] for grasp in grasps], axis=0)
+    if free.kind == "ball":  # each chart has axes of its own
+        path = path @ (_turns(free, grasps[typical]) @ _turns(free, begin).T)
     return Shown(
-        free.unit,
+        "rad" if free.kind in ("hinge", "screw", "ball") else "m",
         float(np.median(extents)),
         float(np.std(extents)),
         float(np.min(extents)),
         float(np.max(extents)),
-        _span(free, motions, ways) if free.is_way else float(np.max(extents)),
+        _span(free, motions, ways) if is_way else float(np.max(extents)),
         float(np.median(lengths / np.maximum(seconds, 1e-9))),
         float(np.median(seconds)),
         bool(np.median(ends / extents) <= BACK),
@@ -416,7 +354,7 @@ def shown_by(
     )
 
 
-def _force(features: FeatureMap, free: FreeCoordinates, contacts: Sequence[Trajectory]) -> float | None:
+def _force(features: FeatureMap, free: Mechanism, contacts: Sequence[Trajectory]) -> float | None:
     """The largest force along free coordinates, by the efforts beside what carries the links; see `Shown.force`.
 
     The force on the hand is the one that explains the rest best, joint friction included. One in twenty samples may
@@ -427,6 +365,7 @@ def _force(features: FeatureMap, free: FreeCoordinates, contacts: Sequence[Traje
     if twist is None or twist.relative_to is not None or twist.robot.nq != twist.robot.nv:
         return None
     robot, frame, largest = twist.robot, twist.frame, list[Float[np.ndarray, " 2"]]()
+    n = free.at(robot.pose(contacts[0].q[0], frame), np.inf).n_ways
     for contact in contacts:
         if contact.effort is None:
             return None
@@ -437,7 +376,8 @@ def _force(features: FeatureMap, free: FreeCoordinates, contacts: Sequence[Traje
             return None
         for q, rest in zip(contact.q[chosen], contact.effort[chosen] - weights, strict=True):
             force = np.linalg.pinv(robot.jacobian(q, frame).T, rcond=LEAST_SEEN)[:3] @ rest
-            along = free.directions(robot.position(q, frame)) @ force
+            ways = free.at(robot.pose(q, frame), np.inf).twist([])[:3, :n]
+            along = (ways / np.linalg.norm(ways, axis=0)).T @ force
             forces.append((np.linalg.norm(along), math.sqrt(max(0.0, float(force @ force - along @ along)))))
         largest.append(np.quantile(forces, 0.95, axis=0))
     along, across = np.median(largest, axis=0).tolist()
@@ -456,11 +396,11 @@ def _duration(time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], fart
     return float(ends - begins) / (1.0 - 2.0 * STARTED)
 
 
-def _span(free: FreeCoordinates, motions: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> float:
+def _span(free: Mechanism, motions: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> float:
     """How far apart along a way the contacts' farthest places are [m or rad]."""
-    if free.by_hand:  # grips differ, so that the angle of a hand says nothing of where another began
+    if free.orientation == "carried":  # grips differ, so that the angle of a hand says nothing of where another began
         return float(max(np.ptp(way) for way in ways))
-    begins = free.of(np.array([motion[0] for motion in motions]))[:, 0]
+    begins = _ways(free, np.array([motion[0] for motion in motions]))[:, 0]
     ends = [(b + way.min(), b + way.max()) for b, way in zip(begins, ways, strict=True)]
     return float(max(high for _, high in ends) - min(low for low, _ in ends))
 

@@ -91,7 +91,7 @@ def held_by_handles(skill: Skill, handles: Sequence[Float[np.ndarray, "n 3"]]) -
             return shown
         shut, ajar = handles[number][:2]
         if coordinate(shown, shut, ajar) < 0.0:
-            shown = replace(shown, coordinates=shown.coordinates.reversed(), path=-shown.path)
+            shown = replace(shown, mechanism=shown.mechanism.reversed(), path=-shown.path)
         ahead = coordinate(shown, shut, shown.begin)
         path = shown.path + ahead
         far = float(np.max(path))  # of the typical contact: the others may have begun elsewhere
@@ -114,7 +114,8 @@ def coordinate(shown: Shown, begin: Float[np.ndarray, " 3"], place: Float[np.nda
     """How far a hand is along a way from where it began [m or rad], by its place."""
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, :3, 3] = begin, place
-    return float(replace(shown.coordinates, by_hand=False).of(poses)[1, 0])
+    by_place = replace(shown.mechanism, name="", orientation="free")
+    return float(replace(shown, mechanism=by_place).along(poses)[1, 0])
 
 
 @final

@@ -68,6 +68,10 @@ class CurveRows(WeighedVelocity):
         W, dW = self.curve.weights(p)
         return W[:, self._rows], dW[:, self._rows]
 
+    def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
+        """W(p) at n places [m]."""
+        return self.weights(p)[0]
+
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Distances from the curve along n_1 and n_2, and the length along it [m].
 

@@ -29,6 +29,9 @@ class FeatureMap(ABC):
     """
 
     twist: Any = None
+    own_axes: bool | None = None  # of rows of a frame's twist: whether they are along the frame's own axes
+    geometry: Any = None  # where a mechanism is whose rows they are
+    curve: Any = None  # along and across which they are
     nv: int
     row_names: tuple[str, ...]
     row_units: tuple[str, ...]

@@ -94,12 +94,15 @@ class MechanismRows(WeighedVelocity):
         place: dict[str, Any] = {"axis": g.axis, "point": g.point, "pitch": g.pitch, **self.twist.seen_from}
         return MechanismRows(self.robot, self.frame.name, rows, **place, radius=radius)
 
+    def about(self, place: Place) -> MechanismRows:
+        """The same rows of a mechanism that is elsewhere."""
+        out = copy(self)
+        out.geometry, out.place_weights = place, mechanism_weights(self.row_names, place, self.radius)
+        return out
+
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> MechanismRows:
         """The same rows of a mechanism that stands elsewhere, p' = R p + t."""
-        out = copy(self)
-        out.geometry = self.geometry.at(transform)
-        out.place_weights = mechanism_weights(self.row_names, out.geometry, self.radius)
-        return out
+        return self.about(self.geometry.at(transform))
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Distance from the axis (`radial`) or the centre (`spherical`), place along the axis (`axial`) [m].

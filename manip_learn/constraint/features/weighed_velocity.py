@@ -47,7 +47,11 @@ class WeighedVelocity(FeatureMap):
 
     def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
         """Weights of the rows of `twist` in these rows, at n poses of the frame."""
-        return self.weights(poses[:, :3, 3])[0]
+        return self.values(poses[:, :3, 3])
+
+    def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
+        """W(p) at n places [m]."""
+        return self.place_weights.values(p)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q) = W(p) J(q).
@@ -88,8 +92,10 @@ class WeighedVelocity(FeatureMap):
         mix = padded[:, :6] + slopes.dot(p)
         if self.place_weights.free:
             slopes = slopes.copy()
+        W = self.place_weights.values(p[None]) if self.place_weights.free else mix
         for share, i in zip(padded[:, 24:].T, self.place_weights.free, strict=True):
-            f, df = self.place_weights.unit_length(i, p[None])
+            f = W[:, i, :3]
+            df = self.place_weights.slopes(i, p[None], f)
             mix[:, :3] += share[:, None] * f
             slopes[:, :3] += share[:, None, None] * df
         by_place = slopes.reshape(-1, 3)

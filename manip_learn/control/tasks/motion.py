@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -11,8 +12,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.curve_rows import CurveRows
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.control.policies import (
     ASCENT_GAIN,
     JointAttractor,
@@ -22,16 +22,12 @@ from manip_learn.control.policies import (
     ZeroPolicy,
 )
 from manip_learn.control.tasks.driven_motion import (
-    CurveMotion,
-    DrivenMotion,
-    MechanismMotion,
     Origin,
-    PathMotion,
-    StraightMotion,
     Unit,
+    along_path,
     apart,
     between,
-    place_about,
+    driven_motion,
     way_in_words,
 )
 from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
@@ -145,28 +141,27 @@ class FreeDirection(Task):
         self.learnt, self.counts = constraint, 1.0
         held = constraint.with_orientation() if keep_orientation else constraint.about_its_mechanism()
         shown = constraint.shown
-        path = PathMotion(held, shown) if as_shown and shown is not None and not shown.is_way else None
-        if isinstance(held.features, CurveRows):
-            self._motion: DrivenMotion = CurveMotion(held, direction, unit)
+        self._profile: MotionProfile | PathProfile = MotionProfile(
+            **{n: numbers[n] for n in ("distance", "speed", "ramp")}
+        )
+        is_path = as_shown and shown is not None and not shown.is_way
+        if is_path and shown is not None:
+            self._motion, self._profile = along_path(held, shown, numbers["ramp"])
         else:
-            motion_of = MechanismMotion if isinstance(held.features, MechanismRows) else StraightMotion
-            self._motion = path or motion_of(held, direction, unit, straight)
+            self._motion = driven_motion(held, direction, unit, straight)
         self.constraint = self._motion.constraint
         if keep_orientation and (robot := constraint.robot) is not None:
             A = self.constraint(robot.random_configuration(np.random.default_rng(0)))
-            b = self.constraint.selection.dot(self._motion.driven_at(0.0))
+            b = self.constraint.selection.dot(self._motion.driven)
             if np.linalg.norm(A.dot(np.linalg.lstsq(A, b)[0]) - b) > 1e-6 * np.linalg.norm(b):
                 raise ConstraintError(
                     f"{robot.nv} joints cannot move along this and keep the orientation of the hand, {len(A)} rows"
                     + advice(": leave out {}", "keep_orientation=True", "--keep-orientation")
                 )
         self.unit: Unit = self._motion.unit
-        self._n_held = constraint.n_constraints
         self.pause = _number("pause", pause, positive=True) if pause else 0.0
-        profile = MotionProfile(numbers["distance"], numbers["speed"], numbers["ramp"])
-        self._profile: MotionProfile | PathProfile = profile if path is None else path.profile(profile.ramp)
         self.gain = numbers["gain"]
-        self._shown = ShownPlaces.of(constraint, self._motion, as_shown) if take_hold or as_shown else None
+        self._shown = ShownPlaces.of(constraint, self._motion, as_shown, is_path) if take_hold or as_shown else None
         self._given = None if start is None else self._motion.origin(start)
         self.reset()
 
@@ -271,7 +266,7 @@ class FreeDirection(Task):
         """How far the rows of the constraint are from where they are held, that much of the way done [m or rad]."""
         if self._origin is None:
             return 0.0
-        return float(np.linalg.norm(self._motion.deviation(self._origin, q, progress)[: self._n_held]))
+        return self._motion.deviation(self._origin, q, progress)
 
     def rows(self, constraint: Constraint) -> Constraint:
         """The constrained rows and the driven one.
@@ -299,26 +294,32 @@ class FreeDirection(Task):
         Where limits or a singularity stop the way, the hand so does not follow a goal that goes on without it.
         """
         origin, wanted, rate = self._now(q, t)
-        place = self._place = self._motion.progress(origin, q, self._place)
-        rate += self.gain * (wanted - place)
-        if self.way_begins is not None:
-            rate = min(max(rate, -self._profile.speed), self._profile.speed)
-        rates, E = self._motion.rates_and_jacobian(origin, q, place, rate, self.gain)
-        return self.constraint.selection.dot(rates), E
+        most = math.inf if self.way_begins is None else self._profile.speed
+
+        def rate_at(place: float) -> float:
+            return min(max(rate + self.gain * (wanted - place), -most), most)
+
+        self._place, b = self._motion.rates(origin, q, self._place, rate_at, self.gain)
+        return b, self._motion.jacobian(q)
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
         """The row along the motion; all rows on the way to the mechanism."""
-        return super().driven_rows(constraint) if self.way_begins is None else self._motion.driven_row(self._place)
+        return super().driven_rows(constraint) if self.way_begins is None else self._motion.driven_row()
 
     def goal(self) -> Origin | None:
         """Where the motion ends; None before the first call, unless `start` was given."""
-        return None if self._origin is None else self._motion.goal(self._origin, self._profile.distance)
+        if self._origin is None:
+            return None
+        goal, features = self._motion.goal(self._origin, self._profile.distance), self.constraint.features
+        if goal.ndim == 2 and set(features.row_names) <= set(AXES[:3]):  # of the place alone
+            return goal[[AXES.index(name) for name in features.row_names], 3]
+        return goal
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Way that is left, and the deviation of the constrained coordinates, as one norm [m or rad]."""
-        origin, wanted, _ = self._now(q, t)
-        left = self._profile.distance - self._motion.progress(origin, q, self._place)
-        return float(np.hypot(left, np.linalg.norm(self._motion.deviation(origin, q, wanted))))
+        origin, _, _ = self._now(q, t)
+        place = self._motion.progress(origin, q, self._place)
+        return math.hypot(self._profile.distance - place, self._motion.deviation(origin, q, place))
 
     def _now(self, q: ArrayLike, t: float) -> tuple[np.ndarray, float, float]:
         """From where the way counts, how far along it the hand should be, and how fast."""
@@ -534,16 +535,17 @@ def motion_to(
         TargetError: Not three finite numbers, a hand that is not on the mechanism or next to the point already.
         ConstraintError: A mechanism that does not turn about an axis.
     """
-    rows, known = constraint.about_its_mechanism().features, constraint.mechanism
-    if not isinstance(rows, MechanismRows) or known is None or known.type not in ("hinge", "screw"):
+    known, twist = constraint.mechanism, constraint.features.twist
+    if known is None or known.kind not in ("hinge", "screw"):
         raise ConstraintError(
             "what was learnt turns about no one axis, towards a point: say how far to go"
             + advice(" with {}", "motion(constraint, distance=... | angle=...)", "--along or --turn")
         )
     if (place := finite(point, 3)) is None:
         raise TargetError(f"the point must be three finite numbers (x, y, z) [m], got {point!r}")
-    g, here = rows.geometry, rows.twist.placement(q)[0].copy()
-    angle = place_about(here - g.point, place - g.point, g, 0.0)["tangential"]
+    here, there = twist.pose(q), np.eye(4)
+    there[:3, 3] = place
+    angle = float(replace(known, name="", orientation="fixed").at(here, np.inf).coordinates(there)[0])
     if abs(angle) < 1e-6:
         raise TargetError("the hand is as near to the point as the mechanism allows: name another")
     task = motion(constraint, angle=angle, speed=speed, keep_orientation=keep_orientation, beyond_shown=True)
