@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -21,14 +22,22 @@ Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
 class FeatureMap(ABC):
     """Phi(q), shape (p, nv), and its exact derivative; A(q) = Lambda Phi(q) selects from its rows.
 
+    A child defines `derivative`, or `value_and_derivative` where both share work.
+
     Attributes of every child:
         nv: Number of velocities that the rows act on.
         row_names: One name a row, e.g. `("x", "y", "rz")`.
         row_units: Unit of each row times a velocity, e.g. `("m/s", "m/s", "rad/s")`.
         twist: All six rows of the frame, in axes that rest with what holds it (`PoseRows`); None without a frame.
+        robot: The robot; None for a system without one.
+        kind: Name of the class in a constraint file; empty for what cannot be saved.
+        saved: Arguments of the constructor that a file keeps, beside the robot -> the attributes that they are.
     """
 
     twist: Any = None
+    robot: Any = None
+    kind: str = ""
+    saved: Mapping[str, str] = {}
     nv: int
     row_names: tuple[str, ...]
     row_units: tuple[str, ...]
@@ -42,9 +51,13 @@ class FeatureMap(ABC):
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q)."""
 
-    @abstractmethod
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq; entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k."""
+        """Return dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        return self.value_and_derivative(q)[1]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq together, cheaper than one by one where a child shares work."""
@@ -65,19 +78,13 @@ class FeatureMap(ABC):
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n configurations, the rows of q."""
-        rows = np.asarray(q, dtype=np.float64)
-        out = np.empty((len(rows), self.n_rows, self.nv))
-        for i, row in enumerate(rows):
-            out[i] = self(row)
-        return out
+        return np.reshape([self(row) for row in np.asarray(q, dtype=np.float64)], (-1, self.n_rows, self.nv))
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n configurations, the rows of q."""
-        rows = np.asarray(q, dtype=np.float64)
-        Phi, dPhi = np.empty((len(rows), self.n_rows, self.nv)), np.empty((len(rows), self.n_rows, self.nv, self.nv))
-        for i, row in enumerate(rows):
-            Phi[i], dPhi[i] = self.value_and_derivative(row)
-        return Phi, dPhi
+        values = [self.value_and_derivative(row) for row in np.asarray(q, dtype=np.float64)]
+        Phi = np.reshape([one for one, _ in values], (-1, self.n_rows, self.nv))
+        return Phi, np.reshape([one for _, one in values], (*Phi.shape, self.nv))
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Task coordinates r(q) whose rate is Phi(q) u, or `coordinates_jacobian(q)` u where that is given.
@@ -120,12 +127,26 @@ class FeatureMap(ABC):
         return self.error_to(target, q), self.error_jacobian(target, q)
 
     def describe(self) -> dict[str, Any]:
-        """What a saved constraint needs to build this feature map again.
+        """Return what a saved constraint needs to build this feature map again: kind, arguments and units.
 
         Raises:
             FeatureError: It cannot be written down (functions in Python).
         """
-        raise FeatureError(f"{self!r} is made of Python functions and cannot be saved")
+        if not self.kind:
+            raise FeatureError(f"{self!r} is made of Python functions and cannot be saved")
+        return {"kind": self.kind, **self.arguments(), "units": list(self.row_units)}
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of the constructor beside the robot, as a file holds them."""
+        values = {name: attrgetter(attribute)(self) for name, attribute in self.saved.items()}
+        return {name: list(x) if isinstance(x, tuple) else x for name, x in values.items()}
+
+    def __repr__(self) -> str:
+        if not self.saved:
+            return super().__repr__()
+        said = ((name, " ".join(x) if isinstance(x, list) else x) for name, x in self.arguments().items())
+        words = [repr(self.robot.name), *(f"{name}={x!r}" for name, x in said)]
+        return f"{type(self).__name__}({', '.join(words)})"
 
 
 def parsed_rows(

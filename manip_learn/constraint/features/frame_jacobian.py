@@ -105,6 +105,7 @@ class PoseRows(FeatureMap):
 
     frame: Frame
     relative_to: Frame | None = None
+    robot: Robot
     only_linear: bool
     own_axes: bool = False
     _where = ""  # the pose that a target may be, in words
@@ -116,8 +117,8 @@ class PoseRows(FeatureMap):
         rows = [AXES.index(n) for n in self.row_names]
         self._row_numbers = tuple(rows)
         # a slice makes views where fancy indexing would copy
-        contiguous = rows == list(range(rows[0], rows[0] + len(rows)))
-        self._rows: Any = slice(rows[0], rows[0] + len(rows)) if contiguous else np.array(rows)
+        span = range(rows[0], rows[0] + len(rows))
+        self._rows: Any = slice(span.start, span.stop) if rows == list(span) else np.array(rows)
         self._known_goal: tuple[Any, Any, Any] = (None, None, None)
         self._finite_goal: np.ndarray | None = None
 
@@ -127,13 +128,13 @@ class PoseRows(FeatureMap):
         return {} if self.relative_to is None else {"relative_to": self.relative_to.name}
 
     def with_axes(self, axes: str | Sequence[str]) -> PoseRows:
-        """Return other rows of the same frame, seen from the same."""
-        return type(self)(self.robot, self.frame.name, axes=axes, **self.seen_from)  # type: ignore[call-arg]
+        """Return other rows of the same frame, seen from the same and along the same axes."""
+        return type(self)(self.robot, **(self.arguments() | {"axes": axes}))
 
     @cached_property
     def twist(self) -> PoseRows:  # type: ignore[override]
         """All six rows, along axes that do not turn with the frame."""
-        return self.with_axes(AXES)
+        return type(self)(self.robot, self.frame.name, axes=AXES, **self.seen_from)  # type: ignore[call-arg]
 
     def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
         """Weights of the rows of `twist` in these rows, at n poses of the frame."""
@@ -144,29 +145,30 @@ class PoseRows(FeatureMap):
         own[:, :3, :3] = own[:, 3:, 3:] = poses[:, :3, :3].transpose(0, 2, 1)
         return rows @ own
 
-    @abstractmethod
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Pose of the frame."""
-
-    @abstractmethod
-    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
-        """Poses of the frame at n postures, the rows of q [m]."""
-
-    @abstractmethod
-    def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-        """Position [m] and rotation of the pose."""
-
-    @abstractmethod
-    def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
-        """All six rows, of the rate of the pose or of that along the frame's own axes; an array of the caller's."""
-
-    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k.
+        """Return the pose of the frame in the robot's base, or in the frame from which it is seen [m].
 
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        return self.value_and_derivative(q)[1]
+        pose = self.robot.pose(q, self.frame)
+        return pose if self.relative_to is None else np.linalg.inv(self.robot.pose(q, self.relative_to)) @ pose
+
+    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
+        """Return the poses of `pose` at n postures, the rows of q [m]."""
+        poses = batch_kinematics(self.robot, self.frame).pose(q)
+        if self.relative_to is None:
+            return poses
+        return np.linalg.inv(batch_kinematics(self.robot, self.relative_to).pose(q)) @ poses
+
+    def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
+        """Return position [m] and rotation of `pose`."""
+        pose = self.pose(q)
+        return pose[:3, 3], pose[:3, :3]
+
+    @abstractmethod
+    def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
+        """All six rows, of the rate of the pose or of that along the frame's own axes; an array of the caller's."""
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Position of the frame's origin [m] and its rotation vector [rad], the chosen rows.
@@ -295,6 +297,8 @@ class FrameJacobian(PoseRows):
                [ 1.48,  0.52,  0.07]])
     """
 
+    kind, saved = "frame-jacobian", {"frame": "frame.name", "axes": "row_names", "reference": "reference"}
+
     def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str] = "xyz", reference: Reference = "world"):
         if not isinstance(robot, Robot):
             raise FeatureError(f"call FrameJacobian(robot, frame): got {an(robot)} and {an(frame)}, in this order")
@@ -339,30 +343,11 @@ class FrameJacobian(PoseRows):
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        kinematics = batch_kinematics(self.robot, self.frame)
-        return kinematics.jacobian(q, self.reference, self._row_numbers)
+        return batch_kinematics(self.robot, self.frame).jacobian(q, self.reference, self._row_numbers)
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n postures, in bulk; arguments and errors as for `batch`."""
-        kinematics = batch_kinematics(self.robot, self.frame)
-        return kinematics.jacobian_and_derivative(q, self.reference, self._row_numbers)
-
-    @cached_property
-    def twist(self) -> FrameJacobian:
-        """All six rows along the axes of the base."""
-        return FrameJacobian(self.robot, self.frame.name, AXES)
-
-    def with_axes(self, axes: str | Sequence[str]) -> FrameJacobian:
-        """Return other rows of the same frame along the same axes."""
-        return FrameJacobian(self.robot, self.frame.name, axes, self.reference)
-
-    def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Pose of the frame in the robot's base."""
-        return self.robot.pose(q, self.frame)
-
-    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
-        """Poses of the frame in the robot's base at n postures, the rows of q [m]."""
-        return batch_kinematics(self.robot, self.frame).pose(q)
+        return batch_kinematics(self.robot, self.frame).jacobian_and_derivative(q, self.reference, self._row_numbers)
 
     def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
         """Position [m] and rotation of the frame in the robot's base."""
@@ -371,19 +356,3 @@ class FrameJacobian(PoseRows):
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
         """The Jacobian along the axes of the base or of the frame."""
         return self._kinematics.jacobian_beside_vjp(q, "local" if own_axes else "world")
-
-    def describe(self) -> dict[str, Any]:
-        """Frame, axes and reference, as saved in a constraint file."""
-        return {
-            "kind": "frame-jacobian",
-            "frame": self.frame.name,
-            "axes": list(self.row_names),
-            "units": list(self.row_units),
-            "reference": self.reference,
-        }
-
-    def __repr__(self) -> str:
-        return (
-            f"FrameJacobian({self.robot.name!r}, frame={self.frame.name!r}, axes={' '.join(self.row_names)!r}, "
-            f"reference={self.reference!r})"
-        )

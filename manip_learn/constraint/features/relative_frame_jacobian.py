@@ -41,6 +41,9 @@ class RelativeFrameJacobian(PoseRows):
         FeatureError: Unknown axes, or twice the same frame.
     """
 
+    kind = "relative-frame-jacobian"
+    saved = {"frame": "frame.name", "relative_to": "relative_to.name", "axes": "row_names"}
+
     def __init__(self, robot: Robot, frame: str, relative_to: str, axes: str | Sequence[str] = "pose"):
         super().__init__(robot, axes)
         self.frame = robot.frame(frame)
@@ -79,41 +82,11 @@ class RelativeFrameJacobian(PoseRows):
         Phi, dPhi = _seen(A.pose(q), B.pose(q), J_A, J_B, H_A, H_B)
         return Phi[:, self._rows], dPhi[:, self._rows]
 
-    def describe(self) -> dict[str, Any]:
-        """Frames and axes, as saved in a constraint file."""
-        return {
-            "kind": "relative-frame-jacobian",
-            "frame": self.frame.name,
-            "relative_to": self.relative_to.name,
-            "axes": list(self.row_names),
-            "units": list(self.row_units),
-        }
-
-    def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-        """Position [m] and rotation of the frame in the other one."""
-        pose = self.pose(q)
-        return pose[:3, 3], pose[:3, :3]
-
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
         """All six rows, along the axes of the other frame."""
         frames = self.frame, self.relative_to
         poses, jacobians = ([f(q, frame)[None] for frame in frames] for f in (self.robot.pose, self.robot.jacobian))
         return _seen(*poses, *jacobians)[0][0]
-
-    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
-        """Poses of the frame in the other one at n postures, the rows of q [m]."""
-        A, B = (batch_kinematics(self.robot, f).pose(q) for f in (self.frame, self.relative_to))
-        return np.linalg.inv(B) @ A
-
-    def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Pose of the frame in the other one."""
-        return np.linalg.inv(self.robot.pose(q, self.relative_to)) @ self.robot.pose(q, self.frame)
-
-    def __repr__(self) -> str:
-        return (
-            f"RelativeFrameJacobian({self.robot.name!r}, frame={self.frame.name!r}, "
-            f"relative_to={self.relative_to.name!r}, axes={' '.join(self.row_names)!r})"
-        )
 
 
 def _seen(
