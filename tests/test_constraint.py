@@ -90,7 +90,7 @@ def test_files_come_back(robot_of, rng, tmp_path):
         np.testing.assert_array_equal(loaded(q), constraint(q))
         assert loaded.provenance == constraint.provenance
         content = json.loads((tmp_path / "c.json").read_text())
-        assert content["schema"] == 1 and content["robot"]["joint_names"] == list(robot.joint_names)
+        assert content["schema"] == 2 and content["robot"]["joint_names"] == list(robot.joint_names)
         assert content["row_units"] == list(features.row_units)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -32,7 +33,7 @@ from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
 _FORMAT = "manip_learn.constraint"
-SCHEMA = 1
+SCHEMA = 2  # number of the format that `save` writes; 1 is that of 0.2
 SIGNATURE = "sha256"  # entry of a file: the SHA-256 of what says where an arm goes
 LARGEST_FILE = 100_000_000  # [bytes] of a constraint: one of a hundred thousand recordings has a tenth of it
 NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
@@ -257,22 +258,15 @@ class Constraint:
     # ---- files ----------------------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """The content of a constraint file.
+        """Return the content of a constraint file.
 
         Raises:
             FeatureError: The features are Python functions and cannot be written down.
         """
-        robot, described = self.robot, None
-        if robot is not None:
-            described = {
-                "name": robot.name,
-                "fingerprint": robot.fingerprint,
-                "nq": robot.nq,
-                "nv": robot.nv,
-                "joint_names": list(robot.joint_names),
-                "locked": dict(robot.locked),
-                "objects": list(robot.objects),
-            }
+        described = None
+        if self.robot is not None:
+            described = RobotIdentity.of(self.robot).to_dict() | {"nv": self.robot.nv}
+            del described["source"]  # a path of this machine
         content = {
             "format": _FORMAT,
             "schema": SCHEMA,
@@ -307,9 +301,9 @@ class Constraint:
                 are the same is then yours to know, and `notes` of the constraint say which joints are locked elsewhere.
 
         Raises:
-            ConstraintMismatchError: Another robot, another schema, no constraint file at all, rows that contradict
-                what the file says of them (their number, names, units, or that they are orthonormal), or a file that
-                was changed after it was saved.
+            ConstraintMismatchError: Another robot, a newer schema, no constraint file at all, a number that is not
+                finite, rows that contradict what the file says of them (their number, names, units, or that they are
+                orthonormal), or a file that was changed after it was saved.
 
         Warns:
             UserWarning: The file states no SHA-256, by which a change would be noticed.
@@ -327,11 +321,12 @@ class Constraint:
         """
         if not isinstance(content, Mapping) or content.get("format") != _FORMAT:
             raise ConstraintMismatchError(f'{source} is not a constraint file: it lacks "format": "{_FORMAT}"')
-        if content.get("schema") != SCHEMA:
-            seen = f"{source} has schema {content.get('schema')!r}, this version reads {SCHEMA}"
-            raise ConstraintMismatchError(f"{seen}: learn the constraint again")
+        if content.get("schema") not in (1, SCHEMA):
+            seen = f"{source} has schema {content.get('schema')!r:.40}, this version reads 1 and {SCHEMA}"
+            raise ConstraintMismatchError(f"{seen}: load it with a newer manip_learn, or learn the constraint again")
         _check_robot(source, content, robot, same_urdf)
         try:
+            normal(content)
             features = described_features(content["features"], robot)
             constraint = Constraint(content["selection"], features, content.get("provenance"))
             _check_rows(content, constraint)
@@ -380,12 +375,10 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
             f"call Constraint(selection, features): got {an(selection)} and {an(features)}, in this order"
         )
     try:
-        matrix = np.array(selection, dtype=np.float64)
+        matrix = np.atleast_2d(np.array(selection, dtype=np.float64))
     except (TypeError, ValueError, OverflowError) as error:
         raise ConstraintError(f"the selection matrix must be numbers in rows of equal length: {error}") from error
     p = features.n_rows
-    if matrix.ndim == 1:
-        matrix = matrix[None, :]
     if matrix.ndim != 2 or matrix.shape[1] != p:
         raise ConstraintError(
             f"the selection matrix must have {p} columns, one a feature row ({', '.join(features.row_names)}); "
@@ -410,22 +403,41 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
 
 
 def signed(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The content of a constraint file with the SHA-256 of its rows, of what was shown, and of the steps of a skill:
-    a later change of these is noticed, one of what is only told, such as the phases, does not count.
+    """Return the content of a constraint file with the SHA-256 of its rows, of what was shown, and of a skill's steps.
+
+    A later change of these is noticed; one of what is only reported, such as the phases, does not count.
     """
     shown = (content.get("provenance") or {}).get("shown")
     moving = (content.get("features"), content.get("selection"), shown, content.get("skill"))
-    digest = hashlib.sha256(_canonical(moving).encode())
-    return {**content, SIGNATURE: digest.hexdigest()}
+    text = _text_of_02(moving) if content["schema"] == 1 else json.dumps(normal(moving), sort_keys=True)
+    return {**content, SIGNATURE: hashlib.sha256(text.encode()).hexdigest()}
 
 
-def _canonical(value: Any) -> str:
-    """JSON as text that stays when another program writes it again: in another order, 1 for 1.0, or a last bit off."""
+def normal(value: Any) -> Any:
+    """Return JSON with every number as a float of twelve digits: as good when another program has written it again.
+
+    Raises:
+        ValueError: A number that is not finite.
+    """
     match value:
         case Mapping():
-            return "{" + ",".join(f"{key}:{_canonical(value[key])}" for key in sorted(value)) + "}"
+            return {key: normal(inner) for key, inner in value.items()}
         case list() | tuple():
-            return "[" + ",".join(map(_canonical, value)) + "]"
+            return [normal(inner) for inner in value]
+        case int() | float() if not isinstance(value, bool):
+            if not math.isfinite(value):
+                raise ValueError(f"{value} stands in the place of a finite number")
+            return float(f"{value:.12g}") + 0.0  # -0 is 0
+    return value
+
+
+def _text_of_02(value: Any) -> str:
+    """Return the text of which files of schema 1 state the SHA-256; until 0.4."""
+    match value:
+        case Mapping():
+            return "{" + ",".join(f"{key}:{_text_of_02(value[key])}" for key in sorted(value)) + "}"
+        case list() | tuple():
+            return "[" + ",".join(map(_text_of_02, value)) + "]"
         case int() | float() if not isinstance(value, bool):
             return format(float(value) + 0.0, ".12g")  # of 16 digits; + 0.0, for -0 is 0
     return repr(value)
