@@ -397,9 +397,9 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
             f"the rows of the selection matrix depend on each other (smallest singular value {sigma[-1]:.1e}): "
             "leave out the rows that follow from the others"
         )
-    if np.max(np.abs(matrix @ matrix.T - np.eye(matrix.shape[0]))) < 1e-14:
-        return matrix  # kept to the last bit: paper-mode truncation depends on it
-    return orthonormal_rows(matrix)
+    # orthonormal rows are kept to the last bit: paper-mode truncation depends on it
+    is_exact = np.max(np.abs(matrix @ matrix.T - np.eye(len(matrix)))) < 1e-14
+    return matrix if is_exact else orthonormal_rows(matrix)
 
 
 def signed(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -505,10 +505,9 @@ def _check_rows(content: Mapping[str, Any], constraint: Constraint) -> None:
         ConstraintError: They do.
     """
     rows, features, kept = content["selection"], constraint.features, constraint.selection
-    for key, own in (("row_names", features.row_names), ("row_units", features.row_units)):
-        if content[key] != list(own):
-            what = key.replace("_", " ")
-            raise ConstraintError(f"its {what} are {content[key]}, those of its features {list(own)}: it is damaged")
+    for what, own in (("names", features.row_names), ("units", features.row_units)):
+        if (given := content[f"row_{what}"]) != list(own):
+            raise ConstraintError(f"its row {what} are {given}, those of its features {list(own)}: it is damaged")
     postures = constraint.provenance.get("postures", [])
     if _holds_truth([content["features"], postures]) or not all(type(x) in (int, float) for row in rows for x in row):
         raise ConstraintError("something stands in the place of a number (true, false or text): it is damaged")

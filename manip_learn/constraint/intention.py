@@ -56,7 +56,7 @@ class Intention:
     def from_dict(content: Any) -> Intention | None:
         """Return what `to_dict` wrote; None of anything else."""
         try:
-            values = {entry.name: content[entry.name] for entry in fields(Intention)}
+            values: dict[str, Any] = {entry.name: content[entry.name] for entry in fields(Intention)}
             return Intention(**values | {name: np.array(values[name], dtype=np.float64) for name in _ARRAYS})
         except (KeyError, TypeError, ValueError):
             return None

@@ -80,17 +80,12 @@ def describe(
     sentences = [f"{subject} {_freedom(free[:, used], names, features, held, mechanism)}."]
     told = said_by_rows(mechanism, features.row_names, getattr(features, "reference", None), free)
     if mechanism is not None:
-        words = looks(mechanism)
-        if not told and mechanism.place:
-            words += f", {mechanism.place}"
-        if mechanism.grip == "kept" or (mechanism.orientation != "free" and not set(ROTATIONS) & set(names)):
-            words += f"; {mechanism.turns}"
+        place = f", {mechanism.place}" if mechanism.place and not told else ""
+        turn = mechanism.grip == "kept" or (mechanism.orientation != "free" and not set(ROTATIONS) & set(names))
         other = not told and mechanism.type in FREE_MOVES and getattr(features, "reference", None) == "world"
-        sentences.append(
-            f"{'The path alone looks' if other and set(_AXES) <= set(names) else 'It looks'} like {words}."
-        )
-    known = known_to(uncertainty_deg, mechanism, told)
-    if known:
+        it = "The path alone looks" if other and set(_AXES) <= set(names) else "It looks"
+        sentences.append(f"{it} like {looks(mechanism)}{place}{f'; {mechanism.turns}' if turn else ''}.")
+    if known := known_to(uncertainty_deg, mechanism, told):
         sentences.append(f"{known[0].upper()}{known[1:]}.")
     return " ".join(sentences)
 

@@ -146,9 +146,9 @@ def task_frame(
     mixed = np.arcsin(np.minimum(1.0, np.linalg.norm(np.where(share > 0.5, np.eye(6) - P, P), axis=0)))
     off = np.hypot(_stated(mechanism, learnt.get("uncertainty_deg"), float(np.linalg.norm(p - origin))), mixed)
     off[known < 0.5] = UNKNOWN
+    axes, off = tuple(states.tolist()), np.minimum(off, UNKNOWN)
     for array in (pose, off, rows, hand, point):
         array.setflags(write=False)
-    axes, off = tuple(states.tolist()), np.minimum(off, UNKNOWN)
     return TaskFrame(pose, axes, off, rows, hand, point, turns, features.frame.name, told)
 
 

@@ -101,12 +101,20 @@ class FeatureMap(ABC):
             TargetError: Wrong size or not finite.
             FeatureError: The rows have no coordinates.
         """
+        return self._goal(target) - self.coordinates(q)
+
+    def _goal(self, target: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Return a target as numbers in the order of the rows.
+
+        Raises:
+            TargetError: Wrong size or not finite.
+        """
         goal = np.asarray(target, dtype=np.float64)
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
             raise TargetError(
                 f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}), got {goal.tolist()}"
             )
-        return goal - self.coordinates(q)
+        return goal
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """dr/dq, so that dr/dt = dr/dq u; None where that is Phi(q) itself, as for all rows but rotations."""
@@ -163,18 +171,15 @@ def parsed_rows(
     Raises:
         FeatureError: An unknown or repeated name, or none.
     """
-    sets = sets or {}
-    words = rows.replace(",", " ").split() if isinstance(rows, str) else tuple(rows)
-    names = sets.get(rows.strip(), tuple(words)) if isinstance(rows, str) else tuple(words)
+    words = tuple(rows.replace(",", " ").split() if isinstance(rows, str) else rows)
+    names = (sets or {}).get(rows.strip(), words) if isinstance(rows, str) else words
     unknown = [n for n in names if n not in known]
     if unknown or not names or len(set(names)) != len(names):
         reason = (
-            f"unknown {what} {unknown[0]!r}" if unknown else f"no {what}" if not names else f"one {what} is named twice"
+            f"unknown {what} {unknown[0]!r}" if unknown else f"one {what} is named twice" if names else f"no {what}"
         )
-        either = "".join(f"{name!r}, " for name in sets)
-        raise FeatureError(
-            f"{rows!r}: {reason}; use {either}{'or ' if sets else ''}any of {' '.join(known)}, each at most once"
-        )
+        either = "".join(f"{name!r}, " for name in sets or ()) + "or " * bool(sets)
+        raise FeatureError(f"{rows!r}: {reason}; use {either}any of {' '.join(known)}, each at most once")
     return names
 
 

@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, parsed_rows
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
@@ -74,14 +73,9 @@ def placement_error(
     goal_rotation: Float[np.ndarray, "3 3"],
     own_axes: bool,
 ) -> Float[np.ndarray, " 6"]:
-    """The twist of `pose_error`, from positions and rotations."""
-    out = np.empty(6)
-    turn = rotation_vector(goal_rotation.dot(rotation.T))
-    if own_axes:
-        out[:3], out[3:] = (goal - position).dot(rotation), turn.dot(rotation)
-    else:
-        out[:3], out[3:] = goal - position, turn
-    return out
+    """Return the twist of `pose_error`, from positions and rotations."""
+    error = np.concatenate([goal - position, rotation_vector(goal_rotation.dot(rotation.T))])
+    return error.reshape(2, 3).dot(rotation).reshape(6) if own_axes else error
 
 
 def parse_axes(axes: str | Sequence[str]) -> tuple[str, ...]:
@@ -103,14 +97,9 @@ class PoseRows(FeatureMap):
         own_axes: Whether the rows are along the frame's own axes.
     """
 
-    frame: Frame
-    relative_to: Frame | None = None
     robot: Robot
-    only_linear: bool
-    own_axes: bool = False
-    _where = ""  # the pose that a target may be, in words
 
-    def __init__(self, robot: Robot, axes: str | Sequence[str]):
+    def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str], relative_to: str | None, own_axes: bool):
         self.robot, self.nv = robot, robot.nv
         self.row_names = parse_axes(axes)
         self.row_units = tuple("rad/s" if n.startswith("r") else "m/s" for n in self.row_names)
@@ -119,8 +108,10 @@ class PoseRows(FeatureMap):
         # a slice makes views where fancy indexing would copy
         span = range(rows[0], rows[0] + len(rows))
         self._rows: Any = slice(span.start, span.stop) if rows == list(span) else np.array(rows)
+        self.frame = robot.frame(frame)
+        self.relative_to = None if relative_to is None else robot.frame(relative_to)
+        self.own_axes, self.only_linear = own_axes, not own_axes and max(rows) < 3
         self._known_goal: tuple[Any, Any, Any] = (None, None, None)
-        self._finite_goal: np.ndarray | None = None
 
     @property
     def seen_from(self) -> dict[str, str]:
@@ -195,11 +186,7 @@ class PoseRows(FeatureMap):
         if self.only_linear and goal.shape == (self.n_rows,):
             # the usual reaching task, many times a second: no orientation is needed
             displacement = goal - self.placement(q)[0][self._rows]
-            if goal is self._finite_goal:
-                return displacement
             if math.isfinite(sum(displacement.tolist())):
-                if not goal.flags.writeable:  # a task's own, checked once
-                    self._finite_goal = goal
                 return displacement
         return self._error(goal, q)[0][self._rows]
 
@@ -254,9 +241,11 @@ class PoseRows(FeatureMap):
             if not goal.flags.writeable:  # a task's own, checked once
                 self._known_goal = (goal, place, turn)
         elif goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
+            given = f"shape {goal.shape}" if goal.size > 6 else goal.tolist()
+            seen = "" if self.relative_to is None else f" in frame {self.relative_to.name!r}"
             raise TargetError(
-                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose"
-                f"{self._where}, got {'shape ' + str(goal.shape) if goal.size > 6 else goal.tolist()}"
+                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose{seen}, "
+                f"got {given}"
             )
         else:
             for triple in (AXES[:3], AXES[3:]) if self.own_axes else ():
@@ -304,12 +293,9 @@ class FrameJacobian(PoseRows):
             raise FeatureError(f"call FrameJacobian(robot, frame): got {an(robot)} and {an(frame)}, in this order")
         if reference not in ("world", "local"):
             raise FeatureError(f"reference must be 'world' or 'local', not {reference!r}")
-        super().__init__(robot, axes)
-        self.frame = robot.frame(frame)
-        self._kinematics = robot.frame_kinematics(self.frame)
+        super().__init__(robot, frame, axes, None, reference == "local")
         self.reference: Reference = reference
-        self.own_axes = reference == "local"
-        self.only_linear = reference == "world" and max(self._row_numbers) < 3
+        self._kinematics = robot.frame_kinematics(self.frame)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q): the chosen Jacobian rows [m/s or rad/s a joint velocity].

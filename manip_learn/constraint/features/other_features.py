@@ -184,10 +184,7 @@ class Stacked(FeatureMap):
 
     def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Displacement to a target, part by part (see the parts)."""
-        goal = np.asarray(target, dtype=np.float64)
-        if goal.shape != (self.n_rows,):
-            return super().error_to(goal, q)
-        return np.concatenate([part.error_to(own, q) for part, own in self._by_part(goal)])
+        return np.concatenate([part.error_to(own, q) for part, own in self._by_part(target)])
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """Rates of the coordinates, part by part."""
@@ -195,15 +192,12 @@ class Stacked(FeatureMap):
 
     def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """E with d/dt `error_to(target, q)` = -E u, part by part."""
-        goal = np.asarray(target, dtype=np.float64)
-        if goal.shape != (self.n_rows,):
-            return None  # no part knows what is meant: `error_to` says so
-        return self._stack([part.error_jacobian(own, q) for part, own in self._by_part(goal)], q)
+        return self._stack([part.error_jacobian(own, q) for part, own in self._by_part(target)], q)
 
-    def _by_part(self, goal: np.ndarray) -> Iterable[tuple[FeatureMap, np.ndarray]]:
-        """Each part with its own numbers of the goal."""
+    def _by_part(self, target: ArrayLike) -> Iterable[tuple[FeatureMap, np.ndarray]]:
+        """Each part with its own numbers of the target."""
         ends = np.cumsum([part.n_rows for part in self.parts])
-        return zip(self.parts, np.split(goal, ends[:-1]), strict=True)
+        return zip(self.parts, np.split(self._goal(target), ends[:-1]), strict=True)
 
     def _stack(self, blocks: list[Float[np.ndarray, "k nv"] | None], q: ArrayLike) -> np.ndarray | None:
         if all(block is None for block in blocks):

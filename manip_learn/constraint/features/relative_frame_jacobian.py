@@ -41,17 +41,14 @@ class RelativeFrameJacobian(PoseRows):
         FeatureError: Unknown axes, or twice the same frame.
     """
 
+    relative_to: Frame
     kind = "relative-frame-jacobian"
     saved = {"frame": "frame.name", "relative_to": "relative_to.name", "axes": "row_names"}
 
     def __init__(self, robot: Robot, frame: str, relative_to: str, axes: str | Sequence[str] = "pose"):
-        super().__init__(robot, axes)
-        self.frame = robot.frame(frame)
-        self.relative_to: Frame = robot.frame(relative_to)
+        super().__init__(robot, frame, axes, relative_to, False)
         if self.frame.index == self.relative_to.index:
             raise FeatureError(f"frame {frame!r} does not move relative to itself: name two frames")
-        self.only_linear = max(self._row_numbers) < 3
-        self._where = f" in frame {self.relative_to.name!r}"
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q) [m/s or rad/s per unit joint velocity].
