@@ -25,7 +25,7 @@ from manip_learn.constraint.mechanism import TURNING, Mechanism, named_rows, on_
 from manip_learn.constraint.shown import Shown
 from manip_learn.constraint.task_frame import TaskFrame, task_frame
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, an, spoken
-from manip_learn.linalg import along_axes, finite, manipulability_of, orthonormal_rows
+from manip_learn.linalg import along_axes, manipulability_of, orthonormal_rows
 from manip_learn.recordings.guards import reason_of
 from manip_learn.robot import html_card
 from manip_learn.robot.description.text import parsed_json, read_regular_file, unreadable
@@ -387,14 +387,13 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
     if not np.all(np.isfinite(matrix)):
         raise ConstraintError("the selection matrix has entries that are not finite")
     matrix = matrix[np.linalg.norm(matrix, axis=1) > 0.0]
-    if matrix.shape[0] == 0:
+    if len(matrix) == 0:
         raise ConstraintError("the selection matrix has no row that is not zero")
-    if matrix.shape[0] > p:
-        raise ConstraintError(f"{matrix.shape[0]} rows cannot be independent in {p} columns")
-    sigma = np.linalg.svd(matrix / np.linalg.norm(matrix, axis=1, keepdims=True), compute_uv=False)
-    if sigma[-1] < 1e-10:
+    unit = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
+    smallest = np.linalg.svd(unit, compute_uv=False)[-1] if len(unit) <= p else 0.0
+    if smallest < 1e-10:
         raise ConstraintError(
-            f"the rows of the selection matrix depend on each other (smallest singular value {sigma[-1]:.1e}): "
+            f"the rows of the selection matrix depend on each other (smallest singular value {smallest:.1e}): "
             "leave out the rows that follow from the others"
         )
     # orthonormal rows are kept to the last bit: paper-mode truncation depends on it
@@ -509,20 +508,12 @@ def _check_rows(content: Mapping[str, Any], constraint: Constraint) -> None:
         if (given := content[f"row_{what}"]) != list(own):
             raise ConstraintError(f"its row {what} are {given}, those of its features {list(own)}: it is damaged")
     postures = constraint.provenance.get("postures", [])
-    if _holds_truth([content["features"], postures]) or not all(type(x) in (int, float) for row in rows for x in row):
+    if not all(type(x) in (int, float) for row in (*rows, *postures) for x in row):
         raise ConstraintError("something stands in the place of a number (true, false or text): it is damaged")
     if len(rows) != content.get("n_constraints", len(rows)):
         raise ConstraintError(f"it has {len(rows)} rows of Lambda and states {content['n_constraints']}: it is damaged")
     if kept.shape != np.shape(rows) or np.max(np.abs(kept - rows)) > NOT_EXACT:
         raise ConstraintError("the rows of Lambda are not orthonormal, as those of every saved constraint are")
     robot = constraint.robot
-    if postures and robot is not None:
-        widths = {len(row) for row in postures}
-        if not widths <= {robot.nq, robot.nv} or finite(postures, len(postures), *widths) is None:
-            raise ConstraintError(f"the postures in which it was shown are not rows of {robot.nv} finite numbers")
-
-
-def _holds_truth(value: Any) -> bool:
-    """Whether true or false stands anywhere in it."""
-    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return isinstance(value, bool) or any(map(_holds_truth, inside))
+    if robot is not None and any(len(row) not in (robot.nq, robot.nv) for row in postures):
+        raise ConstraintError(f"the postures in which it was shown are not rows of {robot.nv} numbers: it is damaged")

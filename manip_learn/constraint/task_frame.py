@@ -156,9 +156,8 @@ def _on_hand(
     selection: Float[np.ndarray, "s p"], f: PoseRows | WeighedVelocity, q: ArrayLike
 ) -> tuple[Float[np.ndarray, "s 6"], Float[np.ndarray, "k 6"], Float[np.ndarray, "3 3"], Turns]:
     """Held rows of the hand's twist along the base's axes, rows that the features show, and the axes of these."""
-    pose, R, turns = f.twist.pose(q), np.eye(3), "no"
-    if f.relative_to is not None:
-        R, turns = f.robot.pose(q, f.relative_to)[:3, :3], "other frame"
+    seen_from, pose = f.relative_to, f.twist.pose(q)
+    R, turns = (np.eye(3), "no") if seen_from is None else (f.robot.pose(q, seen_from)[:3, :3], "other frame")
     turned, W = np.kron(np.eye(2), R.T), f.weights_at(pose[None])[0]
     held, seen = selection @ W @ turned, W @ turned
     if isinstance(f, PoseRows):

@@ -129,12 +129,9 @@ class PoseRows(FeatureMap):
 
     def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
         """Weights of the rows of `twist` in these rows, at n poses of the frame."""
-        rows = np.eye(6)[list(self._row_numbers)]
-        if not self.own_axes:
-            return np.broadcast_to(rows, (len(poses), *rows.shape))
-        own = np.zeros((len(poses), 6, 6))
-        own[:, :3, :3] = own[:, 3:, 3:] = poses[:, :3, :3].transpose(0, 2, 1)
-        return rows @ own
+        weights = np.zeros((len(poses), 6, 6))
+        weights[:, :3, :3] = weights[:, 3:, 3:] = poses[:, :3, :3].transpose(0, 2, 1) if self.own_axes else np.eye(3)
+        return weights[:, self._rows]
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
         """Return the pose of the frame in the robot's base, or in the frame from which it is seen [m].
@@ -312,9 +309,7 @@ class FrameJacobian(PoseRows):
 
     def padded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s 6"]:
         """The selection from all six rows of the Jacobian."""
-        every_row = np.zeros((selection.shape[0], len(AXES)))
-        every_row[:, self._rows] = selection
-        return every_row
+        return selection @ np.eye(len(AXES))[self._rows]
 
     def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s 6"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""

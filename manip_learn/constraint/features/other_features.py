@@ -231,7 +231,7 @@ def described_features(described: Mapping[str, Any], robot: Robot) -> FeatureMap
 
     Raises:
         ConstraintMismatchError: A kind of features that this version does not know.
-        FeatureError: Settings that this robot does not have, out of range, or that contradict each other.
+        FeatureError: Settings that this robot does not have, or out of range.
     """
     kind = described["kind"]
     if kind == Stacked.kind:
@@ -240,11 +240,4 @@ def described_features(described: Mapping[str, Any], robot: Robot) -> FeatureMap
         raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")
     make, names = KINDS[kind]
     chosen = [name for name in OPTIONAL if described.get(name) is not None]
-    features = make(robot, **{name: described[name] for name in (*names, *chosen)})
-    own = features.describe()
-    for key in ("rows", "units"):
-        if key in described and described[key] != own[key]:
-            raise FeatureError(
-                f"the {key} of {features!r} are {own[key]}, the file says {described[key]}: it is damaged"
-            )
-    return features
+    return make(robot, **{name: described[name] for name in (*names, *chosen)})
