@@ -13,15 +13,15 @@ from manip_learn.constraint.features.frame_jacobian import AXES as TWIST
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.other_features import CentreOfMass
-from manip_learn.constraint.mechanism import CURVE, Mechanism, in_words
+from manip_learn.constraint.mechanism import CURVE, Mechanism, in_words, on_twist
 from manip_learn.errors import error_in_words, listed
 from manip_learn.linalg import along_axes, null_basis
 
 _AXES, ROTATIONS = TWIST[:3], TWIST[3:]  # linear and angular rows
-# verb -> preposition, rows, all of them in words, and all but one direction
+# of linear and of angular rows: verb -> preposition, all directions in words, and all but one
 VERBS = {
-    "move": ("along", _AXES, "in every direction", "across it"),
-    "turn": ("about", ROTATIONS, "about every axis", "about every other axis"),
+    "move": ("along", "in every direction", "across it"),
+    "turn": ("about", "about every axis", "about every other axis"),
 }
 # type of a mechanism -> what it looks like, and what it leaves free where its rows depend on the place
 SHAPES = {
@@ -108,7 +108,7 @@ def said_by_rows(
     """
     if mechanism is None or reference is None:
         return mechanism is not None
-    moves = sum(bool(np.any(_entries(row, names, _AXES))) for row in free)
+    moves = np.count_nonzero(np.any(on_twist(names, free)[:, :3], axis=1))
     return reference == "world" and set(_AXES) <= set(names) and moves == FREE_MOVES.get(mechanism.type)
 
 
@@ -149,15 +149,11 @@ def _freedom(
     if not isinstance(features, PoseRows | CentreOfMass):
         ways = listed([row_in_words(row, names) for row in free]) if len(free) else ""
         return f"is free along {ways} in ({', '.join(names)}) and {held} in every other way" if ways else f"is {held}"
-    small = np.where(np.abs(free) < NEGLIGIBLE_ENTRY, 0.0, free)
-    moves, turns = ([_entries(row, names, rows) for row in small] for _, rows, *_ in VERBS.values())
-    if any(np.any(move) and np.any(turn) for move, turn in zip(moves, turns, strict=True)):
-        ways = listed([_way(move, turn) for move, turn in zip(moves, turns, strict=True)])
-        return f"can {ways}, and is {held} in every other way"
-    clauses = [
-        _clause(verb, [x for x in free if np.any(x)], np.array([n in names for n in VERBS[verb][1]]), held)
-        for verb, free in zip(VERBS, (moves, turns), strict=True)
-    ]
+    moves, turns = np.split(on_twist(names, np.where(np.abs(free) < NEGLIGIBLE_ENTRY, 0.0, free)), 2, axis=1)
+    if np.any(np.any(moves, axis=1) & np.any(turns, axis=1)):
+        return f"can {listed(map(_way, moves, turns))}, and is {held} in every other way"
+    known = np.split(np.isin(TWIST, names), 2)
+    clauses = map(_clause, VERBS, (moves, turns), known, (held, held))
     return "; it ".join(clause for clause in clauses if clause)
 
 
@@ -168,15 +164,10 @@ def _way(move: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"]) -> str:
     return f"move along {row_in_words(move, _AXES)}" if np.any(move) else f"turn about {row_in_words(turn, _AXES)}"
 
 
-def _entries(row: np.ndarray, names: Sequence[str], rows: Sequence[str]) -> Float[np.ndarray, " 3"]:
-    """The entries of these rows, 0 for those that the features lack."""
-    return np.array([row[names.index(n)] if n in names else 0.0 for n in rows])
-
-
-def _clause(verb: str, free: list[np.ndarray], known: Bool[np.ndarray, " 3"], held: str) -> str:
+def _clause(verb: str, rows: Float[np.ndarray, "k 3"], known: Bool[np.ndarray, " 3"], held: str) -> str:
     """What can move or turn, and what of the rows that are `known` is held; empty if none is."""
-    preposition, _, everywhere, elsewhere = VERBS[verb]
-    n = int(np.count_nonzero(known))
+    preposition, everywhere, elsewhere = VERBS[verb]
+    free, n = [row for row in rows if np.any(row)], int(np.count_nonzero(known))
     if len(free) == n:
         return f"can {verb} freely" if n == 3 else f"can {verb} {preposition} {_directions(free)}" if n else ""
     where = {0: everywhere, 1: elsewhere}.get(len(free)) if n == 3 else None

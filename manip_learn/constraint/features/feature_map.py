@@ -145,9 +145,9 @@ class FeatureMap(ABC):
         return {"kind": self.kind, **self.arguments(), "units": list(self.row_units)}
 
     def arguments(self) -> dict[str, Any]:
-        """Return the arguments of the constructor beside the robot, as a file holds them."""
-        values = {name: attrgetter(attribute)(self) for name, attribute in self.saved.items()}
-        return {name: list(x) if isinstance(x, tuple) else x for name, x in values.items()}
+        """Return the arguments of the constructor beside the robot, as a file holds them; None is left out."""
+        given = {name: x for name, path in self.saved.items() if (x := attrgetter(path)(self)) is not None}
+        return {name: np.asarray(x).tolist() if isinstance(x, tuple | np.ndarray) else x for name, x in given.items()}
 
     def __repr__(self) -> str:
         if not self.saved:
