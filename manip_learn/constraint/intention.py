@@ -57,7 +57,8 @@ class Intention:
         """Return what `to_dict` wrote; None of anything else."""
         try:
             values: dict[str, Any] = {entry.name: content[entry.name] for entry in fields(Intention)}
-            return Intention(**values | {name: np.array(values[name], dtype=np.float64) for name in _ARRAYS})
+            values |= {name: np.array(values[name], dtype=np.float64) for name in _ARRAYS}
+            return Intention(**values)
         except (KeyError, TypeError, ValueError):
             return None
 

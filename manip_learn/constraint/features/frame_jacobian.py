@@ -120,7 +120,8 @@ class PoseRows(FeatureMap):
 
     def with_axes(self, axes: str | Sequence[str]) -> PoseRows:
         """Return other rows of the same frame, seen from the same and along the same axes."""
-        return type(self)(self.robot, **(self.arguments() | {"axes": axes}))
+        arguments: dict[str, Any] = self.arguments() | {"axes": axes}
+        return type(self)(self.robot, **arguments)
 
     @cached_property
     def twist(self) -> PoseRows:  # type: ignore[override]
