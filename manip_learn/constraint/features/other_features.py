@@ -11,8 +11,8 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.curve_rows import CurveRows
-from manip_learn.constraint.features.feature_map import FeatureMap, parsed_rows
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian, parse_axes
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.errors import ConstraintMismatchError, FeatureError
@@ -37,8 +37,9 @@ class CentreOfMass(FeatureMap):
     robot: Robot
 
     def __init__(self, robot: Robot, axes: str | Sequence[str] = "xyz"):
-        self.robot, self.nv = robot, robot.nv
-        self.row_names = parsed_rows(axes, AXES[:3], "axis", {"xyz": AXES[:3]})
+        self.robot, self.nv, self.row_names = robot, robot.nv, parse_axes(axes)
+        if any(n not in "xyz" for n in self.row_names):
+            raise FeatureError(f"the centre of mass has the axes x y z only, not {axes!r}")
         if robot.mass <= 0.0:
             raise FeatureError(f"robot {robot.name!r} has no mass: its URDF gives no inertias")
         self.row_units = ("m/s",) * len(self.row_names)
