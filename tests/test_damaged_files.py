@@ -249,7 +249,7 @@ def test_huge_numbers_in_a_constraint_are_refused(robot: Robot, tmp_path: Path) 
     for old, new in (
         ('"n_constraints": 1', f'"n_constraints": {huge}'),
         ("1.0,", f"{huge},"),
-        ('"schema": 1', f'"schema": {huge}'),
+        ('"schema": 2', f'"schema": {huge}'),
     ):
         path.write_text(text.replace(old, new, 1))
         with case(old), pytest.raises(ConstraintMismatchError, match="c.json"):

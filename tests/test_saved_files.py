@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import random
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from recording_corpus import refusal
 from manip_learn.cli import main
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
+from manip_learn.constraint.skill import Skill, Step
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
@@ -234,3 +237,125 @@ def test_a_task_says_where_it_ends(robot_of) -> None:
     np.testing.assert_allclose(np.asarray(turned.target)[:3, 3], end, atol=2e-3)
     python = Constraint([[1.0]], CustomFeatures(lambda q: q[None, :], ("a",), 1))
     assert written_constraint(python) is None
+
+
+OF_02 = Path(__file__).parent / "data" / "constraint_of_02.json"  # schema 1, as 0.2 wrote it: a skill on planar3
+# posture -> A(q) of that file, by the version that wrote it
+ROWS_OF_02 = {
+    (0.3, 0.8, 0.4): [[0.32847378654766984, -0.803410653365245, -0.7212260045251858]],
+    (-1.0, 0.2, 2.0): [[-0.5583179243138446, -0.9469386042794726, -1.1110070587637821]],
+}
+
+
+def rewritten(value: Any) -> Any:
+    """JSON as another program writes it again: whole numbers without a point, -0 for 0, keys in another order."""
+    if isinstance(value, dict):
+        keys = random.Random(0).sample(sorted(value), len(value))
+        return {key: rewritten(value[key]) for key in keys}
+    if isinstance(value, list):
+        return [rewritten(inner) for inner in value]
+    whole = isinstance(value, float) and value.is_integer()
+    return value if not whole else int(value) if value else -0.0
+
+
+def saved_door(robot: Robot, path: Path) -> tuple[Constraint, Path]:
+    """A constraint and its file of format 2, with the steps of a skill, whole numbers and keys that are not sorted."""
+    provenance = json.loads(OF_02.read_text())["provenance"] | {"kept": {"z": -0.0, "a": [1.0, 1e-7]}}
+    door = MechanismRows(robot, "tip", "radial axial", axis=(0, 0, 1), point=(0.4, 0.3, 0.0), radius=1.25)
+    constraint = Constraint([[0.6, 0.8]], door, provenance)
+    way = Step("way", constraint, constraint.shown, "close")
+    return constraint, Skill((constraint,), (Step("reach", constraint), way)).save(path)
+
+
+def test_a_constraint_file_comes_back_when_another_program_wrote_it_again(tmp_path: Path) -> None:
+    """The same A to the last bit and the same steps, as it was written and as another program writes it again: 1 for
+    1.0, -0.0, keys in another order, no indentation. Files of format 2 and 1 alike; neither is called changed.
+    """
+    robot = load_robot("planar3")
+    _, written = saved_door(robot, tmp_path / "new.json")
+    for path, schema in ((written, 2), (OF_02, 1)):
+        content = json.loads(path.read_text())
+        assert content["schema"] == schema and len(content["sha256"]) == 64
+        again = tmp_path / "again.json"
+        for text in (json.dumps(rewritten(content)), json.dumps(content, indent=7, sort_keys=True)):
+            again.write_text(text)
+            first, other = Constraint.load(path, robot), Constraint.load(again, robot)
+            assert first.notes == other.notes == ()
+            for q in ROWS_OF_02:
+                np.testing.assert_array_equal(other(q), first(q))
+            steps = Skill.load(again, robot).steps
+            assert [(step.kind, step.gripper) for step in steps] == [("reach", None), ("way", "close")]
+
+
+def test_a_changed_number_of_a_constraint_file_is_noticed(tmp_path: Path) -> None:
+    """In features, what was shown and the steps of a skill, in either format; not in what is only reported."""
+    robot = load_robot("planar3")
+    _, written = saved_door(robot, tmp_path / "new.json")
+    for path in (written, OF_02):
+        for keys, value in (
+            (("features", "radius"), 1.2500001),
+            (("features", "point"), [0.4, 0.3, 1e-6]),
+            (("provenance", "shown", "extent"), 0.5),
+            (("skill", "steps"), []),
+        ):
+            content = inner = json.loads(path.read_text())
+            for key in keys[:-1]:
+                inner = inner[key]
+            inner[keys[-1]] = value
+            changed = tmp_path / "changed.json"
+            changed.write_text(json.dumps(content))
+            with (
+                case(path.name, keys),
+                pytest.raises(
+                    ConstraintMismatchError, match='changed.json was changed after .* delete the entry "sha256"'
+                ),
+            ):
+                Constraint.load(changed, robot)
+        told = json.loads(path.read_text())
+        told["provenance"]["sentence"] = "another one"
+        changed.write_text(json.dumps(told))
+        assert Constraint.load(changed, robot).provenance["sentence"] == "another one"
+
+
+def test_a_constraint_file_of_02_means_the_same(tmp_path: Path) -> None:
+    """Its A(q) is what the version that wrote it computed, and saved again it is a file of format 2 with the same A."""
+    robot = load_robot("planar3")
+    old = Constraint.load(OF_02, robot, same_urdf=False)
+    new = Constraint.load(old.save(tmp_path / "new.json"), robot)
+    for q, rows in ROWS_OF_02.items():
+        np.testing.assert_allclose(old(q), rows, rtol=0, atol=1e-14)
+        np.testing.assert_array_equal(new(q), old(q))
+    assert json.loads((tmp_path / "new.json").read_text())["schema"] == 2
+    assert new.provenance == old.provenance and new.shown is not None and new.shown.n == 3
+
+
+def test_a_constraint_file_of_a_newer_version_says_what_to_do(tmp_path: Path) -> None:
+    """An unknown number of the format is refused by its number, with a way out."""
+    robot = load_robot("planar3")
+    _, path = saved_door(robot, tmp_path / "c.json")
+    content = json.loads(path.read_text())
+    for number in (3, 0, "2", None, [2]):
+        path.write_text(json.dumps(content | {"schema": number}))
+        with (
+            case(number),
+            pytest.raises(ConstraintMismatchError, match="reads 1 and 2: load it with a newer") as refused,
+        ):
+            Constraint.load(path, robot)
+        assert f"c.json has schema {number!r}" in str(refused.value)
+
+
+def test_a_constraint_file_holds_finite_numbers(tmp_path: Path) -> None:
+    """NaN and infinity are refused wherever they stand, also where no signature looks; and they are not written."""
+    robot = load_robot("planar3")
+    constraint, path = saved_door(robot, tmp_path / "c.json")
+    content = json.loads(path.read_text())
+    for value in ("NaN", "Infinity", "-Infinity", "1e999"):
+        for key in ("gap", "shown"):
+            text = json.dumps(content | {"provenance": content["provenance"] | {key: ["HERE"]}})
+            path.write_text(text.replace('"HERE"', value))
+            with case(value, key), pytest.raises(ConstraintMismatchError, match="c.json is damaged: .* finite number"):
+                Constraint.load(path, robot)
+    for key in ("gap", "shown"):
+        with pytest.raises(ValueError, match="float values|finite number"):
+            Constraint(constraint.selection, constraint.features, {key: np.inf}).save(tmp_path / "none.json")
+    assert not (tmp_path / "none.json").exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -25,7 +26,7 @@ from manip_learn.constraint.reading import named_rows, on_twist, read_mechanism
 from manip_learn.constraint.shown import Shown
 from manip_learn.constraint.task_frame import TaskFrame, task_frame
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, an, spoken
-from manip_learn.linalg import along_axes, finite, manipulability_of, orthonormal_rows
+from manip_learn.linalg import along_axes, manipulability_of, orthonormal_rows
 from manip_learn.recordings.guards import reason_of
 from manip_learn.robot import html_card
 from manip_learn.robot.description.text import parsed_json, read_regular_file, unreadable
@@ -33,7 +34,7 @@ from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
 _FORMAT = "manip_learn.constraint"
-SCHEMA = 1
+SCHEMA = 2  # number of the format that `save` writes; 1 is that of 0.2
 SIGNATURE = "sha256"  # entry of a file: the SHA-256 of what says where an arm goes
 LARGEST_FILE = 100_000_000  # [bytes] of a constraint: one of a hundred thousand recordings has a tenth of it
 NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
@@ -258,22 +259,15 @@ class Constraint:
     # ---- files ----------------------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """The content of a constraint file.
+        """Return the content of a constraint file.
 
         Raises:
             FeatureError: The features are Python functions and cannot be written down.
         """
-        robot, described = self.robot, None
-        if robot is not None:
-            described = {
-                "name": robot.name,
-                "fingerprint": robot.fingerprint,
-                "nq": robot.nq,
-                "nv": robot.nv,
-                "joint_names": list(robot.joint_names),
-                "locked": dict(robot.locked),
-                "objects": list(robot.objects),
-            }
+        described = None
+        if self.robot is not None:
+            described = RobotIdentity.of(self.robot).to_dict() | {"nv": self.robot.nv}
+            del described["source"]  # a path of this machine
         content = {
             "format": _FORMAT,
             "schema": SCHEMA,
@@ -308,9 +302,9 @@ class Constraint:
                 are the same is then yours to know, and `notes` of the constraint say which joints are locked elsewhere.
 
         Raises:
-            ConstraintMismatchError: Another robot, another schema, no constraint file at all, rows that contradict
-                what the file says of them (their number, names, units, or that they are orthonormal), or a file that
-                was changed after it was saved.
+            ConstraintMismatchError: Another robot, a newer schema, no constraint file at all, a number that is not
+                finite, rows that contradict what the file says of them (their number, names, units, or that they are
+                orthonormal), or a file that was changed after it was saved.
 
         Warns:
             UserWarning: The file states no SHA-256, by which a change would be noticed.
@@ -328,11 +322,12 @@ class Constraint:
         """
         if not isinstance(content, Mapping) or content.get("format") != _FORMAT:
             raise ConstraintMismatchError(f'{source} is not a constraint file: it lacks "format": "{_FORMAT}"')
-        if content.get("schema") != SCHEMA:
-            seen = f"{source} has schema {content.get('schema')!r}, this version reads {SCHEMA}"
-            raise ConstraintMismatchError(f"{seen}: learn the constraint again")
+        if content.get("schema") not in (1, SCHEMA):
+            seen = f"{source} has schema {content.get('schema')!r:.40}, this version reads 1 and {SCHEMA}"
+            raise ConstraintMismatchError(f"{seen}: load it with a newer manip_learn, or learn the constraint again")
         _check_robot(source, content, robot, same_urdf)
         try:
+            normal(content)
             features = described_features(content["features"], robot)
             constraint = Constraint(content["selection"], features, content.get("provenance"))
             _check_rows(content, constraint)
@@ -381,12 +376,10 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
             f"call Constraint(selection, features): got {an(selection)} and {an(features)}, in this order"
         )
     try:
-        matrix = np.array(selection, dtype=np.float64)
+        matrix = np.atleast_2d(np.array(selection, dtype=np.float64))
     except (TypeError, ValueError, OverflowError) as error:
         raise ConstraintError(f"the selection matrix must be numbers in rows of equal length: {error}") from error
     p = features.n_rows
-    if matrix.ndim == 1:
-        matrix = matrix[None, :]
     if matrix.ndim != 2 or matrix.shape[1] != p:
         raise ConstraintError(
             f"the selection matrix must have {p} columns, one a feature row ({', '.join(features.row_names)}); "
@@ -395,38 +388,56 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
     if not np.all(np.isfinite(matrix)):
         raise ConstraintError("the selection matrix has entries that are not finite")
     matrix = matrix[np.linalg.norm(matrix, axis=1) > 0.0]
-    if matrix.shape[0] == 0:
+    if len(matrix) == 0:
         raise ConstraintError("the selection matrix has no row that is not zero")
-    if matrix.shape[0] > p:
-        raise ConstraintError(f"{matrix.shape[0]} rows cannot be independent in {p} columns")
-    sigma = np.linalg.svd(matrix / np.linalg.norm(matrix, axis=1, keepdims=True), compute_uv=False)
-    if sigma[-1] < 1e-10:
+    unit = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
+    smallest = np.linalg.svd(unit, compute_uv=False)[-1] if len(unit) <= p else 0.0
+    if smallest < 1e-10:
         raise ConstraintError(
-            f"the rows of the selection matrix depend on each other (smallest singular value {sigma[-1]:.1e}): "
+            f"the rows of the selection matrix depend on each other (smallest singular value {smallest:.1e}): "
             "leave out the rows that follow from the others"
         )
-    if np.max(np.abs(matrix @ matrix.T - np.eye(matrix.shape[0]))) < 1e-14:
-        return matrix  # kept to the last bit: paper-mode truncation depends on it
-    return orthonormal_rows(matrix)
+    # orthonormal rows are kept to the last bit: paper-mode truncation depends on it
+    is_exact = np.max(np.abs(matrix @ matrix.T - np.eye(len(matrix)))) < 1e-14
+    return matrix if is_exact else orthonormal_rows(matrix)
 
 
 def signed(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The content of a constraint file with the SHA-256 of its rows, of what was shown, and of the steps of a skill:
-    a later change of these is noticed, one of what is only told, such as the phases, does not count.
+    """Return the content of a constraint file with the SHA-256 of its rows, of what was shown, and of a skill's steps.
+
+    A later change of these is noticed; one of what is only reported, such as the phases, does not count.
     """
     shown = (content.get("provenance") or {}).get("shown")
     moving = (content.get("features"), content.get("selection"), shown, content.get("skill"))
-    digest = hashlib.sha256(_canonical(moving).encode())
-    return {**content, SIGNATURE: digest.hexdigest()}
+    text = _text_of_02(moving) if content["schema"] == 1 else json.dumps(normal(moving), sort_keys=True)
+    return {**content, SIGNATURE: hashlib.sha256(text.encode()).hexdigest()}
 
 
-def _canonical(value: Any) -> str:
-    """JSON as text that stays when another program writes it again: in another order, 1 for 1.0, or a last bit off."""
+def normal(value: Any) -> Any:
+    """Return JSON with every number as a float of twelve digits: as good when another program has written it again.
+
+    Raises:
+        ValueError: A number that is not finite.
+    """
     match value:
         case Mapping():
-            return "{" + ",".join(f"{key}:{_canonical(value[key])}" for key in sorted(value)) + "}"
+            return {key: normal(inner) for key, inner in value.items()}
         case list() | tuple():
-            return "[" + ",".join(map(_canonical, value)) + "]"
+            return [normal(inner) for inner in value]
+        case int() | float() if not isinstance(value, bool):
+            if not math.isfinite(value):
+                raise ValueError(f"{value} stands in the place of a finite number")
+            return float(f"{value:.12g}") + 0.0  # -0 is 0
+    return value
+
+
+def _text_of_02(value: Any) -> str:
+    """Return the text of which files of schema 1 state the SHA-256; until 0.4."""
+    match value:
+        case Mapping():
+            return "{" + ",".join(f"{key}:{_text_of_02(value[key])}" for key in sorted(value)) + "}"
+        case list() | tuple():
+            return "[" + ",".join(map(_text_of_02, value)) + "]"
         case int() | float() if not isinstance(value, bool):
             return format(float(value) + 0.0, ".12g")  # of 16 digits; + 0.0, for -0 is 0
     return repr(value)
@@ -494,25 +505,16 @@ def _check_rows(content: Mapping[str, Any], constraint: Constraint) -> None:
         ConstraintError: They do.
     """
     rows, features, kept = content["selection"], constraint.features, constraint.selection
-    for key, own in (("row_names", features.row_names), ("row_units", features.row_units)):
-        if content[key] != list(own):
-            what = key.replace("_", " ")
-            raise ConstraintError(f"its {what} are {content[key]}, those of its features {list(own)}: it is damaged")
+    for what, own in (("names", features.row_names), ("units", features.row_units)):
+        if (given := content[f"row_{what}"]) != list(own):
+            raise ConstraintError(f"its row {what} are {given}, those of its features {list(own)}: it is damaged")
     postures = constraint.provenance.get("postures", [])
-    if _holds_truth([content["features"], postures]) or not all(type(x) in (int, float) for row in rows for x in row):
+    if not all(type(x) in (int, float) for row in (*rows, *postures) for x in row):
         raise ConstraintError("something stands in the place of a number (true, false or text): it is damaged")
     if len(rows) != content.get("n_constraints", len(rows)):
         raise ConstraintError(f"it has {len(rows)} rows of Lambda and states {content['n_constraints']}: it is damaged")
     if kept.shape != np.shape(rows) or np.max(np.abs(kept - rows)) > NOT_EXACT:
         raise ConstraintError("the rows of Lambda are not orthonormal, as those of every saved constraint are")
     robot = constraint.robot
-    if postures and robot is not None:
-        widths = {len(row) for row in postures}
-        if not widths <= {robot.nq, robot.nv} or finite(postures, len(postures), *widths) is None:
-            raise ConstraintError(f"the postures in which it was shown are not rows of {robot.nv} finite numbers")
-
-
-def _holds_truth(value: Any) -> bool:
-    """Whether true or false stands anywhere in it."""
-    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return isinstance(value, bool) or any(map(_holds_truth, inside))
+    if robot is not None and any(len(row) not in (robot.nq, robot.nv) for row in postures):
+        raise ConstraintError(f"the postures in which it was shown are not rows of {robot.nv} numbers: it is damaged")

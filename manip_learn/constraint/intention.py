@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, final
 
 import numpy as np
@@ -49,19 +49,21 @@ class Intention:
         return f"The recordings go to one target, {where} along the steered rows, at a rate of {self.gain:.2g} /s."
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, for a constraint file."""
-        arrays = {"target": self.target.tolist(), "targets": self.targets.tolist()}
-        return arrays | {name: getattr(self, name) for name in ("gain", "spread", "common", "unexplained")}
+        """Return plain numbers and lists, for a constraint file."""
+        return vars(self) | {name: getattr(self, name).tolist() for name in _ARRAYS}
 
     @staticmethod
     def from_dict(content: Any) -> Intention | None:
-        """What `to_dict` wrote; None of anything else."""
+        """Return what `to_dict` wrote; None of anything else."""
         try:
-            arrays = {name: np.array(content[name], dtype=np.float64) for name in ("target", "targets")}
-            numbers = {name: content[name] for name in ("gain", "spread", "common", "unexplained")}
-            return Intention(**arrays, **numbers)
+            values: dict[str, Any] = {entry.name: content[entry.name] for entry in fields(Intention)}
+            values |= {name: np.array(values[name], dtype=np.float64) for name in _ARRAYS}
+            return Intention(**values)
         except (KeyError, TypeError, ValueError):
             return None
+
+
+_ARRAYS = ("target", "targets")
 
 
 def intention_of(
@@ -79,24 +81,18 @@ def intention_of(
         recordings: Configurations and velocities of each recording.
     """
     step = max(1, sum(len(q) for q, _ in recordings) // FITTED_SAMPLES)
-    means, places, rates = [], [], []
     try:
-        for q, u in recordings:
-            x = np.array([selection @ features.coordinates(row) for row in q[::step]])
-            y = np.array([selection @ (features(row) @ v) for row, v in zip(q[::step], u[::step], strict=True)])
-            means.append((x.mean(axis=0), y.mean(axis=0), float(np.linalg.norm(x[0] - x[-1]))))
-            places.append(x - means[-1][0])
-            rates.append(y - means[-1][1])
+        places = [np.array([selection @ features.coordinates(row) for row in q[::step]]) for q, _ in recordings]
     except FeatureError:
         return None
-    x, y = np.concatenate(places), np.concatenate(rates)
-    moved = float(np.sum(x * x))
+    rates = [np.einsum("sp,npv,nv->ns", selection, features.batch(q[::step]), u[::step]) for q, u in recordings]
+    x, y = (np.concatenate([part - part.mean(axis=0) for part in parts]) for parts in (places, rates))
+    moved, energy = float(np.sum(x * x)), float(sum(np.sum(rate * rate) for rate in rates))
     gain = -float(np.sum(x * y)) / moved if moved > 0.0 else 0.0
-    energy = float(np.sum(y * y)) + sum(len(p) * float(m[1] @ m[1]) for p, m in zip(places, means, strict=True))
     left = float(np.sum((y + gain * x) ** 2)) / energy if energy > 0.0 else 1.0
     if gain <= 0.0 or left > UNEXPLAINED:
         return None
-    targets = np.array([mean + rate / gain for mean, rate, _ in means])
+    targets = np.array([r.mean(axis=0) + b.mean(axis=0) / gain for r, b in zip(places, rates, strict=True)])
     spread = float(np.sqrt(np.mean(np.sum((targets - targets.mean(axis=0)) ** 2, axis=1))))
-    far = float(np.mean([way for *_, way in means]))
+    far = float(np.mean([np.linalg.norm(r[0] - r[-1]) for r in places]))
     return Intention(targets.mean(axis=0), gain, targets, spread, spread <= ONE_TARGET * far, left)

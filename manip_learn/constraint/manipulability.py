@@ -6,6 +6,7 @@ grad mu, equation (13), without a division.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -123,16 +124,8 @@ def smallest_gradient(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], 
 
 
 def products_of_others(sigma: Sequence[float]) -> list[float]:
-    """prod_{j != i} sigma_j for each i, without a division."""
-    s = len(sigma)
-    out = [1.0] * s
-    for i in range(1, s):
-        out[i] = out[i - 1] * sigma[i - 1]
-    behind = 1.0
-    for i in range(s - 1, -1, -1):
-        out[i] *= behind
-        behind *= sigma[i]
-    return out
+    """Return prod_{j != i} sigma_j for each i, without a division."""
+    return [math.prod((*sigma[:i], *sigma[i + 1 :]), start=1.0) for i in range(len(sigma))]
 
 
 def escape_direction(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp) -> Float[np.ndarray, " nv"]:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import constraint_first, gradient_of
+from manip_learn.linalg import inverse_triangles_beside, row_bases
 from manip_learn.robot.batch.postures import checked_postures
 
 GRADIENT_CHUNK = 512  # postures whose dA/dq are held at a time
@@ -75,24 +76,11 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
 def row_inverses(
     A: Float[np.ndarray, "s nv n"],
 ) -> tuple[Float[np.ndarray, "s nv n"], Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """A^{+T}, mu, and whether they are too inaccurate to use, postures last.
+    """Return A^{+T}, mu, and whether they are too inaccurate to use, postures last.
 
-    With A = L Q (rows orthogonalised one after the other): mu = prod L_ii and A^{+T} = L^{-T} Q.
+    With A^T = Q R: mu = |prod R_ii| and A^{+T} = R^{-1} Q^T.
     """
-    s = A.shape[0]
-    Q, L = A.copy(), np.zeros((s, s, A.shape[2]))
-    for i in range(s):
-        for j in range(i):
-            L[i, j] = np.sum(Q[i] * Q[j], axis=0)
-            Q[i] -= L[i, j] * Q[j]
-        L[i, i] = np.sqrt(np.sum(Q[i] * Q[i], axis=0))
-        np.divide(Q[i], L[i, i], out=Q[i], where=L[i, i] > 0.0)
-    lengths = L[np.arange(s), np.arange(s)]
-    mu = np.prod(lengths, axis=0)
+    Q, R = row_bases(A.transpose(1, 0, 2))
+    lengths = np.abs(np.einsum("iin->in", R))
     ill = ~(lengths.min(axis=0) > LEAST_LENGTH_RATIO * np.sqrt(np.max(np.sum(A * A, axis=1), axis=0)))
-    safe = np.where(ill, 1.0, lengths)
-    for i in range(s - 1, -1, -1):  # back substitution with L^T, row i of Q becomes row i of L^{-T} Q
-        for j in range(i + 1, s):
-            Q[i] -= L[j, i] * Q[j]
-        Q[i] /= safe[i]
-    return Q, mu, ill
+    return np.einsum("ijn,kjn->ikn", inverse_triangles_beside(R), Q), np.prod(lengths, axis=0), ill

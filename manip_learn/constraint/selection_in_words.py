@@ -13,39 +13,31 @@ from manip_learn.constraint.features.frame_jacobian import AXES as TWIST
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.other_features import CentreOfMass
-from manip_learn.constraint.mechanism import CURVE, Mechanism, in_words
+from manip_learn.constraint.mechanism import CURVE, Mechanism, in_words, on_twist
 from manip_learn.errors import error_in_words, listed
 from manip_learn.linalg import along_axes, null_basis
 
 _AXES, ROTATIONS = TWIST[:3], TWIST[3:]  # linear and angular rows
-# verb -> preposition, rows, all of them in words, and all but one direction
+# of linear and of angular rows: verb -> preposition, all directions in words, and all but one
 VERBS = {
-    "move": ("along", _AXES, "in every direction", "across it"),
-    "turn": ("about", ROTATIONS, "about every axis", "about every other axis"),
+    "move": ("along", "in every direction", "across it"),
+    "turn": ("about", "about every axis", "about every other axis"),
 }
-_LOOKS = {
-    "line": "a straight line (a drawer)",
-    "plane": "a plane (a table)",
-    "hinge": "a hinge (a door)",
-    "ball": "a ball joint (a tether)",
-    "screw": "a screw (a valve)",
-    "held-orientation": "a held orientation (a full cup)",
-    "other": "a cylinder (a sleeve on a rod)",
-    CURVE: "a rail that is bent",
+# type of a mechanism -> what it looks like, and what it leaves free where its rows depend on the place
+SHAPES = {
+    "line": ("a straight line (a drawer)", "move along {axis} and cannot leave that line"),
+    "plane": ("a plane (a table)", "move in the plane across {axis} and cannot leave it"),
+    "hinge": ("a hinge (a door)", "move on a circle{radius} about {axle} and cannot leave it"),
+    "ball": ("a ball joint (a tether)", "move on a sphere{radius} about {point} and cannot leave it"),
+    "screw": ("a screw (a valve)", "move on a helix{radius} about {axle} and cannot leave it"),
+    "held-orientation": ("a held orientation (a full cup)", "turn about {axis} and is blocked about every other axis"),
+    "other": ("a cylinder (a sleeve on a rod)", "move on a cylinder{radius} about {axle} and cannot leave it"),
+    CURVE: ("a rail that is bent", "move along a curve of {length:.2f} m from {ends} and cannot leave it"),
 }
 FREE_MOVES = {"line": 1, "plane": 2}  # directions that a mechanism leaves free, where they are the same everywhere
-# what a mechanism leaves free whose rows depend on the place
-WAYS = {
-    "line": "move along {axis} and cannot leave that line",
-    "plane": "move in the plane across {axis} and cannot leave it",
-    "hinge": "move on a circle{radius} about the axis {axis} through {point} and cannot leave it",
-    "ball": "move on a sphere{radius} about {point} and cannot leave it",
-    "screw": "move on a helix{radius} about the axis {axis} through {point} and cannot leave it",
-    "held-orientation": "turn about {axis} and is blocked about every other axis",
-    "other": "move on a cylinder{radius} about the axis {axis} through {point} and cannot leave it",
-}
-# what the error of a parameter is called, and its unit
+# error of the rows or of a parameter -> what it is called, and its unit
 PARAMETERS = {
+    "direction": ("direction", 1.0, "degrees"),
     "axis": ("axis", 1.0, "degrees"),
     "point": ("place", 1e3, "mm"),
     "radius": ("radius", 1e3, "mm"),
@@ -59,10 +51,9 @@ def free_directions(selection: Float[np.ndarray, "s p"], used: Bool[np.ndarray, 
 
     Each points so that its largest entry is positive; several are turned so that they share as few rows as possible.
     """
-    out = np.zeros((0, selection.shape[1]))
     inner = null_basis(selection[:, used]).T
-    if inner.shape[0]:
-        out = np.zeros((inner.shape[0], selection.shape[1]))
+    out = np.zeros((len(inner), selection.shape[1]))
+    if len(inner):
         out[:, used] = along_axes(inner)
     return out
 
@@ -89,24 +80,19 @@ def describe(
     sentences = [f"{subject} {_freedom(free[:, used], names, features, held, mechanism)}."]
     told = said_by_rows(mechanism, features.row_names, getattr(features, "reference", None), free)
     if mechanism is not None:
-        words = looks(mechanism)
-        if not told and mechanism.place:
-            words += f", {mechanism.place}"
-        if mechanism.grip == "kept" or (mechanism.orientation != "free" and not set(ROTATIONS) & set(names)):
-            words += f"; {mechanism.turns}"
+        place = f", {mechanism.place}" if mechanism.place and not told else ""
+        turn = mechanism.grip == "kept" or (mechanism.orientation != "free" and not set(ROTATIONS) & set(names))
         other = not told and mechanism.type in FREE_MOVES and getattr(features, "reference", None) == "world"
-        sentences.append(
-            f"{'The path alone looks' if other and set(_AXES) <= set(names) else 'It looks'} like {words}."
-        )
-    known = known_to(uncertainty_deg, mechanism, told)
-    if known:
+        it = "The path alone looks" if other and set(_AXES) <= set(names) else "It looks"
+        sentences.append(f"{it} like {looks(mechanism)}{place}{f'; {mechanism.turns}' if turn else ''}.")
+    if known := known_to(uncertainty_deg, mechanism, told):
         sentences.append(f"{known[0].upper()}{known[1:]}.")
     return " ".join(sentences)
 
 
 def looks(mechanism: Mechanism) -> str:
     """A mechanism by what people know: `"a straight line (a drawer)"`."""
-    return _LOOKS[CURVE if mechanism.name == CURVE else mechanism.type]
+    return SHAPES[mechanism.noun][0]
 
 
 def said_by_rows(
@@ -122,7 +108,7 @@ def said_by_rows(
     """
     if mechanism is None or reference is None:
         return mechanism is not None
-    moves = sum(bool(np.any(_entries(row, names, _AXES))) for row in free)
+    moves = np.count_nonzero(np.any(on_twist(names, free)[:, :3], axis=1))
     return reference == "world" and set(_AXES) <= set(names) and moves == FREE_MOVES.get(mechanism.type)
 
 
@@ -134,16 +120,18 @@ def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None, 
         mechanism: What holds the hand.
         told: Whether the rows say where it is: then its axis is their direction.
     """
-    errors = {} if mechanism is None else dict(mechanism.uncertainty)
-    straight = told and mechanism is not None and mechanism.type in FREE_MOVES
-    axis = errors.pop("axis", None) if straight else None
-    angle = axis if uncertainty_deg is None else uncertainty_deg
-    known = [] if angle is None else [("direction", angle, "degrees")]
-    known += [(PARAMETERS[name][0], PARAMETERS[name][1] * value, PARAMETERS[name][2]) for name, value in errors.items()]
-    lost = [f"{what} not determined" for what, value, unit in known if unit == "degrees" and value > NOT_AN_ANGLE]
-    sure = [(w, error_in_words(value, unit)) for w, value, unit in known if unit != "degrees" or value <= NOT_AN_ANGLE]
-    said = [f"{what} {'to' if k else 'known to'} {amount}" for k, (what, amount) in enumerate(sure)]
-    return listed([*said, *lost]) if known else ""
+    errors = {"direction": uncertainty_deg} | ({} if mechanism is None else dict(mechanism.uncertainty))
+    if told and mechanism is not None and mechanism.type in FREE_MOVES:
+        axis = errors.pop("axis", None)
+        errors["direction"] = axis if uncertainty_deg is None else uncertainty_deg
+    known, lost = list[str](), list[str]()
+    for name, error in errors.items():
+        what, scale, unit = PARAMETERS[name]
+        if error is not None and unit == "degrees" and error > NOT_AN_ANGLE:
+            lost.append(f"{what} not determined")
+        elif error is not None:
+            known.append(f"{what} {'to' if known else 'known to'} {error_in_words(scale * error, unit)}")
+    return listed([*known, *lost]) if known or lost else ""
 
 
 def _freedom(
@@ -151,50 +139,45 @@ def _freedom(
 ) -> str:
     """What can move, and what is `held`, without the subject."""
     if isinstance(features, MechanismRows) and mechanism is not None:
+        axis, point = in_words(mechanism.axis), in_words(mechanism.point)
         radius = "" if mechanism.radius is None else f" of radius {mechanism.radius:.3f} m"
-        way = WAYS[mechanism.type].format(axis=in_words(mechanism.axis), point=in_words(mechanism.point), radius=radius)
-        return f"can {way}"
+        place = {"axis": axis, "point": point, "axle": f"the axis {axis} through {point}", "radius": radius}
+        return f"can {SHAPES[mechanism.type][1].format(**place)}"
     if isinstance(features, CurveRows):
         ends = " to ".join(in_words(end) for end in features.curve.points[[0, -1]])
-        return f"can move along a curve of {features.curve.length:.2f} m from {ends} and cannot leave it"
+        return f"can {SHAPES[CURVE][1].format(length=features.curve.length, ends=ends)}"
     if not isinstance(features, PoseRows | CentreOfMass):
         ways = listed([row_in_words(row, names) for row in free]) if len(free) else ""
         return f"is free along {ways} in ({', '.join(names)}) and {held} in every other way" if ways else f"is {held}"
-    small = np.where(np.abs(free) < NEGLIGIBLE_ENTRY, 0.0, free)
-    parts = {verb: [_entries(row, names, rows) for row in small] for verb, (_, rows, *_) in VERBS.items()}
-    if any(np.any(move) and np.any(turn) for move, turn in zip(*parts.values(), strict=True)):
-        ways = []  # each direction, with the proportion if it has both kinds
-        for move, turn in zip(*parts.values(), strict=True):
-            if np.any(move) and np.any(turn):
-                ways.append(f"move along {in_words(move)} while turning about {in_words(turn)}")
-            else:
-                verb, row = ("move along", move) if np.any(move) else ("turn about", turn)
-                ways.append(f"{verb} {row_in_words(row, _AXES)}")
-        return f"can {listed(ways)}, and is {held} in every other way"
-    known = {verb: np.array([n in names for n in rows]) for verb, (_, rows, *_) in VERBS.items()}
-    clauses = [_clause(verb, [x for x in parts[verb] if np.any(x)], known[verb], held) for verb in VERBS]
+    moves, turns = np.split(on_twist(names, np.where(np.abs(free) < NEGLIGIBLE_ENTRY, 0.0, free)), 2, axis=1)
+    if np.any(np.any(moves, axis=1) & np.any(turns, axis=1)):
+        return f"can {listed(map(_way, moves, turns))}, and is {held} in every other way"
+    known = np.split(np.isin(TWIST, names), 2)
+    clauses = map(_clause, VERBS, (moves, turns), known, (held, held))
     return "; it ".join(clause for clause in clauses if clause)
 
 
-def _entries(row: np.ndarray, names: Sequence[str], rows: Sequence[str]) -> Float[np.ndarray, " 3"]:
-    """The entries of these rows, 0 for those that the features lack."""
-    return np.array([row[names.index(n)] if n in names else 0.0 for n in rows])
+def _way(move: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"]) -> str:
+    """A free direction, with the proportion where it is both."""
+    if np.any(move) and np.any(turn):
+        return f"move along {in_words(move)} while turning about {in_words(turn)}"
+    return f"move along {row_in_words(move, _AXES)}" if np.any(move) else f"turn about {row_in_words(turn, _AXES)}"
 
 
-def _clause(verb: str, free: list[np.ndarray], known: Bool[np.ndarray, " 3"], held: str) -> str:
+def _clause(verb: str, rows: Float[np.ndarray, "k 3"], known: Bool[np.ndarray, " 3"], held: str) -> str:
     """What can move or turn, and what of the rows that are `known` is held; empty if none is."""
-    preposition, _, everywhere, elsewhere = VERBS[verb]
-    n = int(np.count_nonzero(known))
+    preposition, everywhere, elsewhere = VERBS[verb]
+    free, n = [row for row in rows if np.any(row)], int(np.count_nonzero(known))
     if len(free) == n:
         return f"can {verb} freely" if n == 3 else f"can {verb} {preposition} {_directions(free)}" if n else ""
-    if n == 3 and not free:
-        return f"cannot {verb}" if held == "blocked" else f"is {held} {everywhere}"
-    rest = along_axes(null_basis(np.array([*free, *np.eye(3)[~known]])).T)
-    blocked = f"{preposition} {_directions(rest)}"
-    if not free:
-        return f"cannot {verb} {blocked}" if held == "blocked" else f"is {held} {blocked}"
-    blocked = elsewhere if n == 3 and len(free) == 1 else blocked
-    return f"can {verb} {preposition} {_directions(free)} and is {held} {blocked}"
+    where = {0: everywhere, 1: elsewhere}.get(len(free)) if n == 3 else None
+    if where is None:
+        rest = null_basis(np.array([*free, *np.eye(3)[~known]])).T
+        where = f"{preposition} {_directions(along_axes(rest))}"
+    if free:
+        return f"can {verb} {preposition} {_directions(free)} and is {held} {where}"
+    cannot = f"cannot {verb}" if n == 3 else f"cannot {verb} {where}"
+    return cannot if held == "blocked" else f"is {held} {where}"
 
 
 def _directions(vectors: Iterable[np.ndarray]) -> str:

@@ -90,11 +90,10 @@ class Skill:
         elsewhere = {id(c): c.moved(transform) for c in self.constraints}
         steps = []
         for step in self.steps:
-            shown = None if step.shown is None else step.shown.moved(transform)
+            shown = step.shown and step.shown.moved(transform)
             place = None if step.place is None else transform[:3, :3] @ step.place + transform[:3, 3]
-            constraint = None if step.constraint is None else elsewhere[id(step.constraint)]
-            steps.append(replace(step, constraint=constraint, shown=shown, place=place))
-        return Skill(tuple(elsewhere[id(c)] for c in self.constraints), tuple(steps), self.notes)
+            steps.append(replace(step, constraint=elsewhere.get(id(step.constraint)), shown=shown, place=place))
+        return replace(self, constraints=tuple(elsewhere[id(c)] for c in self.constraints), steps=tuple(steps))
 
     def to_dict(self) -> dict[str, Any]:
         """The content of a skill's file: that of its first constraint, with the others and the steps beside it.
@@ -104,14 +103,9 @@ class Skill:
         """
         number = {id(c): i for i, c in enumerate(self.constraints)}
         steps = [
-            {
-                "kind": step.kind,
-                "constraint": None if step.constraint is None else number[id(step.constraint)],
-                "shown": None if step.shown is None else step.shown.to_dict(),
-                "gripper": step.gripper,
-                "place": None if step.place is None else step.place.tolist(),
-                "fingers": dict(step.fingers),
-            }
+            vars(step)
+            | {"constraint": number.get(id(step.constraint)), "shown": step.shown and step.shown.to_dict()}
+            | {"place": None if step.place is None else step.place.tolist(), "fingers": dict(step.fingers)}
             for step in self.steps
         ]
         others = [c.to_dict() for c in self.constraints[1:]]
@@ -154,8 +148,7 @@ class Skill:
 
 
 def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step:
-    number, place = entry["constraint"], entry["place"]
-    kind, gripper = entry["kind"], entry["gripper"]
+    kind, number, gripper, place = (entry[name] for name in ("kind", "constraint", "gripper", "place"))
     if kind not in get_args(StepKind) or gripper not in (None, *get_args(Gripping)):
         raise ValueError(f"a step of kind {kind!r} with gripper {gripper!r}")
     where = None if place is None else np.array(place, dtype=np.float64).reshape(3)

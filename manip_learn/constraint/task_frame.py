@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, final
+from typing import Any, Literal, final, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -26,7 +26,7 @@ from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_basis
 from manip_learn.robot.rotations import skew
 
-AxisState = Literal["free", "held", "unknown"]
+AxisState = Literal["held", "free", "unknown"]
 Turns = Literal["no", "hand", "axis", "other frame"]
 UNKNOWN = 0.5 * math.pi  # [rad] an axis of which nothing is known may be any
 # weight of held moments beside held forces, 1: the sums of what an axis may hold, 0, 0.5, 1 and 1.5, all differ ...
@@ -81,21 +81,16 @@ class TaskFrame:
         return _from_hand(self.pose[:3, :3], self.point - self.hand[:3, 3])
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it as plain numbers and words, ready for JSON."""
-        arrays = ("pose", "uncertainty", "rows", "hand", "point")
-        described: dict[str, Any] = {name: getattr(self, name).tolist() for name in arrays}
+        """Return all of it as plain numbers and words, ready for JSON."""
+        values = {name: x.tolist() if isinstance(x, np.ndarray) else x for name, x in vars(self).items()}
         mechanism = None if self.mechanism is None else self.mechanism.to_dict()
-        named = dict(zip(AXES, self.axes, strict=True))
-        return described | {"axes": named, "turns": self.turns, "frame": self.frame, "mechanism": mechanism}
+        return values | {"axes": dict(zip(AXES, self.axes, strict=True)), "mechanism": mechanism}
 
     @property
     def sentence(self) -> str:
         """The axes by their state, and the origin: `"held x y; free z; unknown rx ry rz; origin (0.5, 0.2, 0.5)"`."""
-        named = zip(AXES, self.axes, strict=True)
-        by_state: dict[AxisState, list[str]] = {"held": [], "free": [], "unknown": []}
-        for name, state in named:
-            by_state[state].append(name)
-        states = "; ".join(f"{state} {' '.join(names)}" for state, names in by_state.items() if names)
+        axes = {state: [AXES[i] for i in np.flatnonzero(self.along(state))] for state in get_args(AxisState)}
+        states = "; ".join(f"{state} {' '.join(names)}" for state, names in axes.items() if names)
         return f"{states}; origin ({', '.join(f'{x:.3f}' for x in self.pose[:3, 3])})"
 
     def __repr__(self) -> str:
@@ -147,25 +142,23 @@ def task_frame(
     back = np.linalg.inv(_from_hand(R, point - p))
     rows, shown = row_basis(held @ back), row_basis(seen @ back)
     share, known = (np.einsum("si,si->i", x, x) for x in (rows, shown))
-    axes: tuple[AxisState, ...] = tuple(
-        "unknown" if k < 0.5 else "held" if h > 0.5 else "free" for h, k in zip(share, known, strict=True)
-    )
+    states = np.where(known < 0.5, "unknown", np.where(share > 0.5, "held", "free"))
     P = rows.T @ rows
     mixed = np.arcsin(np.minimum(1.0, np.linalg.norm(np.where(share > 0.5, np.eye(6) - P, P), axis=0)))
     off = np.hypot(_stated(mechanism, learnt.get("uncertainty_deg"), float(np.linalg.norm(p - origin))), mixed)
-    off[[axis == "unknown" for axis in axes]] = UNKNOWN
+    off[known < 0.5] = UNKNOWN
+    axes, off = tuple(states.tolist()), np.minimum(off, UNKNOWN)
     for array in (pose, off, rows, hand, point):
         array.setflags(write=False)
-    return TaskFrame(pose, axes, np.minimum(off, UNKNOWN), rows, hand, point, turns, features.frame.name, told)
+    return TaskFrame(pose, axes, off, rows, hand, point, turns, features.frame.name, told)
 
 
 def _on_hand(
     selection: Float[np.ndarray, "s p"], f: PoseRows | WeighedVelocity, q: ArrayLike
 ) -> tuple[Float[np.ndarray, "s 6"], Float[np.ndarray, "k 6"], Float[np.ndarray, "3 3"], Turns]:
     """Held rows of the hand's twist along the base's axes, rows that the features show, and the axes of these."""
-    pose, R, turns = f.twist.pose(q), np.eye(3), "no"
-    if f.relative_to is not None:
-        R, turns = f.robot.pose(q, f.relative_to)[:3, :3], "other frame"
+    seen_from, pose = f.relative_to, f.twist.pose(q)
+    R, turns = (np.eye(3), "no") if seen_from is None else (f.robot.pose(q, seen_from)[:3, :3], "other frame")
     turned, W = np.kron(np.eye(2), R.T), f.weights_at(pose[None])[0]
     held, seen = selection @ W @ turned, W @ turned
     if isinstance(f, PoseRows):
@@ -191,17 +184,13 @@ def _central(
     moments = Vt[: int(np.count_nonzero(turning > MIXED))]
     rows = (U[:, :n].T @ held) / sizes[:n, None]
     rest = np.eye(3) - moments.T @ moments
-    A = np.concatenate([np.zeros((0, 3)), *(rest @ skew(f) for f in rows[:, :3])])
-    b = np.concatenate([np.zeros(0), *(-rest @ m for m in rows[:, 3:])])
+    levers = np.reshape([rest @ skew(force) for force in rows[:, :3]], (-1, 3))
     # the rank is that of clean rows: what a learnt row leaks is no lever
-    return rows[:, :3], moments, np.linalg.lstsq(A, b, rcond=MIXED)[0]
+    return rows[:, :3], moments, np.linalg.lstsq(levers, -(rows[:, 3:] @ rest).reshape(-1), rcond=MIXED)[0]
 
 
 def _from_hand(R: Float[np.ndarray, "3 3"], lever: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "6 6"]:
-    X = np.zeros((6, 6))
-    X[:3, :3] = X[3:, 3:] = R.T
-    X[:3, 3:] = -R.T @ skew(lever)
-    return X
+    return np.block([[R.T, -R.T @ skew(lever)], [np.zeros((3, 3)), R.T]])
 
 
 def _axes(S: Float[np.ndarray, "3 3"], wishes: Sequence[Float[np.ndarray, " 3"]]) -> Float[np.ndarray, "3 3"]:
@@ -210,35 +199,25 @@ def _axes(S: Float[np.ndarray, "3 3"], wishes: Sequence[Float[np.ndarray, " 3"]]
     The first wish that can be had is z and the next one x.
     """
     values, vectors = np.linalg.eigh(S)
-    spaces = [[vectors[:, 0]]]
-    for before, value, vector in zip(values, values[1:], vectors.T[1:], strict=False):
-        if value - before > SAME_HOLD:
-            spaces.append([])
-        spaces[-1].append(vector)
-    left = [np.array(space) for space in spaces]
-    found: list[np.ndarray] = []
+    space = np.cumsum(np.diff(values, prepend=values[0]) > SAME_HOLD)  # number of each vector's eigenspace
+    left = [V @ V.T for V in (vectors[:, space == k] for k in range(space[-1] + 1))]  # projections on these
+    chosen: list[np.ndarray] = []
     for wish in wishes:
-        size = float(np.linalg.norm(wish))
-        if len(found) == 2 or size == 0.0:
-            continue
-        within = [B.T @ (B @ wish) for B in left]
-        best = max(range(len(within)), key=lambda i: float(np.linalg.norm(within[i])))
-        length = float(np.linalg.norm(within[best]))
-        if length < LEAST_WISH * size:
-            continue
-        e = within[best] / length
-        found.append(e)
-        rest = row_basis(left[best] - np.outer(left[best] @ e, e))[: len(left[best]) - 1]
-        left[best : best + 1] = [rest] if len(rest) else []
-    z, x = found
+        parts = np.array([P @ wish for P in left])
+        lengths = np.linalg.norm(parts, axis=1)
+        best = int(np.argmax(lengths))
+        if len(chosen) < 2 and lengths[best] > LEAST_WISH * np.linalg.norm(wish):
+            e = parts[best] / lengths[best]
+            chosen.append(e)
+            left[best] = left[best] - np.outer(e, e)
+    z, x = chosen
     return np.column_stack([x, np.cross(z, x), z])
 
 
 def _stated(known: Mechanism | None, angle: Any, lever: float) -> Float[np.ndarray, " 6"]:
     """What the learner states of directions [rad]: of Lambda, or of a fitted axis and its place as seen by the hand."""
-    off = np.full(6, math.radians(angle) if isinstance(angle, int | float) else 0.0)
-    if known is not None and "axis" in known.uncertainty:
-        off[:] = math.radians(known.uncertainty["axis"])
-    if known is not None and "point" in known.uncertainty and lever > 0.0:
-        off[:2] = np.hypot(off[:2], math.atan(known.uncertainty["point"] / lever))
+    errors = {} if known is None else known.uncertainty
+    off = np.full(6, math.radians(errors.get("axis", angle if isinstance(angle, int | float) else 0.0)))
+    if lever > 0.0:
+        off[:2] = np.hypot(off[:2], math.atan(errors.get("point", 0.0) / lever))
     return off

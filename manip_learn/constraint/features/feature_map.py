@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -21,17 +22,28 @@ Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
 class FeatureMap(ABC):
     """Phi(q), shape (p, nv), and its exact derivative; A(q) = Lambda Phi(q) selects from its rows.
 
+    A child defines `derivative`, or `value_and_derivative` where both share work.
+
     Attributes of every child:
         nv: Number of velocities that the rows act on.
         row_names: One name a row, e.g. `("x", "y", "rz")`.
         row_units: Unit of each row times a velocity, e.g. `("m/s", "m/s", "rad/s")`.
         twist: All six rows of the frame, in axes that rest with what holds it (`PoseRows`); None without a frame.
+        own_axes: Of rows of a frame's twist, whether they are along the frame's own axes; None of others.
+        geometry: Where a mechanism is whose rows they are; None of others.
+        curve: Across and along which they are; None of others.
+        robot: The robot; None for a system without one.
+        kind: Name of the class in a constraint file; empty for what cannot be saved.
+        saved: Arguments of the constructor that a file keeps, beside the robot -> the attributes that they are.
     """
 
     twist: Any = None
-    own_axes: bool | None = None  # of rows of a frame's twist: whether they are along the frame's own axes
-    geometry: Any = None  # where a mechanism is whose rows they are
-    curve: Any = None  # along and across which they are
+    own_axes: bool | None = None
+    geometry: Any = None
+    curve: Any = None
+    robot: Any = None
+    kind: str = ""
+    saved: Mapping[str, str] = {}
     nv: int
     row_names: tuple[str, ...]
     row_units: tuple[str, ...]
@@ -45,9 +57,13 @@ class FeatureMap(ABC):
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q)."""
 
-    @abstractmethod
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq; entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k."""
+        """Return dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        return self.value_and_derivative(q)[1]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq together, cheaper than one by one where a child shares work."""
@@ -68,19 +84,13 @@ class FeatureMap(ABC):
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n configurations, the rows of q."""
-        rows = np.asarray(q, dtype=np.float64)
-        out = np.empty((len(rows), self.n_rows, self.nv))
-        for i, row in enumerate(rows):
-            out[i] = self(row)
-        return out
+        return np.reshape([self(row) for row in np.asarray(q, dtype=np.float64)], (-1, self.n_rows, self.nv))
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n configurations, the rows of q."""
-        rows = np.asarray(q, dtype=np.float64)
-        Phi, dPhi = np.empty((len(rows), self.n_rows, self.nv)), np.empty((len(rows), self.n_rows, self.nv, self.nv))
-        for i, row in enumerate(rows):
-            Phi[i], dPhi[i] = self.value_and_derivative(row)
-        return Phi, dPhi
+        values = [self.value_and_derivative(row) for row in np.asarray(q, dtype=np.float64)]
+        Phi = np.reshape([one for one, _ in values], (-1, self.n_rows, self.nv))
+        return Phi, np.reshape([one for _, one in values], (*Phi.shape, self.nv))
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Task coordinates r(q) whose rate is Phi(q) u, or `coordinates_jacobian(q)` u where that is given.
@@ -97,12 +107,20 @@ class FeatureMap(ABC):
             TargetError: Wrong size or not finite.
             FeatureError: The rows have no coordinates.
         """
+        return self._goal(target) - self.coordinates(q)
+
+    def _goal(self, target: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Return a target as numbers in the order of the rows.
+
+        Raises:
+            TargetError: Wrong size or not finite.
+        """
         goal = np.asarray(target, dtype=np.float64)
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
             raise TargetError(
                 f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}), got {goal.tolist()}"
             )
-        return goal - self.coordinates(q)
+        return goal
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """dr/dq, so that dr/dt = dr/dq u; None where that is Phi(q) itself, as for all rows but rotations."""
@@ -123,12 +141,26 @@ class FeatureMap(ABC):
         return self.error_to(target, q), self.error_jacobian(target, q)
 
     def describe(self) -> dict[str, Any]:
-        """What a saved constraint needs to build this feature map again.
+        """Return what a saved constraint needs to build this feature map again: kind, arguments and units.
 
         Raises:
             FeatureError: It cannot be written down (functions in Python).
         """
-        raise FeatureError(f"{self!r} is made of Python functions and cannot be saved")
+        if not self.kind:
+            raise FeatureError(f"{self!r} is made of Python functions and cannot be saved")
+        return {"kind": self.kind, **self.arguments(), "units": list(self.row_units)}
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of the constructor beside the robot, as a file holds them; None is left out."""
+        given = {name: x for name, path in self.saved.items() if (x := attrgetter(path)(self)) is not None}
+        return {name: np.asarray(x).tolist() if isinstance(x, tuple | np.ndarray) else x for name, x in given.items()}
+
+    def __repr__(self) -> str:
+        if not self.saved:
+            return super().__repr__()
+        said = ((name, " ".join(x) if isinstance(x, list) else x) for name, x in self.arguments().items())
+        words = [repr(self.robot.name), *(f"{name}={x!r}" for name, x in said)]
+        return f"{type(self).__name__}({', '.join(words)})"
 
 
 def parsed_rows(
@@ -145,18 +177,15 @@ def parsed_rows(
     Raises:
         FeatureError: An unknown or repeated name, or none.
     """
-    sets = sets or {}
-    words = rows.replace(",", " ").split() if isinstance(rows, str) else tuple(rows)
-    names = sets.get(rows.strip(), tuple(words)) if isinstance(rows, str) else tuple(words)
+    words = tuple(rows.replace(",", " ").split() if isinstance(rows, str) else rows)
+    names = (sets or {}).get(rows.strip(), words) if isinstance(rows, str) else words
     unknown = [n for n in names if n not in known]
     if unknown or not names or len(set(names)) != len(names):
         reason = (
-            f"unknown {what} {unknown[0]!r}" if unknown else f"no {what}" if not names else f"one {what} is named twice"
+            f"unknown {what} {unknown[0]!r}" if unknown else f"one {what} is named twice" if names else f"no {what}"
         )
-        either = "".join(f"{name!r}, " for name in sets)
-        raise FeatureError(
-            f"{rows!r}: {reason}; use {either}{'or ' if sets else ''}any of {' '.join(known)}, each at most once"
-        )
+        either = "".join(f"{name!r}, " for name in sets or ()) + "or " * bool(sets)
+        raise FeatureError(f"{rows!r}: {reason}; use {either}any of {' '.join(known)}, each at most once")
     return names
 
 

@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, parsed_rows
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
@@ -74,14 +73,9 @@ def placement_error(
     goal_rotation: Float[np.ndarray, "3 3"],
     own_axes: bool,
 ) -> Float[np.ndarray, " 6"]:
-    """The twist of `pose_error`, from positions and rotations."""
-    out = np.empty(6)
-    turn = rotation_vector(goal_rotation.dot(rotation.T))
-    if own_axes:
-        out[:3], out[3:] = (goal - position).dot(rotation), turn.dot(rotation)
-    else:
-        out[:3], out[3:] = goal - position, turn
-    return out
+    """Return the twist of `pose_error`, from positions and rotations."""
+    error = np.concatenate([goal - position, rotation_vector(goal_rotation.dot(rotation.T))])
+    return error.reshape(2, 3).dot(rotation).reshape(6) if own_axes else error
 
 
 def parse_axes(axes: str | Sequence[str]) -> tuple[str, ...]:
@@ -103,23 +97,21 @@ class PoseRows(FeatureMap):
         own_axes: Whether the rows are along the frame's own axes.
     """
 
-    frame: Frame
-    relative_to: Frame | None = None
-    only_linear: bool
-    own_axes: bool = False
-    _where = ""  # the pose that a target may be, in words
+    robot: Robot
 
-    def __init__(self, robot: Robot, axes: str | Sequence[str]):
+    def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str], relative_to: str | None, own_axes: bool):
         self.robot, self.nv = robot, robot.nv
         self.row_names = parse_axes(axes)
         self.row_units = tuple("rad/s" if n.startswith("r") else "m/s" for n in self.row_names)
         rows = [AXES.index(n) for n in self.row_names]
         self._row_numbers = tuple(rows)
         # a slice makes views where fancy indexing would copy
-        contiguous = rows == list(range(rows[0], rows[0] + len(rows)))
-        self._rows: Any = slice(rows[0], rows[0] + len(rows)) if contiguous else np.array(rows)
+        span = range(rows[0], rows[0] + len(rows))
+        self._rows: Any = slice(span.start, span.stop) if rows == list(span) else np.array(rows)
+        self.frame = robot.frame(frame)
+        self.relative_to = None if relative_to is None else robot.frame(relative_to)
+        self.own_axes, self.only_linear = own_axes, not own_axes and max(rows) < 3
         self._known_goal: tuple[Any, Any, Any] = (None, None, None)
-        self._finite_goal: np.ndarray | None = None
 
     @property
     def seen_from(self) -> dict[str, str]:
@@ -127,46 +119,45 @@ class PoseRows(FeatureMap):
         return {} if self.relative_to is None else {"relative_to": self.relative_to.name}
 
     def with_axes(self, axes: str | Sequence[str]) -> PoseRows:
-        """Return other rows of the same frame, seen from the same."""
-        return type(self)(self.robot, self.frame.name, axes=axes, **self.seen_from)  # type: ignore[call-arg]
+        """Return other rows of the same frame, seen from the same and along the same axes."""
+        arguments: dict[str, Any] = self.arguments() | {"axes": axes}
+        return type(self)(self.robot, **arguments)
 
     @cached_property
     def twist(self) -> PoseRows:  # type: ignore[override]
         """All six rows, along axes that do not turn with the frame."""
-        return self.with_axes(AXES)
+        return type(self)(self.robot, self.frame.name, axes=AXES, **self.seen_from)  # type: ignore[call-arg]
 
     def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
         """Weights of the rows of `twist` in these rows, at n poses of the frame."""
-        rows = np.eye(6)[list(self._row_numbers)]
-        if not self.own_axes:
-            return np.broadcast_to(rows, (len(poses), *rows.shape))
-        own = np.zeros((len(poses), 6, 6))
-        own[:, :3, :3] = own[:, 3:, 3:] = poses[:, :3, :3].transpose(0, 2, 1)
-        return rows @ own
+        weights = np.zeros((len(poses), 6, 6))
+        weights[:, :3, :3] = weights[:, 3:, 3:] = poses[:, :3, :3].transpose(0, 2, 1) if self.own_axes else np.eye(3)
+        return weights[:, self._rows]
 
-    @abstractmethod
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Pose of the frame."""
-
-    @abstractmethod
-    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
-        """Poses of the frame at n postures, the rows of q [m]."""
-
-    @abstractmethod
-    def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-        """Position [m] and rotation of the pose."""
-
-    @abstractmethod
-    def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
-        """All six rows, of the rate of the pose or of that along the frame's own axes; an array of the caller's."""
-
-    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k.
+        """Return the pose of the frame in the robot's base, or in the frame from which it is seen [m].
 
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        return self.value_and_derivative(q)[1]
+        pose = self.robot.pose(q, self.frame)
+        return pose if self.relative_to is None else np.linalg.inv(self.robot.pose(q, self.relative_to)) @ pose
+
+    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
+        """Return the poses of `pose` at n postures, the rows of q [m]."""
+        poses = batch_kinematics(self.robot, self.frame).pose(q)
+        if self.relative_to is None:
+            return poses
+        return np.linalg.inv(batch_kinematics(self.robot, self.relative_to).pose(q)) @ poses
+
+    def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
+        """Return position [m] and rotation of `pose`."""
+        pose = self.pose(q)
+        return pose[:3, 3], pose[:3, :3]
+
+    @abstractmethod
+    def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
+        """All six rows, of the rate of the pose or of that along the frame's own axes; an array of the caller's."""
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Position of the frame's origin [m] and its rotation vector [rad], the chosen rows.
@@ -193,11 +184,7 @@ class PoseRows(FeatureMap):
         if self.only_linear and goal.shape == (self.n_rows,):
             # the usual reaching task, many times a second: no orientation is needed
             displacement = goal - self.placement(q)[0][self._rows]
-            if goal is self._finite_goal:
-                return displacement
             if math.isfinite(sum(displacement.tolist())):
-                if not goal.flags.writeable:  # a task's own, checked once
-                    self._finite_goal = goal
                 return displacement
         return self._error(goal, q)[0][self._rows]
 
@@ -252,9 +239,11 @@ class PoseRows(FeatureMap):
             if not goal.flags.writeable:  # a task's own, checked once
                 self._known_goal = (goal, place, turn)
         elif goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
+            given = f"shape {goal.shape}" if goal.size > 6 else goal.tolist()
+            seen = "" if self.relative_to is None else f" in frame {self.relative_to.name!r}"
             raise TargetError(
-                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose"
-                f"{self._where}, got {'shape ' + str(goal.shape) if goal.size > 6 else goal.tolist()}"
+                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose{seen}, "
+                f"got {given}"
             )
         else:
             for triple in (AXES[:3], AXES[3:]) if self.own_axes else ():
@@ -295,17 +284,16 @@ class FrameJacobian(PoseRows):
                [ 1.48,  0.52,  0.07]])
     """
 
+    kind, saved = "frame-jacobian", {"frame": "frame.name", "axes": "row_names", "reference": "reference"}
+
     def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str] = "xyz", reference: Reference = "world"):
         if not isinstance(robot, Robot):
             raise FeatureError(f"call FrameJacobian(robot, frame): got {an(robot)} and {an(frame)}, in this order")
         if reference not in ("world", "local"):
             raise FeatureError(f"reference must be 'world' or 'local', not {reference!r}")
-        super().__init__(robot, axes)
-        self.frame = robot.frame(frame)
-        self._kinematics = robot.frame_kinematics(self.frame)
+        super().__init__(robot, frame, axes, None, reference == "local")
         self.reference: Reference = reference
-        self.own_axes = reference == "local"
-        self.only_linear = reference == "world" and max(self._row_numbers) < 3
+        self._kinematics = robot.frame_kinematics(self.frame)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q): the chosen Jacobian rows [m/s or rad/s a joint velocity].
@@ -322,9 +310,7 @@ class FrameJacobian(PoseRows):
 
     def padded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s 6"]:
         """The selection from all six rows of the Jacobian."""
-        every_row = np.zeros((selection.shape[0], len(AXES)))
-        every_row[:, self._rows] = selection
-        return every_row
+        return selection @ np.eye(len(AXES))[self._rows]
 
     def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s 6"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
@@ -339,30 +325,11 @@ class FrameJacobian(PoseRows):
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        kinematics = batch_kinematics(self.robot, self.frame)
-        return kinematics.jacobian(q, self.reference, self._row_numbers)
+        return batch_kinematics(self.robot, self.frame).jacobian(q, self.reference, self._row_numbers)
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n postures, in bulk; arguments and errors as for `batch`."""
-        kinematics = batch_kinematics(self.robot, self.frame)
-        return kinematics.jacobian_and_derivative(q, self.reference, self._row_numbers)
-
-    @cached_property
-    def twist(self) -> FrameJacobian:
-        """All six rows along the axes of the base."""
-        return FrameJacobian(self.robot, self.frame.name, AXES)
-
-    def with_axes(self, axes: str | Sequence[str]) -> FrameJacobian:
-        """Return other rows of the same frame along the same axes."""
-        return FrameJacobian(self.robot, self.frame.name, axes, self.reference)
-
-    def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Pose of the frame in the robot's base."""
-        return self.robot.pose(q, self.frame)
-
-    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
-        """Poses of the frame in the robot's base at n postures, the rows of q [m]."""
-        return batch_kinematics(self.robot, self.frame).pose(q)
+        return batch_kinematics(self.robot, self.frame).jacobian_and_derivative(q, self.reference, self._row_numbers)
 
     def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
         """Position [m] and rotation of the frame in the robot's base."""
@@ -371,19 +338,3 @@ class FrameJacobian(PoseRows):
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
         """The Jacobian along the axes of the base or of the frame."""
         return self._kinematics.jacobian_beside_vjp(q, "local" if own_axes else "world")
-
-    def describe(self) -> dict[str, Any]:
-        """Frame, axes and reference, as saved in a constraint file."""
-        return {
-            "kind": "frame-jacobian",
-            "frame": self.frame.name,
-            "axes": list(self.row_names),
-            "units": list(self.row_units),
-            "reference": self.reference,
-        }
-
-    def __repr__(self) -> str:
-        return (
-            f"FrameJacobian({self.robot.name!r}, frame={self.frame.name!r}, axes={' '.join(self.row_names)!r}, "
-            f"reference={self.reference!r})"
-        )

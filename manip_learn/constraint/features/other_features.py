@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, final
 
 import numpy as np
@@ -32,24 +33,21 @@ class CentreOfMass(FeatureMap):
         FeatureError: Unknown axes, or a robot without mass.
     """
 
-    def __init__(self, robot: Robot, axes: str = "xyz"):
-        self.robot = robot
-        self.row_names = parse_axes(axes)
+    kind, saved = "centre-of-mass", {"axes": "row_names"}
+    robot: Robot
+
+    def __init__(self, robot: Robot, axes: str | Sequence[str] = "xyz"):
+        self.robot, self.nv, self.row_names = robot, robot.nv, parse_axes(axes)
         if any(n not in "xyz" for n in self.row_names):
             raise FeatureError(f"the centre of mass has the axes x y z only, not {axes!r}")
         if robot.mass <= 0.0:
             raise FeatureError(f"robot {robot.name!r} has no mass: its URDF gives no inertias")
         self.row_units = ("m/s",) * len(self.row_names)
-        self.nv = robot.nv
         self._rows = ["xyz".index(n) for n in self.row_names]
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q): rows of the centre of mass's Jacobian [m/s a joint velocity]."""
         return self.value_and_derivative(q)[0]
-
-    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq, exact."""
-        return self.value_and_derivative(q)[1]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq in one pass."""
@@ -59,13 +57,6 @@ class CentreOfMass(FeatureMap):
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Centre of mass in the base frame [m], the chosen rows."""
         return self.robot.centre_of_mass(q)[self._rows]
-
-    def describe(self) -> dict[str, Any]:
-        """Axes, as saved in a constraint file."""
-        return {"kind": "centre-of-mass", "axes": list(self.row_names), "units": list(self.row_units)}
-
-    def __repr__(self) -> str:
-        return f"CentreOfMass({self.robot.name!r}, axes={' '.join(self.row_names)!r})"
 
 
 @final
@@ -100,13 +91,12 @@ class CustomFeatures(FeatureMap):
             raise FeatureError("CustomFeatures needs nv= (number of velocities) or robot=")
         if not row_names:
             raise FeatureError("CustomFeatures needs one row name for each row of Phi")
-        self.robot = robot
-        self.nv = int(nv) if nv is not None else robot.nv  # type: ignore[union-attr]
+        self.robot, self.nv = robot, robot.nv if nv is None else int(nv)  # type: ignore[union-attr]
         self.row_names = tuple(row_names)
         self.row_units = tuple(row_units) if row_units else ("1",) * len(self.row_names)
-        self._function = function
-        self._derivative = derivative
-        self._coordinates = coordinates
+        self._function, self._derivative, self._coordinates = function, derivative, coordinates
+        self._state = partial(np.asarray, dtype=np.float64) if robot is None else robot.configuration
+        self._moved = np.add if robot is None else robot.integrate
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q), checked for shape and NaN.
@@ -123,15 +113,11 @@ class CustomFeatures(FeatureMap):
             FeatureError: Wrong shape or not finite.
         """
         state = self._state(q)
-        shape = (self.n_rows, self.nv, self.nv)
         if self._derivative is not None:
-            return self._checked(self._derivative(state), shape, "dPhi/dq")
-        out = np.empty(shape)
-        for k in range(self.nv):
-            step = np.zeros(self.nv)
-            step[k] = DIFFERENCE_STEP
-            out[:, :, k] = (self(self._moved(state, step)) - self(self._moved(state, -step))) / (2 * DIFFERENCE_STEP)
-        return out
+            return self._checked(self._derivative(state), (self.n_rows, self.nv, self.nv), "dPhi/dq")
+        steps = DIFFERENCE_STEP * np.eye(self.nv)
+        rises = [self(self._moved(state, step)) - self(self._moved(state, -step)) for step in steps]
+        return np.stack(rises, axis=-1) / (2 * DIFFERENCE_STEP)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Task coordinates r(q), if they were given.
@@ -142,14 +128,6 @@ class CustomFeatures(FeatureMap):
         if self._coordinates is None:
             return super().coordinates(q)
         return self._checked(self._coordinates(self._state(q)), (self.n_rows,), "coordinates")
-
-    def _state(self, q: ArrayLike) -> np.ndarray:
-        if self.robot is not None:
-            return self.robot.configuration(q)
-        return np.asarray(q, dtype=np.float64)
-
-    def _moved(self, state: np.ndarray, step: np.ndarray) -> np.ndarray:
-        return state + step if self.robot is None else self.robot.integrate(state, step)
 
     def _checked(self, value: ArrayLike, shape: tuple[int, ...], what: str) -> np.ndarray:
         array = np.asarray(value, dtype=np.float64)
@@ -174,16 +152,17 @@ class Stacked(FeatureMap):
         FeatureError: None given, or sizes differ.
     """
 
+    kind = "stacked"
+
     def __init__(self, parts: Sequence[FeatureMap]):
         self.parts = tuple(parts)
         sizes = {part.nv for part in self.parts}
         if len(sizes) != 1:
             raise FeatureError(f"stacked feature maps must act on one robot's velocities: nv is {sorted(sizes)}")
-        robots = [r for r in (getattr(part, "robot", None) for part in self.parts) if r is not None]
+        robots = [part.robot for part in self.parts if part.robot is not None]
         if any(r.fingerprint != robots[0].fingerprint for r in robots):
             raise FeatureError(f"stacked feature maps must share one robot, got {[r.name for r in robots]}")
-        self.robot = robots[0] if robots else None
-        self.nv = sizes.pop()
+        self.robot, self.nv = robots[0] if robots else None, sizes.pop()
         self.row_names = tuple(f"{i}.{n}" for i, part in enumerate(self.parts) for n in part.row_names)
         self.row_units = tuple(u for part in self.parts for u in part.row_units)
 
@@ -205,10 +184,7 @@ class Stacked(FeatureMap):
 
     def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Displacement to a target, part by part (see the parts)."""
-        goal = np.asarray(target, dtype=np.float64)
-        if goal.shape != (self.n_rows,):
-            return super().error_to(goal, q)
-        return np.concatenate([part.error_to(own, q) for part, own in self._by_part(goal)])
+        return np.concatenate([part.error_to(own, q) for part, own in self._by_part(target)])
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """Rates of the coordinates, part by part."""
@@ -216,15 +192,12 @@ class Stacked(FeatureMap):
 
     def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """E with d/dt `error_to(target, q)` = -E u, part by part."""
-        goal = np.asarray(target, dtype=np.float64)
-        if goal.shape != (self.n_rows,):
-            return None  # no part knows what is meant: `error_to` says so
-        return self._stack([part.error_jacobian(own, q) for part, own in self._by_part(goal)], q)
+        return self._stack([part.error_jacobian(own, q) for part, own in self._by_part(target)], q)
 
-    def _by_part(self, goal: np.ndarray) -> Iterable[tuple[FeatureMap, np.ndarray]]:
-        """Each part with its own numbers of the goal."""
+    def _by_part(self, target: ArrayLike) -> Iterable[tuple[FeatureMap, np.ndarray]]:
+        """Each part with its own numbers of the target."""
         ends = np.cumsum([part.n_rows for part in self.parts])
-        return zip(self.parts, np.split(goal, ends[:-1]), strict=True)
+        return zip(self.parts, np.split(self._goal(target), ends[:-1]), strict=True)
 
     def _stack(self, blocks: list[Float[np.ndarray, "k nv"] | None], q: ArrayLike) -> np.ndarray | None:
         if all(block is None for block in blocks):
@@ -233,43 +206,38 @@ class Stacked(FeatureMap):
 
     def describe(self) -> dict[str, Any]:
         """The parts, as saved in a constraint file."""
-        return {"kind": "stacked", "parts": [part.describe() for part in self.parts]}
+        return {"kind": self.kind, "parts": [part.describe() for part in self.parts]}
 
     def __repr__(self) -> str:
         return f"Stacked([{', '.join(map(repr, self.parts))}])"
 
 
-def described_features(described: dict[str, Any], robot: Robot) -> FeatureMap:
-    """The feature map that `describe` wrote down, for the robot that it belongs to.
+# kind in a file -> class, and the arguments that each file of it has
+KINDS: dict[str, tuple[Callable[..., FeatureMap], Iterable[str]]] = {
+    **{one.kind: (one, one.saved) for one in (FrameJacobian, RelativeFrameJacobian, CentreOfMass)},
+    "mechanism-rows": (MechanismRows, ("frame", "rows", "axis", "point", "pitch")),
+    "curve-rows": (CurveRows, ("frame", "points", "rows")),
+    "place-rows": (PlaceRows, ("frame", "form", "middle")),
+}
+OPTIONAL = ("relative_to", "radius")  # arguments that only some of these files have
+
+
+def described_features(described: Mapping[str, Any], robot: Robot) -> FeatureMap:
+    """Return the feature map that `describe` wrote down, for the robot that it belongs to.
+
+    Args:
+        described: What `describe` returned.
+        robot: The robot.
 
     Raises:
         ConstraintMismatchError: A kind of features that this version does not know.
-        FeatureError: Settings that this robot does not have, out of range, or that contradict each other.
+        FeatureError: Settings that this robot does not have, or out of range.
     """
-    seen_from = described.get("relative_to")
-    match described["kind"]:
-        case "frame-jacobian":
-            features = FrameJacobian(robot, described["frame"], described["axes"], described["reference"])
-        case "relative-frame-jacobian":
-            features = RelativeFrameJacobian(robot, described["frame"], described["relative_to"], described["axes"])
-        case "centre-of-mass":
-            features = CentreOfMass(robot, " ".join(described["axes"]))
-        case "mechanism-rows":
-            place = {name: described[name] for name in ("axis", "point", "pitch")}
-            rows, radius = described["rows"], described.get("radius")
-            features = MechanismRows(robot, described["frame"], rows, **place, radius=radius, relative_to=seen_from)
-        case "curve-rows":
-            features = CurveRows(robot, described["frame"], described["points"], described["rows"], seen_from)
-        case "place-rows":
-            features = PlaceRows(robot, described["frame"], described["form"], described["middle"], seen_from)
-        case "stacked":
-            features = Stacked([described_features(part, robot) for part in described["parts"]])
-        case kind:
-            raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")
-    own = features.describe()
-    for key in ("rows", "units"):
-        if key in described and described[key] != own[key]:
-            raise FeatureError(
-                f"the {key} of {features!r} are {own[key]}, the file says {described[key]}: it is damaged"
-            )
-    return features
+    kind = described["kind"]
+    if kind == Stacked.kind:
+        return Stacked([described_features(part, robot) for part in described["parts"]])
+    if kind not in KINDS:
+        raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")
+    make, names = KINDS[kind]
+    chosen = [name for name in OPTIONAL if described.get(name) is not None]
+    return make(robot, **{name: described[name] for name in (*names, *chosen)})

@@ -41,14 +41,14 @@ class RelativeFrameJacobian(PoseRows):
         FeatureError: Unknown axes, or twice the same frame.
     """
 
+    relative_to: Frame
+    kind = "relative-frame-jacobian"
+    saved = {"frame": "frame.name", "relative_to": "relative_to.name", "axes": "row_names"}
+
     def __init__(self, robot: Robot, frame: str, relative_to: str, axes: str | Sequence[str] = "pose"):
-        super().__init__(robot, axes)
-        self.frame = robot.frame(frame)
-        self.relative_to: Frame = robot.frame(relative_to)
+        super().__init__(robot, frame, axes, relative_to, False)
         if self.frame.index == self.relative_to.index:
             raise FeatureError(f"frame {frame!r} does not move relative to itself: name two frames")
-        self.only_linear = max(self._row_numbers) < 3
-        self._where = f" in frame {self.relative_to.name!r}"
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q) [m/s or rad/s per unit joint velocity].
@@ -64,85 +64,51 @@ class RelativeFrameJacobian(PoseRows):
         return Phi[0], dPhi[0]
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
-        """Phi at n configurations (nq) or joint positions (nv), the rows of q.
+        """Return Phi at n configurations (nq) or joint positions (nv), the rows of q.
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        A, B = (batch_kinematics(self.robot, f) for f in (self.frame, self.relative_to))
-        return _seen(A.pose(q), B.pose(q), A.jacobian(q), B.jacobian(q))[0][:, self._rows]
+        both = (batch_kinematics(self.robot, frame) for frame in (self.frame, self.relative_to))
+        return _seen(*[(each.pose(q), each.jacobian(q)) for each in both])[0][:, self._rows]
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
-        """Phi and dPhi/dq at n configurations; errors as for `batch`."""
-        A, B = (batch_kinematics(self.robot, f) for f in (self.frame, self.relative_to))
-        (J_A, H_A), (J_B, H_B) = A.jacobian_and_derivative(q), B.jacobian_and_derivative(q)
-        Phi, dPhi = _seen(A.pose(q), B.pose(q), J_A, J_B, H_A, H_B)
+        """Return Phi and dPhi/dq at n configurations; errors as for `batch`."""
+        both = (batch_kinematics(self.robot, frame) for frame in (self.frame, self.relative_to))
+        Phi, dPhi = _seen(*[(each.pose(q), *each.jacobian_and_derivative(q)) for each in both])
         return Phi[:, self._rows], dPhi[:, self._rows]
 
-    def describe(self) -> dict[str, Any]:
-        """Frames and axes, as saved in a constraint file."""
-        return {
-            "kind": "relative-frame-jacobian",
-            "frame": self.frame.name,
-            "relative_to": self.relative_to.name,
-            "axes": list(self.row_names),
-            "units": list(self.row_units),
-        }
-
-    def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-        """Position [m] and rotation of the frame in the other one."""
-        pose = self.pose(q)
-        return pose[:3, 3], pose[:3, :3]
-
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
-        """All six rows, along the axes of the other frame."""
-        frames = self.frame, self.relative_to
-        poses, jacobians = ([f(q, frame)[None] for frame in frames] for f in (self.robot.pose, self.robot.jacobian))
-        return _seen(*poses, *jacobians)[0][0]
-
-    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
-        """Poses of the frame in the other one at n postures, the rows of q [m]."""
-        A, B = (batch_kinematics(self.robot, f).pose(q) for f in (self.frame, self.relative_to))
-        return np.linalg.inv(B) @ A
-
-    def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Pose of the frame in the other one."""
-        return np.linalg.inv(self.robot.pose(q, self.relative_to)) @ self.robot.pose(q, self.frame)
-
-    def __repr__(self) -> str:
-        return (
-            f"RelativeFrameJacobian({self.robot.name!r}, frame={self.frame.name!r}, "
-            f"relative_to={self.relative_to.name!r}, axes={' '.join(self.row_names)!r})"
-        )
+        """Return all six rows, along the axes of the other frame."""
+        both, robot = (self.frame, self.relative_to), self.robot
+        return _seen(*[(robot.pose(q, frame)[None], robot.jacobian(q, frame)[None]) for frame in both])[0][0]
 
 
-def _seen(
-    A: Float[np.ndarray, "n 4 4"],
-    B: Float[np.ndarray, "n 4 4"],
-    J_A: Float[np.ndarray, "n 6 nv"],
-    J_B: Float[np.ndarray, "n 6 nv"],
-    H_A: Float[np.ndarray, "n 6 nv nv"] | None = None,
-    H_B: Float[np.ndarray, "n 6 nv nv"] | None = None,
-) -> tuple[Float[np.ndarray, "n 6 nv"], Any]:
-    """All six rows from poses and Jacobians in the base axes, R^T V; with Hessians also d/dq_k of it.
+def _seen(A: Sequence[np.ndarray], B: Sequence[np.ndarray]) -> tuple[Float[np.ndarray, "n 6 nv"], Any]:
+    """Return all six rows R^T V of frame A as seen from B, and d/dq_k of them, R^T (dV/dq_k - w_k x V).
 
-    That is R^T (dV/dq_k - w_k x V), where w_k is the angular velocity of B per unit velocity of joint k.
+    w_k is the angular velocity of B per unit velocity of joint k.
+
+    Args:
+        A: Poses (n, 4, 4), Jacobians (n, 6, nv) and, where the derivative is wanted, Hessians (n, 6, nv, nv) of the
+            frame, all in the base axes.
+        B: Those of the frame from which it is seen.
     """
-    R, d = B[:, :3, :3], A[:, :3, 3] - B[:, :3, 3]
+    (pose_A, J_A, *H_A), (pose_B, J_B, *H_B) = A, B
+    R, d = pose_B[:, :3, :3], pose_A[:, :3, 3] - pose_B[:, :3, 3]
     V = J_A - J_B
     slope = V[:, :3].copy()  # of d
     V[:, :3] += np.cross(d[:, :, None], J_B[:, 3:], axis=1)  # the origin of A seen by an observer who turns with B
-    if H_A is None or H_B is None:
+    if not H_A:
         return _turned(R, V), None
-    dV = H_A - H_B
+    dV = H_A[0] - H_B[0]
     dV[:, :3] += np.cross(slope[:, :, None, :], J_B[:, 3:, :, None], axis=1)
-    dV[:, :3] += np.cross(d[:, :, None, None], H_B[:, 3:], axis=1)
-    w = J_B[:, 3:, None, :]
+    dV[:, :3] += np.cross(d[:, :, None, None], H_B[0][:, 3:], axis=1)
     for part in (slice(0, 3), slice(3, 6)):
-        dV[:, part] -= np.cross(w, V[:, part, :, None], axis=1)
+        dV[:, part] -= np.cross(J_B[:, 3:, None, :], V[:, part, :, None], axis=1)
     return _turned(R, V), _turned(R, dV)
 
 
 def _turned(R: Float[np.ndarray, "n 3 3"], V: np.ndarray) -> np.ndarray:
-    """Linear and rotation rows along the axes of B."""
+    """Return linear and rotation rows along the axes of B."""
     return np.concatenate([np.einsum("nji,nj...->ni...", R, part) for part in (V[:, :3], V[:, 3:])], axis=1)
