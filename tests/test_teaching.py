@@ -408,8 +408,7 @@ def test_a_drawer_that_was_left_open_is_opened_all_the_same():
     robot, tip, demos, (drawer,), _ = recordings(("drawer",), "panda", 4100)
     constraint = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "xyz")).fit(demos).constraint_
     shown = constraint.shown
-    back = replace(shown.coordinates, axes=-shown.coordinates.axes)
-    unsure = replace(shown, coordinates=back, path=-shown.path, one_way=False)
+    unsure = replace(shown, mechanism=shown.mechanism.reversed(), path=-shown.path, one_way=False)
     handle = drawer.hold + np.outer(np.linspace(0.0, 0.2, 11), drawer.axis)
     skill = held_by_handles(one_way(constraint.showing(unsure)), [handle])
     (way,) = TaughtWay.all_of(skill)

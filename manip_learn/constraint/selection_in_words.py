@@ -13,7 +13,8 @@ from manip_learn.constraint.features.frame_jacobian import AXES as TWIST
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.other_features import CentreOfMass
-from manip_learn.constraint.mechanism import CURVE, Mechanism, in_words, on_twist
+from manip_learn.constraint.mechanism import CURVE, Mechanism, in_words
+from manip_learn.constraint.reading import on_twist
 from manip_learn.errors import error_in_words, listed
 from manip_learn.linalg import along_axes, null_basis
 
