@@ -98,6 +98,7 @@ class PoseRows(FeatureMap):
     """
 
     robot: Robot
+    own_axes: bool
 
     def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str], relative_to: str | None, own_axes: bool):
         self.robot, self.nv = robot, robot.nv
