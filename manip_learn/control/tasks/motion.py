@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import AXES
+from manip_learn.constraint.mechanism import KIND_BY_NAME
+from manip_learn.constraint.reading import rows_of
 from manip_learn.control.policies import (
     ASCENT_GAIN,
     JointAttractor,
@@ -48,6 +50,7 @@ BEYOND = {"m": 2e-3, "rad": math.radians(0.2)}
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
 _SETTLING = 0.5  # [s] at most until the hand is there after its way to the mechanism: e^-5 of a lag, at gain 10 /s
 _NOISY = 2e-3  # [m] what counts as there after that: measured postures with noise of 1e-3 rad come no nearer
+POSTURES, STILL = 20, 1e-6  # postures that show which rows an arm can move, and share of the largest that is none
 TAKEN = 2e-4  # [m] the hand is at the mechanism: a tenth of the 2 mm that it may be off it, twice the encoders' noise
 
 
@@ -139,7 +142,7 @@ class FreeDirection(Task):
         for name, value in numbers.items():
             numbers[name] = _number(name, value, positive=name != "distance")
         self.learnt, self.counts = constraint, 1.0
-        held = constraint.with_orientation() if keep_orientation else constraint.about_its_mechanism()
+        held = constraint.with_orientation() if keep_orientation else _held_by_the_grip(constraint)
         shown = constraint.shown
         self._profile: MotionProfile | PathProfile = MotionProfile(
             **{n: numbers[n] for n in ("distance", "speed", "ramp")}
@@ -352,6 +355,21 @@ class FreeDirection(Task):
     def __repr__(self) -> str:
         p = self._profile
         return f"FreeDirection(distance={p.distance:g} {self.unit}, speed={p.speed:g} {self.unit}/s)"
+
+
+def _held_by_the_grip(constraint: Constraint) -> Constraint:
+    """Return all rows that a firm grip holds, where the constraint has those of the hand's place alone; else its own.
+
+    Rows that no posture moves are left out: the arm's build holds them.
+    """
+    known, learnt = constraint.mechanism, constraint.provenance
+    if known is None or known.grip != "firm" or "whole" not in learnt or known.name not in KIND_BY_NAME:
+        return constraint.about_its_mechanism()
+    robot, twist = constraint.robot, constraint.features.twist
+    features, selection = rows_of(KIND_BY_NAME[known.name], known.located(), None, twist)
+    some = np.array([robot.random_configuration(np.random.default_rng(k)) for k in range(POSTURES)])  # type: ignore[union-attr]
+    U, sizes, _ = np.linalg.svd(np.hstack([*(selection @ features.batch(some))]), full_matrices=False)
+    return Constraint(U[:, sizes > STILL * sizes[0]].T @ selection, features, learnt)
 
 
 def _number(name: str, value: float, positive: bool) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,7 @@ from manip_learn.constraint.shown import Shown
 from manip_learn.control.tasks.driven_motion import DrivenMotion, Origin, apart
 from manip_learn.robot.rotations import angles_between
 
+LEAST_TURN = 1e-3  # share of a rotation in a row: a learnt row of the place leaks less, and holds no turn
 HAND_LEVER = 0.2  # [m] between a hand and what it turns, so that an approach of 0.25 m/s turns by 1.25 rad/s at most
 
 
@@ -40,9 +41,9 @@ class ShownPlaces:
     Attributes:
         motion: The motion along what is free.
         shown: What was shown, by the place of the hand.
-        begins: shape (n, 4, 4), poses at which contacts began; one, if they began at one place.
+        begins: shape (n, 4, 4), poses at which contacts began; one, if loose grips began at one place.
         anew: Whether the hand goes to where contacts began even if it is on the mechanism already.
-        is_turned: Whether the hand is turned as it was shown; False where the mechanism leaves that free.
+        is_turned: Whether the hand is turned as it was shown; False where the rows leave that free.
         room: How far from what was shown a hand may begin, along the way [m or rad].
         sense: Of the way shown along the motion, 1 or -1.
     """
@@ -59,19 +60,20 @@ class ShownPlaces:
     def of(constraint: Constraint, motion: DrivenMotion, anew: bool, is_path: bool) -> ShownPlaces | None:
         """Of a learnt constraint; None if nothing was shown.
 
-        A hand that is fixed to the mechanism carries the mechanism's place with it: of a firm grip, and of a path, one
-        place is taken for all where contacts began.
+        A firm grip is taken as it was in one of the contacts; of a path, one place is taken for all.
         """
         mechanism, shown = constraint.mechanism, constraint.shown
         if shown is None:
             return None
-        is_free = mechanism is not None and mechanism.orientation == "free"  # kept by habit is free, too
-        is_apart = shown.hold is None and is_free and len(shown.grasps) > 0 and not is_path
+        rows: Any = motion.constraint.features
+        turning = motion.constraint.selection @ rows.weights_at(shown.chart.grasp[None])[0, :, 3:]
+        is_turned = bool(np.any(np.abs(turning) > LEAST_TURN))
+        is_apart = (shown.hold is None or is_turned) and len(shown.grasps) > 0 and not is_path
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
         sense = shown_sense(shown, motion, of_most=True) or 1.0
         by_place = replace(shown, mechanism=replace(shown.mechanism, orientation="free"))
         begins = shown.grasps if is_apart else shown.chart.grasp[None]
-        return ShownPlaces(motion, by_place, begins, anew, mechanism is not None and not is_free, GRIP / lever, sense)
+        return ShownPlaces(motion, by_place, begins, anew, is_turned, GRIP / lever, sense)
 
     @cached_property
     def _ahead(self) -> Float[np.ndarray, "n k"]:
@@ -99,18 +101,18 @@ class ShownPlaces:
         if self._is_on_the_way(here):
             return here
         begins, way = self.begins.copy(), self.sense * distance
-        if len(begins) > 1 and self.shown.is_way:
+        if len(begins) > 1 and self.shown.is_way and not self.is_turned:
             ends = self._ahead[:, 0] - self._ahead[:, 0].min() + abs(way)
             begins = begins[ends <= max(self.shown.span, ends.min()) + self.room]
         if not self.is_turned:
             begins[:, :3, :3] = here[:3, :3]
         if way < 0.0:  # back from where one of them ended
             begins = [self.motion.goal(begin, -distance) for begin in begins]
-        return min(begins, key=lambda begin: apart(here, begin))
+        return min(begins, key=lambda begin: self.apart(here, begin))
 
     def _is_on_the_way(self, here: Origin) -> bool:
         """Return True if the hand is where a way was shown, or between such places, and may begin there."""
-        if self.anew and len(self.begins) == 1:
+        if self.anew and (self.is_turned or len(self.begins) == 1):
             return False
         hand = self.begins[0].copy()
         hand[:3, 3] = here[:3, 3]
