@@ -167,7 +167,7 @@ def test_every_mechanism_is_a_constant_lambda(robot_of, rng, tmp_path) -> None:
             features, selection = one_form(robot, kind, place, radius, p + 0.1 * rng.normal(size=3))
             turned = np.linalg.qr(rng.normal(size=(kind.n_rows, kind.n_rows)))[0] @ selection
             constraint = ml.Constraint(turned, features, {"postures": [q.tolist()]})
-            read, grip = constraint.mechanism, "firm" if kind.orientation == "carried" else "loose"
+            read, grip = constraint.mechanism, "loose" if kind.orientation == "free" else "firm"
             assert read is not None
             assert (read.type, read.orientation, read.grip) == (kind.type, kind.orientation, grip)
             if "axis" in kind.unknowns:

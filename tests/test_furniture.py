@@ -51,7 +51,19 @@ def as_shown(kind, way):
     free = ml.Mechanism("hinge" if turns else "line", axes[0], CENTRE)
     numbers = abs(way), 0.0, abs(way), abs(way), abs(way), 0.1, 1.0
     return Shown(
-        "rad" if turns else "m", *numbers, False, 5, begin, 0.0, np.zeros((2, 1)), np.arange(2.0), begin, np.eye(3), 0.0, True, free
+        "rad" if turns else "m",
+        *numbers,
+        False,
+        5,
+        begin,
+        0.0,
+        np.zeros((2, 1)),
+        np.arange(2.0),
+        begin,
+        np.eye(3),
+        0.0,
+        True,
+        free,
     )
 
 

@@ -17,6 +17,7 @@ import manip_learn as ml
 from manip_learn.constraint.intention import Intention
 from manip_learn.control.way import simulate_way
 from manip_learn.errors import ConstraintError, TargetError
+from manip_learn.robot.rotations import angles_between
 
 HOME = {"panda": (0.2, -0.4, 0.1, -2.1, 0.1, 1.8, 0.6), "sawyer": (0.1, -0.8, 0.1, 1.6, 0.1, 0.9, 3.2)}
 SETS = (("lid", "sawyer"), ("table", "panda"))
@@ -149,6 +150,27 @@ def test_the_hand_closes_where_a_contact_began(grip):
         nearest = min(grasps[:, :3, 3], key=lambda place: np.linalg.norm(place - closed))
         assert way.is_done and np.linalg.norm(closed - nearest) < 1e-3
         assert abs((nearest - thing.hold) @ thing.axis - beside) < 0.025
+
+
+def test_a_hand_that_was_kept_straight_stays_so_where_joints_are_spare():
+    """It turns as it was shown, to a few degrees, and no habit is kept where none was shown."""
+    robot, tip, learner, _, _ = shown_set("lid", "sawyer")
+    constraint = learner.constraint_
+    shown = constraint.shown
+    assert shown is not None and shown.hand.shape == (len(shown.path), 3)
+    straight = replace(shown, hand=np.zeros_like(shown.hand))
+    turned = {}
+    for grip in ("kept", "loose"):
+        mechanism = replace(learner.report_.mechanism, grip=grip, orientation_rms=2.0).to_dict()
+        lid = ml.Constraint(constraint.selection, constraint.features, constraint.provenance | {"mechanism": mechanism})
+        lid = lid.showing(straight)
+        task = ml.motion(lid)
+        rollout, way = simulate_way(
+            robot, ml.ResolvedRateController(lid, task, task.ascent()), np.array(HOME["sawyer"])
+        )
+        assert way.is_done
+        turned[grip] = float(angles_between(shown.orientation, robot.pose(rollout.q[-1], tip)[None, :3, :3])[0])
+    assert np.degrees(turned["kept"]) < 6.0 < np.degrees(turned["loose"])
 
 
 def test_a_constraint_that_was_not_learnt_is_told_how_far():

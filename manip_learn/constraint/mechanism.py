@@ -415,6 +415,6 @@ def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **know
         "axis": place.axis if "axis" in kind.unknowns else None,
         "point": None if kind.kind == "space" else place.point,
         "pitch": place.pitch if "pitch" in kind.unknowns else None,
-        "grip": "firm" if kind.orientation == "carried" else "loose",
+        "grip": "loose" if kind.orientation == "free" else "firm",
     }
     return Mechanism(kind.type, radius=radius, orientation=kind.orientation, name=kind.name, **told | known)

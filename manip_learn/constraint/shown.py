@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from statistics import NormalDist
 from typing import Any, Literal, final
 
@@ -22,7 +23,7 @@ from manip_learn.constraint.place import across
 from manip_learn.errors import counted
 from manip_learn.linalg import complement_rows
 from manip_learn.recordings.trajectory import Trajectory, evenly
-from manip_learn.robot.rotations import angles_between
+from manip_learn.robot.rotations import angles_between, rotation_matrix, rotation_vectors
 
 Unit = Literal["m", "rad"]
 # [m] contacts that begin within this distance of their middle begin at one place: a person finds a handle again to a
@@ -122,6 +123,7 @@ class Shown:
         force: What the hand exerted along them at the most, the median over the contacts [N]; None where no efforts
             were recorded, or where they show no such force, as those of an arm that a hand has guided.
         start: shape (k,), coordinates where contacts began, the median, counted from `begin` [m or rad].
+        hand: shape (T, 3), rotation vectors by which the typical hand had turned by then [rad]; none in files of 0.2.
         grasps: shape (n, 4, 4), pose of the hand where each contact began, of at most `MOST_GRASPS` contacts.
     """
 
@@ -147,6 +149,7 @@ class Shown:
     force: float | None = None
     start: Float[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0))
     grasps: Float[np.ndarray, "n 4 4"] = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    hand: Float[np.ndarray, "T 3"] = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def is_way(self) -> bool:
@@ -170,6 +173,17 @@ class Shown:
     def points(self) -> Float[np.ndarray, "T 3"]:
         """Places along the path [m]."""
         return self.poses[:, :3, 3]
+
+    @cached_property
+    def _ways(self) -> Float[np.ndarray, " T"]:
+        """How far along the path each of its points is [m or rad], rising."""
+        steps = np.diff(self.path, axis=0)
+        ways = self.path[:, 0] if self.is_way else np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
+        return np.maximum.accumulate(ways)
+
+    def turned_at(self, distance: float) -> Float[np.ndarray, "3 3"]:
+        """Return the orientation that the typical hand had so far along [m or rad]; not known in files of 0.2."""
+        return rotation_matrix(np.array([np.interp(distance, self._ways, x) for x in self.hand.T])) @ self.orientation
 
     def place_before(self, pose: Float[np.ndarray, "4 4"], far: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
         """Return the place of a hand that is taken back along the way from a pose, by such coordinates [m]."""
@@ -242,7 +256,7 @@ class Shown:
 _NUMBERS = ("unit", "extent", "spread", "least", "most", "span", "speed", "seconds", "back", "n", "scatter")
 _NUMBERS += ("turned", "one_way")
 _ARRAYS = ("hold", "path", "time", "begin", "orientation")
-_OF_03 = {"start", "grasps"}  # which files of 0.2 do not have
+_OF_03 = {"start", "grasps", "hand"}  # which files of 0.2 do not have
 
 
 def _of_02(c: dict[str, Any], path: Float[np.ndarray, "T k"]) -> tuple[Mechanism, Float[np.ndarray, "T n"]]:
@@ -320,7 +334,9 @@ def shown_by(
     off = np.abs(extents - np.median(extents)) + np.where(signed > 0.0, 0.0, np.inf)  # of those that went as most did
     # of an even number two are as near to the median, but for rounding: the first
     typical = int(np.argmin(np.round(off, 9))) if is_way else _typical(times, ways)
-    time, path = _path(times[typical], ways[typical], farthest[typical], is_way)
+    first, time, path = _path(times[typical], ways[typical], farthest[typical], is_way)
+    turned = rotation_vectors(motions[typical][:, :3, :3] @ grasps[typical, :3, :3].T)
+    hand = np.column_stack([np.interp(first + time, times[typical], x) for x in turned.T])
     ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
     begin = grasps[typical].copy()
     if hold is not None:
@@ -351,6 +367,7 @@ def shown_by(
         _force(features, free, contacts),
         start,
         grasps[evenly(len(grasps), MOST_GRASPS)],
+        hand,
     )
 
 
@@ -415,8 +432,10 @@ def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> int:
 
 def _path(
     time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], farthest: int, is_way: bool
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
-    """A contact's path at even times: a way out to its farthest point, a path on a surface without rest at its ends.
+) -> tuple[float, Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
+    """When a contact's path begins [s], and the path at even times.
+
+    That is a way out to its farthest point, or a path on a surface without rest at its ends.
 
     On a surface it is smoothed, by a cubic spline that leaves out as much as the noise is (Reinsch, "Smoothing by
     spline functions", 1967): steps of encoders would be strokes of the hand.
@@ -426,7 +445,7 @@ def _path(
         near = STARTED * float(np.max(np.linalg.norm(way, axis=1)))
         first = int(np.flatnonzero(np.linalg.norm(way, axis=1) > near)[0]) - 1
         last = int(np.flatnonzero(np.linalg.norm(way - way[-1], axis=1) > near)[-1]) + 2
-    time, way = time[first:last] - time[first], way[first:last]
+    begun, time, way = float(time[first]), time[first:last] - time[first], way[first:last]
     even = np.linspace(0.0, float(time[-1]), min(PATH_POINTS, max(len(time), 2)))
     path = np.column_stack([np.interp(even, time, c) for c in way.T])
     if not is_way and len(even) >= LEAST_SMOOTHED:
@@ -436,4 +455,4 @@ def _path(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a search for knots that ends a little above or below the noise
             path = np.column_stack([UnivariateSpline(even, c, s=s)(even) for c, s in zip(path.T, least, strict=True)])
-    return even, path - path[0] * np.linspace(1.0, 0.0, len(path))[:, None]  # it begins where the hand took hold
+    return begun, even, path - path[0] * np.linspace(1.0, 0.0, len(path))[:, None]  # it begins where the hand took hold

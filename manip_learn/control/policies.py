@@ -16,6 +16,7 @@ from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIs
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
+from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, an
@@ -23,6 +24,7 @@ from manip_learn.linalg import unit
 from manip_learn.robot.frame_kinematics import vjps
 from manip_learn.robot.limit_potential import has_range, ranges, room_of
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.rotations import rotation_vector
 
 ASCENT_GAIN = 3.0  # [rad^2/s] default: the highest manipulability of the gains that were compared (docs/control.md)
 SEED_SPEED = 5e-4  # [rad/s] speed at which an exact singularity is left, where no sense is better than its opposite
@@ -33,6 +35,7 @@ SEED_SPEED = 5e-4  # [rad/s] speed at which an exact singularity is left, where 
 GROWTH = 1.25
 LEAST_ROOM = 1e-4  # of a joint's range, below which a joint counts as at its limit: its slope stays finite
 _SAME = 1e-9  # share by which rates may differ that count as equal
+LAG = 3.0  # [cycles] in which a kept orientation is taken back at the fastest: readings may be two cycles late
 LARGEST_RATE = 1.0  # [1/s] half ranges a second that a joint moves at most, for joints whose range is short
 
 
@@ -353,6 +356,61 @@ class RoomAscent(SampledPolicy):
 
 
 @final
+class KeptOrientation(SampledPolicy):
+    """A policy summed with the wish that the hand is turned as a demonstrator kept it by habit, where joints are spare.
+
+    The wish descends theta^2 / (2 rms^2), theta the angle from the orientation that was shown and rms how well that was
+    kept: a habit weighs as much as it was kept well, 1 / rms^2 beside grad log M of `RoomAscent`, with the same gain.
+    The step is implicit, stable at any weight: with the rotation rows J of the hand, and h = LAG dt gain,
+
+        pi = (I + h J^T J / rms^2)^-1 (pi_0 + gain J^T theta / rms^2)
+
+    As every null-space motion it gives way first where joints meet their limits.
+
+    Args:
+        policy: pi_0.
+        features: Rows of a frame's twist (`PoseRows`).
+        wanted: Returns the orientation of the frame (3, 3) that was shown for where the motion is.
+        rms: [rad], positive.
+        gain: Rate [rad^2/s].
+
+    Raises:
+        ConfigurationError: rms or the gain is no positive number.
+    """
+
+    def __init__(
+        self,
+        policy: NullSpacePolicy,
+        features: PoseRows,
+        wanted: Callable[[], Float[np.ndarray, "3 3"]],
+        rms: float,
+        gain: float = ASCENT_GAIN,
+    ):
+        self.policy, self._features, self._wanted = policy, features, wanted
+        self.rms, self.gain = _positive("rms", rms), _positive("gain", gain)
+
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+        """Velocity of the policy, and towards the orientation that was shown [rad/s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        u = self.policy(q, t, dt) if isinstance(self.policy, SampledPolicy) else self.policy(q, t)
+        J, pose = self._features.twist_rows(q, False)[3:], self._features.pose(q)
+        turn = rotation_vector(self._wanted() @ pose[:3, :3].T)
+        u = u + (self.gain / self.rms**2) * J.T.dot(turn)
+        stiff = self.rms**2 / (LAG * dt * self.gain) * np.eye(3) + J @ J.T
+        return u - J.T.dot(np.linalg.solve(stiff, J.dot(u)))
+
+    def beside(self, policy: NullSpacePolicy) -> KeptOrientation:
+        """Return the same wish beside another policy."""
+        return KeptOrientation(policy, self._features, self._wanted, self.rms, self.gain)
+
+    def __repr__(self) -> str:
+        return f"KeptOrientation({self.policy!r}, rms={self.rms:.3g} rad, gain={self.gain:g})"
+
+
+@final
 class WeightedPolicies(SampledPolicy):
     """pi = sum_i w_i pi_i: several objectives in one null space, their compromise set by the weights.
 
@@ -471,6 +529,8 @@ def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> 
         return ManipulabilityAscent(after, policy.gain, logarithmic=policy.logarithmic, max_speed=speed)
     if isinstance(policy, RoomAscent) and policy.constraint is before:
         return RoomAscent(after, policy.speed, policy.gain, max_speed=policy.max_speed)
+    if isinstance(policy, KeptOrientation):
+        return policy.beside(climbing(policy.policy, before, after))
     if isinstance(policy, WeightedPolicies):
         return WeightedPolicies([climbing(part, before, after) for part in policy.policies], policy.weights)
     return policy

@@ -538,8 +538,9 @@ class _Problem:
         if node_margins(self.stations, self.positions[None], np.zeros(1, dtype=int)).least[0] < least:
             return None  # where the way begins it leaves less already
         clear = self.clear.holding([self.positions])
-        for policy in (self.motion.ascent(), None):
+        for climbs in (True, False):
             task = self.motion.with_distance(self.motion.wanted)
+            policy = task.ascent() if climbs else None
             law = ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
             way, outcome = simulate_way(self.robot, law, self.start, self.dt)
             if not outcome.is_done or outcome.strays or outcome.begins is None:

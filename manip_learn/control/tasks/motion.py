@@ -18,9 +18,11 @@ from manip_learn.constraint.reading import rows_of
 from manip_learn.control.policies import (
     ASCENT_GAIN,
     JointAttractor,
+    KeptOrientation,
     ManipulabilityAscent,
     NullSpacePolicy,
     RoomAscent,
+    SampledPolicy,
     ZeroPolicy,
 )
 from manip_learn.control.tasks.driven_motion import (
@@ -223,13 +225,27 @@ class FreeDirection(Task):
         distance = np.array([self._profile.at(t)[0] for t in time.tolist()])
         return time, distance, [self._motion.goal(origin, s) for s in distance.tolist()]
 
-    def ascent(self, gain: float = ASCENT_GAIN) -> RoomAscent:
+    def ascent(self, gain: float = ASCENT_GAIN) -> SampledPolicy:
         """The policy that climbs the room left on the way: of the rows held and driven, and of the joints' ranges.
 
         The rows that are held do not say how well the hand can move along the way: the manipulability of these alone
-        may rise while the driven direction is being lost.
+        may rise while the driven direction is being lost. With it the hand turns as it was shown, where that was kept
+        by habit (`KeptOrientation`).
         """
-        return RoomAscent(self.constraint, self._profile.speed, gain)
+        return self.as_kept(RoomAscent(self.constraint, self._profile.speed, gain))
+
+    def as_kept(self, policy: SampledPolicy) -> SampledPolicy:
+        """Return a policy, summed with the wish that the hand turns as it was shown where that was kept by habit."""
+        known, shown = self.learnt.mechanism, self.learnt.shown
+        rms = 0.0 if known is None or known.grip != "kept" else math.radians(known.orientation_rms or 0.0)
+        if shown is None or not rms or len(shown.hand) != len(shown.path):
+            return policy
+        sense = 1.0 if self._shown is None else self._shown.sense
+
+        def wanted() -> Float[np.ndarray, "3 3"]:
+            return shown.turned_at(0.0 if self.way_begins is None else sense * self._place)
+
+        return KeptOrientation(policy, self.learnt.features.twist, wanted, rms)
 
     def with_distance(self, distance: float) -> FreeDirection:
         """This motion by another distance [m or rad], from a start of its own."""
@@ -587,7 +603,8 @@ def null_policy(
     """
     given = () if gain is None else (gain,)
     if name == "manipulability":
-        return ManipulabilityAscent(task.rows(constraint), *given)
+        climb = ManipulabilityAscent(task.rows(constraint), *given)
+        return task.as_kept(climb) if isinstance(task, FreeDirection) else climb
     if name == "zero":
         return ZeroPolicy(constraint.nv)
     if name == "attractor":
