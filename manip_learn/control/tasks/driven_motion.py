@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, final
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -18,9 +18,9 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, pose_error
 from manip_learn.constraint.mechanism import CURVE, MECHANISM_KINDS, ON_THE_AXIS, Mechanism, mechanism_of
-from manip_learn.constraint.place import across
-from manip_learn.constraint.shown import Shown, Unit
-from manip_learn.control.tasks.motion_profile import PathProfile
+from manip_learn.constraint.place import Place, across
+from manip_learn.constraint.shown import PURE_SHARE, Shown, Unit
+from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.linalg import along_axes, complement_rows, finite
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector, rotation_vectors
@@ -29,88 +29,59 @@ Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the featur
 _BESIDE = 0.02  # [m] along a path from where a hand should be, within which it is: some strokes of a wipe cross nearer
 _AHEAD = 0.1  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
 _FREE = 0.1  # share of a direction that must be free for it to be meant
-# share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
-_PURE = 0.995
-_DRIVEN = {  # what may be driven, in words
+_DRIVEN = {  # rows that may be driven, in words
     "turn": "turn (about the axis, with the hand) [rad]",
     "slide": "slide (along the axis) [m]",
     "tangential": "tangential (around the axis) [rad]",
     "axial": "axial (along the axis) [m]",
     "radial": "radial (away from the axis) [m]",
+    "along": "along (the curve) [m]",
 }
+_COMBINED = {"spherical": "radial", "helical": "axial", "screw": "slide"}  # a held row of two -> the one it determines
+_HOW = {"m": "move along", "rad": "turn about", None: "move along"}
 
 
 def way_in_words(way: float, unit: Unit) -> str:
-    """The size of a way, e.g. `"0.3 m"` or `"60 degrees"`."""
+    """Return the size of a way, e.g. `"0.3 m"` or `"60 degrees"`."""
     return f"{abs(way):.3g} m" if unit == "m" else f"{math.degrees(abs(way)):.3g} degrees"
 
 
+@final
+@dataclass(frozen=True, eq=False)
 class DrivenMotion:
     """A free direction, driven; the constrained rows are held at their values at the start.
 
-    Args:
+    Attributes:
         held: The learnt constraint.
-        rows: Its rows, others that stand still, and the driven one.
+        constraint: Its rows, others that stand still, and the driven one.
         driven: shape (p,), what a unit of distance adds to the features' coordinates at the beginning.
         unit: `"m"` or `"rad"`, of distances along the motion.
-        course_of: Pose of the frame where the motion begins, or coordinates of features without one -> its course.
+        told_by: What tells the distance: the `"coordinates"` of features that are the rate of coordinates r, so that
+            r* = r0 + s f (the cheapest, as of a hand on a line that may turn), the driven `"row"`, for a direction that
+            both moves and turns, or the `"chart"`.
+        chart_at: Pose at the beginning -> chart whose first coordinate is the distance; None of features without one.
+        around: Mechanism that leaves free more than that; its held rows are the first ones. None of others.
     """
 
-    def __init__(
-        self,
-        held: Constraint,
-        rows: Constraint,
-        driven: Float[np.ndarray, " p"],
-        unit: Unit,
-        course_of: Callable[[Origin], Any],
-    ):
-        self.held, self.constraint, self.driven = held, rows, driven
-        self.unit: Unit = unit
-        self._course_of, self._ahead = course_of, driven
-        self._known: tuple[Origin | None, Any] = (None, None)
-
-    def course(self, origin: Origin) -> Any:
-        """Return the course from where the motion begins."""
-        if origin is not self._known[0]:
-            self._known = origin, self._course_of(origin)
-        return self._known[1]
+    held: Constraint
+    constraint: Constraint
+    driven: Float[np.ndarray, " p"]
+    unit: Unit
+    told_by: Literal["coordinates", "row", "chart"]
+    chart_at: Callable[[Origin], Any] = lambda origin: None
+    around: Mechanism | None = None
 
     def origin(self, q: ArrayLike) -> Origin:
         """Return what has to be known of a posture: the pose of the frame, or the features' coordinates."""
         features = self.constraint.features
         return features.coordinates(q) if features.twist is None else features.twist.pose(q)
 
-    def goal(self, origin: Origin, distance: float) -> Origin:
-        """Return where the frame is after a distance: a pose (4, 4), or numbers for the features' rows (p,)."""
-        return self.course(origin).goal(distance)
-
-    def progress(self, origin: Origin, q: ArrayLike, near: float) -> float:
-        """Return how far posture q is from the start [m or rad]; of angles a turn apart the one next to `near`."""
-        return self.course(origin).look(q, near)[0]
-
-    def rates(
-        self, origin: Origin, q: ArrayLike, near: float, rate_at: Callable[[float], float], gain: float
-    ) -> tuple[float, Float[np.ndarray, " s"]]:
-        """Return how far the hand has come, and the velocities wanted along the rows of `constraint`.
-
-        Args:
-            origin: Where the motion begins.
-            q: Posture.
-            near: How far the hand was last [m or rad].
-            rate_at: How far the hand has come -> rate at which it is to go on [m/s or rad/s].
-            gain: Rate at which what is off the motion is taken back [1/s].
-        """
-        place, self._ahead, off = self.course(origin).look(q, near)
-        return place, self.constraint.selection.dot(rate_at(place) * self._ahead - gain * off)
-
-    def driven_row(self) -> Float[np.ndarray, "1 s"]:
-        """Return the combination of the rows of `constraint` that was driven last, of unit length."""
-        row = self.constraint.selection.dot(self._ahead if self._ahead.any() else self.driven)
-        return row[None] / math.sqrt(row.dot(row))
-
-    def deviation(self, origin: Origin, q: ArrayLike, distance: float) -> float:
-        """Return how far the held rows are from where they should be after a distance [m or rad]."""
-        return float(np.linalg.norm(self.course(origin).held(q, distance, self.held)))
+    def numbers(self, origin: Origin) -> Origin:
+        """Return a pose as numbers for the rows (p,) where these are of the place alone; others as they are."""
+        names = self.constraint.features.row_names
+        if origin.ndim == 1 or not set(names) <= set(AXES[:3]):
+            return origin
+        return origin[[AXES.index(name) for name in names], 3]
 
     def jacobian(self, q: ArrayLike) -> Float[np.ndarray, "s nv"] | None:
         """Return E of `Task.error_jacobian`; None where that is A(q)."""
@@ -121,104 +92,71 @@ class DrivenMotion:
 
 @final
 @dataclass(frozen=True, eq=False)
-class OnChart:
-    """A frame that goes along the first coordinate of a chart, seen along the rows of its features.
+class Course:
+    """A driven motion from where it begins, seen along the rows of its features.
 
     Attributes:
-        features: Rows of the frame's twist.
-        chart: A `Chart` of one coordinate, or a path.
-        driven: shape (p,), the row that tells the distance, for a direction that both moves and turns; else None.
-        around: Chart of all that the mechanism leaves free, where that is more; its held rows are the first ones.
+        motion: The motion.
+        origin: Where it begins.
     """
 
-    features: Any
-    chart: Any
-    driven: Float[np.ndarray, " p"] | None = None
-    around: Chart | None = None
+    motion: DrivenMotion
+    origin: Origin
+
+    @cached_property
+    def chart(self) -> Any:
+        """Chart of one coordinate, or a path; None of features without a frame."""
+        return self.motion.chart_at(self.origin)
+
+    @cached_property
+    def _around(self) -> Chart | None:
+        return None if self.motion.around is None else self.motion.around.at(self.origin, np.inf)
+
+    @cached_property
+    def _begin(self) -> Origin:
+        return self.motion.numbers(self.origin)
 
     def look(self, q: ArrayLike, near: float) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
-        """Return how far the hand is, the way ahead along the rows, and how far it is off [m or rad]."""
-        pose = self.features.twist.pose(q)
-        W = self.features.weights_at(pose[None])[0]
-        if self.driven is not None:
-            off = W.dot(self.chart.error(pose, (near,)))
-            place = near + float(self.driven.dot(off)) / float(self.driven.dot(self.driven))
+        """Return how far the hand is, the way ahead along the rows, and how far it is off [m or rad].
+
+        Args:
+            q: Posture.
+            near: How far it was last [m or rad]: of angles a turn apart the one next to this counts.
+        """
+        features: Any = self.motion.constraint.features
+        f = self.motion.driven
+        if self.motion.told_by == "coordinates":
+            gone = features.coordinates(q) - self._begin
+            place = float(f.dot(gone)) / float(f.dot(f))
+            return place, f, gone - place * f
+        pose = features.twist.pose(q)
+        W = features.weights_at(pose[None])[0]
+        if self.motion.told_by == "row":
+            place = near + float(f.dot(W.dot(self.chart.error(pose, (near,))))) / float(f.dot(f))
         else:
             place = float(self.chart.coordinates(pose, near)[0])
         ahead, off = W.dot(self.chart.twist((place,), pose)[:, 0]), W.dot(self.chart.error(pose, (place,)))
-        if self.around is not None:
-            held = self.around.held_error(pose)
+        if self._around is not None:
+            held = self._around.held_error(pose)
             off[: len(held)] = held
         return place, ahead, off
 
     def goal(self, distance: float) -> Origin:
-        """Return the pose after a distance."""
-        return self.chart.pose((distance,))
+        """Return where the frame is after a distance: a pose (4, 4), or numbers for the features' rows (p,)."""
+        return self._begin + distance * self.motion.driven if self.chart is None else self.chart.pose((distance,))
 
-    def held(self, q: ArrayLike, distance: float, held: Constraint) -> Float[np.ndarray, " h"]:
-        """Return how far held rows are off the motion after a distance [m or rad]."""
-        pose = self.features.twist.pose(q)
-        if self.around is not None:
-            return self.around.held_error(pose)
+    def deviation(self, q: ArrayLike, distance: float) -> float:
+        """Return how far the held rows are from where they should be after a distance [m or rad]."""
+        held = self.motion.held
         features: Any = held.features
-        return held.selection @ features.weights_at(pose[None])[0] @ self.chart.error(pose, (distance,))
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class OnCoordinates:
-    """Features that are the rate of coordinates r: r* = r0 + s f. The cheapest, as of a hand on a line that may turn.
-
-    Attributes:
-        features: Phi, whose coordinates are r.
-        begin: shape (p,), r0.
-        f: shape (p,), the direction.
-        pose: shape (4, 4), of the frame at the beginning, of the rows x, y and z; None of features without one.
-    """
-
-    features: Any
-    begin: Float[np.ndarray, " p"]
-    f: Float[np.ndarray, " p"]
-    pose: Float[np.ndarray, "4 4"] | None = None
-
-    def look(self, q: ArrayLike, near: float) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
-        """As for `OnChart`."""
-        gone = self.features.coordinates(q) - self.begin
-        place = float(self.f.dot(gone)) / float(self.f.dot(self.f))
-        return place, self.f, gone - place * self.f
-
-    def goal(self, distance: float) -> Origin:
-        """As for `OnChart`."""
-        if self.pose is None:
-            return self.begin + distance * self.f
-        out = self.pose.copy()
-        out[[AXES.index(name) for name in self.features.row_names], 3] += distance * self.f
-        return out
-
-    def held(self, q: ArrayLike, distance: float, held: Constraint) -> Float[np.ndarray, " h"]:
-        """As for `OnChart`."""
-        return held.selection @ (self.features.coordinates(q) - self.begin - distance * self.f)
-
-    @property
-    def chart(self) -> Chart:
-        """A chart of the same way."""
-        v = self.f @ np.eye(6)[[AXES.index(name) for name in self.features.row_names]]
-        return Chart(self.pose, v[None, :3], np.zeros((1, 3)), v[None, 3:])  # type: ignore[arg-type]  # of a frame
-
-
-def between(start: Origin, end: Origin, share: float) -> Origin:
-    """An origin on the straight way from one to another; of poses the hand turns evenly meanwhile."""
-    out = start + share * (end - start)
-    if start.ndim == 2 and not np.array_equal(end[:3, :3], start[:3, :3]):
-        turn = rotation_vector(end[:3, :3] @ start[:3, :3].T)
-        out[:3, :3] = rotation_matrix(share * turn) @ start[:3, :3]
-    return out
-
-
-def apart(one: Origin, other: Origin) -> float:
-    """Distance of two origins, poses or coordinates [m]."""
-    gap = other - one if one.ndim == 1 else other[:3, 3] - one[:3, 3]
-    return math.sqrt(gap @ gap)
+        if self.motion.told_by == "coordinates":
+            off = held.selection @ (features.coordinates(q) - self._begin - distance * self.motion.driven)
+        elif self._around is not None:
+            off = self._around.held_error(features.twist.pose(q))
+        else:
+            pose = features.twist.pose(q)
+            off = held.selection @ features.weights_at(pose[None])[0] @ self.chart.error(pose, (distance,))
+        return float(np.linalg.norm(off))
 
 
 def driven_motion(
@@ -239,10 +177,8 @@ def driven_motion(
         TargetError: The direction has the wrong size, is not finite, or is held.
     """
     features: Any = constraint.features
-    if features.curve is not None:
-        return _along_curve(constraint, direction, unit)
-    if features.geometry is not None:
-        return _along_mechanism(constraint, direction, unit, straight)
+    if features.curve is not None or features.geometry is not None:
+        return _along_row(constraint, direction, unit, straight)
     angular = np.array([unit == "rad/s" for unit in features.row_units])
     f = _direction(constraint, direction, unit, angular)
     rows = np.vstack([constraint.selection, f])
@@ -251,58 +187,66 @@ def driven_motion(
         _, sigma, Vt = np.linalg.svd(linear - linear @ np.linalg.pinv(rows) @ rows)
         rows = np.vstack([constraint.selection, Vt[: int(np.count_nonzero(sigma > 0.5))], f])
     sizes = [float(np.linalg.norm(f[part])) for part in (~angular, angular)]
-    f, turns = f / max(sizes), sizes[1] > sizes[0]  # a distance counts along the larger part
-    counts: Unit = "rad" if turns else "m"
+    f = f / max(sizes)  # a distance counts along the larger part
+    counts: Unit = "rad" if sizes[1] > sizes[0] else "m"
     driven = (constraint, Constraint(rows, features, constraint.provenance), f, counts)
-    if features.twist is None or features.own_axes is None:
-        return DrivenMotion(*driven, lambda begin: OnCoordinates(features, begin, f))
-    rows = [AXES.index(name) for name in features.row_names]
-    v, w = np.split(f @ np.eye(6)[rows], 2)
+    if features.own_axes is None:
+        return DrivenMotion(*driven, "coordinates")
+    v, w = np.split(f @ np.eye(6)[[AXES.index(name) for name in features.row_names]], 2)
 
-    def course(origin: Origin) -> Any:
-        R, p, none = origin[:3, :3], origin[:3, 3], np.zeros((1, 3))
-        if max(rows) < 3 and not features.own_axes:
-            return OnCoordinates(features, p[rows], f, origin)
+    def chart_at(origin: Origin) -> Chart:
         if not features.own_axes:
-            return OnChart(features, Chart(origin, v[None], none, w[None]), f)
-        turn = R @ w
-        travel = R @ v + np.cross(p, turn)
-        return OnChart(features, Chart(origin, travel[None], turn[None], none, is_carried=True), f)
+            return _chart(origin, v, np.zeros(3), w)
+        turn = origin[:3, :3] @ w
+        travel = origin[:3, :3] @ v + np.cross(origin[:3, 3], turn)
+        return _chart(origin, travel, turn, np.zeros(3), is_carried=True)
 
-    return DrivenMotion(*driven, course)
+    return DrivenMotion(*driven, "coordinates" if features.only_linear else "row", chart_at)
+
+
+def _chart(origin: Origin, travel: np.ndarray, turn: np.ndarray, spin: np.ndarray, **more: Any) -> Chart:
+    """Return the chart of one screw [m, rad per unit of distance]."""
+    return Chart(origin, travel[None], turn[None], spin[None], **more)
+
+
+def _only(free: Any, words: str, python: str, flag: str) -> Any:
+    """Return the direction that is free.
+
+    Raises:
+        ConstraintError: There are several.
+    """
+    if len(free) > 1:
+        raise ConstraintError(
+            f"the constraint leaves {len(free)} directions free ({words}): say along which one to move"
+            + advice(" with {}", f"direction={python}", f"--direction {flag}")
+        )
+    return free[0]
 
 
 def _direction(
     constraint: Constraint, direction: ArrayLike | None, unit: Unit | None, angular: np.ndarray
 ) -> Float[np.ndarray, " p"]:
+    """Return the free direction along constant rows, shape (p,), of unit length."""
     features, p, free = constraint.features, constraint.features.n_rows, complement_rows(constraint.selection)
-    if not len(free):
-        raise ConstraintError(f"the constraint leaves none of {' '.join(features.row_names)} free to move along")
+    names = features.row_names
     if unit is not None and direction is None:
         wanted = free[:, angular if unit == "rad" else ~angular]
         U, sigma, _ = np.linalg.svd(wanted)
-        pure = U.T[: int(np.count_nonzero(sigma > _PURE))] @ free  # a learnt Lambda leaks a little of the other
+        pure = U.T[: int(np.count_nonzero(sigma > PURE_SHARE))] @ free  # a learnt Lambda leaks a little of the other
         # a single twist that does both, of a hinge or a screw in the hand's axes, counts as what it mostly is
         free = free if not len(pure) and len(free) == 1 and np.sum(wanted**2) > 0.5 else pure
-        if not len(free):
-            what = "turn about" if unit == "rad" else "move along"
-            raise ConstraintError(f"the constraint leaves nothing of {' '.join(features.row_names)} free to {what}")
+    if not len(free):
+        raise ConstraintError(f"the constraint leaves none of {' '.join(names)} free to {_HOW[unit]}")
     basis = along_axes(free)
-    words = "; ".join(sum_in_words(row, features.row_names, "+.3g", 1e-3) for row in basis)
+    words = "; ".join(sum_in_words(row, names, "+.3g", 1e-3) for row in basis)
     if direction is None:
-        if len(free) > 1:
-            raise ConstraintError(
-                f"the constraint leaves {len(free)} directions free ({words}): say along which one to move"
-                + advice(" with {}", "direction=", "--direction " + ",".join(f"{c:.3g}" for c in basis[0]))
-            )
-        return basis[0]
+        return _only(basis, words, "", ",".join(f"{c:.3g}" for c in basis[0]))
     given, place = finite(direction, p), finite(direction, 3)
-    if place is not None and p > 3 and set(AXES[:3]) <= set(features.row_names):
-        given = np.zeros(p)
-        given[[features.row_names.index(name) for name in AXES[:3]]] = place
+    if place is not None and set(AXES[:3]) <= set(names):
+        given = place @ [[axis == name for name in names] for axis in AXES[:3]]
     if given is None or not given.any():
         raise TargetError(
-            f"the direction must be {p} finite numbers ({', '.join(features.row_names)}) that are not all zero, "
+            f"the direction must be {p} finite numbers ({', '.join(names)}) that are not all zero, "
             f"or 'shown' or 'back', got {direction!r}"
         )
     moved = free.T @ (free @ given)
@@ -311,10 +255,10 @@ def _direction(
     return moved / np.linalg.norm(moved)
 
 
-def _along_mechanism(
+def _along_row(
     constraint: Constraint, direction: ArrayLike | str | None, unit: Unit | None, straight: bool
 ) -> DrivenMotion:
-    """Return the motion along a row of a mechanism that is free."""
+    """Return the motion along a row of a mechanism, or of a curve, that is free."""
     rows: Any = constraint.features
     weights = constraint.selection.T @ constraint.selection
     if np.max(np.abs(weights - np.round(weights))) > 1e-9:
@@ -322,10 +266,9 @@ def _along_mechanism(
             f"the constraint holds combinations of the rows {' '.join(rows.row_names)}: FreeDirection needs each "
             "of them to be held as it is, or not at all"
         )
-    held = tuple(name for name, weight in zip(rows.row_names, np.diag(weights), strict=True) if weight > 0.5)
-    is_firm = any(name.startswith("slide") or name == "screw" for name in held)
-    g = rows.geometry
-    if "spherical" in held or {"slide", "slide-1", "slide-2"} == set(held):
+    held = [name for name, weight in zip(rows.row_names, np.diag(weights), strict=True) if weight > 0.5]
+    g: Place = rows.geometry
+    if "spherical" in held or {"slide", "slide-1", "slide-2"} == {*held}:  # a ball turns about any axis, as a hinge
         if direction is None:
             raise ConstraintError(
                 "a ball leaves turns about every axis free: give the axis in the base frame"
@@ -336,67 +279,46 @@ def _along_mechanism(
             raise TargetError(
                 f"the direction of a ball is the axis of the turn, three finite numbers not all zero; got {direction!r}"
             )
-        g, driven = type(g)(turn / np.linalg.norm(turn), g.point), "turn" if is_firm else "tangential"
-    else:
-        driven = _chosen(held, is_firm, direction, unit)
-    beside: list[str] = []
-    if straight and not is_firm:
-        # a ball and a screw hold a combination of two: with it and the driven one, one is left
-        combined = {"spherical": "radial", "helical": "axial"}
-        taken = {driven, *held, *(combined[name] for name in held if name in combined)}
-        beside = [name for name in ("radial", "axial", "tangential") if name not in taken]
-    kind = next((k for k in MECHANISM_KINDS if {*k.rows} == {*held}), None)
-    features = rows.about(g).with_rows((*(held if kind is None else kind.rows), *beside, driven))
-    one, turns = np.eye(features.n_rows), driven in ("turn", "tangential")
-    pitch = g.pitch if {"screw", "helical"} & {*held} else 0.0
+        g, direction, unit = Place(turn / np.linalg.norm(turn), g.point), None, "rad"
+    is_firm = any(name.startswith("slide") or name == "screw" for name in held)
+    names = ("along",) if g is None else ("turn", "slide") if is_firm else ("tangential", "axial", "radial")
+    rest = [name for name in names if name not in {*held, *(_COMBINED.get(name) for name in held)}]
+    driven = _free_row(held, rest, direction, unit)
+    beside = [name for name in rest if name != driven] if straight and not is_firm else []
+    kind = next((k for k in MECHANISM_KINDS if g is not None and {*k.rows} == {*held}), None)
+    features = (rows if g is None else rows.about(g)).with_rows(
+        (*(held if kind is None else kind.rows), *beside, driven)
+    )
+    turns, pitch = driven in ("turn", "tangential"), g.pitch if {"screw", "helical"} & {*held} else 0.0
+
+    def chart_at(origin: Origin) -> Chart:
+        if g is None:
+            return Mechanism("other", name=CURVE, curve=rows.curve, orientation="fixed").at(origin, np.inf)
+        if turns:
+            spin = np.zeros(3) if "turn" in held else g.axis  # a hand that may turn about the axis turns with it
+            travel = pitch * g.axis + np.cross(g.point, g.axis)
+            return _chart(origin, travel, g.axis, spin, is_carried=driven == "turn", centre=g.point)
+        out = origin[:3, 3] - g.point
+        out -= (out @ g.axis) * g.axis
+        return _chart(origin, out / np.linalg.norm(out) if driven == "radial" else g.axis, *np.zeros((2, 3)))
+
+    one = np.eye(features.n_rows)
     wide = None if kind is None or straight or kind.kind in ("hinge", "screw") else mechanism_of(kind, g, None)
-
-    def course(origin: Origin) -> OnChart:
-        out, none = origin[:3, 3] - g.point, np.zeros(3)
-        axis = g.axis if driven != "radial" else out - (out @ g.axis) * g.axis
-        travel = pitch * axis + np.cross(g.point, axis) if turns else axis / np.linalg.norm(axis)
-        turn = axis if turns else none
-        spin = none if "turn" in held else turn  # a hand that may turn about the axis turns with it
-        screw = (travel[None], turn[None], spin[None])
-        chart = Chart(origin, *screw, is_carried=driven == "turn", centre=g.point if turns else None)
-        return OnChart(features, chart, around=None if wide is None else wide.at(origin, np.inf))
-
     selected = Constraint(one, features, constraint.provenance)
-    return DrivenMotion(constraint, selected, one[-1], "rad" if turns else "m", course)
+    return DrivenMotion(constraint, selected, one[-1], "rad" if turns else "m", "chart", chart_at, wide)
 
 
-def _chosen(held: tuple[str, ...], is_firm: bool, direction: ArrayLike | str | None, unit: Unit | None) -> str:
-    taken = {*held, "slide" if "screw" in held else "", "axial" if "helical" in held else ""}
-    names = ("turn", "slide") if is_firm else ("tangential", "axial", "radial")
-    free = [name for name in names if name not in taken and (unit is None or f"[{unit}]" in _DRIVEN[name])]
+def _free_row(held: list[str], rest: list[str], direction: ArrayLike | str | None, unit: Unit | None) -> str:
+    """Return the row to drive: the one named, or the only one of the unit that is free."""
+    free = [name for name in rest if unit is None or f"[{unit}]" in _DRIVEN[name]]
     words = "; ".join(_DRIVEN[name] for name in free)
     if not free:
-        how = {"m": "move along", "rad": "turn about", None: "move along"}[unit]
-        raise ConstraintError(f"the mechanism's rows {' '.join(held)} leave nothing free to {how}")
+        raise ConstraintError(f"the mechanism's rows {' '.join(held)} leave nothing free to {_HOW[unit]}")
     if direction is None:
-        if len(free) > 1:
-            raise ConstraintError(
-                f"the mechanism leaves {len(free)} directions free ({words}): say along which one to move"
-                + advice(" with {}", f"direction={free[0]!r}", f"--direction {free[0]}")
-            )
-        return free[0]
+        return _only(free, words, repr(free[0]), free[0])
     if not (isinstance(direction, str) and direction in free):
         raise TargetError(f"the direction of a mechanism is the name of a row that is free: {words}; got {direction!r}")
     return direction
-
-
-def _along_curve(constraint: Constraint, direction: ArrayLike | str | None, unit: Unit | None) -> DrivenMotion:
-    """Return the motion along a curve, as far off it as where the hand begins."""
-    rows: Any = constraint.features
-    if unit == "rad":
-        raise ConstraintError("a hand on a curve goes along it and does not turn about anything: say how far [m]")
-    if direction is not None:
-        raise TargetError(f"on a curve the hand goes forth, or back by a negative way: leave {direction!r} out")
-    features = rows.with_rows((*(name for name in rows.row_names if name != "along"), "along"))
-    one = np.eye(features.n_rows)
-    curve = Mechanism("other", name=CURVE, curve=rows.curve, orientation="fixed")
-    selected = Constraint(one, features, constraint.provenance)
-    return DrivenMotion(constraint, selected, one[-1], "m", lambda origin: OnChart(features, curve.at(origin, np.inf)))
 
 
 def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[DrivenMotion, PathProfile]:
@@ -412,32 +334,29 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
     mechanism = constraint.mechanism
     orientation = "free" if mechanism is None else mechanism.orientation
     if mechanism is not None and orientation == "carried" and (mechanism.radius or 0.0) < ON_THE_AXIS:
-        slide = advice("{}", "distance=0.05, direction='slide'", "--along 0.05 --direction slide")
-        turn = advice("{}", "angle=0.5, direction='turn'", "--turn 30 --direction turn")
-        ways = f"{slide} or {turn}" if slide else "`manip-learn control` drives each"
+        python = "distance=0.05, direction='slide' or angle=0.5, direction='turn'"
+        ways = advice("{}", python, "--along 0.05 --direction slide or --turn 30 --direction turn")
         raise ConstraintError(
             f"the hand turns where its place rests ({mechanism.sentence}), and such a motion is not repeated as it "
-            f"was shown: name one of its two ways ({ways})"
+            f"was shown: name one of its two ways ({ways or '`manip-learn control` drives each'})"
         )
     turning = np.zeros((0, 3)) if orientation == "free" else np.eye(3)
     if orientation == "about-axis" and mechanism is not None and mechanism.axis is not None:
         turning = across(mechanism.axis)
     features = twist.with_axes(AXES if len(turning) else AXES[:3])
     rows = Constraint(block_diag(np.eye(3), turning[:, : features.n_rows - 3]), features, constraint.provenance)
-    poses = shown.poses
-    ways = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
+    places = shown.poses[:, :3, 3]
+    ways = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
     moves = np.append(True, np.diff(ways) > 1e-9)
-    path = _Path(ways[moves], poses[moves], poses[0])
-    driven = path.twist([0.0], poses[0])[: features.n_rows, 0]
-    profile = PathProfile(shown.time[moves], path.ways, float(path.ways[-1]), ramp)
-    return DrivenMotion(
-        constraint, rows, driven, "m", lambda origin: OnChart(features, replace(path, begin=origin))
-    ), profile
+    path = _Path(ways[moves], shown.poses[moves], shown.poses[0])
+    driven = path.twist([0.0], shown.poses[0])[: features.n_rows, 0]
+    profile = PathProfile(MotionProfile(float(shown.time[moves][-1]), 1.0, ramp), shown.time[moves], path.ways)
+    return DrivenMotion(constraint, rows, driven, "m", "chart", lambda origin: replace(path, begin=origin)), profile
 
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """A path that was shown, by its length [m], gone by a hand that was turned as it likes where it took hold."""
+    """Chart of a path that was shown, by its length [m], for a hand that may be turned otherwise where it begins."""
 
     ways: Float[np.ndarray, " k"]
     poses: Float[np.ndarray, "k 4 4"]
@@ -450,14 +369,14 @@ class _Path:
         return np.hstack([places, rotation_vectors(R @ R[0].T), np.gradient(places, self.ways, axis=0)])
 
     def _at(self, s: float) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
+        """Return place, rotation since the beginning, and tangent; straight on before and after the path."""
         place, turn, tangent = np.split(np.array([np.interp(s, self.ways, x) for x in self._table.T]), 3)
-        return place, rotation_matrix(turn), tangent
+        return place + (s - min(max(s, 0.0), float(self.ways[-1]))) * tangent, rotation_matrix(turn), tangent
 
     def pose(self, s: ArrayLike) -> Origin:
-        """Straight on before and after it."""
-        s, out = float(np.asarray(s)[0]), self.begin.copy()
-        place, R, tangent = self._at(s)
-        out[:3, 3] = place + (s - min(max(s, 0.0), float(self.ways[-1]))) * tangent
+        """Return the pose of the hand."""
+        out = self.begin.copy()
+        out[:3, 3], R, _ = self._at(float(np.asarray(s)[0]))
         out[:3, :3] = R @ out[:3, :3]
         return out
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import replace
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.constraint.mechanism import KIND_BY_NAME
 from manip_learn.constraint.reading import rows_of
 from manip_learn.control.policies import (
@@ -26,25 +25,26 @@ from manip_learn.control.policies import (
     ZeroPolicy,
 )
 from manip_learn.control.tasks.driven_motion import (
+    Course,
     Origin,
     Unit,
     along_path,
-    apart,
-    between,
     driven_motion,
     way_in_words,
 )
 from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
-from manip_learn.control.tasks.point_attractor import PointAttractor, Task
-from manip_learn.control.tasks.shown_places import ShownPlaces, shown_sense
+from manip_learn.control.tasks.point_attractor import PointAttractor, Task, VelocityAndJacobian
+from manip_learn.control.tasks.shown_places import ShownPlaces, between, shown_sense
 from manip_learn.errors import ConstraintError, ManipLearnError, TargetError, advice, an
 from manip_learn.linalg import finite
 from manip_learn.robot.robot import Robot
 
 HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
 TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m
-# what a mechanism allows; the others (a cylinder, a held orientation) slide and turn
-SLIDES, _TURNS = ("line", "plane"), ("hinge", "screw", "ball")
+_REFUSED = {  # unit -> mechanisms that do not move by it, what they do, and what to give; others slide and turn
+    "m": (("hinge", "screw", "ball"), "turns and does not slide", "angle= [rad]", "--turn DEGREES"),
+    "rad": (("line", "plane"), "slides and does not turn", "distance= [m]", "--along METRES"),
+}
 DONE = {"m": 1e-3, "rad": math.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
 _RAMP = 0.5  # [s] from rest to the speed: 0.1 m/s with 0.3 m/s2 at most
 # what a way may be longer than what was shown: the play of a drawer's rails, and two tenths of a degree
@@ -140,18 +140,16 @@ class FreeDirection(Task):
         take_hold: bool = False,
         as_shown: bool = False,
     ):
-        numbers = {"distance": distance, "speed": speed, "gain": gain, "ramp": ramp}
-        for name, value in numbers.items():
-            numbers[name] = _number(name, value, positive=name != "distance")
-        self.learnt, self.counts = constraint, 1.0
-        held = constraint.with_orientation() if keep_orientation else _held_by_the_grip(constraint)
-        shown = constraint.shown
         self._profile: MotionProfile | PathProfile = MotionProfile(
-            **{n: numbers[n] for n in ("distance", "speed", "ramp")}
+            _number("distance", distance, positive=False), _number("speed", speed), _number("ramp", ramp)
         )
+        self.gain, self._ramp = _number("gain", gain), self._profile.ramp
+        self.pause = _number("pause", pause) if pause else 0.0
+        self.learnt, self.counts, shown = constraint, 1.0, constraint.shown
+        held = constraint.with_orientation() if keep_orientation else _held_by_the_grip(constraint)
         is_path = as_shown and shown is not None and not shown.is_way
-        if is_path and shown is not None:
-            self._motion, self._profile = along_path(held, shown, numbers["ramp"])
+        if shown is not None and is_path:
+            self._motion, self._profile = along_path(held, shown, self._ramp)
         else:
             self._motion = driven_motion(held, direction, unit, straight)
         self.constraint = self._motion.constraint
@@ -164,10 +162,10 @@ class FreeDirection(Task):
                     + advice(": leave out {}", "keep_orientation=True", "--keep-orientation")
                 )
         self.unit: Unit = self._motion.unit
-        self.pause = _number("pause", pause, positive=True) if pause else 0.0
-        self.gain = numbers["gain"]
-        self._shown = ShownPlaces.of(constraint, self._motion, as_shown, is_path) if take_hold or as_shown else None
-        self._given = None if start is None else self._motion.origin(start)
+        self._shown: ShownPlaces | None = None
+        if shown is not None and (take_hold or as_shown):
+            self._shown = ShownPlaces(constraint.mechanism, shown, self._motion, as_shown, is_path)
+        self._given = None if start is None else Course(self._motion, self._motion.origin(start))
         self.reset()
 
     @property
@@ -178,20 +176,19 @@ class FreeDirection(Task):
     @property
     def duration(self) -> float:
         """How long the motion takes where no limit slows it down, with the way to the mechanism if known [s]."""
-        return self.pause + self._profile.duration + (0.0 if self._approach is None else self._approach.duration)
+        return self.pause + self._profile.duration + (0.0 if self._approach is None else self._approach[1].duration)
 
     def reset(self) -> None:
         """Forget the start: the next call is the first one again."""
-        self._start = self._origin = self._given
+        self._course = self._given
         self._begun: float | None = None
         self.way_begins: float | None = None
-        self._approach: MotionProfile | None = None
-        self._latest, self._place = -math.inf, 0.0
+        self._approach: tuple[Origin, MotionProfile] | None = None
+        self._latest, self._place, self._ahead = -math.inf, 0.0, self._motion.driven
 
     def hold(self, q: ArrayLike) -> float:
         """How far a hand at posture q has to go to the mechanism [m]; 0 if it is on it, or if that is not known."""
-        here = self._motion.origin(q)
-        return self._apart(here, here if self._shown is None else self._shown.nearest(here, self.wanted))
+        return self._begins(self._motion.origin(q))[1]
 
     @property
     def grip_shown(self) -> tuple[Float[np.ndarray, "3 3"], float] | None:
@@ -199,13 +196,19 @@ class FreeDirection(Task):
         shown = self.learnt.shown
         return None if shown is None or self._shown is None else (shown.orientation, shown.turned)
 
-    def _apart(self, one: Origin, other: Origin) -> float:
-        return apart(one, other) if self._shown is None else self._shown.apart(one, other)
+    def _begins(self, here: Origin) -> tuple[Origin, float]:
+        """Return where the motion begins for a hand that is at a place, and how far that is [m]."""
+        origin = here if self._shown is None else self._shown.nearest(here, self.wanted)
+        return origin, 0.0 if self._shown is None else self._shown.apart(here, origin)
+
+    def _start(self, q: ArrayLike) -> Origin:
+        """Return where the hand is, or was said to be."""
+        return self._motion.origin(q) if self._given is None else self._given.origin
 
     def duration_from(self, q: ArrayLike) -> float:
         """How long the motion takes from posture q where no limit slows it down [s]."""
         far = self.hold(q)
-        to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._profile.ramp).duration + _SETTLING
+        to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._ramp).duration + _SETTLING
         return self.pause + self._profile.duration + to_hold
 
     def table(
@@ -219,11 +222,11 @@ class FreeDirection(Task):
             fewest: Number of entries at least.
             most: And at most.
         """
-        _, origin = self._origins(start)
+        course = Course(self._motion, self._begins(self._start(start))[0])
         number = min(max(math.ceil(self._profile.duration / period) + 1, fewest), most)
         time = np.linspace(0.0, self._profile.duration, number)
         distance = np.array([self._profile.at(t)[0] for t in time.tolist()])
-        return time, distance, [self._motion.goal(origin, s) for s in distance.tolist()]
+        return time, distance, [course.goal(s) for s in distance.tolist()]
 
     def ascent(self, gain: float = ASCENT_GAIN) -> SampledPolicy:
         """The policy that climbs the room left on the way: of the rows held and driven, and of the joints' ranges.
@@ -263,9 +266,8 @@ class FreeDirection(Task):
 
     def progress(self, q: ArrayLike) -> float:
         """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
-        if self._origin is None or (self.way_begins is None and self._begun is not None):
-            return 0.0
-        return self.progress_near(q, self._place)
+        is_before = self.way_begins is None and self._begun is not None
+        return 0.0 if is_before else self.progress_near(q, self._place)
 
     def meant(self, t: float) -> float:
         """How far the way should have come at a time [m or rad]; 0 before it began."""
@@ -273,19 +275,16 @@ class FreeDirection(Task):
 
     def progress_near(self, q: ArrayLike, near: float) -> float:
         """Progress of a posture on the way [m or rad]; of angles a turn apart the one next to `near`."""
-        return 0.0 if self._origin is None else self._motion.progress(self._origin, q, near)
+        return 0.0 if self._course is None else self._course.look(q, near)[0]
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
         """Whether the whole way is done at posture q, and its time is over at t [s]."""
-        if self.way_begins is None or t - self.way_begins < self._profile.duration:
-            return False
-        return abs(self.wanted - self.progress(q)) <= DONE[self.unit]
+        is_late = self.way_begins is not None and t - self.way_begins >= self._profile.duration
+        return is_late and abs(self.wanted - self.progress(q)) <= DONE[self.unit]
 
     def deviation(self, q: ArrayLike, progress: float = 0.0) -> float:
         """How far the rows of the constraint are from where they are held, that much of the way done [m or rad]."""
-        if self._origin is None:
-            return 0.0
-        return self._motion.deviation(self._origin, q, progress)
+        return 0.0 if self._course is None else self._course.deviation(q, progress)
 
     def rows(self, constraint: Constraint) -> Constraint:
         """The constrained rows and the driven one.
@@ -305,68 +304,54 @@ class FreeDirection(Task):
         """E with d/dt (error along the rows) = -E u for a setpoint at rest; None where E = A(q) (see `Task`)."""
         return self.velocity_and_jacobian(constraint, q, t)[1]
 
-    def velocity_and_jacobian(
-        self, constraint: Constraint, q: np.ndarray, t: float
-    ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
+    def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
         """b and E from one look at the pose: along the motion and onto it, from where the hand is.
 
         Where limits or a singularity stop the way, the hand so does not follow a goal that goes on without it.
         """
-        origin, wanted, rate = self._now(q, t)
+        course, wanted, rate = self._now(q, t)
         most = math.inf if self.way_begins is None else self._profile.speed
-
-        def rate_at(place: float) -> float:
-            return min(max(rate + self.gain * (wanted - place), -most), most)
-
-        self._place, b = self._motion.rates(origin, q, self._place, rate_at, self.gain)
-        return b, self._motion.jacobian(q)
+        self._place, self._ahead, off = course.look(q, self._place)
+        rate = min(max(rate + self.gain * (wanted - self._place), -most), most)
+        return self.constraint.selection.dot(rate * self._ahead - self.gain * off), self._motion.jacobian(q)
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
         """The row along the motion; all rows on the way to the mechanism."""
-        return super().driven_rows(constraint) if self.way_begins is None else self._motion.driven_row()
+        if self.way_begins is None:
+            return super().driven_rows(constraint)
+        row = self.constraint.selection.dot(self._ahead if self._ahead.any() else self._motion.driven)
+        return row[None] / math.sqrt(row.dot(row))
 
     def goal(self) -> Origin | None:
         """Where the motion ends; None before the first call, unless `start` was given."""
-        if self._origin is None:
-            return None
-        goal, features = self._motion.goal(self._origin, self._profile.distance), self.constraint.features
-        if goal.ndim == 2 and set(features.row_names) <= set(AXES[:3]):  # of the place alone
-            return goal[[AXES.index(name) for name in features.row_names], 3]
-        return goal
+        return None if self._course is None else self._motion.numbers(self._course.goal(self.wanted))
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Way that is left, and the deviation of the constrained coordinates, as one norm [m or rad]."""
-        origin, _, _ = self._now(q, t)
-        place = self._motion.progress(origin, q, self._place)
-        return math.hypot(self._profile.distance - place, self._motion.deviation(origin, q, place))
+        course, _, _ = self._now(q, t)
+        place = course.look(q, self._place)[0]
+        return math.hypot(self.wanted - place, course.deviation(q, place))
 
-    def _now(self, q: ArrayLike, t: float) -> tuple[np.ndarray, float, float]:
+    def _now(self, q: ArrayLike, t: float) -> tuple[Course, float, float]:
         """From where the way counts, how far along it the hand should be, and how fast."""
         if self._begun is not None and t <= self._begun < self._latest:
             self.reset()
-        if self._begun is None or self._origin is None:
-            self._begun, (self._start, self._origin) = t, self._origins(q)
-            far = self._apart(self._start, self._origin)
-            if far > TAKEN:
-                self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp)
-            else:
-                self.way_begins = t + self.pause
-        self._latest, begun, origin = t, self._begun, self._origin
-        if self.way_begins is None and self._start is not None and self._approach is not None:
-            gone, _ = self._approach.at(t - begun)
-            late = t - begun - self._approach.duration  # [s]
+        if self._begun is None or self._course is None:
+            start = self._start(q)
+            origin, far = self._begins(start)
+            self._begun, self._course = t, Course(self._motion, origin)
+            self._approach = (start, MotionProfile(far, APPROACH_SPEED, self._ramp)) if far > TAKEN else None
+        self._latest = t
+        if self.way_begins is None and self._approach is not None and self._shown is not None:
+            start, profile = self._approach
+            late, origin = t - self._begun - profile.duration, self._course.origin  # [s]
             near = TAKEN if late < _SETTLING else _NOISY
-            if late < 0.0 or self._apart(self._motion.origin(q), origin) > near:
-                share = min(gone / self._approach.distance, 1.0)
-                return between(self._start, origin, share), 0.0, 0.0
+            if late < 0.0 or self._shown.apart(self._motion.origin(q), origin) > near:
+                share = min(profile.at(t - self._begun)[0] / profile.distance, 1.0)
+                return Course(self._motion, between(start, origin, share)), 0.0, 0.0
+        if self.way_begins is None:
             self.way_begins = t + self.pause
-        after = t - (begun if self.way_begins is None else self.way_begins)
-        return origin, *self._profile.at(after)
-
-    def _origins(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Origins of the motion where the hand is, or was said to be, and where it takes hold."""
-        start = self._motion.origin(q) if self._given is None else self._given
-        return start, start if self._shown is None else self._shown.nearest(start, self.wanted)
+        return self._course, *self._profile.at(t - self.way_begins)
 
     def __repr__(self) -> str:
         p = self._profile
@@ -388,7 +373,7 @@ def _held_by_the_grip(constraint: Constraint) -> Constraint:
     return Constraint(U[:, sizes > STILL * sizes[0]].T @ selection, features, learnt)
 
 
-def _number(name: str, value: float, positive: bool) -> float:
+def _number(name: str, value: float, positive: bool = True) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError) as error:
@@ -480,20 +465,15 @@ def motion(
         )
     unit: Unit = "m" if angle is None else "rad"
     amount = distance if angle is None else angle
+    types, does, *instead = _REFUSED[unit]
     if again and shown is not None:
         unit, amount = shown.unit, shown.extent
-        if speed is None:
-            speed = amount / max(shown.seconds - _RAMP, _RAMP)
-    elif known is not None and known.type in (_TURNS if unit == "m" else SLIDES):
-        does, fits = (
-            ("turns and does not slide", advice(": use {}", "angle= [rad]", "--turn DEGREES"))
-            if unit == "m"
-            else ("slides and does not turn", advice(": use {}", "distance= [m]", "--along METRES"))
-        )
-        raise ConstraintError(f"what was learnt {does} ({known.sentence}){fits}")
+        speed = amount / max(shown.seconds - _RAMP, _RAMP) if speed is None else speed
+    elif known is not None and known.type in types:
+        raise ConstraintError(f"what was learnt {does} ({known.sentence})" + advice(": use {}", *instead))
     if speed is None:
-        lever = 0.0 if known is None or known.radius is None else known.radius
-        speed = HAND_SPEED if unit == "m" else min(TURN_SPEED, HAND_SPEED / lever if lever > 0.0 else math.inf)
+        lever = 0.0 if known is None else known.radius or 0.0
+        speed = HAND_SPEED if unit == "m" else HAND_SPEED / max(lever, HAND_SPEED / TURN_SPEED)
     task = FreeDirection(
         constraint,
         amount,  # type: ignore[arg-type]  # one of them was given
@@ -509,42 +489,32 @@ def motion(
     )
     if not beyond_shown:
         _check_shown(task)
-    if direction is not None and word is None:
-        return task
-    return _as_shown(task, word, of_most=again)
-
-
-def _as_shown(task: FreeDirection, word: str | None, *, of_most: bool) -> FreeDirection:
-    """A way in the sense of the recordings, or against it (`"back"`); as it is where they do not say and need not."""
-    sense = shown_sense(task.learnt.shown, task._motion, of_most=of_most)
-    if sense == 0.0:
-        if word is None:
-            return task
+    is_named = direction is not None and word is None
+    sense = 0.0 if is_named else shown_sense(shown, task._motion, of_most=again)
+    if sense == 0.0 and word is not None:
         raise ConstraintError(
             "the recordings do not say which way is the one shown: they went to both sides of where they began, or the "
             "constraint was not learnt by this version; leave the direction out, and choose the sign"
         )
-    if (sense > 0.0) != (word == "back"):
+    if (sense < 0.0) == (word == "back"):
         return task
-    other = task.with_distance(-task.wanted)  # the other way, which counts as positive
-    other.counts = -task.counts
-    return other
+    task = task.with_distance(-task.wanted)  # the other way, which counts as positive
+    task.counts = -1.0
+    return task
 
 
 def _check_shown(task: FreeDirection) -> None:
     """Refuse a way that is longer than the places are apart at which it was shown, or than the arm can go."""
-    shown, wanted = task.learnt.shown, abs(task.wanted)
+    shown, twist, wanted = task.learnt.shown, task.learnt.features.twist, abs(task.wanted)
+    words = way_in_words(wanted, task.unit)
     if shown is not None and shown.is_way and shown.unit == task.unit and wanted > shown.span + BEYOND[task.unit]:
-        far, most = (way_in_words(way, task.unit) for way in (wanted, shown.span))
         raise TargetError(
-            f"the way of {far} is longer than what was shown ({most}): ask for no more"
+            f"the way of {words} is longer than what was shown ({way_in_words(shown.span, task.unit)}): ask for no more"
             + advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")
         )
-    robot, frame = task.learnt.robot, getattr(task.learnt.features, "frame", None)
-    if task.unit == "m" and robot is not None and frame is not None and wanted > 2.0 * robot.reach(frame):
+    if task.unit == "m" and twist is not None and wanted > (most := 2.0 * twist.robot.reach(twist.frame)):
         raise TargetError(
-            f"the way of {way_in_words(wanted, task.unit)} is longer than the arm can go in any direction "
-            f"({2.0 * robot.reach(frame):.2g} m): ways are in metres"
+            f"the way of {words} is longer than the arm can go in any direction ({most:.2g} m): ways are in metres"
         )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -64,49 +63,44 @@ class MotionProfile:
 class PathProfile:
     """The way along a path in the time in which it was shown, from rest and to rest.
 
-    The time of the recording begins and ends slowly, over the ramp; between, it runs as the clock does.
+    The time of the recording begins and ends slowly; between, it runs as the clock does.
 
     Attributes:
+        clock: Time of the recording [s], in time.
         times: shape (k,), of the recording, from 0 [s].
         ways: shape (k,), along the path by then [m].
-        speed: Largest rate of the way [m/s].
-        distance: How much of the path is gone [m].
-        ramp: Time from rest to the pace of the recording [s].
-        pace: Seconds of the recording in a second.
     """
 
+    clock: MotionProfile
     times: Float[np.ndarray, " k"]
     ways: Float[np.ndarray, " k"]
-    distance: float
-    ramp: float
-    pace: float = 1.0
 
-    @cached_property
-    def _clock(self) -> MotionProfile:
-        end = float(np.interp(self.distance, self.ways, self.times))
-        return MotionProfile(end, self.pace, self.ramp)
+    def over(self, distance: float) -> PathProfile:
+        """Over the first part of the path [m]."""
+        return replace(self, clock=self.clock.over(float(np.interp(abs(distance), self.ways, self.times))))
+
+    def slowed(self, times: float) -> PathProfile:
+        """At a pace that is so many times smaller."""
+        return replace(self, clock=self.clock.slowed(times))
+
+    @property
+    def distance(self) -> float:
+        """How much of the path is gone [m]."""
+        return float(np.interp(self.clock.distance, self.times, self.ways))
 
     @property
     def speed(self) -> float:
         """Largest rate of the way [m/s]."""
-        return self._clock.peak * float(np.max(np.diff(self.ways) / np.diff(self.times)))
-
-    def over(self, distance: float) -> PathProfile:
-        """Over the first part of the path [m]."""
-        return replace(self, distance=min(abs(distance), float(self.ways[-1])))
-
-    def slowed(self, times: float) -> PathProfile:
-        """At a pace that is so many times smaller."""
-        return replace(self, pace=self._clock.peak / times)
+        return self.clock.peak * float(np.max(np.diff(self.ways) / np.diff(self.times)))
 
     @property
     def duration(self) -> float:
         """Time from rest to rest [s]."""
-        return self._clock.duration
+        return self.clock.duration
 
     def at(self, t: float) -> tuple[float, float]:
         """Distance covered and its rate, t [s] after the start."""
-        time, pace = self._clock.at(t)
+        time, pace = self.clock.at(t)
         k = min(int(np.searchsorted(self.times, time, side="right")), len(self.times) - 1)
         slope = float((self.ways[k] - self.ways[k - 1]) / (self.times[k] - self.times[k - 1]))
         return float(self.ways[k - 1]) + slope * (time - float(self.times[k - 1])), slope * pace

@@ -12,9 +12,13 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.errors import TargetError, advice
 from manip_learn.linalg import unit
+
+# b (s,), or of one row a number, and E of `Task.error_jacobian`, where that is not A(q)
+VelocityAndJacobian = tuple[Any, Float[np.ndarray, "s nv"] | None]
 
 
 class Task(ABC):
@@ -68,9 +72,7 @@ class Task(ABC):
         """
         return None
 
-    def velocity_and_jacobian(
-        self, constraint: Constraint, q: np.ndarray, t: float
-    ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
+    def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
         """b (s,) and E together, cheaper than one by one where a child shares work."""
         return self.velocity(constraint, q, t), self.error_jacobian(constraint, q, t)
 
@@ -131,26 +133,27 @@ class PointAttractor(Task):
     ):
         if driven not in ("held", "all"):
             raise TargetError(f"driven must be 'held' or 'all', not {driven!r}")
-        self.driven: Literal["held", "all"] = driven
-        self._all: Constraint | None = None
         try:
-            self.target = np.array(target, dtype=np.float64)
+            numbers = np.array(target, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise TargetError(f"the target must be numbers, got {target!r}") from error
-        if self.target.ndim not in (1, 2) or not np.all(np.isfinite(self.target)):
-            raise TargetError(f"the target must be finite numbers, got {self.target.tolist()}")
-        self.target.setflags(write=False)
-        self.gain = float(gain)
-        self.max_speed = max_speed
-        self._fixed = True
+        if numbers.ndim not in (1, 2) or not np.all(np.isfinite(numbers)):
+            raise TargetError(f"the target must be finite numbers, got {numbers.tolist()}")
+        numbers.setflags(write=False)
+        self.target, self.gain, self.max_speed, self._all = numbers, float(gain), max_speed, None
+        self.driven: Literal["held", "all"] = driven
 
     def __setattr__(self, name: str, value: object) -> None:
-        if name in ("target", "gain", "max_speed", "driven") and getattr(self, "_fixed", False):
+        if name in vars(self) and not name.startswith("_"):
             raise TargetError(
                 f"the {name} of a task cannot be changed, a loop may be running it: make another task, "
                 "loop.set_task(...) or loop.set_target(...)"
             )
         super().__setattr__(name, value)
+
+    def _fits(self, features: FeatureMap) -> bool:
+        """Whether the target is a pose, or a number for each row of the features."""
+        return self.target.shape in ((features.n_rows,), (4, 4))
 
     def rows(self, constraint: Constraint) -> Constraint:
         """The constraint's rows, or all rows of its features.
@@ -161,7 +164,7 @@ class PointAttractor(Task):
         if self.driven == "held":
             return constraint
         names = constraint.features.row_names
-        if self.target.shape not in ((len(names),), (4, 4)) or isinstance(constraint.features, WeighedVelocity):
+        if not self._fits(constraint.features) or isinstance(constraint.features, WeighedVelocity):
             raise TargetError(
                 f"the target must have {len(names)} numbers ({', '.join(names)}), got shape {self.target.shape}: "
                 + advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")
@@ -176,16 +179,15 @@ class PointAttractor(Task):
         Raises:
             TargetError: The target has the wrong size.
         """
-        features, shape = constraint.features, self.target.shape
-        if shape == (features.n_rows,) or shape == (4, 4):
+        features, s = constraint.features, constraint.n_constraints
+        if self._fits(features):
             return constraint.selection.dot(features.error_to(self.target, q))
-        s = constraint.n_constraints
-        if shape == (s,):
+        if self.target.shape == (s,):
             return self.target - constraint.selection @ features.coordinates(q)
         either = "" if s == features.n_rows else f", or {s}: one per row of the constraint"
         raise TargetError(
             f"the target must have {features.n_rows} numbers ({', '.join(features.row_names)}){either}; "
-            f"got shape {shape}"
+            f"got shape {self.target.shape}"
         )
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
@@ -194,33 +196,25 @@ class PointAttractor(Task):
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
         """E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
-        features, shape = constraint.features, self.target.shape
-        if shape == (features.n_rows,) or shape == (4, 4):
-            E = features.error_jacobian(self.target, q)
-        else:
-            E = features.coordinates_jacobian(q)
+        features = constraint.features
+        E = features.error_jacobian(self.target, q) if self._fits(features) else features.coordinates_jacobian(q)
         return None if E is None else constraint.selection.dot(E)
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """gain * displacement, scaled down to max_speed."""
         return self._attraction(self.displacement(constraint, q))
 
-    def velocity_and_jacobian(
-        self, constraint: Constraint, q: np.ndarray, t: float
-    ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
+    def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
         """b and E from one look at the pose."""
-        features, shape = constraint.features, self.target.shape
-        if type(self) is PointAttractor and (shape == (features.n_rows,) or shape == (4, 4)):
-            error, E = features.error_and_jacobian(self.target, q)
+        if type(self) is PointAttractor and self._fits(constraint.features):
+            error, E = constraint.features.error_and_jacobian(self.target, q)
             return self._attraction(constraint.selection.dot(error)), None if E is None else constraint.selection.dot(E)
         return super().velocity_and_jacobian(constraint, q, t)
 
     def _attraction(self, displacement: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
-        b = displacement if self.gain == 1.0 else self.gain * displacement
-        if self.max_speed is not None:
-            speed = math.sqrt(b.dot(b))
-            if speed > self.max_speed:
-                b *= self.max_speed / speed
+        b = self.gain * displacement
+        if self.max_speed is not None and (speed := math.sqrt(b.dot(b))) > self.max_speed:
+            b *= self.max_speed / speed
         return b
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
@@ -262,35 +256,27 @@ class Track(Task):
     def __init__(
         self, target: Callable[[float], ArrayLike], rate: Callable[[float], ArrayLike] | None = None, gain: float = 1.0
     ):
-        self._target = target
-        self._rate = rate
-        self.gain = float(gain)
+        self._target, self._rate, self.gain = target, rate, float(gain)
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """Attraction to the target, and the rate at time t where one was given."""
-        return self._velocity(PointAttractor(self._target(t)), constraint, q, t, 0.0)
-
-    def velocity_and_jacobian(
-        self, constraint: Constraint, q: np.ndarray, t: float, dt: float = 0.0
-    ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
-        """b for the time dt [s] that begins at t, and E."""
-        here = PointAttractor(self._target(t))
-        return self._velocity(here, constraint, q, t, dt), here.error_jacobian(constraint, q, t)
-
-    def _velocity(
-        self, here: PointAttractor, constraint: Constraint, q: np.ndarray, t: float, dt: float
-    ) -> Float[np.ndarray, " s"]:
-        ahead = here.displacement(constraint, q)
-        b = self.gain * ahead
-        if self._rate is not None:
-            return b + constraint.selection @ np.asarray(self._rate(t + 0.5 * dt), dtype=np.float64)
-        if dt > 0.0:
-            b += (PointAttractor(self._target(t + dt)).displacement(constraint, q) - ahead) / dt
-        return b
+        return self.velocity_and_jacobian(constraint, q, t)[0]
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
         """E with d/dt error = -E u for a target that stands still; None where E = A(q) (see `Task`)."""
-        return PointAttractor(self._target(t)).error_jacobian(constraint, q, t)
+        return self.velocity_and_jacobian(constraint, q, t)[1]
+
+    def velocity_and_jacobian(
+        self, constraint: Constraint, q: np.ndarray, t: float, dt: float = 0.0
+    ) -> VelocityAndJacobian:
+        """b for the time dt [s] that begins at t, and E."""
+        ahead, E = PointAttractor(self._target(t)).velocity_and_jacobian(constraint, q, t)
+        b = self.gain * ahead
+        if self._rate is not None:
+            b += constraint.selection @ np.asarray(self._rate(t + 0.5 * dt), dtype=np.float64)
+        elif dt > 0.0:
+            b += (PointAttractor(self._target(t + dt)).displacement(constraint, q) - ahead) / dt
+        return b, E
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Distance to the target's position at time t."""

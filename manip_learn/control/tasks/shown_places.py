@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, final
 
@@ -11,11 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.mechanism import GRIP
+from manip_learn.constraint.mechanism import GRIP, Mechanism
 from manip_learn.constraint.shown import Shown
-from manip_learn.control.tasks.driven_motion import DrivenMotion, Origin, apart
-from manip_learn.robot.rotations import angles_between
+from manip_learn.control.tasks.driven_motion import Course, DrivenMotion, Origin
+from manip_learn.robot.rotations import angles_between, rotation_matrix, rotation_vector
 
 LEAST_TURN = 1e-3  # share of a rotation in a row: a learnt row of the place leaks less, and holds no turn
 HAND_LEVER = 0.2  # [m] between a hand and what it turns, so that an approach of 0.25 m/s turns by 1.25 rad/s at most
@@ -29,67 +28,62 @@ def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = Fa
     if shown is None or not shown.is_way or not (shown.one_way or of_most) or shown.unit != motion.unit:
         return 0.0
     begin = shown.chart.grasp
-    along = float(shown.chart.heading(begin) @ motion.course(begin).chart.heading(begin))
+    along = float(shown.chart.heading(begin) @ Course(motion, begin).chart.heading(begin))
     return math.copysign(1.0, along) if along else 0.0
 
 
+def between(start: Origin, end: Origin, share: float) -> Origin:
+    """Return the pose on the straight way from one to another, on which the hand turns evenly."""
+    out = start + share * (end - start)
+    turn = rotation_vector(end[:3, :3] @ start[:3, :3].T)
+    out[:3, :3] = rotation_matrix(share * turn) @ start[:3, :3]
+    return out
+
+
 @final
-@dataclass(frozen=True, eq=False)
 class ShownPlaces:
     """Where a task was shown, as a motion along it sees that.
 
-    Attributes:
+    A firm grip is taken as it was in one of the contacts; of a path, one place is taken for all.
+
+    Args:
+        mechanism: What holds the hand.
+        shown: What was shown.
         motion: The motion along what is free.
-        shown: What was shown, by the place of the hand.
-        begins: shape (n, 4, 4), poses at which contacts began; one, if loose grips began at one place.
         anew: Whether the hand goes to where contacts began even if it is on the mechanism already.
-        is_turned: Whether the hand is turned as it was shown; False where the rows leave that free.
-        room: How far from what was shown a hand may begin, along the way [m or rad].
+        is_path: Whether the motion is a path that was shown.
+
+    Attributes:
         sense: Of the way shown along the motion, 1 or -1.
     """
 
-    motion: DrivenMotion
-    shown: Shown
-    begins: Float[np.ndarray, "n 4 4"]
-    anew: bool
-    is_turned: bool
-    room: float
-    sense: float
-
-    @staticmethod
-    def of(constraint: Constraint, motion: DrivenMotion, anew: bool, is_path: bool) -> ShownPlaces | None:
-        """Of a learnt constraint; None if nothing was shown.
-
-        A firm grip is taken as it was in one of the contacts; of a path, one place is taken for all.
-        """
-        mechanism, shown = constraint.mechanism, constraint.shown
-        if shown is None:
-            return None
+    def __init__(self, mechanism: Mechanism | None, shown: Shown, motion: DrivenMotion, anew: bool, is_path: bool):
+        self._shown = replace(shown, mechanism=replace(shown.mechanism, orientation="free"))  # by the hand's place
+        self._motion, self._anew = motion, anew
+        self.sense = shown_sense(shown, motion, of_most=True) or 1.0
         rows: Any = motion.constraint.features
         turning = motion.constraint.selection @ rows.weights_at(shown.chart.grasp[None])[0, :, 3:]
-        is_turned = bool(np.any(np.abs(turning) > LEAST_TURN))
-        is_apart = (shown.hold is None or is_turned) and len(shown.grasps) > 0 and not is_path
+        self._is_turned = bool(np.any(np.abs(turning) > LEAST_TURN))  # as it was shown; else the rows leave that free
+        is_apart = (shown.hold is None or self._is_turned) and len(shown.grasps) > 0 and not is_path
+        self._begins = shown.grasps if is_apart else shown.chart.grasp[None]
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
-        sense = shown_sense(shown, motion, of_most=True) or 1.0
-        by_place = replace(shown, mechanism=replace(shown.mechanism, orientation="free"))
-        begins = shown.grasps if is_apart else shown.chart.grasp[None]
-        return ShownPlaces(motion, by_place, begins, anew, is_turned, GRIP / lever, sense)
+        self._room = GRIP / lever  # how far from what was shown a hand may begin, along the way [m or rad]
 
     @cached_property
     def _ahead(self) -> Float[np.ndarray, "n k"]:
         """How far along what is free each beginning is from the first [m or rad]."""
-        return np.vstack([self.shown.along(np.array([self.begins[0], begin]))[1] for begin in self.begins])
+        return np.vstack([self._shown.along(np.array([self._begins[0], begin]))[1] for begin in self._begins])
 
     @cached_property
     def _taken_back(self) -> Float[np.ndarray, "n 3"]:
         """Where each beginning would be if it were taken back along the way to the first [m]."""
-        far = zip(self.begins, self._ahead, strict=True)
-        return np.array([self.shown.place_before(begin, ahead) for begin, ahead in far])
+        far = zip(self._begins, self._ahead, strict=True)
+        return np.array([self._shown.place_before(begin, ahead) for begin, ahead in far])
 
     def apart(self, one: Origin, other: Origin) -> float:
         """Distance of two origins [m]; where the hand's orientation counts, an angle at the lever of a hand."""
-        turned = float(angles_between(one[:3, :3], other[None, :3, :3])[0]) if self.is_turned else 0.0
-        return max(apart(one, other), HAND_LEVER * turned)
+        turned = float(angles_between(one[:3, :3], other[None, :3, :3])[0]) if self._is_turned else 0.0
+        return max(float(np.linalg.norm(other[:3, 3] - one[:3, 3])), HAND_LEVER * turned)
 
     def nearest(self, here: Origin, distance: float) -> Origin:
         """The origin from which the way begins.
@@ -100,26 +94,26 @@ class ShownPlaces:
         """
         if self._is_on_the_way(here):
             return here
-        begins, way = self.begins.copy(), self.sense * distance
-        if len(begins) > 1 and self.shown.is_way and not self.is_turned:
+        begins, way = self._begins.copy(), self.sense * distance
+        if len(begins) > 1 and self._shown.is_way and not self._is_turned:
             ends = self._ahead[:, 0] - self._ahead[:, 0].min() + abs(way)
-            begins = begins[ends <= max(self.shown.span, ends.min()) + self.room]
-        if not self.is_turned:
+            begins = begins[ends <= max(self._shown.span, ends.min()) + self._room]
+        if not self._is_turned:
             begins[:, :3, :3] = here[:3, :3]
         if way < 0.0:  # back from where one of them ended
-            begins = [self.motion.goal(begin, -distance) for begin in begins]
+            begins = [Course(self._motion, begin).goal(-distance) for begin in begins]
         return min(begins, key=lambda begin: self.apart(here, begin))
 
     def _is_on_the_way(self, here: Origin) -> bool:
         """Return True if the hand is where a way was shown, or between such places, and may begin there."""
-        if self.anew and (self.is_turned or len(self.begins) == 1):
+        if self._anew and (self._is_turned or len(self._begins) == 1):
             return False
-        hand = self.begins[0].copy()
+        hand = self._begins[0].copy()
         hand[:3, 3] = here[:3, 3]
-        far, path = self.shown.along(np.array([self.begins[0], hand]))[1], self.shown.path * (not self.anew)
+        far, path = self._shown.along(np.array([self._begins[0], hand]))[1], self._shown.path * (not self._anew)
         low, high = self._ahead.min(0) + path.min(0), self._ahead.max(0) + path.max(0)
         # both taken back along the way: is the hand where contacts began, or between them?
-        goal, begun = self.shown.place_before(hand, far), self._taken_back
+        goal, begun = self._shown.place_before(hand, far), self._taken_back
         weights = nnls(np.vstack([begun.T, np.ones(len(begun))]), np.append(goal, 1.0))[0]
         off = np.linalg.norm(weights @ begun / max(weights.sum(), GRIP) - goal)
-        return bool(np.all((low - self.room <= far) & (far <= high + self.room)) and off <= GRIP)
+        return bool(np.all((low - self._room <= far) & (far <= high + self._room)) and off <= GRIP)
