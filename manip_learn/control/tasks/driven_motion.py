@@ -242,7 +242,7 @@ def _direction(
     if direction is None:
         return _only(basis, words, "", ",".join(f"{c:.3g}" for c in basis[0]))
     given, place = finite(direction, p), finite(direction, 3)
-    if place is not None and set(AXES[:3]) <= set(names):
+    if place is not None and p > 3 and set(AXES[:3]) <= set(names):
         given = place @ [[axis == name for name in names] for axis in AXES[:3]]
     if given is None or not given.any():
         raise TargetError(
@@ -267,7 +267,6 @@ def _along_row(
             "of them to be held as it is, or not at all"
         )
     held = [name for name, weight in zip(rows.row_names, np.diag(weights), strict=True) if weight > 0.5]
-    g: Place = rows.geometry
     if "spherical" in held or {"slide", "slide-1", "slide-2"} == {*held}:  # a ball turns about any axis, as a hinge
         if direction is None:
             raise ConstraintError(
@@ -279,16 +278,16 @@ def _along_row(
             raise TargetError(
                 f"the direction of a ball is the axis of the turn, three finite numbers not all zero; got {direction!r}"
             )
-        g, direction, unit = Place(turn / np.linalg.norm(turn), g.point), None, "rad"
+        place = Place(turn / np.linalg.norm(turn), rows.geometry.point)
+        rows, direction, unit = rows.about(place), None, "rad"
+    g: Place = rows.geometry
     is_firm = any(name.startswith("slide") or name == "screw" for name in held)
     names = ("along",) if g is None else ("turn", "slide") if is_firm else ("tangential", "axial", "radial")
     rest = [name for name in names if name not in {*held, *(_COMBINED.get(name) for name in held)}]
     driven = _free_row(held, rest, direction, unit)
     beside = [name for name in rest if name != driven] if straight and not is_firm else []
     kind = next((k for k in MECHANISM_KINDS if g is not None and {*k.rows} == {*held}), None)
-    features = (rows if g is None else rows.about(g)).with_rows(
-        (*(held if kind is None else kind.rows), *beside, driven)
-    )
+    features = rows.with_rows((*(held if kind is None else kind.rows), *beside, driven))
     turns, pitch = driven in ("turn", "tangential"), g.pitch if {"screw", "helical"} & {*held} else 0.0
 
     def chart_at(origin: Origin) -> Chart:

@@ -24,14 +24,7 @@ from manip_learn.control.policies import (
     SampledPolicy,
     ZeroPolicy,
 )
-from manip_learn.control.tasks.driven_motion import (
-    Course,
-    Origin,
-    Unit,
-    along_path,
-    driven_motion,
-    way_in_words,
-)
+from manip_learn.control.tasks.driven_motion import Course, Origin, Unit, along_path, driven_motion, way_in_words
 from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
 from manip_learn.control.tasks.point_attractor import PointAttractor, Task, VelocityAndJacobian
 from manip_learn.control.tasks.shown_places import ShownPlaces, between, shown_sense
@@ -46,7 +39,7 @@ _REFUSED = {  # unit -> mechanisms that do not move by it, what they do, and wha
     "rad": (("line", "plane"), "slides and does not turn", "distance= [m]", "--along METRES"),
 }
 DONE = {"m": 1e-3, "rad": math.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
-_RAMP = 0.5  # [s] from rest to the speed: 0.1 m/s with 0.3 m/s2 at most
+RAMP = 0.5  # [s] from rest to the speed: 0.1 m/s with 0.3 m/s2 at most
 # what a way may be longer than what was shown: the play of a drawer's rails, and two tenths of a degree
 BEYOND = {"m": 2e-3, "rad": math.radians(0.2)}
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
@@ -131,7 +124,7 @@ class FreeDirection(Task):
         *,
         direction: ArrayLike | str | None = None,
         gain: float = 10.0,
-        ramp: float = 0.5,
+        ramp: float = RAMP,
         start: ArrayLike | None = None,
         unit: Unit | None = None,
         straight: bool = False,
@@ -147,8 +140,7 @@ class FreeDirection(Task):
         self.pause = _number("pause", pause) if pause else 0.0
         self.learnt, self.counts, shown = constraint, 1.0, constraint.shown
         held = constraint.with_orientation() if keep_orientation else _held_by_the_grip(constraint)
-        is_path = as_shown and shown is not None and not shown.is_way
-        if shown is not None and is_path:
+        if as_shown and shown is not None and not shown.is_way:
             self._motion, self._profile = along_path(held, shown, self._ramp)
         else:
             self._motion = driven_motion(held, direction, unit, straight)
@@ -164,7 +156,7 @@ class FreeDirection(Task):
         self.unit: Unit = self._motion.unit
         self._shown: ShownPlaces | None = None
         if shown is not None and (take_hold or as_shown):
-            self._shown = ShownPlaces(constraint.mechanism, shown, self._motion, as_shown, is_path)
+            self._shown = ShownPlaces(constraint.mechanism, shown, self._motion, as_shown)
         self._given = None if start is None else Course(self._motion, self._motion.origin(start))
         self.reset()
 
@@ -446,8 +438,8 @@ def motion(
     distance, angle = along if distance is None else distance, turn if angle is None else angle
     shown, known = constraint.shown, constraint.mechanism
     word = direction if isinstance(direction, str) and direction in ("shown", "back") else None
-    again = distance is None and angle is None
-    if again and isinstance(direction, str) and word is None:
+    again, is_named = distance is None and angle is None, direction is not None and word is None
+    if again and is_named and isinstance(direction, str):
         raise TargetError(f"the direction is {direction!r}, it must be 'shown', as the recordings went, or 'back'")
     if again and (meant := constraint.intention) is not None:
         if not meant.common:
@@ -456,8 +448,7 @@ def motion(
                 "one" + advice(" with {}", "PointAttractor(target)", "--target")
             )
         return PointAttractor(meant.target, meant.gain)  # type: ignore[return-value]  # of such rows alone
-    unknown = again and (shown is None or (direction is not None and word is None))
-    if unknown or (distance is not None and angle is not None):
+    if (again and (shown is None or is_named)) or (distance is not None and angle is not None):
         raise TargetError(
             ("the constraint does not know what was shown: " if again and shown is None else "")
             + "say how far to go, once"
@@ -468,7 +459,7 @@ def motion(
     types, does, *instead = _REFUSED[unit]
     if again and shown is not None:
         unit, amount = shown.unit, shown.extent
-        speed = amount / max(shown.seconds - _RAMP, _RAMP) if speed is None else speed
+        speed = amount / max(shown.seconds - RAMP, RAMP) if speed is None else speed
     elif known is not None and known.type in types:
         raise ConstraintError(f"what was learnt {does} ({known.sentence})" + advice(": use {}", *instead))
     if speed is None:
@@ -479,7 +470,6 @@ def motion(
         amount,  # type: ignore[arg-type]  # one of them was given
         speed,
         direction=None if word is not None else direction,
-        ramp=_RAMP,
         unit=unit,
         straight=True,
         keep_orientation=keep_orientation,
@@ -489,7 +479,6 @@ def motion(
     )
     if not beyond_shown:
         _check_shown(task)
-    is_named = direction is not None and word is None
     sense = 0.0 if is_named else shown_sense(shown, task._motion, of_most=again)
     if sense == 0.0 and word is not None:
         raise ConstraintError(

@@ -50,21 +50,21 @@ class ShownPlaces:
         mechanism: What holds the hand.
         shown: What was shown.
         motion: The motion along what is free.
-        anew: Whether the hand goes to where contacts began even if it is on the mechanism already.
-        is_path: Whether the motion is a path that was shown.
+        anew: Whether the hand does as was shown: it goes to where contacts began even if it is on the mechanism
+            already, and along the path that was shown on a surface.
 
     Attributes:
         sense: Of the way shown along the motion, 1 or -1.
     """
 
-    def __init__(self, mechanism: Mechanism | None, shown: Shown, motion: DrivenMotion, anew: bool, is_path: bool):
+    def __init__(self, mechanism: Mechanism | None, shown: Shown, motion: DrivenMotion, anew: bool):
         self._shown = replace(shown, mechanism=replace(shown.mechanism, orientation="free"))  # by the hand's place
         self._motion, self._anew = motion, anew
         self.sense = shown_sense(shown, motion, of_most=True) or 1.0
         rows: Any = motion.constraint.features
         turning = motion.constraint.selection @ rows.weights_at(shown.chart.grasp[None])[0, :, 3:]
         self._is_turned = bool(np.any(np.abs(turning) > LEAST_TURN))  # as it was shown; else the rows leave that free
-        is_apart = (shown.hold is None or self._is_turned) and len(shown.grasps) > 0 and not is_path
+        is_apart = (shown.hold is None or self._is_turned) and len(shown.grasps) > 0 and (shown.is_way or not anew)
         self._begins = shown.grasps if is_apart else shown.chart.grasp[None]
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
         self._room = GRIP / lever  # how far from what was shown a hand may begin, along the way [m or rad]
@@ -73,12 +73,6 @@ class ShownPlaces:
     def _ahead(self) -> Float[np.ndarray, "n k"]:
         """How far along what is free each beginning is from the first [m or rad]."""
         return np.vstack([self._shown.along(np.array([self._begins[0], begin]))[1] for begin in self._begins])
-
-    @cached_property
-    def _taken_back(self) -> Float[np.ndarray, "n 3"]:
-        """Where each beginning would be if it were taken back along the way to the first [m]."""
-        far = zip(self._begins, self._ahead, strict=True)
-        return np.array([self._shown.place_before(begin, ahead) for begin, ahead in far])
 
     def apart(self, one: Origin, other: Origin) -> float:
         """Distance of two origins [m]; where the hand's orientation counts, an angle at the lever of a hand."""
@@ -113,7 +107,8 @@ class ShownPlaces:
         far, path = self._shown.along(np.array([self._begins[0], hand]))[1], self._shown.path * (not self._anew)
         low, high = self._ahead.min(0) + path.min(0), self._ahead.max(0) + path.max(0)
         # both taken back along the way: is the hand where contacts began, or between them?
-        goal, begun = self._shown.place_before(hand, far), self._taken_back
+        goal, back = self._shown.place_before(hand, far), zip(self._begins, self._ahead, strict=True)
+        begun = np.array([self._shown.place_before(begin, ahead) for begin, ahead in back])
         weights = nnls(np.vstack([begun.T, np.ones(len(begun))]), np.append(goal, 1.0))[0]
         off = np.linalg.norm(weights @ begun / max(weights.sum(), GRIP) - goal)
         return bool(np.all((low - self._room <= far) & (far <= high + self._room)) and off <= GRIP)
