@@ -19,7 +19,7 @@ from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, pose_error
 from manip_learn.constraint.mechanism import CURVE, MECHANISM_KINDS, ON_THE_AXIS, Mechanism, mechanism_of
 from manip_learn.constraint.place import Place, across
-from manip_learn.constraint.shown import PURE_SHARE, Shown, Unit
+from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.linalg import along_axes, complement_rows, finite
@@ -29,6 +29,8 @@ Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the featur
 _BESIDE = 0.02  # [m] along a path from where a hand should be, within which it is: some strokes of a wipe cross nearer
 _AHEAD = 0.1  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
 _FREE = 0.1  # share of a direction that must be free for it to be meant
+# share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
+_PURE = 0.995
 _DRIVEN = {  # rows that may be driven, in words
     "turn": "turn (about the axis, with the hand) [rad]",
     "slide": "slide (along the axis) [m]",
@@ -232,7 +234,7 @@ def _direction(
     if unit is not None and direction is None:
         wanted = free[:, angular if unit == "rad" else ~angular]
         U, sigma, _ = np.linalg.svd(wanted)
-        pure = U.T[: int(np.count_nonzero(sigma > PURE_SHARE))] @ free  # a learnt Lambda leaks a little of the other
+        pure = U.T[: int(np.count_nonzero(sigma > _PURE))] @ free  # a learnt Lambda leaks a little of the other
         # a single twist that does both, of a hinge or a screw in the hand's axes, counts as what it mostly is
         free = free if not len(pure) and len(free) == 1 and np.sum(wanted**2) > 0.5 else pure
     if not len(free):
