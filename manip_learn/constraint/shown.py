@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from statistics import NormalDist
 from typing import Any, Literal, final
@@ -230,33 +230,25 @@ class Shown:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, for a constraint file."""
-        content = {name: getattr(self, name) for name in (*_NUMBERS, "force")}
-        for name in (*_ARRAYS, *_OF_03):
-            value = getattr(self, name)
-            content[name] = None if value is None else np.round(value, 6).tolist()
-        content["mechanism"] = self.mechanism.to_dict()
-        return content
+        content = {each.name: getattr(self, each.name) for each in fields(self)}
+        plain = {n: np.round(x, 6).tolist() if isinstance(x, np.ndarray) else x for n, x in content.items()}
+        return plain | {"mechanism": self.mechanism.to_dict()}
 
     @staticmethod
     def from_dict(content: Any) -> Shown | None:
         """What `to_dict` wrote; None of anything else."""
         try:
-            values: dict[str, Any] = {name: content[name] for name in _NUMBERS}
-            for name in (*_ARRAYS, *_OF_03.intersection(content)):
-                values[name] = None if content[name] is None else np.array(content[name], dtype=np.float64)
-            if "mechanism" not in content:
-                values["mechanism"], values["path"] = _of_02(content["coordinates"], values["path"])
-            else:
+            saved = {each.name: content[each.name] for each in fields(Shown) if each.name in content}
+            values: dict[str, Any] = {
+                n: np.array(x, dtype=float) if isinstance(x, list) else x for n, x in saved.items()
+            }
+            if "mechanism" in content:
                 values["mechanism"] = Mechanism.from_dict(content["mechanism"])
-            return Shown(**values, force=content.get("force"))
+            else:
+                values["mechanism"], values["path"] = _of_02(content["coordinates"], values["path"])
+            return Shown(**values)
         except (KeyError, TypeError, ValueError):
             return None
-
-
-_NUMBERS = ("unit", "extent", "spread", "least", "most", "span", "speed", "seconds", "back", "n", "scatter")
-_NUMBERS += ("turned", "one_way")
-_ARRAYS = ("hold", "path", "time", "begin", "orientation")
-_OF_03 = {"start", "grasps", "hand"}  # which files of 0.2 do not have
 
 
 def _of_02(c: dict[str, Any], path: Float[np.ndarray, "T k"]) -> tuple[Mechanism, Float[np.ndarray, "T n"]]:
@@ -344,31 +336,14 @@ def shown_by(
     start = np.median([_ways(free, np.array([begin, grasp]))[1] for grasp in grasps], axis=0)
     if free.kind == "ball":  # each chart has axes of its own
         path = path @ (_turns(free, grasps[typical]) @ _turns(free, begin).T)
-    return Shown(
-        "rad" if free.kind in ("hinge", "screw", "ball") else "m",
-        float(np.median(extents)),
-        float(np.std(extents)),
-        float(np.min(extents)),
-        float(np.max(extents)),
-        _span(free, motions, ways) if is_way else float(np.max(extents)),
-        float(np.median(lengths / np.maximum(seconds, 1e-9))),
-        float(np.median(seconds)),
-        bool(np.median(ends / extents) <= BACK),
-        len(ways),
-        hold,
-        scatter,
-        path,
-        time,
-        begin[:3, 3],
-        begin[:3, :3],
-        float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3]))),
-        one_way,
-        free,
-        _force(features, free, contacts),
-        start,
-        grasps[evenly(len(grasps), MOST_GRASPS)],
-        hand,
-    )
+    unit: Unit = "rad" if free.kind in ("hinge", "screw", "ball") else "m"
+    far = [float(f(extents)) for f in (np.median, np.std, np.min, np.max)]
+    far.append(_span(free, motions, ways) if is_way else far[-1])
+    pace = float(np.median(lengths / np.maximum(seconds, 1e-9))), float(np.median(seconds))
+    whole = (unit, *far, *pace, bool(np.median(ends / extents) <= BACK), len(ways), hold, scatter)
+    turned = float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3])))
+    typical_one = (path, time, begin[:3, 3], begin[:3, :3], turned, one_way, free, _force(features, free, contacts))
+    return Shown(*whole, *typical_one, start, grasps[evenly(len(grasps), MOST_GRASPS)], hand)
 
 
 def _force(features: FeatureMap, free: Mechanism, contacts: Sequence[Trajectory]) -> float | None:
