@@ -343,7 +343,7 @@ def shown_by(
     whole = (unit, *far, *pace, bool(np.median(ends / extents) <= BACK), len(ways), hold, scatter)
     turned = float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3])))
     typical_one = (path, time, begin[:3, 3], begin[:3, :3], turned, one_way, free, _force(features, free, contacts))
-    return Shown(*whole, *typical_one, start, grasps[evenly(len(grasps), MOST_GRASPS)], hand)
+    return Shown(*whole, *typical_one, start=start, grasps=grasps[evenly(len(grasps), MOST_GRASPS)], hand=hand)
 
 
 def _force(features: FeatureMap, free: Mechanism, contacts: Sequence[Trajectory]) -> float | None:
