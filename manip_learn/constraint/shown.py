@@ -340,9 +340,9 @@ def shown_by(
     far = [float(f(extents)) for f in (np.median, np.std, np.min, np.max)]
     far.append(_span(free, motions, ways) if is_way else far[-1])
     pace = float(np.median(lengths / np.maximum(seconds, 1e-9))), float(np.median(seconds))
-    whole = (unit, *far, *pace, bool(np.median(ends / extents) <= BACK), len(ways), hold, scatter)
+    whole: Any = (unit, *far, *pace, bool(np.median(ends / extents) <= BACK), len(ways), hold, scatter)
     turned = float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3])))
-    typical_one = (path, time, begin[:3, 3], begin[:3, :3], turned, one_way, free, _force(features, free, contacts))
+    typical_one: Any = (path, time, begin[:3, 3], begin[:3, :3], turned, one_way, free, _force(features, free, contacts))
     return Shown(*whole, *typical_one, start=start, grasps=grasps[evenly(len(grasps), MOST_GRASPS)], hand=hand)
 
 
