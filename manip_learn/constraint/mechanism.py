@@ -369,6 +369,21 @@ class Mechanism:
             rows=self._weights,
         )
 
+    def places(self, begin: Float[np.ndarray, " 3"], s: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
+        """Return where a hand goes from a place, at coordinates along the mechanism: a line to draw [m].
+
+        Args:
+            begin: shape (3,) [m].
+            s: shape (n, k), coordinates of `at` [m or rad].
+
+        Raises:
+            ConstraintError: It is not known where the mechanism is.
+        """
+        pose = np.eye(4)
+        pose[:3, 3] = begin
+        chart = dataclasses.replace(self, orientation="free").at(pose, np.inf)
+        return np.array([chart.pose(each)[:3, 3] for each in s])
+
     def _weights(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n h 6"]:
         """Return the weights of the hand's twist in the rows that are zero."""
         if self.curve is not None:

@@ -342,7 +342,16 @@ def shown_by(
     pace = float(np.median(lengths / np.maximum(seconds, 1e-9))), float(np.median(seconds))
     whole: Any = (unit, *far, *pace, bool(np.median(ends / extents) <= BACK), len(ways), hold, scatter)
     turned = float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3])))
-    typical_one: Any = (path, time, begin[:3, 3], begin[:3, :3], turned, one_way, free, _force(features, free, contacts))
+    typical_one: Any = (
+        path,
+        time,
+        begin[:3, 3],
+        begin[:3, :3],
+        turned,
+        one_way,
+        free,
+        _force(features, free, contacts),
+    )
     return Shown(*whole, *typical_one, start=start, grasps=grasps[evenly(len(grasps), MOST_GRASPS)], hand=hand)
 
 
