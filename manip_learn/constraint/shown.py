@@ -17,11 +17,10 @@ from scipy.interpolate import UnivariateSpline
 from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.curve import Curve
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.mechanism import CURVE, Mechanism
 from manip_learn.constraint.place import across
 from manip_learn.errors import counted
-from manip_learn.linalg import complement_rows
+from manip_learn.linalg import complement_rows, row_basis
 from manip_learn.recordings.trajectory import Trajectory, evenly
 from manip_learn.robot.rotations import angles_between, rotation_matrix, rotation_vectors
 
@@ -39,7 +38,7 @@ EFFORTS = 200  # samples of a contact whose efforts are looked at
 CARRIED = 0.3  # share by which efforts may miss the weight that they carry: payloads, friction, the force itself
 LEAST_FORCE = 10.0  # [N] which the friction of an arm that a hand guides does not look like
 LEAST_SEEN = 0.02  # of the largest singular value of the hand's motion: in directions below, efforts tell no force
-PURE_SHARE = 0.995  # share of a free direction that is translation: a learnt one leaks by its uncertainty, 0.1 at most
+LEAK = 0.1  # share by which a learnt row holds what it does not mean to: its uncertainty
 
 
 def poses_of(features: FeatureMap, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 4 4"] | None:
@@ -72,16 +71,11 @@ def free_mechanism(
     if kind in ("line", "plane"):  # fixed to the hand: its directions are those in which the hand did move
         places = np.concatenate([c[:, :3, 3] - c[:, :3, 3].mean(axis=0) for c in contacts])
         axes = np.linalg.svd(places, full_matrices=False)[2][: 1 if kind == "line" else 2]
-    elif isinstance(features, FrameJacobian) and features.reference == "world":
-        linear = np.array([name in AXES[:3] for name in features.row_names])
-        rows = complement_rows(selection)
-        if len(rows) and linear.any():
-            U, sigma, _ = np.linalg.svd(rows[:, linear])
-            pure = U.T[: int(np.count_nonzero(sigma > PURE_SHARE))] @ rows
-            axes = np.zeros((len(pure), 3))
-            for column, name in zip(pure.T, features.row_names, strict=True):
-                if name in AXES[:3]:
-                    axes[:, AXES.index(name)] = column
+    elif features.own_axes is False:  # translations that the rows show and Lambda leaves free, but for what it leaks
+        rows = features.weights_at(contacts[0][:1])[0, :, :3]  # type: ignore[attr-defined]  # of a frame
+        shows = row_basis(rows)
+        _, sizes, Vt = np.linalg.svd(selection @ rows @ shows.T)
+        axes = Vt[int(np.count_nonzero(sizes > LEAK)) :] @ shows
     return straight(axes)
 
 

@@ -67,7 +67,8 @@ class ShownPlaces:
             return None
         rows: Any = motion.constraint.features
         turning = motion.constraint.selection @ rows.weights_at(shown.chart.grasp[None])[0, :, 3:]
-        is_turned = bool(np.any(np.abs(turning) > LEAST_TURN))
+        is_firm = mechanism is not None and mechanism.orientation != "free"  # kept by habit is free, too
+        is_turned = is_firm and bool(np.any(np.abs(turning) > LEAST_TURN))
         is_apart = (shown.hold is None or is_turned) and len(shown.grasps) > 0 and not is_path
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
         sense = shown_sense(shown, motion, of_most=True) or 1.0
