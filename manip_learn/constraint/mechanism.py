@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal, final
+from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -27,42 +27,48 @@ MechanismType = Literal["line", "plane", "hinge", "ball", "screw", "held-orienta
 Orientation = Literal["free", "about-axis", "fixed", "carried"]
 Grip = Literal["firm", "kept", "loose"]
 TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
-_ABOUT = "turn-1 turn-2"
-# what is fitted; rows that hold the place of a hand; all rows of one that is carried, where it turns with the mechanism
-_KINDS: dict[Kind, tuple[str, str, str]] = {
-    "plane": ("axis", "axial", ""),
-    "line": ("axis", "across-1 across-2", ""),
-    "hinge": ("axis point-across", "radial axial", f"{_ABOUT} slide-1 slide-2 slide"),
-    "ball": ("point", "spherical", "slide-1 slide-2 slide"),
-    "cylinder": ("axis point-across", "radial", f"{_ABOUT} slide-1 slide-2"),
-    "screw": ("axis point-across pitch", "radial helical", f"{_ABOUT} slide-1 slide-2 screw"),
-    "space": ("", "", ""),
-    "curve": ("", "across-1 across-2", ""),
+_ABOUT, _FIRM, _AXLE = "turn-1 turn-2", "turn-1 turn-2 slide-1 slide-2", "axis point-across"
+
+
+class _Kind(NamedTuple):
+    """What is the same for all mechanisms of a kind.
+
+    Attributes:
+        type: What it is called in a report.
+        words: In a sentence.
+        unknowns: What is fitted.
+        place: Rows that hold the place of the hand.
+        carried: All rows, of a hand that turns with the mechanism; empty where that is no other case.
+        told: How a hand may turn on those that the learner tells apart.
+    """
+
+    type: MechanismType
+    words: str
+    unknowns: str
+    place: str
+    carried: str
+    told: str
+
+
+_KINDS: dict[Kind, _Kind] = {
+    "plane": _Kind("plane", "a plane ", "axis", "axial", "", "free about-axis fixed"),
+    "line": _Kind("line", "a line ", "axis", "across-1 across-2", "", "free fixed"),
+    "hinge": _Kind("hinge", "a hinge: ", _AXLE, "radial axial", f"{_FIRM} slide", "free about-axis fixed carried"),
+    "ball": _Kind("ball", "a ball: ", "point", "spherical", "slide-1 slide-2 slide", "free carried"),
+    "cylinder": _Kind("other", "a cylinder: ", _AXLE, "radial", _FIRM, "free carried"),
+    "screw": _Kind("screw", "a screw: ", f"{_AXLE} pitch", "radial helical", f"{_FIRM} screw", "free carried"),
+    "space": _Kind("held-orientation", "a held orientation", "", "", "", "about-axis fixed"),
+    "curve": _Kind("other", "a curve", "", "across-1 across-2", "", ""),
 }
-_HELD: dict[Orientation, str] = {
-    "free": "",
-    "about-axis": _ABOUT,
-    "fixed": f"{_ABOUT} turn",
-    "carried": f"{_ABOUT} turn",
+# rows that hold how the hand turns, in words, and what the kind is called then
+_TURNS: dict[Orientation, tuple[str, str, str]] = {
+    "free": ("", "the hand may turn", ""),
+    "about-axis": (_ABOUT, "the hand may turn about {axis} only", ", turning"),
+    "fixed": (f"{_ABOUT} turn", "the hand does not turn", ", not turning"),
+    "carried": (f"{_ABOUT} turn", "the hand turns with it", ", firm"),
 }
-_TYPES: dict[Kind, MechanismType] = {"space": "held-orientation", "cylinder": "other", "curve": "other"}
-_TURNS: dict[Orientation, str] = {
-    "free": "the hand may turn",
-    "about-axis": "the hand may turn about {axis} only",
-    "fixed": "the hand does not turn",
-    "carried": "the hand turns with it",
-}
+_OTHER_NAMES = {"cylinder, firm": "sleeve, firm", "space, turning": "direction", "space, not turning": "orientation"}
 CURVE = "curve"  # name of what is no lower pair, and holds the hand to a line of any shape
-_NAMES: dict[Kind, str] = {
-    "line": "a line ",
-    "plane": "a plane ",
-    "hinge": "a hinge: ",
-    "ball": "a ball: ",
-    "screw": "a screw: ",
-    "space": "a held orientation",
-    "cylinder": "a cylinder: ",
-    "curve": "a curve",
-}
 Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
 CLEAR_SHARE = 0.1  # a row of `MechanismRows` is held, or free, to this share: see `MIXED`
 # [m] distance from an axis below which the place of the hand does not tell the angle about it: an arm that places its
@@ -73,8 +79,9 @@ GRIP = 0.02  # [m] a hand this near to a mechanism is on it: people take hold of
 
 def held_rows(kind: Kind, orientation: Orientation) -> tuple[str, ...]:
     """Return the names of the rows of `MechanismRows`, or of `CurveRows`, that a mechanism leaves zero."""
-    _, place, carried = _KINDS[kind]
-    names = carried if carried and orientation == "carried" else f"{place} {_HELD[orientation]}"
+    known = _KINDS[kind]
+    firm = known.carried if orientation == "carried" else ""
+    names = firm or f"{known.place} {_TURNS[orientation][0]}"
     turning = dict[str, str](zip(TURNING, CURVE_ROWS[3:], strict=True)) if kind == "curve" else {}  # of the base's axes
     return tuple(turning.get(name, name) for name in names.split())
 
@@ -98,12 +105,12 @@ class MechanismKind:
     @property
     def type(self) -> MechanismType:
         """What it is called in a report."""
-        return _TYPES.get(self.kind, self.kind)  # type: ignore[arg-type]  # the others are called as they are
+        return _KINDS[self.kind].type
 
     @property
     def unknowns(self) -> tuple[str, ...]:
         """Which of `"axis"`, `"point-across"` (two numbers), `"point"` (three) and `"pitch"` are fitted."""
-        return ("axis",) if self.name == "direction" else tuple(_KINDS[self.kind][0].split())
+        return ("axis",) if self.name == "direction" else tuple(_KINDS[self.kind].unknowns.split())
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -121,22 +128,11 @@ class MechanismKind:
         return self.kind in ("line", "plane", "space")
 
 
-_TURNING_NAMES = {"free": "", "about-axis": ", turning", "fixed": ", not turning", "carried": ", firm"}
-_OTHER_NAMES = {"cylinder, firm": "sleeve, firm", "space, turning": "direction", "space, not turning": "orientation"}
-# those that the learner tells apart
-_TOLD: dict[Kind, tuple[Orientation, ...]] = {
-    "plane": ("free", "about-axis", "fixed"),
-    "line": ("free", "fixed"),
-    "hinge": ("free", "about-axis", "fixed", "carried"),
-    "ball": ("free", "carried"),
-    "cylinder": ("free", "carried"),
-    "screw": ("free", "carried"),
-    "space": ("about-axis", "fixed"),
-}
 MECHANISM_KINDS: tuple[MechanismKind, ...] = tuple(
-    MechanismKind(_OTHER_NAMES.get(name := kind + _TURNING_NAMES[o], name), kind, o)
-    for kind in _TOLD
-    for o in _TOLD[kind]
+    MechanismKind(_OTHER_NAMES.get(name := f"{kind}{_TURNS[o][2]}", name), kind, o)
+    for kind, known in _KINDS.items()
+    for o in _TURNS
+    if o in known.told.split()
 )
 KIND_BY_NAME = {kind.name: kind for kind in MECHANISM_KINDS}
 
@@ -227,7 +223,7 @@ class Mechanism:
     @property
     def sentence(self) -> str:
         """The mechanism in words and numbers, e.g. `"a line along (1.00, 0.00, 0.00); the hand may turn"`."""
-        return f"{_NAMES[self.kind]}{self.place}; {self.turns}"
+        return f"{_KINDS[self.kind].words}{self.place}; {self.turns}"
 
     @property
     def noun(self) -> str:
@@ -254,7 +250,7 @@ class Mechanism:
         slides = " and may slide along it" if self.name.startswith("sleeve") else ""
         if self.grip == "kept" and self.orientation_rms is not None:
             return f"the hand kept its orientation to {self.orientation_rms:.1f} degrees, by habit"
-        return _TURNS[self.orientation].format(axis=around) + slides
+        return _TURNS[self.orientation][1].format(axis=around) + slides
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Mechanism:
         """This mechanism where it stands elsewhere, p' = R p + t."""
@@ -291,7 +287,7 @@ class Mechanism:
         Raises:
             ConstraintError: The kind has an axis or a point that is not known.
         """
-        needed = {name.removesuffix("-across") for name in _KINDS[self.kind][0].split()} - {"pitch"}
+        needed = {name.removesuffix("-across") for name in _KINDS[self.kind].unknowns.split()} - {"pitch"}
         if any(getattr(self, name) is None for name in needed) or (self.kind == CURVE and self.curve is None):
             raise ConstraintError(
                 f"it is not known where the mechanism is ({self.sentence}): learn it from rows along the base's axes"
@@ -372,6 +368,21 @@ class Mechanism:
             curve=self.curve,
             rows=self._weights,
         )
+
+    def places(self, begin: Float[np.ndarray, " 3"], s: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
+        """Return where a hand goes from a place, at coordinates along the mechanism: a line to draw [m].
+
+        Args:
+            begin: shape (3,) [m].
+            s: shape (n, k), coordinates of `at` [m or rad].
+
+        Raises:
+            ConstraintError: It is not known where the mechanism is.
+        """
+        pose = np.eye(4)
+        pose[:3, 3] = begin
+        chart = dataclasses.replace(self, orientation="free").at(pose, np.inf)
+        return np.array([chart.pose(each)[:3, 3] for each in s])
 
     def _weights(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n h 6"]:
         """Return the weights of the hand's twist in the rows that are zero."""

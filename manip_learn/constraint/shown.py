@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from statistics import NormalDist
 from typing import Any, Literal, final
@@ -17,11 +17,10 @@ from scipy.interpolate import UnivariateSpline
 from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.curve import Curve
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.mechanism import CURVE, Mechanism
 from manip_learn.constraint.place import across
 from manip_learn.errors import counted
-from manip_learn.linalg import complement_rows
+from manip_learn.linalg import complement_rows, row_basis
 from manip_learn.recordings.trajectory import Trajectory, evenly
 from manip_learn.robot.rotations import angles_between, rotation_matrix, rotation_vectors
 
@@ -39,7 +38,7 @@ EFFORTS = 200  # samples of a contact whose efforts are looked at
 CARRIED = 0.3  # share by which efforts may miss the weight that they carry: payloads, friction, the force itself
 LEAST_FORCE = 10.0  # [N] which the friction of an arm that a hand guides does not look like
 LEAST_SEEN = 0.02  # of the largest singular value of the hand's motion: in directions below, efforts tell no force
-PURE_SHARE = 0.995  # share of a free direction that is translation: a learnt one leaks by its uncertainty, 0.1 at most
+LEAK = 0.1  # share by which a learnt row holds what it does not mean to: its uncertainty
 
 
 def poses_of(features: FeatureMap, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 4 4"] | None:
@@ -72,16 +71,11 @@ def free_mechanism(
     if kind in ("line", "plane"):  # fixed to the hand: its directions are those in which the hand did move
         places = np.concatenate([c[:, :3, 3] - c[:, :3, 3].mean(axis=0) for c in contacts])
         axes = np.linalg.svd(places, full_matrices=False)[2][: 1 if kind == "line" else 2]
-    elif isinstance(features, FrameJacobian) and features.reference == "world":
-        linear = np.array([name in AXES[:3] for name in features.row_names])
-        rows = complement_rows(selection)
-        if len(rows) and linear.any():
-            U, sigma, _ = np.linalg.svd(rows[:, linear])
-            pure = U.T[: int(np.count_nonzero(sigma > PURE_SHARE))] @ rows
-            axes = np.zeros((len(pure), 3))
-            for column, name in zip(pure.T, features.row_names, strict=True):
-                if name in AXES[:3]:
-                    axes[:, AXES.index(name)] = column
+    elif features.own_axes is False:  # translations that the rows show and Lambda leaves free, but for what it leaks
+        rows = features.weights_at(contacts[0][:1])[0, :, :3]  # type: ignore[attr-defined]  # of a frame
+        shows = row_basis(rows)
+        _, sizes, Vt = np.linalg.svd(selection @ rows @ shows.T)
+        axes = Vt[int(np.count_nonzero(sizes > LEAK)) :] @ shows
     return straight(axes)
 
 
@@ -230,33 +224,25 @@ class Shown:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, for a constraint file."""
-        content = {name: getattr(self, name) for name in (*_NUMBERS, "force")}
-        for name in (*_ARRAYS, *_OF_03):
-            value = getattr(self, name)
-            content[name] = None if value is None else np.round(value, 6).tolist()
-        content["mechanism"] = self.mechanism.to_dict()
-        return content
+        content = {each.name: getattr(self, each.name) for each in fields(self)}
+        plain = {n: np.round(x, 6).tolist() if isinstance(x, np.ndarray) else x for n, x in content.items()}
+        return plain | {"mechanism": self.mechanism.to_dict()}
 
     @staticmethod
     def from_dict(content: Any) -> Shown | None:
         """What `to_dict` wrote; None of anything else."""
         try:
-            values: dict[str, Any] = {name: content[name] for name in _NUMBERS}
-            for name in (*_ARRAYS, *_OF_03.intersection(content)):
-                values[name] = None if content[name] is None else np.array(content[name], dtype=np.float64)
-            if "mechanism" not in content:
-                values["mechanism"], values["path"] = _of_02(content["coordinates"], values["path"])
-            else:
+            saved = {each.name: content[each.name] for each in fields(Shown) if each.name in content}
+            values: dict[str, Any] = {
+                n: np.array(x, dtype=float) if isinstance(x, list) else x for n, x in saved.items()
+            }
+            if "mechanism" in content:
                 values["mechanism"] = Mechanism.from_dict(content["mechanism"])
-            return Shown(**values, force=content.get("force"))
+            else:
+                values["mechanism"], values["path"] = _of_02(content["coordinates"], values["path"])
+            return Shown(**values)
         except (KeyError, TypeError, ValueError):
             return None
-
-
-_NUMBERS = ("unit", "extent", "spread", "least", "most", "span", "speed", "seconds", "back", "n", "scatter")
-_NUMBERS += ("turned", "one_way")
-_ARRAYS = ("hold", "path", "time", "begin", "orientation")
-_OF_03 = {"start", "grasps", "hand"}  # which files of 0.2 do not have
 
 
 def _of_02(c: dict[str, Any], path: Float[np.ndarray, "T k"]) -> tuple[Mechanism, Float[np.ndarray, "T n"]]:
@@ -344,31 +330,23 @@ def shown_by(
     start = np.median([_ways(free, np.array([begin, grasp]))[1] for grasp in grasps], axis=0)
     if free.kind == "ball":  # each chart has axes of its own
         path = path @ (_turns(free, grasps[typical]) @ _turns(free, begin).T)
-    return Shown(
-        "rad" if free.kind in ("hinge", "screw", "ball") else "m",
-        float(np.median(extents)),
-        float(np.std(extents)),
-        float(np.min(extents)),
-        float(np.max(extents)),
-        _span(free, motions, ways) if is_way else float(np.max(extents)),
-        float(np.median(lengths / np.maximum(seconds, 1e-9))),
-        float(np.median(seconds)),
-        bool(np.median(ends / extents) <= BACK),
-        len(ways),
-        hold,
-        scatter,
+    unit: Unit = "rad" if free.kind in ("hinge", "screw", "ball") else "m"
+    far = [float(f(extents)) for f in (np.median, np.std, np.min, np.max)]
+    far.append(_span(free, motions, ways) if is_way else far[-1])
+    pace = float(np.median(lengths / np.maximum(seconds, 1e-9))), float(np.median(seconds))
+    whole: Any = (unit, *far, *pace, bool(np.median(ends / extents) <= BACK), len(ways), hold, scatter)
+    turned = float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3])))
+    typical_one: Any = (
         path,
         time,
         begin[:3, 3],
         begin[:3, :3],
-        float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3]))),
+        turned,
         one_way,
         free,
         _force(features, free, contacts),
-        start,
-        grasps[evenly(len(grasps), MOST_GRASPS)],
-        hand,
     )
+    return Shown(*whole, *typical_one, start=start, grasps=grasps[evenly(len(grasps), MOST_GRASPS)], hand=hand)
 
 
 def _force(features: FeatureMap, free: Mechanism, contacts: Sequence[Trajectory]) -> float | None:

@@ -143,7 +143,7 @@ def mechanism_drawing(
     geometry = Geometry.of(described)
     axis, point = geometry.axis, geometry.point
     if kind == "ball" and point is not None and geometry.radius:
-        circles = (_circle(point, axis, geometry.radius) for axis in np.eye(3))
+        circles = (_around(axis, point, geometry.radius) for axis in np.eye(3))
         return MechanismDrawing(kind, sentence, tuple(circles))
     if kind == "ball" or axis is None or point is None:
         return MechanismDrawing(kind, sentence, ())
@@ -163,31 +163,25 @@ def mechanism_drawing(
     reach = _margin(high - low) + 0.3 * radius
     lines = [np.array([point + (low - reach) * axis, point + (high + reach) * axis])]
     if kind == "screw" and geometry.pitch and radius:
-        lines.append(_helix(axis, point, radius, geometry.pitch, low, high, held))
+        arm, pitch = held[0] - point, geometry.pitch
+        first, second = _across(axis)
+        phase = np.arctan2(arm @ second, arm @ first) + (low - arm @ axis) / pitch  # at the lowest place held
+        turn = np.sign(pitch) * min((high - low) / abs(pitch), _TURN * MAX_TURNS)
+        lines.append(_around(axis, point + low * axis, radius, turn, pitch, phase))
     elif kind != "line" and radius:  # the circle of a hinge, the two rims of a cylinder
         heights = (low, high) if kind == "other" else (0.5 * (low + high),)
-        lines += [_circle(point + h * axis, axis, radius) for h in heights]
+        lines += [_around(axis, point + h * axis, radius) for h in heights]
     return MechanismDrawing(kind, sentence, tuple(lines))
 
 
-def _circle(centre: np.ndarray, axis: np.ndarray, radius: float) -> Float[np.ndarray, "n 3"]:
-    first, second = _across(axis)
-    angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS + 1)[:, None]
-    return centre + radius * (np.cos(angle) * first + np.sin(angle) * second)
-
-
-def _helix(
-    axis: np.ndarray, point: np.ndarray, radius: float, pitch: float, low: float, high: float, held: np.ndarray
+def _around(
+    axis: np.ndarray, point: np.ndarray, radius: float, turn: float = _TURN, pitch: float = 0.0, phase: float = 0.0
 ) -> Float[np.ndarray, "n 3"]:
-    """The path of the hand around the axis, through the first point held; pitch is travel per radian."""
+    """The circle, or the helix, of a hand that turns about an axis; it begins beside the point, at a phase [rad]."""
     first, second = _across(axis)
-    arm = held[0] - point
-    phase = np.arctan2(arm @ second, arm @ first)
-    turn = min((high - low) / abs(pitch), 2.0 * np.pi * MAX_TURNS)
-    angle = np.sign(pitch) * np.linspace(0.0, turn, max(2, int(CIRCLE_POINTS * turn / (2.0 * np.pi))))
-    start = low - float(arm @ axis)  # along the axis, from the first point held to the lowest
-    turned = (angle + phase + start / pitch)[:, None]
-    return point + radius * (np.cos(turned) * first + np.sin(turned) * second) + np.outer(low + pitch * angle, axis)
+    begin = point + radius * (np.cos(phase) * first + np.sin(phase) * second)
+    angles = np.linspace(0.0, turn, max(2, round(CIRCLE_POINTS * abs(turn) / _TURN) + 1))[:, None]
+    return Mechanism("screw", axis, point, pitch=pitch).places(begin, angles)
 
 
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -63,7 +63,8 @@ class ShownPlaces:
         self.sense = shown_sense(shown, motion, of_most=True) or 1.0
         rows: Any = motion.constraint.features
         turning = motion.constraint.selection @ rows.weights_at(shown.chart.grasp[None])[0, :, 3:]
-        self._is_turned = bool(np.any(np.abs(turning) > LEAST_TURN))  # as it was shown; else the rows leave that free
+        is_firm = mechanism is not None and mechanism.orientation != "free"  # kept by habit is free, too
+        self._is_turned = is_firm and bool(np.any(np.abs(turning) > LEAST_TURN))
         is_apart = (shown.hold is None or self._is_turned) and len(shown.grasps) > 0 and (shown.is_way or not anew)
         self._begins = shown.grasps if is_apart else shown.chart.grasp[None]
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
