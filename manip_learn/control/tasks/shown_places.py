@@ -60,7 +60,7 @@ class ShownPlaces:
     def of(constraint: Constraint, motion: DrivenMotion, anew: bool, is_path: bool) -> ShownPlaces | None:
         """Of a learnt constraint; None if nothing was shown.
 
-        A firm grip is taken as it was in one of the contacts; of a path, one place is taken for all.
+        A firm grip is taken as in the contact at which the hand is, else as in the typical one; a path as it began.
         """
         mechanism, shown = constraint.mechanism, constraint.shown
         if shown is None:
@@ -107,6 +107,8 @@ class ShownPlaces:
             begins = begins[ends <= max(self.shown.span, ends.min()) + self.room]
         if not self.is_turned:
             begins[:, :3, :3] = here[:3, :3]
+        elif min(self.apart(here, begin) for begin in begins) > GRIP:  # from elsewhere the typical one
+            begins = self.shown.chart.grasp[None]
         if way < 0.0:  # back from where one of them ended
             begins = [self.motion.goal(begin, -distance) for begin in begins]
         return min(begins, key=lambda begin: self.apart(here, begin))
