@@ -17,8 +17,10 @@ from jaxtyping import Float
 
 from manip_learn.robot.rotations import skew
 
-ON_AXIS = 1e-5  # [m] below this distance from the axis (or the centre) a direction fades to zero instead of flipping
 # Units are those of the row times a joint velocity.
+AXIS_UNITS = {**dict.fromkeys(("x", "y", "z"), "m/s"), **dict.fromkeys(("rx", "ry", "rz"), "rad/s")}
+AXES = tuple(AXIS_UNITS)  # rows of a twist (v, w)
+ON_AXIS = 1e-5  # [m] below this distance from the axis (or the centre) a direction fades to zero instead of flipping
 ROW_UNITS: dict[str, str] = {
     **dict.fromkeys(("radial", "tangential", "axial", "helical", "spherical", "across-1", "across-2"), "m/s"),
     **dict.fromkeys(("turn-1", "turn-2", "turn"), "rad/s"),
@@ -49,11 +51,6 @@ class Place:
         """
         sense = 1.0 if self.axis[int(np.argmax(np.abs(self.axis)))] > 0.0 else -1.0
         return Place(sense * self.axis, self.point, self.pitch)
-
-    def at(self, transform: Float[np.ndarray, "4 4"]) -> Place:
-        """This place of what stands elsewhere, p' = R p + t."""
-        R = transform[:3, :3]
-        return Place(R @ self.axis, R @ self.point + transform[:3, 3], self.pitch)
 
     @cached_property
     def across(self) -> Float[np.ndarray, "2 3"]:

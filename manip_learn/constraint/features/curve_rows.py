@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.curve import CURVE_ROWS, Curve
 from manip_learn.constraint.features.feature_map import FeatureMap, parsed_rows
-from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.constraint.mechanism import CLEAR_SHARE, CURVE, Mechanism
+from manip_learn.constraint.place import AXES, AXIS_UNITS
 from manip_learn.robot.robot import Robot
 
 
@@ -41,6 +42,8 @@ class CurveRows(WeighedVelocity):
         FeatureError: Unknown rows, or points that make no curve.
     """
 
+    kind = "curve-rows"
+    saved = {"frame": "frame.name", "rows": "row_names", "points": "curve.points", "relative_to": "_relative_to"}
     # of weights that are not affine in the place
     padded = FeatureMap.padded
     value_and_vjp = FeatureMap.value_and_vjp
@@ -55,13 +58,23 @@ class CurveRows(WeighedVelocity):
     ):
         super().__init__(robot, frame, relative_to)
         self.row_names = parsed_rows(rows, CURVE_ROWS, "row")
-        self.row_units = tuple("rad/s" if name in AXES else "m/s" for name in self.row_names)
+        self.row_units = tuple(AXIS_UNITS.get(name, "m/s") for name in self.row_names)
         self.curve = points if isinstance(points, Curve) else Curve(points)
         self._rows = [CURVE_ROWS.index(name) for name in self.row_names]
 
     def with_rows(self, rows: Sequence[str]) -> CurveRows:
         """Other rows of the same curve."""
-        return CurveRows(self.robot, self.frame.name, self.curve, rows, **self.twist.seen_from)
+        return self.changed(points=self.curve, rows=rows)
+
+    def _with_turns(self) -> CurveRows:
+        return self.with_rows((*(name for name in self.row_names if name not in AXES), *AXES[3:]))
+
+    def mechanism(self, selection: Float[np.ndarray, "s p"], learnt: Mapping[str, Any]) -> Mechanism | None:
+        """Return the curve, if all that holds the hand is across it (see `FeatureMap`)."""
+        others = [not name.startswith("across") for name in self.row_names]
+        if len(selection) != 2 or np.any(np.abs(selection[:, others]) > CLEAR_SHARE):
+            return None
+        return Mechanism("other", name=CURVE, curve=self.curve, relative_to=self._relative_to)
 
     def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
         """W(p) and dW/dp at n places [m]."""
@@ -85,22 +98,9 @@ class CurveRows(WeighedVelocity):
         across = self.curve.frame(s)[0] @ (place - self.curve.at(s)[0])
         return np.append(across, s)[self._rows]
 
-    def moved(self, transform: Float[np.ndarray, "4 4"]) -> CurveRows:
-        """The same rows of a curve that stands elsewhere, p' = R p + t."""
-        curve = self.curve.moved(transform)
-        return CurveRows(self.robot, self.frame.name, curve, self.row_names, **self.twist.seen_from)
-
-    def describe(self) -> dict[str, Any]:
-        """Frame, rows and points, as saved in a constraint file."""
-        return {
-            "kind": "curve-rows",
-            "frame": self.frame.name,
-            **self.twist.seen_from,
-            "rows": list(self.row_names),
-            "units": list(self.row_units),
-            "points": self.curve.points.tolist(),
-        }
-
-    def __repr__(self) -> str:
-        what = f"{self.robot.name!r}, frame={self.frame.name!r}, {self.curve.length:.3g} m"
-        return f"CurveRows({what}, {' '.join(self.row_names)!r}{self._seen})"
+    def moved(
+        self, transform: Float[np.ndarray, "4 4"], selection: Float[np.ndarray, "s p"]
+    ) -> tuple[CurveRows, Float[np.ndarray, "s p"]]:
+        """Return the same rows of a curve that stands elsewhere, unless that is in another frame (see `FeatureMap`)."""
+        is_fixed = self.relative_to is not None
+        return self if is_fixed else self.changed(points=self.curve.moved(transform)), selection

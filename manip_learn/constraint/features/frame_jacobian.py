@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, final
 
@@ -25,14 +25,17 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, parsed_rows
+from manip_learn.constraint.mechanism import Mechanism, mechanism_of
+from manip_learn.constraint.place import AXES, AXIS_UNITS
+from manip_learn.constraint.reading import Read, hinge_or_screw, of_point_rows, of_twists, on_twist
 from manip_learn.errors import FeatureError, TargetError, an
+from manip_learn.linalg import null_basis
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
 EXACT_ROTATION = 1e-12  # a matrix that is orthonormal to this is taken as it is
 NEARLY_ROTATION = 1e-3  # printed with few digits: made orthonormal; beyond this it is no rotation
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
 
 
@@ -103,7 +106,7 @@ class PoseRows(FeatureMap):
     def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str], relative_to: str | None, own_axes: bool):
         self.robot, self.nv = robot, robot.nv
         self.row_names = parse_axes(axes)
-        self.row_units = tuple("rad/s" if n.startswith("r") else "m/s" for n in self.row_names)
+        self.row_units = tuple(AXIS_UNITS[n] for n in self.row_names)
         rows = [AXES.index(n) for n in self.row_names]
         self._row_numbers = tuple(rows)
         # a slice makes views where fancy indexing would copy
@@ -121,8 +124,36 @@ class PoseRows(FeatureMap):
 
     def with_axes(self, axes: str | Sequence[str]) -> PoseRows:
         """Return other rows of the same frame, seen from the same and along the same axes."""
-        arguments: dict[str, Any] = self.arguments() | {"axes": axes}
-        return type(self)(self.robot, **arguments)
+        return self.changed(axes=axes)
+
+    def _with_turns(self) -> PoseRows:
+        return self.with_axes(AXES)
+
+    def kind_of(
+        self, selection: Float[np.ndarray, "s p"], immovable: Float[np.ndarray, "k p"], places: Float[np.ndarray, "n 3"]
+    ) -> Read | None:
+        """Return the kind of a mechanism whose rows are the same everywhere, and where it is (see `FeatureMap`)."""
+        held, blind = (on_twist(self.row_names, rows, distance=True) for rows in (selection, immovable))
+        return None if self.own_axes else of_point_rows(held, blind, places.mean(axis=0))
+
+    def mechanism(self, selection: Float[np.ndarray, "s p"], learnt: Mapping[str, Any]) -> Mechanism | None:
+        """Return the mechanism of constant rows of the frame's origin: of no place (see `FeatureMap`)."""
+        hand, rows = np.zeros(3), on_twist(self.row_names, selection, distance=True)
+        if is_firm := self.own_axes and len(selection) == 5 and self.n_rows == len(AXES):
+            read = of_twists(null_basis(np.delete(rows, 3, axis=1)).T, hand)
+        else:
+            read = of_point_rows(rows, rows[:0], hand, aligned=False)
+        if read is None:
+            return None
+        kind, place = hinge_or_screw(read, hand, learnt)
+        if kind.kind != "space" and not is_firm:
+            # directions of a hand that turns are no line and no plane
+            if not set(AXES[:3]) <= set(self.row_names) or (self.own_axes and kind.orientation != "fixed"):
+                return None
+        known: dict[str, Any] = {"point": None, **self.seen_from, **({"axis": None} if self.own_axes else {})}
+        if is_firm:
+            known |= {"grip": "firm", "radius": None if kind.kind == "line" else float(np.linalg.norm(place.point))}
+        return mechanism_of(kind, place.as_told(), **{"radius": None} | known)
 
     @cached_property
     def twist(self) -> PoseRows:  # type: ignore[override]
@@ -316,6 +347,16 @@ class FrameJacobian(PoseRows):
     def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s 6"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
         return self._kinematics.weighted_vjp(q, self.reference, padded)
+
+    def moved(
+        self, transform: Float[np.ndarray, "4 4"], selection: Float[np.ndarray, "s p"]
+    ) -> tuple[FrameJacobian, Float[np.ndarray, "s r"]]:
+        """Return Phi and Lambda along axes that are turned; rows in the frame's own axes stay (see `FeatureMap`)."""
+        if self.own_axes:
+            return self, selection
+        turned = on_twist(self.row_names, selection).reshape(-1, 2, 3) @ transform[:3, :3].T
+        axes = AXES if "rad/s" in self.row_units else AXES[:3]
+        return self.changed(axes=axes), turned.reshape(-1, 6)[:, : len(axes)]
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n postures, the rows of q, in bulk.
