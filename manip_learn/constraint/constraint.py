@@ -8,7 +8,7 @@ import math
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -25,6 +25,7 @@ from manip_learn.constraint.task_frame import TaskFrame, task_frame
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, an, spoken
 from manip_learn.linalg import along_axes, manipulability_of, orthonormal_rows
 from manip_learn.recordings.guards import reason_of
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import html_card
 from manip_learn.robot.description.text import parsed_json, read_regular_file, unreadable
 from manip_learn.robot.identity import RobotIdentity
@@ -35,25 +36,6 @@ SCHEMA = 2  # number of the format that `save` writes; 1 is that of 0.2
 SIGNATURE = "sha256"  # entry of a file: the SHA-256 of what says where an arm goes
 LARGEST_FILE = 100_000_000  # [bytes] of a constraint: one of a hundred thousand recordings has a tenth of it
 NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
-
-
-class _Motion(Protocol):
-    """What `Constraint.residual` needs of a trajectory."""
-
-    @property
-    def name(self) -> str:
-        """What errors call it."""
-        ...
-
-    @property
-    def q(self) -> Float[np.ndarray, "T nq"]:
-        """Configurations."""
-        ...
-
-    @property
-    def u(self) -> Float[np.ndarray, "T nv"] | None:
-        """Joint velocities [rad/s or m/s]."""
-        ...
 
 
 @final
@@ -210,7 +192,7 @@ class Constraint:
         """A(q) and its vector-Jacobian product, weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, without dA/dq."""
         return self.features.value_and_vjp(q, self._padded)
 
-    def residual(self, demonstrations: Iterable[_Motion]) -> float:
+    def residual(self, demonstrations: Iterable[Trajectory]) -> float:
         """Fraction of the motion that breaks A(q) u = 0: sqrt(sum |A^+ A u|^2 / sum |u|^2), 0 to 1.
 
         Only says something for motion-constrained recordings (b = 0).
@@ -222,10 +204,9 @@ class Constraint:
         for trajectory in demonstrations:
             if trajectory.u is None or not np.all(np.isfinite(trajectory.u)):
                 raise ConstraintError(f"{trajectory.name} has no velocities: derive them first (derive_velocities)")
-            for q, u in zip(trajectory.q, trajectory.u, strict=True):
-                A = self(q)
-                broken += float(np.sum((np.linalg.pinv(A) @ (A @ u)) ** 2))
-                total += float(u @ u)
+            A, u = self.selection @ self.features.batch(trajectory.q), trajectory.u[:, :, None]
+            broken += float(np.sum((np.linalg.pinv(A) @ (A @ u)) ** 2))
+            total += float(np.sum(u**2))
         if total == 0.0:
             raise ConstraintError("nothing moves in these demonstrations: there is no residual")
         return float(np.sqrt(broken / total))

@@ -111,12 +111,6 @@ class Curve:
         along = self.at(self.nearest(p), 1)
         return along / np.linalg.norm(along, axis=1, keepdims=True)
 
-    def along(self, p: Float[np.ndarray, " 3"], way: float) -> Float[np.ndarray, " 3"]:
-        """The place that is so far along the curve from another place [m], and as far off it."""
-        s = self.nearest(p[None])
-        off = self.frame(s)[0] @ (p - self.at(s)[0])
-        return self.at(s + way)[0] + off @ self.frame(s + way)[0]
-
     def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 6 6"], Float[np.ndarray, "n 6 6 3"]]:
         """Return the weights of all `CURVE_ROWS` at n places [m], and their derivatives along the place."""
         s = self.nearest(p)

@@ -91,29 +91,25 @@ def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None
     outward, around = np.eye(3) - np.outer(a, a), skew(a)
     fields = {"radial": outward, "tangential": around, "spherical": np.eye(3), "helical": around}
     constant, by_place = np.zeros((len(names), 6)), np.zeros((len(names), 6, 3))
-    free = dict[int, tuple[np.ndarray, float]]()
+    free = {i: (a, h) if x == "helical" else (np.zeros(3), 0.0) for i, x in enumerate(names) if x in fields}
     for i, name in enumerate(names):
         e = directions.get(name[-1], a)
-        if name in AT_A_DISTANCE:
-            screws = name == "helical"
-            scale = 1.0
-            if radius is None:
-                free[i] = (a, h) if screws else (np.zeros(3), 0.0)
-            elif screws:
-                scale = -h / (radius * math.hypot(radius, h))
+        if name in fields:
+            by_place[i, :3] = fields[name]
+            if radius is not None and name == "helical":
+                by_place[i, :3] *= -h / (radius * math.hypot(radius, h))
                 constant[i, :3] = radius / math.hypot(radius, h) * a
-            else:
-                scale = 1.0 / radius
-            by_place[i, :3] = scale * fields[name]
+            elif radius is not None:
+                by_place[i, :3] *= 1.0 / radius
             constant[i, :3] -= by_place[i, :3] @ c
-        elif name in ("axial", "across-1", "across-2"):
-            constant[i, :3] = e
         elif name.startswith("turn"):
             constant[i, 3:] = e
         else:
-            constant[i, :3], by_place[i, 3:] = e, skew(e)
+            constant[i, :3] = e
+        if name.startswith(("slide", "screw")):
+            by_place[i, 3:] = skew(e)
             constant[i, 3:] = np.cross(c, e) - (h * e if name == "screw" else 0.0)
-    return PlaceWeights(constant, by_place, free)
+    return PlaceWeights(constant, by_place, free if radius is None else {})
 
 
 @final

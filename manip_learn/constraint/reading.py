@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.mechanism import KIND_BY_NAME, Mechanism, MechanismKind, Z
+from manip_learn.constraint.mechanism import MECHANISM_KINDS, Mechanism, MechanismKind, Z
 from manip_learn.constraint.place import AXES, Place
 from manip_learn.robot.rotations import skew
 
@@ -28,6 +28,7 @@ LEAST_PITCH = 1.6e-5
 SAME_AXIS = 0.9998
 
 Read = tuple[MechanismKind, Place]
+KINDS = {(kind.kind, kind.orientation): kind for kind in MECHANISM_KINDS}
 
 
 def on_twist(
@@ -55,24 +56,17 @@ def of_point_rows(
     held, turns = _rank(position), _rank(turning) if turning.size else 0
     if held is None or turns is None or turns == 1 or held > 2:
         return None
-    axis = np.linalg.svd(turning)[2][2] if turns == 2 else None
+    free = np.linalg.svd(turning)[2][2] if turns == 2 else Z
     rows = np.linalg.svd(position)[2][:held]
     normals, distances = rows[:, :3], rows[:, 3]
     far = float(np.linalg.norm(distances)) * FARTHEST_START < 1.0
-    if held == 0:
-        name, place = "", Place(Z if axis is None else axis, middle)
-    elif held == 1:
-        centre = middle - normals[0] * distances[0] / max(distances[0] ** 2, FARTHEST_START**-2)
-        name, place = "plane" if far else "ball", Place(_unit(normals[0]), middle if far else centre)
-    elif far:
-        name, place = "line", Place(_unit(np.cross(*normals)), middle)
-    else:
-        along = distances[1] * normals[0] - distances[0] * normals[1]
-        name, place = "hinge", Place(_unit(along), middle - distances @ normals / float(distances @ distances))
-    found = KIND_BY_NAME.get({0: name, 2: f"{name}, turning", 3: f"{name}, not turning"}[turns])
-    if held == 0:
-        found = {2: KIND_BY_NAME["direction"], 3: KIND_BY_NAME["orientation"]}.get(turns)
-    turned = aligned and axis is not None and held and abs(float(axis @ place.axis)) < 1.0 - MIXED
+    axis = free if held == 0 else normals[0]
+    if held == 2:
+        axis = np.cross(*normals) if far else distances[1] * normals[0] - distances[0] * normals[1]
+    place = Place(_unit(axis), middle if far else middle - distances @ normals / float(distances @ distances))
+    name = ("space", "plane" if far else "ball", "line" if far else "hinge")[held]
+    found = KINDS.get((name, {0: "free", 2: "about-axis", 3: "fixed"}[turns]))
+    turned = aligned and turns == 2 and abs(float(free @ place.axis)) < 1.0 - MIXED
     return None if found is None or turned else (found, place)
 
 
@@ -91,27 +85,26 @@ def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -
     spun, slides = U.T[:turns] @ free, (U.T[turns:] @ free)[:, :3]
     match turns, len(free):
         case 0, 1:
-            return KIND_BY_NAME["line, not turning"], Place(_unit(free[0, :3]), middle)
+            return KINDS["line", "fixed"], Place(_unit(free[0, :3]), middle)
         case 0, 2:
-            return KIND_BY_NAME["plane, not turning"], Place(_unit(np.cross(*slides)), middle)
+            return KINDS["plane", "fixed"], Place(_unit(np.cross(*slides)), middle)
         case 0, 3:
-            return KIND_BY_NAME["orientation"], Place(Z, middle)
+            return KINDS["space", "fixed"], Place(Z, middle)
         case 1, (1 | 2):
             across = spun[0, :3] / (spun[0, 3:] @ axis)
             foot = middle + np.cross(axis, across)
             if len(slides) == 0:
-                return KIND_BY_NAME["screw, firm"], Place(axis, foot, float(across @ axis))
+                return KINDS["screw", "carried"], Place(axis, foot, float(across @ axis))
             if np.linalg.norm(np.cross(slides[0], axis)) < MIXED * np.linalg.norm(slides[0]):
-                return KIND_BY_NAME["sleeve, firm"], Place(axis, foot)
+                return KINDS["cylinder", "carried"], Place(axis, foot)
         case 1, 3 if np.max(np.abs(slides @ axis)) < MIXED:
-            return KIND_BY_NAME["plane, turning"], Place(axis, middle)
+            return KINDS["plane", "about-axis"], Place(axis, middle)
         case 1, 4:
-            return KIND_BY_NAME["direction"], Place(axis, middle)
+            return KINDS["space", "about-axis"], Place(axis, middle)
         case 3, 3:  # v_i = w_i x (m - c) for all three
-            away = np.linalg.lstsq(np.concatenate([skew(x) for x in spun[:, 3:]]), spun[:, :3].reshape(-1), rcond=None)[
-                0
-            ]
-            return KIND_BY_NAME["ball, firm"], Place(Z, middle - away)
+            levers = np.concatenate([skew(x) for x in spun[:, 3:]])
+            away = np.linalg.lstsq(levers, spun[:, :3].reshape(-1), rcond=None)[0]
+            return KINDS["ball", "carried"], Place(Z, middle - away)
     return None
 
 
@@ -132,14 +125,14 @@ def of_surface(
     axis, size = vectors[:, order[0]], 0.5 * float(one + other)
     point = middle - (foot - (foot @ axis) * axis) / size
     if len(selection) == 1:
-        return KIND_BY_NAME["cylinder"], Place(axis, point)
+        return KINDS["cylinder", "free"], Place(axis, point)
     if len(selection) != 2 or sizes[0] < MIXED:
         return None
     # the other row is that of rho^2 a - h a x (p - c)
     T = np.tensordot(U[:, 0], B, axes=1)
     turn = 0.5 * np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]])
     square = float(np.mean(np.sum(np.cross(p - point, axis) ** 2, axis=1)))
-    return KIND_BY_NAME["screw"], Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis))
+    return KINDS["screw", "free"], Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis))
 
 
 def _unit(x: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
@@ -157,9 +150,11 @@ def hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], learnt: Mapping[st
     kind, place = read
     angle, radius = learnt.get("uncertainty_deg"), float(np.linalg.norm(place.point - hand))
     spread = math.radians(angle) if isinstance(angle, int | float) else 0.0
-    if kind.name != "screw, firm" or abs(place.pitch) >= max(LEAST_PITCH, 3.0 * spread * math.hypot(1.0, radius)):
+    if kind != KINDS["screw", "carried"] or abs(place.pitch) >= max(
+        LEAST_PITCH, 3.0 * spread * math.hypot(1.0, radius)
+    ):
         return read
-    return KIND_BY_NAME["hinge, firm"], place
+    return KINDS["hinge", "carried"], place
 
 
 def as_learnt(read: Mechanism, learnt: Mapping[str, Any]) -> Mechanism:

@@ -137,7 +137,7 @@ class FeatureMap(ABC):
         Raises:
             TargetError: Wrong size or not finite.
         """
-        return None
+        return self.coordinates_jacobian(q)
 
     def error_and_jacobian(
         self, target: ArrayLike, q: ArrayLike

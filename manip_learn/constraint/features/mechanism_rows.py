@@ -172,10 +172,6 @@ class MechanismRows(WeighedVelocity):
     def _at_any_distance(self) -> MechanismRows:
         return self.with_rows(self.row_names)
 
-    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """E with d/dt `error_to(target, q)` = -E u for a fixed target (see `FeatureMap`)."""
-        return self.coordinates_jacobian(q)
-
 
 def rows_of(
     kind: MechanismKind, place: Place, radius: float | None, twist: PoseRows
