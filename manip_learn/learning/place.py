@@ -14,9 +14,8 @@ from scipy.interpolate import make_lsq_spline
 from scipy.optimize import least_squares
 
 from manip_learn.constraint.curve import Curve
-from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.mechanism_rows import MechanismRows, rows_of
+from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, rows_of
 from manip_learn.constraint.mechanism import KIND_BY_NAME, ON_THE_AXIS, Mechanism, MechanismKind, mechanism_of
 from manip_learn.constraint.place import Place
 from manip_learn.constraint.reading import LEAST_PITCH

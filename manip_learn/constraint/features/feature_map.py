@@ -21,6 +21,9 @@ NEGLIGIBLE_ENTRY = 5e-3  # entries of a unit vector below it are printed as 0: h
 # vector-Jacobian product of A(q): weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k
 Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
 
+Selection = Float[np.ndarray, "s p"]  # Lambda
+Selected = tuple["FeatureMap", Selection]  # Phi and Lambda
+
 
 class FeatureMap(ABC):
     """Phi(q), shape (p, nv), and its exact derivative; A(q) = Lambda Phi(q) selects from its rows.
@@ -147,7 +150,7 @@ class FeatureMap(ABC):
 
     # ---- what holds the hand: of rows of one frame
 
-    def mechanism(self, selection: Float[np.ndarray, "s p"], learnt: Mapping[str, Any]) -> Mechanism | None:
+    def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
         """Return the mechanism whose motions Lambda leaves free, read from these rows; None if it is none of a machine.
 
         Args:
@@ -156,9 +159,7 @@ class FeatureMap(ABC):
         """
         return None
 
-    def kind_of(
-        self, selection: Float[np.ndarray, "s p"], immovable: Float[np.ndarray, "k p"], places: Float[np.ndarray, "n 3"]
-    ) -> Read | None:
+    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
         """Return the kind of the mechanism that leaves these rows zero, and where it is; None if it is none.
 
         Args:
@@ -168,19 +169,15 @@ class FeatureMap(ABC):
         """
         return None
 
-    def named(
-        self, selection: Float[np.ndarray, "s p"], mechanism: Mechanism | None
-    ) -> tuple[FeatureMap, Float[np.ndarray, "s r"]]:
+    def named(self, selection: Selection, mechanism: Mechanism | None) -> Selected:
         """Return Phi and Lambda of rows with the names of the mechanism's, where these have none (`PlaceRows`)."""
         return self, selection
 
-    def moved(
-        self, transform: Float[np.ndarray, "4 4"], selection: Float[np.ndarray, "s p"]
-    ) -> tuple[FeatureMap, Float[np.ndarray, "s r"]]:
+    def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
         """Return Phi and Lambda where what holds the hand stands elsewhere, p' = R p + t in the base's frame."""
         return self, selection
 
-    def with_rotation(self, selection: Float[np.ndarray, "s p"]) -> tuple[FeatureMap, Float[np.ndarray, "k r"]]:
+    def with_rotation(self, selection: Selection) -> Selected:
         """Return Phi and Lambda of these rows, and below them of those that hold the orientation of the frame too.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Rows about an axis or a centre: the Phi(q) of doors, handles, tethers and screws."""
+"""Rows about an axis or a centre, the Phi(q) of doors, handles, tethers and screws; across a curve, that of a rail."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, parsed_rows
+from manip_learn.constraint.curve import CURVE_ROWS, Curve
+from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parsed_rows
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.mechanism import (
     CLEAR_SHARE,
+    CURVE,
     KIND_BY_NAME,
     MECHANISM_KINDS,
     TURNING,
@@ -128,9 +130,7 @@ class MechanismRows(WeighedVelocity):
         """Return the same rows of a mechanism that is elsewhere."""
         return self.changed(axis=place.axis, point=place.point, pitch=place.pitch)
 
-    def moved(
-        self, transform: Float[np.ndarray, "4 4"], selection: Float[np.ndarray, "s p"]
-    ) -> tuple[MechanismRows, Float[np.ndarray, "s p"]]:
+    def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
         """Return the same rows of a mechanism that stands elsewhere, unless that is in another frame."""
         if self.relative_to is not None:
             return self, selection
@@ -140,7 +140,7 @@ class MechanismRows(WeighedVelocity):
     def _with_turns(self) -> MechanismRows:
         return self.with_rows(tuple(dict.fromkeys((*self.row_names, *TURNING))), self.radius)
 
-    def mechanism(self, selection: Float[np.ndarray, "s p"], learnt: Mapping[str, Any]) -> Mechanism | None:
+    def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
         """Return the mechanism whose rows are held, each as it is or not at all (see `FeatureMap`)."""
         shares = np.einsum("sp,sp->p", selection, selection)
         held = {name for name, share in zip(self.row_names, shares, strict=True) if share > 0.5}
@@ -173,9 +173,7 @@ class MechanismRows(WeighedVelocity):
         return self.with_rows(self.row_names)
 
 
-def rows_of(
-    kind: MechanismKind, place: Place, radius: float | None, twist: PoseRows
-) -> tuple[FeatureMap, Float[np.ndarray, "s p"]]:
+def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: PoseRows) -> Selected:
     """Return Phi and Lambda of a mechanism: constant rows of a twist, where these do not do rows about an axis.
 
     Of a helix no radius is said: its row is that of one radius only, and grips differ.
@@ -257,9 +255,7 @@ class PlaceRows(WeighedVelocity):
             by_place[3, :3] = np.eye(3)
         self.place_weights = PlaceWeights(constant - by_place @ m, by_place)
 
-    def kind_of(
-        self, selection: Float[np.ndarray, "s p"], immovable: Float[np.ndarray, "k p"], places: Float[np.ndarray, "n 3"]
-    ) -> Read | None:
+    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
         """Return the kind of the mechanism that leaves these rows zero, and where it is (see `FeatureMap`)."""
         if self.form == "twist":
             return of_twists(null_basis(np.concatenate([selection, immovable])).T, self.middle)
@@ -267,7 +263,7 @@ class PlaceRows(WeighedVelocity):
             return of_surface(selection, self.middle, places)
         return of_point_rows(selection, immovable, self.middle)
 
-    def mechanism(self, selection: Float[np.ndarray, "s p"], learnt: Mapping[str, Any]) -> Mechanism | None:
+    def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
         """Return the mechanism of these rows; its radius, or a helix, only with the postures in which it was shown."""
         postures = learnt.get("postures") or []
         shown = np.array([self.twist.placement(q)[0] for q in postures] or [self.middle])
@@ -281,9 +277,7 @@ class PlaceRows(WeighedVelocity):
             radius = float(np.linalg.norm(out, axis=1).mean())
         return mechanism_of(kind, place, radius, **self.twist.seen_from)
 
-    def named(
-        self, selection: Float[np.ndarray, "s p"], mechanism: Mechanism | None
-    ) -> tuple[FeatureMap, Float[np.ndarray, "s r"]]:
+    def named(self, selection: Selection, mechanism: Mechanism | None) -> Selected:
         """Return Phi and Lambda of rows with the names of the mechanism's, if it has a name."""
         kind = None if mechanism is None else KIND_BY_NAME.get(mechanism.name)
         if mechanism is None or kind is None:
@@ -295,3 +289,90 @@ class PlaceRows(WeighedVelocity):
     def describe(self) -> dict[str, Any]:
         """Return frame, form and middle, and the names of the rows."""
         return super().describe() | {"rows": list(self.row_names)}
+
+
+@final
+class CurveRows(WeighedVelocity):
+    """Velocity of a frame across a curve, and along it: rows that follow the place of the hand.
+
+    With p the origin of the frame, c(s) the place of the curve next to it, t the tangent there and n_1, n_2 two unit
+    vectors across that do not turn about the curve:
+
+    - `across-1`, `across-2`: n_i.v, the rate of n_i.(p - c) [m/s];
+    - `along`: the rate of the length s, t.v / (1 - c''.(p - c)) [m/s];
+    - `rx`, `ry`, `rz`: the angular velocity along the base's axes [rad/s].
+
+    A rail of any shape makes the first two zero.
+
+    Args:
+        robot: The robot.
+        frame: Name of the frame, e.g. the tool's tip.
+        points: Of the curve, in order, in the base frame, shape (k, 3) [m].
+        rows: Names of the rows, each at most once.
+        relative_to: Frame from which the hand is seen, and in which the points are given; None for the base.
+
+    Raises:
+        UnknownNameError: No such frame; lists near matches.
+        FeatureError: Unknown rows, or points that make no curve.
+    """
+
+    kind = "curve-rows"
+    saved = {"frame": "frame.name", "rows": "row_names", "points": "curve.points", "relative_to": "_relative_to"}
+    # of weights that are not affine in the place
+    padded = FeatureMap.padded
+    value_and_vjp = FeatureMap.value_and_vjp
+
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str,
+        points: ArrayLike | Curve,
+        rows: str | Sequence[str] = CURVE_ROWS[:3],
+        relative_to: str | None = None,
+    ):
+        super().__init__(robot, frame, relative_to)
+        self.row_names = parsed_rows(rows, CURVE_ROWS, "row")
+        self.row_units = tuple(AXIS_UNITS.get(name, "m/s") for name in self.row_names)
+        self.curve = points if isinstance(points, Curve) else Curve(points)
+        self._rows = [CURVE_ROWS.index(name) for name in self.row_names]
+
+    def with_rows(self, rows: Sequence[str]) -> CurveRows:
+        """Other rows of the same curve."""
+        return self.changed(points=self.curve, rows=rows)
+
+    def _with_turns(self) -> CurveRows:
+        return self.with_rows((*(name for name in self.row_names if name not in AXES), *AXES[3:]))
+
+    def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
+        """Return the curve, if all that holds the hand is across it (see `FeatureMap`)."""
+        others = [not name.startswith("across") for name in self.row_names]
+        if len(selection) != 2 or np.any(np.abs(selection[:, others]) > CLEAR_SHARE):
+            return None
+        return Mechanism("other", name=CURVE, curve=self.curve, relative_to=self._relative_to)
+
+    def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
+        """W(p) and dW/dp at n places [m]."""
+        W, dW = self.curve.weights(p)
+        return W[:, self._rows], dW[:, self._rows]
+
+    def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
+        """W(p) at n places [m]."""
+        return self.weights(p)[0]
+
+    def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Distances from the curve along n_1 and n_2, and the length along it [m].
+
+        Raises:
+            FeatureError: Rows of the angular velocity, which is the rate of nothing.
+        """
+        if max(self._rows) >= len(AXES[:3]):
+            return super().coordinates(q)
+        place = self.twist.placement(q)[0]
+        s = self.curve.nearest(place[None])
+        across = self.curve.frame(s)[0] @ (place - self.curve.at(s)[0])
+        return np.append(across, s)[self._rows]
+
+    def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
+        """Return the same rows of a curve that stands elsewhere, unless that is in another frame (see `FeatureMap`)."""
+        is_fixed = self.relative_to is not None
+        return self if is_fixed else self.changed(points=self.curve.moved(transform)), selection

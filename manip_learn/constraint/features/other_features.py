@@ -10,11 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian, parse_axes
-from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian, RelativeFrameJacobian, parse_axes
+from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, PlaceRows
 from manip_learn.errors import ConstraintMismatchError, FeatureError
 from manip_learn.robot.robot import Robot
 

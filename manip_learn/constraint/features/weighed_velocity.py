@@ -9,8 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian, PoseRows
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian, PoseRows, RelativeFrameJacobian
 from manip_learn.constraint.place import AXES, PlaceWeights
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
