@@ -21,8 +21,7 @@ NEGLIGIBLE_ENTRY = 5e-3  # entries of a unit vector below it are printed as 0: h
 # vector-Jacobian product of A(q): weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k
 Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
 
-Selection = Float[np.ndarray, "s p"]  # Lambda
-Selected = tuple["FeatureMap", Selection]  # Phi and Lambda
+Selection = Float[np.ndarray, "_ p"]  # Lambda, or other combinations of the rows
 
 
 class FeatureMap(ABC):
@@ -222,6 +221,9 @@ class FeatureMap(ABC):
             return super().__repr__()
         words = [f"{name}={_SHORT.repr(x)}" for name, x in self.arguments().items() if x]
         return f"{type(self).__name__}({', '.join([repr(self.robot.name), *words])})"
+
+
+Selected = tuple[FeatureMap, Float[np.ndarray, "_ _"]]  # Phi and Lambda
 
 
 class _Short(Repr):
