@@ -73,11 +73,12 @@ def describe(
     else:
         subject = "In its own axes, the tip" if features.own_axes else "The tip"
     sentences = [f"{subject} {_freedom(free[:, used], names, features, held, mechanism)}."]
-    told = said_by_rows(mechanism, features.row_names, getattr(features, "reference", None), free)
+    reference = getattr(features, "reference", None)
+    told = said_by_rows(mechanism, features.row_names, reference, free)
     if mechanism is not None:
         place = f", {mechanism.place}" if mechanism.place and not told else ""
         turn = mechanism.grip == "kept" or (mechanism.orientation != "free" and not set(ROTATIONS) & set(names))
-        other = not told and mechanism.type in FREE_MOVES and getattr(features, "reference", None) == "world"
+        other = not told and mechanism.type in FREE_MOVES and reference == "world"
         it = "The path alone looks" if other and set(_AXES) <= set(names) else "It looks"
         sentences.append(f"{it} like {looks(mechanism)}{place}{f'; {mechanism.turns}' if turn else ''}.")
     if known := known_to(uncertainty_deg, mechanism, told):

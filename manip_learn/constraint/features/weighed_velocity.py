@@ -63,9 +63,7 @@ class WeighedVelocity(FeatureMap):
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J."""
         W, dW = (x[0] for x in self.weights(self.twist.placement(q)[0][None]))
-        J, H = self.twist.value_and_derivative(q)
-        turned = W @ H.reshape(6, -1)
-        return W @ J, turned.reshape(-1, self.nv, self.nv) + J.T @ (dW @ J[:3])
+        return _product(W, dW, *self.twist.value_and_derivative(q))
 
     def padded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s k"]:
         """Lambda T_0 (6 columns) and Lambda T_k (18) of affine rows, then Lambda's shares of those of unit length."""
@@ -107,7 +105,11 @@ class WeighedVelocity(FeatureMap):
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n postures, in bulk; errors as for `batch`."""
         W, dW = self.weights(self.twist.poses(q)[:, :3, 3])
-        J, H = self.twist.batch_with_derivative(q)
-        n, nv = len(W), self.nv
-        turned = (W @ H.reshape(n, 6, nv * nv)).reshape(n, self.n_rows, nv, nv)
-        return W @ J, turned + J.transpose(0, 2, 1)[:, None] @ (dW @ J[:, None, :3])
+        return _product(W, dW, *self.twist.batch_with_derivative(q))
+
+
+def _product(W: np.ndarray, dW: np.ndarray, J: np.ndarray, H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return W J and W dJ/dq + (dW/dp J_v) J, of one posture or of many."""
+    *many, nv, _ = H.shape
+    turned = (W @ H.reshape(*many, nv * nv)).reshape(*W.shape[:-1], nv, nv)
+    return W @ J, turned + J.swapaxes(-1, -2)[..., None, :, :] @ (dW @ J[..., None, :3, :])
