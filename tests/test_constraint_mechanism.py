@@ -206,6 +206,12 @@ def test_a_door_in_place_rows_is_driven(robot_of, keep) -> None:
     assert (turned < 1e-3) == keep
 
 
+def test_a_flat_surface_is_no_cylinder() -> None:
+    """A plane in the rows of second order has no axis of a cylinder, and so no name."""
+    flat = PlaceRows(ml.load_robot("sawyer"), TIP, "surface", (0.5, 0.1, 0.3))
+    assert ml.Constraint(np.eye(1, flat.n_rows), flat).mechanism is None
+
+
 def test_rows_between_those_of_a_mechanism_are_none() -> None:
     """Radial and axial rows hold a hinge; a direction between two rows holds no mechanism that has a name."""
     robot = ml.load_robot("sawyer")

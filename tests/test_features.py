@@ -29,6 +29,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold, PointAttractor, motion
 from manip_learn.errors import ConstraintError, FeatureError, ManipLearnError, TargetError, UnknownNameError
+from manip_learn.linalg import row_space_angle
 
 TCP = "panda_hand_tcp"
 PLACE = {"axis": (0.3, -0.5, 0.8), "point": (0.4, 0.2, 0.3), "pitch": 0.07}
@@ -113,6 +114,7 @@ def test_what_is_refused(robot_of, panda):
         (lambda: custom([[np.nan, 0]])([0.0, 0.0]), FeatureError, "not fin"),
         (lambda: custom([[1.0, 0.0]]).coordinates([0.0, 0.0]), FeatureError, "no task coordinates"),
         (lambda: custom([[1.0, 0.0]]).describe(), FeatureError, "cannot be saved"),
+        (lambda: custom([[1.0, 0.0]]).with_rotation(np.eye(1)), ConstraintError, "belong to no frame"),
         (lambda: CustomFeatures(lambda q: q, ("f",)), FeatureError, "nv="),
         (lambda: CustomFeatures(lambda q: q, (), nv=2), FeatureError, "row name"),
         *(
@@ -286,6 +288,27 @@ def test_targets_are_come_to(robot_of, panda):
         controller = ResolvedRateController(constraint, PointAttractor(goal, 4.0))
         rollout = simulate(f.robot, controller, begin, 3.0, 0.01)
         assert np.max(np.abs(constraint.selection @ f.error_to(goal, rollout.q[-1]))) < 1e-4
+
+
+def test_rows_move_with_what_holds_the_hand(panda):
+    """At the moved pose the moved rows weigh the moved twist as the rows weigh the twist; rows that go with the hand or
+    with another frame are the same ones.
+    """
+    rng, T = np.random.default_rng(3), np.eye(4)
+    T[:3, :3], T[:3, 3] = np.linalg.qr(rng.normal(size=(3, 3)))[0], (0.1, 0.2, -0.3)
+    T[:3, :3] *= np.linalg.det(T[:3, :3])
+    pose = panda.pose(panda.neutral(), TCP)
+    door = MechanismRows(panda, TCP, "radial axial turn screw", **PLACE, radius=0.3)
+    rail = CurveRows(panda, TCP, pose[:3, 3] + np.cumsum(0.05 * rng.normal(size=(6, 3)), axis=0), "across-1 across-2")
+    for features in (FrameJacobian(panda, TCP, "x y"), FrameJacobian(panda, TCP, "rz y x"), door, rail):
+        selection = np.linalg.qr(rng.normal(size=(features.n_rows, 2)))[0].T
+        moved, rows = features.moved(T, selection)
+        here = selection @ features.weights_at(pose[None])[0]
+        there = rows @ moved.weights_at((T @ pose)[None])[0] @ np.kron(np.eye(2), T[:3, :3])
+        assert row_space_angle(here, there) < 1e-6, features
+    seen, own = MechanismRows(panda, TCP, "radial", relative_to="panda_link3"), FrameJacobian(panda, TCP, "x", "local")
+    for features in (seen, own, RelativeFrameJacobian(panda, TCP, "panda_link3", "x"), CentreOfMass(panda)):
+        assert features.moved(T, np.eye(1, features.n_rows))[0] is features
 
 
 def test_a_hand_is_led_along_a_curve_and_back_wherever_it_stands(robot_of, tmp_path):

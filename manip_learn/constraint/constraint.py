@@ -8,26 +8,24 @@ import math
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, row_in_words
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, PoseRows
-from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.constraint.features.other_features import described_features
 from manip_learn.constraint.intention import Intention
-from manip_learn.constraint.mechanism import TURNING, Mechanism
-from manip_learn.constraint.reading import named_rows, on_twist, read_mechanism
+from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.reading import as_learnt
 from manip_learn.constraint.shown import Shown
 from manip_learn.constraint.task_frame import TaskFrame, task_frame
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, an, spoken
 from manip_learn.linalg import along_axes, manipulability_of, orthonormal_rows
 from manip_learn.recordings.guards import reason_of
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import html_card
 from manip_learn.robot.description.text import parsed_json, read_regular_file, unreadable
 from manip_learn.robot.identity import RobotIdentity
@@ -38,25 +36,6 @@ SCHEMA = 2  # number of the format that `save` writes; 1 is that of 0.2
 SIGNATURE = "sha256"  # entry of a file: the SHA-256 of what says where an arm goes
 LARGEST_FILE = 100_000_000  # [bytes] of a constraint: one of a hundred thousand recordings has a tenth of it
 NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
-
-
-class _Motion(Protocol):
-    """What `Constraint.residual` needs of a trajectory."""
-
-    @property
-    def name(self) -> str:
-        """What errors call it."""
-        ...
-
-    @property
-    def q(self) -> Float[np.ndarray, "T nq"]:
-        """Configurations."""
-        ...
-
-    @property
-    def u(self) -> Float[np.ndarray, "T nv"] | None:
-        """Joint velocities [rad/s or m/s]."""
-        ...
 
 
 @final
@@ -107,8 +86,7 @@ class Constraint:
     @property
     def robot(self) -> Robot | None:
         """The robot that the features belong to; None for those of a system without one."""
-        # not every feature map has a robot, and those of users need not know of the attribute
-        return getattr(self.features, "robot", None)
+        return self.features.robot
 
     @property
     def mechanism(self) -> Mechanism | None:
@@ -118,7 +96,8 @@ class Constraint:
         """
         if self.provenance.get("kind") == "self-imposed":
             return None
-        return read_mechanism(self.selection, self.features, self.provenance)
+        read = self.features.mechanism(self.selection, self.provenance)
+        return None if read is None else as_learnt(read, self.provenance)
 
     @property
     def shown(self) -> Shown | None:
@@ -146,10 +125,8 @@ class Constraint:
 
         The constraint itself where its features are others, or hold no mechanism that has a name.
         """
-        if not isinstance(self.features, PlaceRows):
-            return self
-        features, selection = named_rows(self.mechanism, self.features, self.selection)
-        return Constraint(selection, features, self.provenance)
+        features, selection = self.features.named(self.selection, self.mechanism)
+        return self if features is self.features else Constraint(selection, features, self.provenance)
 
     def with_orientation(self) -> Constraint:
         """These rows, and below them those that hold the orientation of the frame too, as far as these do not.
@@ -158,21 +135,8 @@ class Constraint:
             ConstraintError: Features without a frame that could turn.
         """
         named = self.about_its_mechanism()
-        f = named.features
-        if isinstance(f, MechanismRows):
-            added = (name for name in TURNING if name not in f.row_names)
-            features: FeatureMap = f.with_rows((*f.row_names, *added), f.radius)
-        elif isinstance(f, CurveRows):
-            features = f.with_rows((*(name for name in f.row_names if name not in AXES), *AXES[3:]))
-        elif isinstance(f, PoseRows):
-            features = f.with_axes(AXES)
-        else:
-            raise ConstraintError(f"{f!r} belong to no frame whose orientation could be held")
-        held = np.zeros((named.n_constraints, features.n_rows))
-        held[:, [features.row_names.index(name) for name in f.row_names]] = named.selection
-        turns = np.eye(features.n_rows)[[name in (*TURNING, *AXES[3:]) for name in features.row_names]]
-        _, sigma, Vt = np.linalg.svd(turns - turns @ held.T @ held)
-        return Constraint(np.vstack([held, Vt[: int(np.count_nonzero(sigma > 0.5))]]), features, self.provenance)
+        features, selection = named.features.with_rotation(named.selection)
+        return Constraint(selection, features, self.provenance)
 
     def showing(self, shown: Shown) -> Constraint:
         """The same rows, with something else shown along what they leave free."""
@@ -186,24 +150,16 @@ class Constraint:
         Args:
             transform: shape (4, 4), a rigid motion [m].
         """
-        if getattr(self.features, "relative_to", None) is not None:
+        if self.features.relative_to is not None:
             return self
-        R, named = transform[:3, :3], self.about_its_mechanism()
         provenance = {k: v for k, v in self.provenance.items() if not k.startswith("posture")}
         mechanism, shown = self.mechanism, self.shown
         if mechanism is not None:
             provenance["mechanism"] = mechanism.moved(transform).to_dict()
         if shown is not None:
             provenance["shown"] = shown.moved(transform).to_dict()
-        features, selection = named.features, named.selection
-        if isinstance(features, MechanismRows | CurveRows):
-            features = features.moved(transform)
-        elif isinstance(features, FrameJacobian) and features.reference == "world":
-            twist = on_twist(features.row_names, selection)
-            twist = np.hstack([twist[:, :3] @ R.T, twist[:, 3:] @ R.T])
-            turns = bool(np.any(np.array(features.row_units) == "rad/s"))
-            features = FrameJacobian(features.robot, features.frame.name, AXES if turns else AXES[:3])
-            selection = twist if turns else twist[:, :3]
+        named = self.about_its_mechanism()
+        features, selection = named.features.moved(transform, named.selection)
         return Constraint(selection, features, provenance)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "s nv"]:
@@ -236,7 +192,7 @@ class Constraint:
         """A(q) and its vector-Jacobian product, weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, without dA/dq."""
         return self.features.value_and_vjp(q, self._padded)
 
-    def residual(self, demonstrations: Iterable[_Motion]) -> float:
+    def residual(self, demonstrations: Iterable[Trajectory]) -> float:
         """Fraction of the motion that breaks A(q) u = 0: sqrt(sum |A^+ A u|^2 / sum |u|^2), 0 to 1.
 
         Only says something for motion-constrained recordings (b = 0).
@@ -248,10 +204,9 @@ class Constraint:
         for trajectory in demonstrations:
             if trajectory.u is None or not np.all(np.isfinite(trajectory.u)):
                 raise ConstraintError(f"{trajectory.name} has no velocities: derive them first (derive_velocities)")
-            for q, u in zip(trajectory.q, trajectory.u, strict=True):
-                A = self(q)
-                broken += float(np.sum((np.linalg.pinv(A) @ (A @ u)) ** 2))
-                total += float(u @ u)
+            A, u = self.selection @ self.features.batch(trajectory.q), trajectory.u[:, :, None]
+            broken += float(np.sum((np.linalg.pinv(A) @ (A @ u)) ** 2))
+            total += float(np.sum(u**2))
         if total == 0.0:
             raise ConstraintError("nothing moves in these demonstrations: there is no residual")
         return float(np.sqrt(broken / total))

@@ -64,12 +64,16 @@ class Curve:
             return value + beyond[:, None] * self._spline(inside, 1)
         return value if order == 1 else np.where(beyond[:, None] == 0.0, value, 0.0)
 
+    def tangents_at(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        """Return unit vectors along the curve at lengths s [m]."""
+        along = self.at(s, 1)
+        return along / np.linalg.norm(along, axis=1, keepdims=True)
+
     @cached_property
     def _frames(self) -> CubicSpline:
         """Two unit vectors across the curve, by its length, shape (2, 3)."""
         s = np.linspace(0.0, self.length, FRAME_PLACES * (len(self.points) - 1) + 1)
-        places, tangents = self.at(s), self.at(s, 1)
-        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        places, tangents = self.at(s), self.tangents_at(s)
         across = np.linalg.svd(tangents[:1])[2][1:]
         across[1] = np.cross(tangents[0], across[0])
         frames = [across]
@@ -87,8 +91,7 @@ class Curve:
 
     def frames(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 3"]:
         """Return rotations whose columns are the tangent at lengths s [m] and two directions across the curve."""
-        tangent, normal = self.at(s, 1), self.frame(s)[:, 0]
-        tangent = tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
+        tangent, normal = self.tangents_at(s), self.frame(s)[:, 0]
         normal = normal - np.sum(normal * tangent, axis=1, keepdims=True) * tangent
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         return np.stack([tangent, normal, np.cross(tangent, normal)], axis=2)
@@ -108,14 +111,7 @@ class Curve:
 
     def tangents(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Unit vectors along the curve where it comes nearest to places."""
-        along = self.at(self.nearest(p), 1)
-        return along / np.linalg.norm(along, axis=1, keepdims=True)
-
-    def along(self, p: Float[np.ndarray, " 3"], way: float) -> Float[np.ndarray, " 3"]:
-        """The place that is so far along the curve from another place [m], and as far off it."""
-        s = self.nearest(p[None])
-        off = self.frame(s)[0] @ (p - self.at(s)[0])
-        return self.at(s + way)[0] + off @ self.frame(s + way)[0]
+        return self.tangents_at(self.nearest(p))
 
     def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 6 6"], Float[np.ndarray, "n 6 6 3"]]:
         """Return the weights of all `CURVE_ROWS` at n places [m], and their derivatives along the place."""

@@ -266,21 +266,6 @@ class Mechanism:
         curve = None if self.curve is None else Curve(self.curve.points[::-1])
         return dataclasses.replace(self, axis=axis, curve=curve)
 
-    def features(self, robot: Any, frame: str) -> Any:
-        """Return the rows that are zero for a frame of a robot, Phi (6 - k, nv), of unit length at any distance.
-
-        Raises:
-            ConstraintError: The place of the mechanism is not known, or nothing is held.
-        """
-        from manip_learn.constraint.features import CurveRows, MechanismRows  # which stand above
-
-        place, seen = self.located(), self.relative_to
-        if self.curve is not None:  # a hand that turns with a curve turns at a rate that is no row's
-            rows = held_rows("curve", "free" if self.orientation == "carried" else self.orientation)
-            return CurveRows(robot, frame, self.curve, rows, seen)
-        g = {"axis": place.axis, "point": place.point, "pitch": place.pitch}
-        return MechanismRows(robot, frame, self.rows, **g, relative_to=seen)
-
     def located(self) -> Place:
         """Return the axis, a point and the pitch.
 

@@ -17,8 +17,10 @@ from jaxtyping import Float
 
 from manip_learn.robot.rotations import skew
 
-ON_AXIS = 1e-5  # [m] below this distance from the axis (or the centre) a direction fades to zero instead of flipping
 # Units are those of the row times a joint velocity.
+AXIS_UNITS = {**dict.fromkeys(("x", "y", "z"), "m/s"), **dict.fromkeys(("rx", "ry", "rz"), "rad/s")}
+AXES = tuple(AXIS_UNITS)  # rows of a twist (v, w)
+ON_AXIS = 1e-5  # [m] below this distance from the axis (or the centre) a direction fades to zero instead of flipping
 ROW_UNITS: dict[str, str] = {
     **dict.fromkeys(("radial", "tangential", "axial", "helical", "spherical", "across-1", "across-2"), "m/s"),
     **dict.fromkeys(("turn-1", "turn-2", "turn"), "rad/s"),
@@ -49,11 +51,6 @@ class Place:
         """
         sense = 1.0 if self.axis[int(np.argmax(np.abs(self.axis)))] > 0.0 else -1.0
         return Place(sense * self.axis, self.point, self.pitch)
-
-    def at(self, transform: Float[np.ndarray, "4 4"]) -> Place:
-        """This place of what stands elsewhere, p' = R p + t."""
-        R = transform[:3, :3]
-        return Place(R @ self.axis, R @ self.point + transform[:3, 3], self.pitch)
 
     @cached_property
     def across(self) -> Float[np.ndarray, "2 3"]:
@@ -94,29 +91,25 @@ def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None
     outward, around = np.eye(3) - np.outer(a, a), skew(a)
     fields = {"radial": outward, "tangential": around, "spherical": np.eye(3), "helical": around}
     constant, by_place = np.zeros((len(names), 6)), np.zeros((len(names), 6, 3))
-    free = dict[int, tuple[np.ndarray, float]]()
+    free = {i: (a, h) if x == "helical" else (np.zeros(3), 0.0) for i, x in enumerate(names) if x in fields}
     for i, name in enumerate(names):
         e = directions.get(name[-1], a)
-        if name in AT_A_DISTANCE:
-            screws = name == "helical"
-            scale = 1.0
-            if radius is None:
-                free[i] = (a, h) if screws else (np.zeros(3), 0.0)
-            elif screws:
-                scale = -h / (radius * math.hypot(radius, h))
+        if name in fields:
+            by_place[i, :3] = fields[name]
+            if radius is not None and name == "helical":
+                by_place[i, :3] *= -h / (radius * math.hypot(radius, h))
                 constant[i, :3] = radius / math.hypot(radius, h) * a
-            else:
-                scale = 1.0 / radius
-            by_place[i, :3] = scale * fields[name]
+            elif radius is not None:
+                by_place[i, :3] *= 1.0 / radius
             constant[i, :3] -= by_place[i, :3] @ c
-        elif name in ("axial", "across-1", "across-2"):
-            constant[i, :3] = e
         elif name.startswith("turn"):
             constant[i, 3:] = e
         else:
-            constant[i, :3], by_place[i, 3:] = e, skew(e)
+            constant[i, :3] = e
+        if name.startswith(("slide", "screw")):
+            by_place[i, 3:] = skew(e)
             constant[i, 3:] = np.cross(c, e) - (h * e if name == "screw" else 0.0)
-    return PlaceWeights(constant, by_place, free)
+    return PlaceWeights(constant, by_place, free if radius is None else {})
 
 
 @final

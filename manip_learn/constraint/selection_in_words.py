@@ -7,13 +7,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import NEGLIGIBLE_ENTRY, FeatureMap, row_in_words
-from manip_learn.constraint.features.frame_jacobian import AXES as TWIST
-from manip_learn.constraint.features.frame_jacobian import PoseRows
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.constraint.features.other_features import CentreOfMass
 from manip_learn.constraint.mechanism import CURVE, Mechanism, in_words
+from manip_learn.constraint.place import AXES as TWIST
 from manip_learn.constraint.reading import on_twist
 from manip_learn.errors import error_in_words, listed
 from manip_learn.linalg import along_axes, null_basis
@@ -70,20 +66,19 @@ def describe(
     """What can move and what is blocked; what it looks like; how sure it is: up to three sentences."""
     names = [n for n, u in zip(features.row_names, used, strict=True) if u]
     held = "blocked" if kind == "motion-constrained" else "steered on purpose"
-    if (other := getattr(features, "relative_to", None)) is not None:
-        subject = f"Seen from {other.name!r}, the tip"
-    elif getattr(features, "own_axes", False):
-        subject = "In its own axes, the tip"
-    elif features.twist is not None:
-        subject = "The tip"
+    if features.twist is None:
+        subject = "The motion" if features.own_axes is None else "The centre of mass"
+    elif features.relative_to is not None:
+        subject = f"Seen from {features.relative_to.name!r}, the tip"
     else:
-        subject = "The centre of mass" if isinstance(features, CentreOfMass) else "The motion"
+        subject = "In its own axes, the tip" if features.own_axes else "The tip"
     sentences = [f"{subject} {_freedom(free[:, used], names, features, held, mechanism)}."]
-    told = said_by_rows(mechanism, features.row_names, getattr(features, "reference", None), free)
+    reference = getattr(features, "reference", None)
+    told = said_by_rows(mechanism, features.row_names, reference, free)
     if mechanism is not None:
         place = f", {mechanism.place}" if mechanism.place and not told else ""
         turn = mechanism.grip == "kept" or (mechanism.orientation != "free" and not set(ROTATIONS) & set(names))
-        other = not told and mechanism.type in FREE_MOVES and getattr(features, "reference", None) == "world"
+        other = not told and mechanism.type in FREE_MOVES and reference == "world"
         it = "The path alone looks" if other and set(_AXES) <= set(names) else "It looks"
         sentences.append(f"{it} like {looks(mechanism)}{place}{f'; {mechanism.turns}' if turn else ''}.")
     if known := known_to(uncertainty_deg, mechanism, told):
@@ -139,15 +134,15 @@ def _freedom(
     free: Float[np.ndarray, "k r"], names: list[str], features: FeatureMap, held: str, mechanism: Mechanism | None
 ) -> str:
     """What can move, and what is `held`, without the subject."""
-    if isinstance(features, MechanismRows) and mechanism is not None:
+    if features.geometry is not None and mechanism is not None:
         axis, point = in_words(mechanism.axis), in_words(mechanism.point)
         radius = "" if mechanism.radius is None else f" of radius {mechanism.radius:.3f} m"
         place = {"axis": axis, "point": point, "axle": f"the axis {axis} through {point}", "radius": radius}
         return f"can {SHAPES[mechanism.type][1].format(**place)}"
-    if isinstance(features, CurveRows):
+    if features.curve is not None:
         ends = " to ".join(in_words(end) for end in features.curve.points[[0, -1]])
         return f"can {SHAPES[CURVE][1].format(length=features.curve.length, ends=ends)}"
-    if not isinstance(features, PoseRows | CentreOfMass):
+    if features.own_axes is None:
         ways = listed([row_in_words(row, names) for row in free]) if len(free) else ""
         return f"is free along {ways} in ({', '.join(names)}) and {held} in every other way" if ways else f"is {held}"
     moves, turns = np.split(on_twist(names, np.where(np.abs(free) < NEGLIGIBLE_ENTRY, 0.0, free)), 2, axis=1)

@@ -17,10 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
-from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.place import AXES
 from manip_learn.constraint.reading import MIXED
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_basis
@@ -99,7 +97,7 @@ class TaskFrame:
 
 def task_frame(
     selection: Float[np.ndarray, "s p"],
-    features: FeatureMap,
+    features: Any,
     mechanism: Mechanism | None,
     learnt: Mapping[str, Any],
     q: ArrayLike,
@@ -109,7 +107,7 @@ def task_frame(
     Args:
         selection: Lambda, with orthonormal rows.
         features: Phi.
-        mechanism: What `read_mechanism` reads from them.
+        mechanism: What holds the hand, read from them.
         learnt: The provenance of a learnt Lambda, empty for others.
         q: Posture.
 
@@ -117,7 +115,7 @@ def task_frame(
         ConstraintError: Features that are no rows of one frame's twist.
         ConfigurationError: q has the wrong size or is not finite.
     """
-    if not isinstance(features, PoseRows | WeighedVelocity):
+    if features.twist is None:
         raise ConstraintError(f"{features!r} are no rows of one frame's twist: a task frame needs a frame of the robot")
     held, seen, base, turns = _on_hand(selection, features, q)
     told = mechanism
@@ -154,14 +152,14 @@ def task_frame(
 
 
 def _on_hand(
-    selection: Float[np.ndarray, "s p"], f: PoseRows | WeighedVelocity, q: ArrayLike
+    selection: Float[np.ndarray, "s p"], f: Any, q: ArrayLike
 ) -> tuple[Float[np.ndarray, "s 6"], Float[np.ndarray, "k 6"], Float[np.ndarray, "3 3"], Turns]:
     """Held rows of the hand's twist along the base's axes, rows that the features show, and the axes of these."""
     seen_from, pose = f.relative_to, f.twist.pose(q)
     R, turns = (np.eye(3), "no") if seen_from is None else (f.robot.pose(q, seen_from)[:3, :3], "other frame")
     turned, W = np.kron(np.eye(2), R.T), f.weights_at(pose[None])[0]
     held, seen = selection @ W @ turned, W @ turned
-    if isinstance(f, PoseRows):
+    if f.own_axes is not None:
         return (held, seen, pose[:3, :3], "hand") if f.own_axes else (held, seen, R, turns)
     # of a mechanism only the held rows are features: whoever saw one translation or rotation of it saw all
     used = [bool(np.any(W[:, part])) for part in (slice(0, 3), slice(3, 6))]

@@ -11,12 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap, sum_in_words
 from manip_learn.constraint.features.frame_jacobian import PoseRows
-from manip_learn.constraint.features.mechanism_rows import PlaceRows
+from manip_learn.constraint.features.mechanism_rows import CurveRows, PlaceRows
 from manip_learn.constraint.mechanism import ON_THE_AXIS, Grip, Mechanism
-from manip_learn.constraint.reading import read_mechanism
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named, number_if_known
 from manip_learn.learning.fit import Motion, RowFit, gaps_of, levels_on
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once
@@ -110,7 +108,7 @@ class Answer:
     def mechanism(self) -> Mechanism | None:
         """Mechanism, or None."""
         if isinstance(self.shape, CurveRows):
-            return read_mechanism(np.eye(2), self.shape, {})
+            return self.shape.mechanism(np.eye(2), {})
         return None if self.placed is None else self.placed.mechanism
 
     @property

@@ -14,12 +14,11 @@ from scipy.interpolate import make_lsq_spline
 from scipy.optimize import least_squares
 
 from manip_learn.constraint.curve import Curve
-from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, rows_of
 from manip_learn.constraint.mechanism import KIND_BY_NAME, ON_THE_AXIS, Mechanism, MechanismKind, mechanism_of
 from manip_learn.constraint.place import Place
-from manip_learn.constraint.reading import LEAST_PITCH, read_kind, rows_of
+from manip_learn.constraint.reading import LEAST_PITCH
 from manip_learn.errors import FeatureError
 from manip_learn.learning.fit import LEAST_RAD, RowFit, autocorrelation
 from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, View
@@ -145,7 +144,7 @@ def _placed(
 def kind_of(fit: RowFit, view: View, rows: np.ndarray | None = None) -> tuple[MechanismKind, Place] | None:
     """Return the mechanism of fitted rows, or of others near to them, and its place; None if it is none."""
     p, selection = fit.motion.place, view.selection(fit.rows if rows is None else rows)
-    return None if p is None else read_kind(view.features, selection, null_basis(view.W).T, p)
+    return None if p is None else view.features.kind_of(selection, null_basis(view.W).T, p)
 
 
 def arc_of(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, float] | None:

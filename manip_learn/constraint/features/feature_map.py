@@ -6,17 +6,22 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property
 from operator import attrgetter
-from typing import Any
+from reprlib import Repr
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.errors import FeatureError, TargetError
+from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.reading import Read
+from manip_learn.errors import ConstraintError, FeatureError, TargetError
 
 NEGLIGIBLE_ENTRY = 5e-3  # entries of a unit vector below it are printed as 0: half of the last of two digits
 # vector-Jacobian product of A(q): weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k
 Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
+
+Selection = Float[np.ndarray, "_ p"]  # Lambda, or other combinations of the rows
 
 
 class FeatureMap(ABC):
@@ -29,7 +34,8 @@ class FeatureMap(ABC):
         row_names: One name a row, e.g. `("x", "y", "rz")`.
         row_units: Unit of each row times a velocity, e.g. `("m/s", "m/s", "rad/s")`.
         twist: All six rows of the frame, in axes that rest with what holds it (`PoseRows`); None without a frame.
-        own_axes: Of rows of a frame's twist, whether they are along the frame's own axes; None of others.
+        own_axes: Of velocities along x y z and about them, whether these axes are the frame's own; None of others.
+        relative_to: The frame from which they are seen; None for the robot's base.
         geometry: Where a mechanism is whose rows they are; None of others.
         curve: Across and along which they are; None of others.
         robot: The robot; None for a system without one.
@@ -39,6 +45,7 @@ class FeatureMap(ABC):
 
     twist: Any = None
     own_axes: bool | None = None
+    relative_to: Any = None
     geometry: Any = None
     curve: Any = None
     robot: Any = None
@@ -132,13 +139,67 @@ class FeatureMap(ABC):
         Raises:
             TargetError: Wrong size or not finite.
         """
-        return None
+        return self.coordinates_jacobian(q)
 
     def error_and_jacobian(
         self, target: ArrayLike, q: ArrayLike
     ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
         """`error_to` and `error_jacobian` together, cheaper than one by one where a child shares work."""
         return self.error_to(target, q), self.error_jacobian(target, q)
+
+    # ---- what holds the hand: of rows of one frame
+
+    def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
+        """Return the mechanism whose motions Lambda leaves free, read from these rows; None if it is none of a machine.
+
+        Args:
+            selection: Lambda, with orthonormal rows.
+            learnt: What is known of how Lambda was learnt, empty if it was not: its error and the postures.
+        """
+        return None
+
+    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
+        """Return the kind of the mechanism that leaves these rows zero, and where it is; None if it is none.
+
+        Args:
+            selection: Lambda, with orthonormal rows.
+            immovable: Rows that this arm cannot move, orthonormal.
+            places: Places of the hand [m].
+        """
+        return None
+
+    def named(self, selection: Selection, mechanism: Mechanism | None) -> Selected:
+        """Return Phi and Lambda of rows with the names of the mechanism's, where these have none (`PlaceRows`)."""
+        return self, selection
+
+    def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
+        """Return Phi and Lambda where what holds the hand stands elsewhere, p' = R p + t in the base's frame."""
+        return self, selection
+
+    def with_rotation(self, selection: Selection) -> Selected:
+        """Return Phi and Lambda of these rows, and below them of those that hold the orientation of the frame too.
+
+        Raises:
+            ConstraintError: Features without a frame that could turn.
+        """
+        if (wide := self._with_turns()) is None:
+            raise ConstraintError(f"{self!r} belong to no frame whose orientation could be held")
+        held = np.zeros((len(selection), wide.n_rows))
+        held[:, [wide.row_names.index(name) for name in self.row_names]] = selection
+        turns = np.eye(wide.n_rows)[[unit == "rad/s" for unit in wide.row_units]]
+        _, sigma, Vt = np.linalg.svd(turns - turns @ held.T @ held)
+        return wide, np.vstack([held, Vt[: int(np.count_nonzero(sigma > 0.5))]])
+
+    def _with_turns(self) -> FeatureMap | None:
+        """Return these rows and all of the angular velocity; None without a frame."""
+        return None
+
+    # ---- files
+
+    def changed(self, **arguments: Any) -> Self:
+        """Return this feature map with other arguments, named as in its constructor."""
+        make: Any = type(self)
+        return make(self.robot, **self.arguments() | arguments)
 
     def describe(self) -> dict[str, Any]:
         """Return what a saved constraint needs to build this feature map again: kind, arguments and units.
@@ -158,9 +219,25 @@ class FeatureMap(ABC):
     def __repr__(self) -> str:
         if not self.saved:
             return super().__repr__()
-        said = ((name, " ".join(x) if isinstance(x, list) else x) for name, x in self.arguments().items())
-        words = [repr(self.robot.name), *(f"{name}={x!r}" for name, x in said)]
-        return f"{type(self).__name__}({', '.join(words)})"
+        words = [f"{name}={_SHORT.repr(x)}" for name, x in self.arguments().items() if x]
+        return f"{type(self).__name__}({', '.join([repr(self.robot.name), *words])})"
+
+
+Selected = tuple[FeatureMap, Float[np.ndarray, "_ _"]]  # Phi and Lambda
+
+
+class _Short(Repr):
+    def repr_list(self, x: list[Any], level: int) -> str:
+        """Return names in one string, and the first few of many places."""
+        return repr(" ".join(x)) if isinstance(x[0], str) else super().repr_list(x, level)
+
+    def repr_float(self, x: float, level: int) -> str:
+        """Return a number of four digits."""
+        return f"{x:.4g}"
+
+
+_SHORT = _Short()
+_SHORT.maxstring, _SHORT.maxlist = 200, 3
 
 
 def parsed_rows(

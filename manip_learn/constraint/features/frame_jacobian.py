@@ -1,4 +1,4 @@
-"""Rows of a frame's Jacobian as features: the usual Phi(q) of an arm; the error of its pose.
+"""Rows of a frame's Jacobian as features, seen from the base or from another frame; the error of its pose.
 
 With the pose (p, R) and the goal (p*, R*) the error is, along the axes of the base and along those of the frame,
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, final
 
@@ -24,15 +24,19 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, parsed_rows
+from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, Vjp, parsed_rows
+from manip_learn.constraint.mechanism import Mechanism, mechanism_of
+from manip_learn.constraint.place import AXES, AXIS_UNITS
+from manip_learn.constraint.reading import Read, hinge_or_screw, of_point_rows, of_twists, on_twist
 from manip_learn.errors import FeatureError, TargetError, an
+from manip_learn.linalg import null_basis
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
 EXACT_ROTATION = 1e-12  # a matrix that is orthonormal to this is taken as it is
 NEARLY_ROTATION = 1e-3  # printed with few digits: made orthonormal; beyond this it is no rotation
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
 
 
@@ -103,7 +107,7 @@ class PoseRows(FeatureMap):
     def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str], relative_to: str | None, own_axes: bool):
         self.robot, self.nv = robot, robot.nv
         self.row_names = parse_axes(axes)
-        self.row_units = tuple("rad/s" if n.startswith("r") else "m/s" for n in self.row_names)
+        self.row_units = tuple(AXIS_UNITS[n] for n in self.row_names)
         rows = [AXES.index(n) for n in self.row_names]
         self._row_numbers = tuple(rows)
         # a slice makes views where fancy indexing would copy
@@ -121,8 +125,34 @@ class PoseRows(FeatureMap):
 
     def with_axes(self, axes: str | Sequence[str]) -> PoseRows:
         """Return other rows of the same frame, seen from the same and along the same axes."""
-        arguments: dict[str, Any] = self.arguments() | {"axes": axes}
-        return type(self)(self.robot, **arguments)
+        return self.changed(axes=axes)
+
+    def _with_turns(self) -> PoseRows:
+        return self.with_axes(AXES)
+
+    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
+        """Return the kind of a mechanism whose rows are the same everywhere, and where it is (see `FeatureMap`)."""
+        held, blind = (on_twist(self.row_names, rows, distance=True) for rows in (selection, immovable))
+        return None if self.own_axes else of_point_rows(held, blind, places.mean(axis=0))
+
+    def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
+        """Return the mechanism of constant rows of the frame's origin: of no place (see `FeatureMap`)."""
+        hand, rows = np.zeros(3), on_twist(self.row_names, selection, distance=True)
+        if is_firm := self.own_axes and len(selection) == 5 and self.n_rows == len(AXES):
+            read = of_twists(null_basis(np.delete(rows, 3, axis=1)).T, hand)
+        else:
+            read = of_point_rows(rows, rows[:0], hand, aligned=False)
+        if read is None:
+            return None
+        kind, place = hinge_or_screw(read, hand, learnt)
+        if kind.kind != "space" and not is_firm:
+            # directions of a hand that turns are no line and no plane
+            if not set(AXES[:3]) <= set(self.row_names) or (self.own_axes and kind.orientation != "fixed"):
+                return None
+        known: dict[str, Any] = {"point": None, **self.seen_from, **({"axis": None} if self.own_axes else {})}
+        if is_firm:
+            known |= {"grip": "firm", "radius": None if kind.kind == "line" else float(np.linalg.norm(place.point))}
+        return mechanism_of(kind, place.as_told(), **{"radius": None} | known)
 
     @cached_property
     def twist(self) -> PoseRows:  # type: ignore[override]
@@ -317,6 +347,14 @@ class FrameJacobian(PoseRows):
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
         return self._kinematics.weighted_vjp(q, self.reference, padded)
 
+    def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
+        """Return Phi and Lambda along axes that are turned; rows in the frame's own axes stay (see `FeatureMap`)."""
+        if self.own_axes:
+            return self, selection
+        turned = on_twist(self.row_names, selection).reshape(-1, 2, 3) @ transform[:3, :3].T
+        axes = AXES if "rad/s" in self.row_units else AXES[:3]
+        return self.changed(axes=axes), turned.reshape(-1, 6)[:, : len(axes)]
+
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n postures, the rows of q, in bulk.
 
@@ -339,3 +377,101 @@ class FrameJacobian(PoseRows):
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
         """The Jacobian along the axes of the base or of the frame."""
         return self._kinematics.jacobian_beside_vjp(q, "local" if own_axes else "world")
+
+
+@final
+class RelativeFrameJacobian(PoseRows):
+    """Twist of one frame relative to another, along the axes of the other.
+
+    With the frames A (`frame`) and B (`relative_to`), d = p_A - p_B and R = R_B, all from Jacobians J = (Jv, Jw) in the
+    base axes, the rows are
+
+        linear    R^T (Jv_A - Jv_B + [d]x Jw_B)      the rate of R^T d [m/s]
+        rotation  R^T (Jw_A - Jw_B)                  the angular velocity of A relative to B [rad/s]
+
+    so that a tool which keeps still on a part that itself is being carried has zero velocity here. Two arms that carry
+    one object are one robot with two tips. An object whose pose was recorded is a floating joint of the robot: see
+    `objects` of `load_robot`.
+
+    Args:
+        robot: The robot; both frames are its own.
+        frame: Name of the frame that moves, e.g. the left tool's tip.
+        relative_to: Name of the frame from which it is seen; its axes are the axes of the rows.
+        axes: `"xyz"`, `"pose"` (all six), `"planar"`, `"rotation"`, or any of `x y z rx ry rz`.
+
+    Raises:
+        UnknownNameError: No such frame; lists near matches.
+        FeatureError: Unknown axes, or twice the same frame.
+    """
+
+    relative_to: Frame
+    kind = "relative-frame-jacobian"
+    saved = {"frame": "frame.name", "relative_to": "relative_to.name", "axes": "row_names"}
+
+    def __init__(self, robot: Robot, frame: str, relative_to: str, axes: str | Sequence[str] = "pose"):
+        super().__init__(robot, frame, axes, relative_to, False)
+        if self.frame.index == self.relative_to.index:
+            raise FeatureError(f"frame {frame!r} does not move relative to itself: name two frames")
+
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
+        """Phi(q) [m/s or rad/s per unit joint velocity].
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        return self.twist_rows(q, False)[self._rows]
+
+    def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
+        """Phi(q) and dPhi/dq, as of many postures."""
+        Phi, dPhi = self.batch_with_derivative(self.robot.checked_posture(q)[None])
+        return Phi[0], dPhi[0]
+
+    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
+        """Return Phi at n configurations (nq) or joint positions (nv), the rows of q.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
+        both = (batch_kinematics(self.robot, frame) for frame in (self.frame, self.relative_to))
+        return _seen(*[(each.pose(q), each.jacobian(q)) for each in both])[0][:, self._rows]
+
+    def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
+        """Return Phi and dPhi/dq at n configurations; errors as for `batch`."""
+        both = (batch_kinematics(self.robot, frame) for frame in (self.frame, self.relative_to))
+        Phi, dPhi = _seen(*[(each.pose(q), *each.jacobian_and_derivative(q)) for each in both])
+        return Phi[:, self._rows], dPhi[:, self._rows]
+
+    def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
+        """Return all six rows, along the axes of the other frame."""
+        both, robot = (self.frame, self.relative_to), self.robot
+        return _seen(*[(robot.pose(q, frame)[None], robot.jacobian(q, frame)[None]) for frame in both])[0][0]
+
+
+def _seen(A: Sequence[np.ndarray], B: Sequence[np.ndarray]) -> tuple[Float[np.ndarray, "n 6 nv"], Any]:
+    """Return all six rows R^T V of frame A as seen from B, and d/dq_k of them, R^T (dV/dq_k - w_k x V).
+
+    w_k is the angular velocity of B per unit velocity of joint k.
+
+    Args:
+        A: Poses (n, 4, 4), Jacobians (n, 6, nv) and, where the derivative is wanted, Hessians (n, 6, nv, nv) of the
+            frame, all in the base axes.
+        B: Those of the frame from which it is seen.
+    """
+    (pose_A, J_A, *H_A), (pose_B, J_B, *H_B) = A, B
+    R, d = pose_B[:, :3, :3], pose_A[:, :3, 3] - pose_B[:, :3, 3]
+    V = J_A - J_B
+    slope = V[:, :3].copy()  # of d
+    V[:, :3] += np.cross(d[:, :, None], J_B[:, 3:], axis=1)  # the origin of A seen by an observer who turns with B
+    if not H_A:
+        return _turned(R, V), None
+    dV = H_A[0] - H_B[0]
+    dV[:, :3] += np.cross(slope[:, :, None, :], J_B[:, 3:, :, None], axis=1)
+    dV[:, :3] += np.cross(d[:, :, None, None], H_B[0][:, 3:], axis=1)
+    for part in (slice(0, 3), slice(3, 6)):
+        dV[:, part] -= np.cross(J_B[:, 3:, None, :], V[:, part, :, None], axis=1)
+    return _turned(R, V), _turned(R, dV)
+
+
+def _turned(R: Float[np.ndarray, "n 3 3"], V: np.ndarray) -> np.ndarray:
+    """Return linear and rotation rows along the axes of B."""
+    return np.concatenate([np.einsum("nji,nj...->ni...", R, part) for part in (V[:, :3], V[:, 3:])], axis=1)

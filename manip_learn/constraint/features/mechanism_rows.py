@@ -1,25 +1,53 @@
-"""Rows about an axis or a centre: the Phi(q) of doors, handles, tethers and screws."""
+"""Rows about an axis or a centre, the Phi(q) of doors, handles, tethers and screws; across a curve, that of a rail."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from copy import copy
-from typing import Any, Literal, final, get_args
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import parsed_rows
-from manip_learn.constraint.features.frame_jacobian import AXES
+from manip_learn.constraint.curve import CURVE_ROWS, Curve
+from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parsed_rows
+from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
-from manip_learn.constraint.place import AT_A_DISTANCE, ROW_UNITS, Place, PlaceWeights, mechanism_weights
+from manip_learn.constraint.mechanism import (
+    CLEAR_SHARE,
+    CURVE,
+    KIND_BY_NAME,
+    MECHANISM_KINDS,
+    TURNING,
+    Mechanism,
+    MechanismKind,
+    Z,
+    mechanism_of,
+)
+from manip_learn.constraint.place import (
+    AT_A_DISTANCE,
+    AXES,
+    AXIS_UNITS,
+    ROW_UNITS,
+    Place,
+    PlaceWeights,
+    mechanism_weights,
+)
+from manip_learn.constraint.reading import Read, hinge_or_screw, of_point_rows, of_surface, of_twists
 from manip_learn.errors import FeatureError
-from manip_learn.linalg import finite
+from manip_learn.linalg import finite, null_basis
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import skew
 
 PlaceForm = Literal["point", "point and rotation", "twist", "surface"]
+# form -> names of its rows; products of a distance along the first axis and a velocity along the second
+FORMS: dict[str, tuple[str, ...]] = {
+    "point": (*AXES[:3], "distance"),
+    "point and rotation": (*AXES[:3], "distance", *AXES[3:]),
+    "twist": AXES,
+    "surface": (*AXES[:3], *(f"{a}{b}" for a in AXES[:3] for b in AXES[:3])),
+}
 
 
 @final
@@ -62,6 +90,12 @@ class MechanismRows(WeighedVelocity):
         FeatureError: Unknown rows, or an axis, a point, a pitch or a radius that is no such thing.
     """
 
+    kind = "mechanism-rows"
+    saved = {
+        **{"frame": "frame.name", "rows": "row_names", "axis": "geometry.axis", "point": "geometry.point"},
+        **{"pitch": "geometry.pitch", "radius": "radius", "relative_to": "_relative_to"},
+    }
+
     def __init__(
         self,
         robot: Robot,
@@ -89,20 +123,31 @@ class MechanismRows(WeighedVelocity):
         self.place_weights = mechanism_weights(self.row_names, self.geometry, self.radius)
 
     def with_rows(self, rows: Sequence[str], radius: float | None = None) -> MechanismRows:
-        """Other rows of the same mechanism, at the radius or, if that is None, at any distance."""
-        g = self.geometry
-        place: dict[str, Any] = {"axis": g.axis, "point": g.point, "pitch": g.pitch, **self.twist.seen_from}
-        return MechanismRows(self.robot, self.frame.name, rows, **place, radius=radius)
+        """Return other rows of the same mechanism, at the radius or, if that is None, at any distance."""
+        return self.changed(rows=rows, radius=radius)
 
     def about(self, place: Place) -> MechanismRows:
-        """The same rows of a mechanism that is elsewhere."""
-        out = copy(self)
-        out.geometry, out.place_weights = place, mechanism_weights(self.row_names, place, self.radius)
-        return out
+        """Return the same rows of a mechanism that is elsewhere."""
+        return self.changed(axis=place.axis, point=place.point, pitch=place.pitch)
 
-    def moved(self, transform: Float[np.ndarray, "4 4"]) -> MechanismRows:
-        """The same rows of a mechanism that stands elsewhere, p' = R p + t."""
-        return self.about(self.geometry.at(transform))
+    def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
+        """Return the same rows of a mechanism that stands elsewhere, unless that is in another frame."""
+        if self.relative_to is not None:
+            return self, selection
+        R, g = transform[:3, :3], self.geometry
+        return self.changed(axis=R @ g.axis, point=R @ g.point + transform[:3, 3]), selection
+
+    def _with_turns(self) -> MechanismRows:
+        return self.with_rows(tuple(dict.fromkeys((*self.row_names, *TURNING))), self.radius)
+
+    def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
+        """Return the mechanism whose rows are held, each as it is or not at all (see `FeatureMap`)."""
+        shares = np.einsum("sp,sp->p", selection, selection)
+        held = {name for name, share in zip(self.row_names, shares, strict=True) if share > 0.5}
+        kind = next((k for k in MECHANISM_KINDS if set(k.rows) == held), None)
+        if kind is None or np.any(np.abs(shares - np.round(shares)) > CLEAR_SHARE):
+            return None
+        return mechanism_of(kind, self.geometry, self.radius, **self.twist.seen_from)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Distance from the axis (`radial`) or the centre (`spherical`), place along the axis (`axial`) [m].
@@ -121,32 +166,28 @@ class MechanismRows(WeighedVelocity):
         """Rates of the distances: rows of unit length, where those of Phi are of the radius (see `FeatureMap`)."""
         if self.radius is None or not set(self.row_names) & set(AT_A_DISTANCE):
             return None
-        return self.with_rows(self.row_names)(q)
+        return self._at_any_distance(q)
 
-    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """E with d/dt `error_to(target, q)` = -E u for a fixed target (see `FeatureMap`)."""
-        return self.coordinates_jacobian(q)
+    @cached_property
+    def _at_any_distance(self) -> MechanismRows:
+        return self.with_rows(self.row_names)
 
-    def describe(self) -> dict[str, Any]:
-        """Frame, rows, axis, point, pitch and radius, as saved in a constraint file."""
-        return {
-            "kind": "mechanism-rows",
-            "frame": self.frame.name,
-            **self.twist.seen_from,
-            "rows": list(self.row_names),
-            "units": list(self.row_units),
-            "axis": self.geometry.axis.tolist(),
-            "point": self.geometry.point.tolist(),
-            "pitch": self.geometry.pitch,
-            **({} if self.radius is None else {"radius": self.radius}),
-        }
 
-    def __repr__(self) -> str:
-        a, c = (", ".join(f"{x:.4g}" for x in v) for v in (self.geometry.axis, self.geometry.point))
-        pitch = f", pitch={self.geometry.pitch:.4g}" if self.geometry.pitch else ""
-        radius = "" if self.radius is None else f", radius={self.radius:.4g}"
-        place = f"axis=({a}), point=({c}){pitch}{radius}{self._seen}"
-        return f"MechanismRows({self.robot.name!r}, frame={self.frame.name!r}, {' '.join(self.row_names)!r}, {place})"
+def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: PoseRows) -> Selected:
+    """Return Phi and Lambda of a mechanism: constant rows of a twist, where these do not do rows about an axis.
+
+    Of a helix no radius is said: its row is that of one radius only, and grips differ.
+    """
+    if not kind.constant:
+        of_one = set(kind.rows) & set(AT_A_DISTANCE) and kind.type != "screw"
+        options: dict[str, Any] = {"axis": place.axis, "point": place.point, "pitch": place.pitch, **twist.seen_from}
+        options["radius"] = radius if of_one else None
+        return MechanismRows(twist.robot, twist.frame.name, kind.rows, **options), np.eye(kind.n_rows)
+    # the point of the hand that is held is its own origin, wherever that is
+    rows = mechanism_weights(kind.rows, Place(place.axis, np.zeros(3)), None).values(np.zeros((1, 3)))[0]
+    used = [part for part in (slice(0, 3), slice(3, 6)) if np.any(rows[:, part])]
+    axes = [name for part in used for name in AXES[part]]
+    return twist.with_axes(axes), np.concatenate([rows[:, part] for part in used], axis=1)
 
 
 def _vector(values: ArrayLike, what: str) -> np.ndarray:
@@ -186,6 +227,9 @@ class PlaceRows(WeighedVelocity):
         FeatureError: Another form, or a middle that is no place.
     """
 
+    kind = "place-rows"
+    saved = {"frame": "frame.name", "form": "form", "middle": "middle", "relative_to": "_relative_to"}
+
     def __init__(
         self,
         robot: Robot,
@@ -194,43 +238,141 @@ class PlaceRows(WeighedVelocity):
         middle: ArrayLike = (0.0, 0.0, 0.0),
         relative_to: str | None = None,
     ):
-        if form not in get_args(PlaceForm):
-            raise FeatureError(f"form must be one of {', '.join(map(repr, get_args(PlaceForm)))}, not {form!r}")
+        if form not in FORMS:
+            raise FeatureError(f"form must be one of {', '.join(map(repr, FORMS))}, not {form!r}")
         m = _vector(middle, "middle")
         super().__init__(robot, frame, relative_to)
         self.form, self.middle = form, m
-        unit, none = np.eye(3), np.zeros((3, 3))
+        self.row_names = FORMS[form]
+        self.row_units = tuple(AXIS_UNITS.get(name, "m^2/s") for name in self.row_names)
+        constant = np.array([[name == axis for axis in AXES] for name in self.row_names], dtype=np.float64)
+        by_place = np.zeros((*constant.shape, 3))
         if form == "twist":
-            self.row_names, self.row_units = AXES, ("m/s",) * 3 + ("rad/s",) * 3
-            constant = np.block([[unit, -skew(m)], [none, unit]])
-            by_place = np.stack([np.block([[none, skew(e)], [none, none]]) for e in unit], axis=-1)
+            by_place[:3, 3:] = np.stack([skew(e) for e in np.eye(3)], axis=-1)
         elif form == "surface":
-            products = tuple(f"{a}{b}" for a in AXES[:3] for b in AXES[:3])
-            self.row_names, self.row_units = (*AXES[:3], *products), ("m/s",) * 3 + ("m^2/s",) * 9
-            constant = np.concatenate([np.eye(3, 6), *(-m[i] * np.eye(3, 6) for i in range(3))])
-            by_place = np.concatenate([np.zeros((3, 6, 3)), *(np.eye(3, 6)[:, :, None] * e for e in unit)])
+            by_place[3:, :3] = np.eye(9).reshape(9, 3, 3).transpose(0, 2, 1)
         else:
-            turns = AXES[3:] if form == "point and rotation" else ()
-            self.row_names = (*AXES[:3], "distance", *turns)
-            self.row_units = ("m/s",) * 3 + ("m^2/s",) + ("rad/s",) * len(turns)
-            rows = 4 + len(turns)
-            constant = np.block([[unit, none], [-m[None], np.zeros((1, 3))], [none, unit]])[:rows]
-            by_place = np.zeros((rows, 6, 3))
-            by_place[3, :3] = unit
-        self.place_weights = PlaceWeights(constant, by_place)
+            by_place[3, :3] = np.eye(3)
+        self.place_weights = PlaceWeights(constant - by_place @ m, by_place)
+
+    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
+        """Return the kind of the mechanism that leaves these rows zero, and where it is (see `FeatureMap`)."""
+        if self.form == "twist":
+            return of_twists(null_basis(np.concatenate([selection, immovable])).T, self.middle)
+        if self.form == "surface":
+            return of_surface(selection, self.middle, places)
+        return of_point_rows(selection, immovable, self.middle)
+
+    def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
+        """Return the mechanism of these rows; its radius, or a helix, only with the postures in which it was shown."""
+        postures = learnt.get("postures") or []
+        shown = np.array([self.twist.placement(q)[0] for q in postures] or [self.middle])
+        read = self.kind_of(selection, np.zeros((0, self.n_rows)), shown)
+        if read is None or (read[0].name == "screw" and not postures):
+            return None
+        (kind, place), radius = hinge_or_screw(read, shown[0], learnt), None
+        if postures and set(kind.rows) & set(AT_A_DISTANCE):
+            out = shown - place.point
+            out -= 0.0 if kind.type == "ball" else np.outer(out @ place.axis, place.axis)
+            radius = float(np.linalg.norm(out, axis=1).mean())
+        return mechanism_of(kind, place, radius, **self.twist.seen_from)
+
+    def named(self, selection: Selection, mechanism: Mechanism | None) -> Selected:
+        """Return Phi and Lambda of rows with the names of the mechanism's, if it has a name."""
+        kind = None if mechanism is None else KIND_BY_NAME.get(mechanism.name)
+        if mechanism is None or kind is None:
+            return self, selection
+        axis = Z if mechanism.axis is None else mechanism.axis / np.linalg.norm(mechanism.axis)
+        place = Place(axis, self.middle if mechanism.point is None else mechanism.point, mechanism.pitch or 0.0)
+        return rows_of(kind, place, mechanism.radius, self.twist)
 
     def describe(self) -> dict[str, Any]:
-        """Frame, form and middle, as saved in a constraint file."""
-        return {
-            "kind": "place-rows",
-            "frame": self.frame.name,
-            **self.twist.seen_from,
-            "rows": list(self.row_names),
-            "units": list(self.row_units),
-            "form": self.form,
-            "middle": self.middle.tolist(),
-        }
+        """Return frame, form and middle, and the names of the rows."""
+        return super().describe() | {"rows": list(self.row_names)}
 
-    def __repr__(self) -> str:
-        m = ", ".join(f"{x:.4g}" for x in self.middle)
-        return f"PlaceRows({self.robot.name!r}, frame={self.frame.name!r}, {self.form!r}, middle=({m}){self._seen})"
+
+@final
+class CurveRows(WeighedVelocity):
+    """Velocity of a frame across a curve, and along it: rows that follow the place of the hand.
+
+    With p the origin of the frame, c(s) the place of the curve next to it, t the tangent there and n_1, n_2 two unit
+    vectors across that do not turn about the curve:
+
+    - `across-1`, `across-2`: n_i.v, the rate of n_i.(p - c) [m/s];
+    - `along`: the rate of the length s, t.v / (1 - c''.(p - c)) [m/s];
+    - `rx`, `ry`, `rz`: the angular velocity along the base's axes [rad/s].
+
+    A rail of any shape makes the first two zero.
+
+    Args:
+        robot: The robot.
+        frame: Name of the frame, e.g. the tool's tip.
+        points: Of the curve, in order, in the base frame, shape (k, 3) [m].
+        rows: Names of the rows, each at most once.
+        relative_to: Frame from which the hand is seen, and in which the points are given; None for the base.
+
+    Raises:
+        UnknownNameError: No such frame; lists near matches.
+        FeatureError: Unknown rows, or points that make no curve.
+    """
+
+    kind = "curve-rows"
+    saved = {"frame": "frame.name", "rows": "row_names", "points": "curve.points", "relative_to": "_relative_to"}
+    # of weights that are not affine in the place
+    padded = FeatureMap.padded
+    value_and_vjp = FeatureMap.value_and_vjp
+
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str,
+        points: ArrayLike | Curve,
+        rows: str | Sequence[str] = CURVE_ROWS[:3],
+        relative_to: str | None = None,
+    ):
+        super().__init__(robot, frame, relative_to)
+        self.row_names = parsed_rows(rows, CURVE_ROWS, "row")
+        self.row_units = tuple(AXIS_UNITS.get(name, "m/s") for name in self.row_names)
+        self.curve = points if isinstance(points, Curve) else Curve(points)
+        self._rows = [CURVE_ROWS.index(name) for name in self.row_names]
+
+    def with_rows(self, rows: Sequence[str]) -> CurveRows:
+        """Other rows of the same curve."""
+        return self.changed(points=self.curve, rows=rows)
+
+    def _with_turns(self) -> CurveRows:
+        return self.with_rows((*(name for name in self.row_names if name not in AXES), *AXES[3:]))
+
+    def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
+        """Return the curve, if all that holds the hand is across it (see `FeatureMap`)."""
+        others = [not name.startswith("across") for name in self.row_names]
+        if len(selection) != 2 or np.any(np.abs(selection[:, others]) > CLEAR_SHARE):
+            return None
+        return Mechanism("other", name=CURVE, curve=self.curve, relative_to=self._relative_to)
+
+    def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
+        """W(p) and dW/dp at n places [m]."""
+        W, dW = self.curve.weights(p)
+        return W[:, self._rows], dW[:, self._rows]
+
+    def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
+        """W(p) at n places [m]."""
+        return self.weights(p)[0]
+
+    def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Distances from the curve along n_1 and n_2, and the length along it [m].
+
+        Raises:
+            FeatureError: Rows of the angular velocity, which is the rate of nothing.
+        """
+        if max(self._rows) >= len(AXES[:3]):
+            return super().coordinates(q)
+        place = self.twist.placement(q)[0]
+        s = self.curve.nearest(place[None])
+        across = self.curve.frame(s)[0] @ (place - self.curve.at(s)[0])
+        return np.append(across, s)[self._rows]
+
+    def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
+        """Return the same rows of a curve that stands elsewhere, unless that is in another frame (see `FeatureMap`)."""
+        is_fixed = self.relative_to is not None
+        return self if is_fixed else self.changed(points=self.curve.moved(transform)), selection

@@ -10,11 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian, parse_axes
-from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian, RelativeFrameJacobian, parse_axes
+from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, PlaceRows
 from manip_learn.errors import ConstraintMismatchError, FeatureError
 from manip_learn.robot.robot import Robot
 
@@ -33,7 +31,7 @@ class CentreOfMass(FeatureMap):
         FeatureError: Unknown axes, or a robot without mass.
     """
 
-    kind, saved = "centre-of-mass", {"axes": "row_names"}
+    kind, saved, own_axes = "centre-of-mass", {"axes": "row_names"}, False
     robot: Robot
 
     def __init__(self, robot: Robot, axes: str | Sequence[str] = "xyz"):
@@ -212,14 +210,8 @@ class Stacked(FeatureMap):
         return f"Stacked([{', '.join(map(repr, self.parts))}])"
 
 
-# kind in a file -> class, and the arguments that each file of it has
-KINDS: dict[str, tuple[Callable[..., FeatureMap], Iterable[str]]] = {
-    **{one.kind: (one, one.saved) for one in (FrameJacobian, RelativeFrameJacobian, CentreOfMass)},
-    "mechanism-rows": (MechanismRows, ("frame", "rows", "axis", "point", "pitch")),
-    "curve-rows": (CurveRows, ("frame", "points", "rows")),
-    "place-rows": (PlaceRows, ("frame", "form", "middle")),
-}
-OPTIONAL = ("relative_to", "radius")  # arguments that only some of these files have
+KINDS = (FrameJacobian, RelativeFrameJacobian, CentreOfMass, MechanismRows, CurveRows, PlaceRows)
+OPTIONAL = ("relative_to", "radius")  # arguments that not all files of a kind have
 
 
 def described_features(described: Mapping[str, Any], robot: Robot) -> FeatureMap:
@@ -236,8 +228,8 @@ def described_features(described: Mapping[str, Any], robot: Robot) -> FeatureMap
     kind = described["kind"]
     if kind == Stacked.kind:
         return Stacked([described_features(part, robot) for part in described["parts"]])
-    if kind not in KINDS:
+    make: Any = next((features for features in KINDS if features.kind == kind), None)
+    if make is None:
         raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")
-    make, names = KINDS[kind]
-    chosen = [name for name in OPTIONAL if described.get(name) is not None]
-    return make(robot, **{name: described[name] for name in (*names, *chosen)})
+    names = [name for name in make.saved if name not in OPTIONAL or described.get(name) is not None]
+    return make(robot, **{name: described[name] for name in names})

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
-from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, PoseRows
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
-from manip_learn.constraint.place import PlaceWeights
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian, PoseRows, RelativeFrameJacobian
+from manip_learn.constraint.place import AXES, PlaceWeights
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
@@ -35,11 +36,9 @@ class WeighedVelocity(FeatureMap):
 
     def __init__(self, robot: Robot, frame: str, relative_to: str | None = None):
         self.robot, self.frame, self.nv = robot, robot.frame(frame), robot.nv
-        self.twist: PoseRows = FrameJacobian(robot, frame, AXES)
-        if relative_to is not None:
-            self.twist = RelativeFrameJacobian(robot, frame, relative_to, AXES)
-        self.relative_to = self.twist.relative_to
-        self._seen = "" if relative_to is None else f", relative_to={relative_to!r}"  # in a representation
+        seen: dict[str, Any] = {} if relative_to is None else {"relative_to": relative_to}
+        self.twist: PoseRows = (RelativeFrameJacobian if seen else FrameJacobian)(robot, frame, axes=AXES, **seen)
+        self.relative_to, self._relative_to = self.twist.relative_to, relative_to
 
     def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
         """W(p) and dW/dp at n places [m]; row i of W weighs (v, w) of the frame."""
@@ -59,22 +58,12 @@ class WeighedVelocity(FeatureMap):
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        return self._weights_at(q)[0] @ self.twist(q)
-
-    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k.
-
-        Raises:
-            ConfigurationError: Wrong size or not finite.
-        """
-        return self.value_and_derivative(q)[1]
+        return self.values(self.twist.placement(q)[0][None])[0] @ self.twist(q)
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J."""
-        W, dW = self._weights_at(q)
-        J, H = self.twist.value_and_derivative(q)
-        turned = W @ H.reshape(6, -1)
-        return W @ J, turned.reshape(-1, self.nv, self.nv) + J.T @ (dW @ J[:3])
+        W, dW = (x[0] for x in self.weights(self.twist.placement(q)[0][None]))
+        return _product(W, dW, *self.twist.value_and_derivative(q))
 
     def padded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s k"]:
         """Lambda T_0 (6 columns) and Lambda T_k (18) of affine rows, then Lambda's shares of those of unit length."""
@@ -111,19 +100,16 @@ class WeighedVelocity(FeatureMap):
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        return self._batch_weights(q)[0] @ self.twist.batch(q)
+        return self.weights_at(self.twist.poses(q)) @ self.twist.batch(q)
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n postures, in bulk; errors as for `batch`."""
-        W, dW = self._batch_weights(q)
-        J, H = self.twist.batch_with_derivative(q)
-        n, nv = len(W), self.nv
-        turned = (W @ H.reshape(n, 6, nv * nv)).reshape(n, self.n_rows, nv, nv)
-        return W @ J, turned + J.transpose(0, 2, 1)[:, None] @ (dW @ J[:, None, :3])
+        W, dW = self.weights(self.twist.poses(q)[:, :3, 3])
+        return _product(W, dW, *self.twist.batch_with_derivative(q))
 
-    def _weights_at(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        W, dW = self.weights(self.twist.placement(q)[0][None])
-        return W[0], dW[0]
 
-    def _batch_weights(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        return self.weights(self.twist.poses(q)[:, :3, 3])
+def _product(W: np.ndarray, dW: np.ndarray, J: np.ndarray, H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return W J and W dJ/dq + (dW/dp J_v) J, of one posture or of many."""
+    *many, nv, _ = H.shape
+    turned = (W @ H.reshape(*many, nv * nv)).reshape(*W.shape[:-1], nv, nv)
+    return W @ J, turned + J.swapaxes(-1, -2)[..., None, :, :] @ (dW @ J[..., None, :3, :])

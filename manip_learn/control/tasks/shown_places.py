@@ -44,7 +44,7 @@ def between(start: Origin, end: Origin, share: float) -> Origin:
 class ShownPlaces:
     """Where a task was shown, as a motion along it sees that.
 
-    A firm grip is taken as it was in one of the contacts; of a path, one place is taken for all.
+    A firm grip is taken as in the contact at which the hand is, else as in the typical one; a path as it began.
 
     Args:
         mechanism: What holds the hand.
@@ -63,7 +63,8 @@ class ShownPlaces:
         self.sense = shown_sense(shown, motion, of_most=True) or 1.0
         rows: Any = motion.constraint.features
         turning = motion.constraint.selection @ rows.weights_at(shown.chart.grasp[None])[0, :, 3:]
-        is_firm = mechanism is not None and mechanism.orientation != "free"  # kept by habit is free, too
+        # the hand is turned as it was shown, where a firm grip holds that; one that is kept by habit is free
+        is_firm = mechanism is not None and mechanism.orientation != "free"
         self._is_turned = is_firm and bool(np.any(np.abs(turning) > LEAST_TURN))
         is_apart = (shown.hold is None or self._is_turned) and len(shown.grasps) > 0 and (shown.is_way or not anew)
         self._begins = shown.grasps if is_apart else shown.chart.grasp[None]
@@ -95,6 +96,8 @@ class ShownPlaces:
             begins = begins[ends <= max(self._shown.span, ends.min()) + self._room]
         if not self._is_turned:
             begins[:, :3, :3] = here[:3, :3]
+        elif min(self.apart(here, begin) for begin in begins) > GRIP:  # from elsewhere the typical one
+            begins = self._shown.chart.grasp[None]
         if way < 0.0:  # back from where one of them ended
             begins = [Course(self._motion, begin).goal(-distance) for begin in begins]
         return min(begins, key=lambda begin: self.apart(here, begin))
