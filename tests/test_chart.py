@@ -88,15 +88,6 @@ def test_a_pose_and_its_coordinates(mechanism: ml.Mechanism):
         assert len(off) == 6 - k and (not len(off) or np.linalg.norm(off) > 1e-4)
 
 
-def rows_of(mechanism: ml.Mechanism, robot: ml.Robot, tip: str) -> ml.FeatureMap:
-    """Return the rows that a mechanism leaves zero; one that turns with a curve turns at a rate that is no row's."""
-    if mechanism.curve is not None:
-        rows = mechanism.rows[:2] if mechanism.orientation == "carried" else mechanism.rows
-        return ml.CurveRows(robot, tip, mechanism.curve, rows)
-    place = mechanism.located()
-    return ml.MechanismRows(robot, tip, mechanism.rows, axis=place.axis, point=place.point, pitch=place.pitch)
-
-
 @pytest.mark.parametrize("arm", ARMS)
 def test_rows_are_the_rates_of_what_is_held(arm: str, robot_of: RobotOf):
     """On the mechanism the rows are the rates of the held errors, and their derivative that of central differences."""
@@ -108,7 +99,7 @@ def test_rows_are_the_rates_of_what_is_held(arm: str, robot_of: RobotOf):
         T = np.eye(4)
         T[:3, 3] = grasp[:3, 3] - near(rng, mechanism)[:3, 3]
         here = mechanism.moved(T)
-        features, chart = rows_of(here, robot, tip), here.at(grasp)
+        features, chart = here.features(robot, tip), here.at(grasp)
         assert here.orientation == "carried" or features.n_rows == 6 - here.n_free
         rates = np.zeros((features.n_rows, robot.nv))
         for j, step in enumerate(h * np.eye(robot.nv)):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, final
 
@@ -265,6 +266,24 @@ class Mechanism:
         axis = None if self.axis is None else -self.axis
         curve = None if self.curve is None else Curve(self.curve.points[::-1])
         return dataclasses.replace(self, axis=axis, curve=curve)
+
+    def features(self, robot: Any, frame: str) -> Any:
+        """Return the rows that are zero for a frame of a robot, Phi (6 - k, nv), of unit length at any distance.
+
+        Args:
+            robot: The robot.
+            frame: Name of the frame.
+
+        Raises:
+            ConstraintError: The place of the mechanism is not known.
+        """
+        maps = import_module("manip_learn.constraint.features")  # which stand above, and say what they hold
+        g, seen = self.located(), self.relative_to
+        if self.curve is not None:  # a hand that turns with a curve turns at a rate that is no row's
+            rows = held_rows("curve", "free" if self.orientation == "carried" else self.orientation)
+            return maps.CurveRows(robot, frame, self.curve, rows, seen)
+        place = {"axis": g.axis, "point": g.point, "pitch": g.pitch}
+        return maps.MechanismRows(robot, frame, self.rows, **place, relative_to=seen)
 
     def located(self) -> Place:
         """Return the axis, a point and the pitch.

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.mechanism_rows import rows_of
 from manip_learn.constraint.mechanism import KIND_BY_NAME
-from manip_learn.constraint.reading import rows_of
 from manip_learn.control.policies import (
     ASCENT_GAIN,
     JointAttractor,
