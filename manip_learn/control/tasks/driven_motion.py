@@ -192,7 +192,7 @@ def driven_motion(
     f = f / max(sizes)  # a distance counts along the larger part
     counts: Unit = "rad" if sizes[1] > sizes[0] else "m"
     driven = (constraint, Constraint(rows, features, constraint.provenance), f, counts)
-    if features.own_axes is None:
+    if features.twist is None or features.own_axes is None:
         return DrivenMotion(*driven, "coordinates")
     v, w = np.split(f @ np.eye(6)[[AXES.index(name) for name in features.row_names]], 2)
 
