@@ -119,19 +119,3 @@ def test_a_firm_grip_that_was_learnt_is_repeated_as_one(robot_of, name: str, pat
     assert abs(task.progress(rollout.q[-1])) == pytest.approx(constraint.shown.extent, rel=1e-3)
     wanted = np.zeros(3) if path == "line" else task.progress(rollout.q[-1]) * constraint.mechanism.axis
     assert np.degrees(np.linalg.norm(turned - wanted)) < 0.2
-
-
-@pytest.mark.parametrize("name", FIXTURES)
-def test_mechanism_is_read_from_rows(name: str, arm: tuple[ml.Robot, str, np.ndarray]):
-    """Type, axis and pitch of the mechanism follow from the rows of the constraint."""
-    robot, tip, start = arm
-    axis, point = geometry(name, robot.pose(start, tip))
-    mechanism = constraint_of(name, robot, tip, axis, point).mechanism
-    pitch = FIXTURES[name][1]
-    assert mechanism.type == ("line" if pitch is None else "screw" if pitch else "hinge")
-    assert abs(mechanism.axis @ axis) == pytest.approx(1.0, abs=1e-9)
-    assert mechanism.grip == "firm"
-    if pitch is not None:
-        off = np.asarray(mechanism.point) - point
-        assert np.linalg.norm(off - (off @ axis) * axis) < 1e-9
-        assert (mechanism.pitch or 0.0) == pytest.approx(pitch, abs=1e-12)

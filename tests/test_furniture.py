@@ -50,21 +50,8 @@ def as_shown(kind, way):
     axes = sense * np.array([MECHANISMS[kind]["axis"]])
     free = ml.Mechanism("hinge" if turns else "line", axes[0], CENTRE)
     numbers = abs(way), 0.0, abs(way), abs(way), abs(way), 0.1, 1.0
-    return Shown(
-        "rad" if turns else "m",
-        *numbers,
-        False,
-        5,
-        begin,
-        0.0,
-        np.zeros((2, 1)),
-        np.arange(2.0),
-        begin,
-        np.eye(3),
-        0.0,
-        True,
-        free,
-    )
+    first = ("rad" if turns else "m", *numbers, False, 5, begin, 0.0, np.zeros((2, 1)), np.arange(2.0))
+    return Shown(*first, begin, np.eye(3), 0.0, True, free)
 
 
 WAYS = [("line", 0.3, -1.0), ("hinge", 0.9, 1.0), ("hinge", 0.9, -1.0), ("screw", 7.5, 1.0)]

@@ -54,9 +54,11 @@ def of_point_rows(
     """
     position, turning = np.concatenate([selection, immovable])[:, :4], selection[:, 4:]
     held, turns = _rank(position), _rank(turning) if turning.size else 0
-    if held is None or turns is None or turns == 1 or held > 2:
+    if held is None or turns is None or turns == 1 or (held > 2 and turns != 2):
         return None
     free = np.linalg.svd(turning)[2][2] if turns == 2 else Z
+    if held > 2:  # the hand's own place rests, and it turns about an axis there: a knob
+        return KINDS["hinge", "carried"], Place(free, middle)
     rows = np.linalg.svd(position)[2][:held]
     normals, distances = rows[:, :3], rows[:, 3]
     far = float(np.linalg.norm(distances)) * FARTHEST_START < 1.0
