@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import random
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -304,12 +305,8 @@ def test_a_changed_number_of_a_constraint_file_is_noticed(tmp_path: Path) -> Non
             inner[keys[-1]] = value
             changed = tmp_path / "changed.json"
             changed.write_text(json.dumps(content))
-            with (
-                case(path.name, keys),
-                pytest.raises(
-                    ConstraintMismatchError, match='changed.json was changed after .* delete the entry "sha256"'
-                ),
-            ):
+            said = 'changed.json was changed after .* delete the entry "sha256"'
+            with case(path.name, keys), pytest.raises(ConstraintMismatchError, match=said):
                 Constraint.load(changed, robot)
         told = json.loads(path.read_text())
         told["provenance"]["sentence"] = "another one"
@@ -336,12 +333,9 @@ def test_a_constraint_file_of_a_newer_version_says_what_to_do(tmp_path: Path) ->
     content = json.loads(path.read_text())
     for number in (3, 0, "2", None, [2]):
         path.write_text(json.dumps(content | {"schema": number}))
-        with (
-            case(number),
-            pytest.raises(ConstraintMismatchError, match="reads 1 and 2: load it with a newer") as refused,
-        ):
+        said = re.escape(f"c.json has schema {number!r}, this version reads 1 and 2: load it with a newer")
+        with case(number), pytest.raises(ConstraintMismatchError, match=said):
             Constraint.load(path, robot)
-        assert f"c.json has schema {number!r}" in str(refused.value)
 
 
 def test_a_constraint_file_holds_finite_numbers(tmp_path: Path) -> None:
