@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 from library_source import Source, library, listed
 
@@ -107,16 +106,4 @@ def test_our_own_errors_are_declared():
             declared = re.search(rf"^\s+{error}:", text, re.MULTILINE)
             if error.endswith("Error") and hasattr(errors, error) and not declared:
                 faults.append(f"{where} hides {error}")
-    assert not faults, listed(faults)
-
-
-def test_tests_say_what_must_hold():
-    """Each test has a docstring that is a sentence."""
-    faults = []
-    for path in sorted(Path(__file__).parent.glob("test_*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
-                text = ast.get_docstring(node)
-                if not text or not summary(text).endswith((".", "?", ")")):
-                    faults.append(f"{path.name}: {node.name}: {text and summary(text)!r} does not say what must hold")
     assert not faults, listed(faults)

@@ -4,7 +4,6 @@ explains itself.
 
 from __future__ import annotations
 
-import itertools
 import tracemalloc
 
 import numpy as np
@@ -14,7 +13,6 @@ from task_sets import moving as recordings
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.learning.search import Samples, broken_energy, distinct, evidence, viterbi
 from manip_learn.learning.table import Stretch, Table, View
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.trajectory import Trajectory
@@ -141,69 +139,3 @@ def test_ends_that_have_left_the_rows_are_cut_off():
     assert cut[0].start == 1.0 and 2.83 < cut[0].end < 2.89
     assert cut[1] == given[1] and cut[3] == given[3]  # a recording's end; too short to tell
     assert 1.11 < cut[2].start < 1.17 and cut[2].end == 3.0
-
-
-def samples(rng: np.random.Generator, n: int, noise: float, rows: int = 3, joints: int = 5) -> Samples:
-    """Samples of one recording at 100 Hz."""
-    Phi, u = rng.standard_normal((n, rows, joints)), 0.1 * rng.standard_normal((n, joints))
-    rates = np.einsum("npv,nv->np", Phi, u)
-    free, first = np.sum(u**2, axis=1) / joints, np.array([0, n])
-    gram, one = Phi @ Phi.transpose(0, 2, 1), np.ones(n)
-    return Samples(rates, gram, free, noise * one, 0.01 * one, 0.01 * np.arange(n), first, np.zeros(n, dtype=int))
-
-
-def test_the_energy_that_breaks_rows_is_that_of_their_part_of_u(rng):
-    """(A u)^T (A A^T)^-1 A u, written out, for several hypotheses of one, two and three rows."""
-    m = samples(rng, 20, 1e-6)
-    for s in (1, 2, 3):
-        rows = np.linalg.qr(rng.standard_normal((4, 3, s)))[0].transpose(0, 2, 1)
-        expected = [
-            [r @ R.T @ np.linalg.solve(R @ G @ R.T, R @ r) for R in rows] for r, G in zip(m.rates, m.gram, strict=True)
-        ]
-        np.testing.assert_allclose(broken_energy(m, rows), expected, rtol=1e-9)
-
-
-def test_evidence_is_the_ratio_of_two_normal_densities(rng):
-    """Of each sample, s rows of variance (steady sigma)^2 + share^2 f against rows of variance f, two in a hundred far
-    off, a tenth of a second counting as one; nothing at a standstill.
-    """
-    m = samples(rng, 50, 1e-6)
-    energy, scales = 1e-4 * np.abs(rng.standard_normal((50, 2))), [(3.0, 0.01), (1.0, 0.1)]
-    for (i, h, k), value in np.ndenumerate(evidence(m, energy, 2, scales)):
-        held, f = scales[k][0] ** 2 * 1e-6 + scales[k][1] ** 2 * m.free[i], m.free[i]
-        ratio = (f / held) ** (2 / 2) * np.exp(-0.5 * energy[i, h] * (1.0 / held - 1.0 / f))
-        assert value == pytest.approx(np.log(0.02 + 0.98 * ratio) * m.weight[i] / 0.1, rel=1e-9)
-    still = m._replace(free=1e-7 * np.ones(50))
-    assert np.max(np.abs(evidence(still, energy, 2, [(2.0, 0.01)]))) < 1e-9
-
-
-def test_no_sequence_of_states_is_better(rng: np.random.Generator) -> None:
-    """Against all sequences of seven samples: the gains are those of the best one, and the states give them. Into or
-    out of a contact costs half a change, also at the ends; a single state throughout costs nothing.
-    """
-    n, switch = 7, 1.6
-    first = np.array([0, n])
-
-    def worth(sequence: tuple[int, ...], values: np.ndarray) -> float:
-        gain = sum(values[i, state] for i, state in enumerate(sequence))
-        if len(set(sequence)) == 1:
-            return float(gain)
-        borders = sum((a > 0) + (b > 0) for a, b in itertools.pairwise((0, *sequence, 0)) if a != b)
-        return float(gain - 0.5 * switch * borders)
-
-    for k, seed in itertools.product((1, 2), range(4)):
-        values = np.random.default_rng(seed).normal(0.0, 1.0, (n, k + 1))
-        values[:, 0] = 0.0
-        best = max(worth(each, values) for each in itertools.product(range(k + 1), repeat=n))
-        states, gains = viterbi(values[:, None, 1:], first, switch)
-        assert worth(tuple(states[:, 0].tolist()), values) == pytest.approx(best) == pytest.approx(gains[0, 0])
-        assert viterbi(values[:, None, 1:], first, switch, path=False)[1][0, 0] == pytest.approx(best)
-    two = rng.normal(size=(12, 1, 1))  # of two lengths: each as if alone
-    apart = [viterbi(part, np.array([0, len(part)]), switch)[0] for part in (two[:5], two[5:])]
-    np.testing.assert_array_equal(viterbi(two, np.array([0, 5, 12]), switch)[0], np.concatenate(apart))
-
-
-def test_alike_rows_are_told_apart():
-    """The first of each, whatever their signs; no more than asked for."""
-    rows = np.eye(3)[[0, 1, 0, 2, 1]][:, None, :] * np.array([1, 1, -1, 1, 1])[:, None, None]
-    assert distinct(rows) == [0, 1, 3] and distinct(rows, 2) == [0, 1]
