@@ -39,7 +39,14 @@ _DRIVEN = {  # rows that may be driven, in words
     "radial": "radial (away from the axis) [m]",
     "along": "along (the curve) [m]",
 }
-_COMBINED = {"spherical": "radial", "helical": "axial", "screw": "slide"}  # a held row of two -> the one it determines
+# a held row of several -> the one that it determines
+_COMBINED = {
+    "spherical": "radial",
+    "helical": "axial",
+    "screw": "slide",
+    "across-1": "radial",
+    "across-2": "tangential",
+}
 _HOW = {"m": "move along", "rad": "turn about", None: "move along"}
 
 
@@ -283,6 +290,8 @@ def _along_row(
         place = Place(turn / np.linalg.norm(turn), rows.geometry.point)
         rows, direction, unit = rows.about(place), None, "rad"
     g: Place = rows.geometry
+    if g is None and unit == "rad":
+        raise ConstraintError("a hand on a curve goes along it and does not turn about anything: say how far [m]")
     is_firm = any(name.startswith("slide") or name == "screw" for name in held)
     names = ("along",) if g is None else ("turn", "slide") if is_firm else ("tangential", "axial", "radial")
     rest = [name for name in names if name not in {*held, *(_COMBINED.get(name) for name in held)}]

@@ -34,10 +34,6 @@ from manip_learn.robot.robot import Robot
 
 HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
 TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m
-_REFUSED = {  # unit -> mechanisms that do not move by it, what they do, and what to give; others slide and turn
-    "m": (("hinge", "screw", "ball"), "turns and does not slide", "angle= [rad]", "--turn DEGREES"),
-    "rad": (("line", "plane"), "slides and does not turn", "distance= [m]", "--along METRES"),
-}
 DONE = {"m": 1e-3, "rad": math.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
 RAMP = 0.5  # [s] from rest to the speed: 0.1 m/s with 0.3 m/s2 at most
 # what a way may be longer than what was shown: the play of a drawer's rails, and two tenths of a degree
@@ -456,7 +452,11 @@ def motion(
         )
     unit: Unit = "m" if angle is None else "rad"
     amount = distance if angle is None else angle
-    types, does, *instead = _REFUSED[unit]
+    refused = {  # unit -> mechanisms that do not move by it, what they do, and what to give; others slide and turn
+        "m": (("hinge", "screw", "ball"), "turns and does not slide", "angle= [rad]", "--turn DEGREES"),
+        "rad": (("line", "plane"), "slides and does not turn", "distance= [m]", "--along METRES"),
+    }
+    types, does, *instead = refused[unit]
     if again and shown is not None:
         unit, amount = shown.unit, shown.extent
         speed = amount / max(shown.seconds - RAMP, RAMP) if speed is None else speed
