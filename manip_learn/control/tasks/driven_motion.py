@@ -292,6 +292,8 @@ def _along_row(
     g: Place = rows.geometry
     if g is None and unit == "rad":
         raise ConstraintError("a hand on a curve goes along it and does not turn about anything: say how far [m]")
+    if g is None and direction is not None:
+        raise TargetError(f"on a curve the hand goes forth, or back by a negative way: leave {direction!r} out")
     is_firm = any(name.startswith("slide") or name == "screw" for name in held)
     names = ("along",) if g is None else ("turn", "slide") if is_firm else ("tangential", "axial", "radial")
     rest = [name for name in names if name not in {*held, *(_COMBINED.get(name) for name in held)}]
