@@ -300,19 +300,22 @@ class Mechanism:
         return Place(axis, np.zeros(3) if self.point is None else self.point, self.pitch or 0.0)
 
     def off(self, place: Float[np.ndarray, " 3"]) -> float:
-        """Return how far a hand at a place is from where it can hold the mechanism [m]; 0 where that is not known."""
+        """Return how far a hand at a place is from where it can hold the mechanism [m]; 0 where that is not known.
+
+        A line is held anywhere beside it: a handle runs across the drawer.
+        """
         g = self.located()
         d = place - g.point
         across = d - (d @ g.axis) * g.axis
         if self.curve is not None:
             return float(np.linalg.norm(place - self.curve.at(self.curve.nearest(place[None]))[0]))
-        if self.kind in ("line", "plane"):
-            return 0.0 if self.point is None else float(np.linalg.norm(across if self.kind == "line" else d - across))
+        if self.kind == "plane" and self.point is not None:
+            return float(np.linalg.norm(d - across))
         if self.radius is None or self.orientation == "carried":
             return 0.0
         return abs(float(np.linalg.norm(d if self.kind == "ball" else across)) - self.radius)
 
-    def at(self, pose: ArrayLike, within: float = GRIP) -> Chart:
+    def at(self, pose: ArrayLike, within: float = 0.05) -> Chart:
         """Return the chart of a hand that took hold at a pose, where its free coordinates are 0.
 
         The coordinates are ways and angles along the mechanism, then the hand's own turns where it may turn.
