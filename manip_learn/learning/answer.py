@@ -574,7 +574,9 @@ def completed(a: Answer, settings: Settings) -> Answer:
         grip: Grip = "firm" if kind.orientation != "free" else "kept" if kept else "loose"
         held: dict[str, Any] = {"orientation": kind.orientation, "name": kind.name, "orientation_rms": rms}
         a.placed = replace(known, kind=kind, mechanism=replace(known.mechanism, grip=grip, **held))
-        if isinstance(view.features, PlaceRows) or a.firm or a.shape or grip == "firm":
+        # constant rows that were asked for say all of a knob
+        is_knob = kind.kind == "hinge" and any(str(f) == str(view.features) for f in settings.asked)
+        if not is_knob and (isinstance(view.features, PlaceRows) or a.firm or a.shape or grip == "firm"):
             features, selection = a.placed.rows(view)
             gaps = a.whole.gaps if a.firm is not None else {len(selection): a.gap}
             a.whole = a.whole._replace(features=features, selection=selection, gaps=gaps)
