@@ -156,7 +156,7 @@ def test_a_peg_is_slid_or_turned_but_not_repeated(robot_of: RobotOf) -> None:
     assert shown is not None
     peg = Constraint(np.eye(4), features, {"shown": shown.to_dict()})
     with pytest.raises(
-        ConstraintError, match=r"name one of its two ways \(distance=0\.05, direction='slide' or angle=0\.5"
+        ConstraintError, match=r"name one of its ways \(distance=0\.05, direction='slide' or angle=0\.5"
     ):
         motion(peg)
     assert (motion(peg, along=0.05, direction="slide").unit, motion(peg, turn=0.5, direction="turn").unit) == (

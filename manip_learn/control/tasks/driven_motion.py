@@ -348,9 +348,11 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
     if mechanism is not None and orientation == "carried" and (mechanism.radius or 0.0) < ON_THE_AXIS:
         python = "distance=0.05, direction='slide' or angle=0.5, direction='turn'"
         ways = advice("{}", python, "--along 0.05 --direction slide or --turn 30 --direction turn")
+        if mechanism.kind == "ball":
+            ways = advice("{}", "angle=0.5, direction=(0, 0, 1)", "--turn 30 --direction 0,0,1")
         raise ConstraintError(
             f"the hand turns where its place rests ({mechanism.sentence}), and such a motion is not repeated as it "
-            f"was shown: name one of its two ways ({ways or '`manip-learn control` drives each'})"
+            f"was shown: name one of its ways ({ways or '`manip-learn control` drives each'})"
         )
     turning = np.zeros((0, 3)) if orientation == "free" else np.eye(3)
     if orientation == "about-axis" and mechanism is not None and mechanism.axis is not None:
