@@ -7,7 +7,7 @@ Its kind, what the hand may do while it holds on, and where it is say all: the r
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from types import MappingProxyType
@@ -136,6 +136,12 @@ MECHANISM_KINDS: tuple[MechanismKind, ...] = tuple(
     if o in known.told.split()
 )
 KIND_BY_NAME = {kind.name: kind for kind in MECHANISM_KINDS}
+
+
+def kind_of_rows(names: Iterable[str]) -> MechanismKind | None:
+    """Return the kind that leaves just these rows of `MechanismRows` zero; None if there is none."""
+    held = set(names)
+    return next((kind for kind in MECHANISM_KINDS if set(kind.rows) == held), None)
 
 
 @final
@@ -267,6 +273,10 @@ class Mechanism:
         curve = None if self.curve is None else Curve(self.curve.points[::-1])
         return dataclasses.replace(self, axis=axis, curve=curve)
 
+    def by_place(self) -> Mechanism:
+        """This mechanism for a hand that may turn: its place alone tells how far it is."""
+        return dataclasses.replace(self, orientation="free")
+
     def features(self, robot: Any, frame: str) -> Any:
         """Return the rows that are zero for a frame of a robot, Phi (6 - k, nv), of unit length at any distance.
 
@@ -388,14 +398,14 @@ class Mechanism:
         """
         pose = np.eye(4)
         pose[:3, 3] = begin
-        chart = dataclasses.replace(self, orientation="free").at(pose, np.inf)
+        chart = self.by_place().at(pose, np.inf)
         return np.array([chart.pose(each)[:3, 3] for each in s])
 
     def _weights(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n h 6"]:
         """Return the weights of the hand's twist in the rows that are zero."""
         if self.curve is not None:
             return self.curve.weights(p)[0][:, [CURVE_ROWS.index(name) for name in self.rows]]
-        return mechanism_weights(self.rows, self.located(), None).at(p)[0]
+        return mechanism_weights(self.rows, self.located(), None).values(p)
 
     def to_dict(self) -> dict[str, Any]:
         """Type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""

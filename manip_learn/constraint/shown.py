@@ -63,12 +63,12 @@ def free_mechanism(
         contacts: Poses of the hand along each contact.
     """
     kind = None if mechanism is None else mechanism.kind
-    turns = kind in ("hinge", "screw", "cylinder", "ball", "curve")
-    if mechanism is not None and (turns or mechanism.axis is not None or kind == "space"):
+    in_hand = mechanism is not None and kind in ("line", "plane") and mechanism.axis is None
+    if mechanism is not None and not in_hand:
         placed = mechanism.point is not None or kind in ("line", "plane", "space", "curve")
         return mechanism if placed else None
     axes = np.zeros((0, 3))
-    if kind in ("line", "plane"):  # fixed to the hand: its directions are those in which the hand did move
+    if in_hand:  # its directions are those in which the hand did move
         places = np.concatenate([c[:, :3, 3] - c[:, :3, 3].mean(axis=0) for c in contacts])
         axes = np.linalg.svd(places, full_matrices=False)[2][: 1 if kind == "line" else 2]
     elif features.own_axes is False:  # translations that the rows show and Lambda leaves free, but for what it leaks
@@ -266,11 +266,6 @@ def _sizes(mechanism: Mechanism) -> Float[np.ndarray, "..."]:
     return np.array([mechanism.radius or 1.0, 1.0]) if mechanism.kind == "cylinder" else np.ones(1)
 
 
-def _turns(ball: Mechanism, grasp: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "n 3"]:
-    chart = ball.at(grasp, np.inf)
-    return chart.turn[: chart.n_ways]
-
-
 def _ways(mechanism: Mechanism, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
     chart = mechanism.at(poses[0], np.inf)
     return chart.coordinates(poses)[:, : chart.n_ways] * _sizes(mechanism)
@@ -321,32 +316,43 @@ def shown_by(
     # of an even number two are as near to the median, but for rounding: the first
     typical = int(np.argmin(np.round(off, 9))) if is_way else _typical(times, ways)
     first, time, path = _path(times[typical], ways[typical], farthest[typical], is_way)
-    turned = rotation_vectors(motions[typical][:, :3, :3] @ grasps[typical, :3, :3].T)
-    hand = np.column_stack([np.interp(first + time, times[typical], x) for x in turned.T])
+    turns = rotation_vectors(motions[typical][:, :3, :3] @ grasps[typical, :3, :3].T)
+    hand = np.column_stack([np.interp(first + time, times[typical], x) for x in turns.T])
     ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
     begin = grasps[typical].copy()
     if hold is not None:
         begin[:3, 3] = hold
     start = np.median([_ways(free, np.array([begin, grasp]))[1] for grasp in grasps], axis=0)
     if free.kind == "ball":  # each chart has axes of its own
-        path = path @ (_turns(free, grasps[typical]) @ _turns(free, begin).T)
+        own, kept = (chart.turn[: chart.n_ways] for chart in (free.at(grasps[typical], np.inf), free.at(begin, np.inf)))
+        path = path @ own @ kept.T
     unit: Unit = "rad" if free.kind in ("hinge", "screw", "ball") else "m"
-    far = [float(f(extents)) for f in (np.median, np.std, np.min, np.max)]
-    far.append(_span(free, motions, ways) if is_way else far[-1])
-    pace = float(np.median(lengths / np.maximum(seconds, 1e-9))), float(np.median(seconds))
-    whole: Any = (unit, *far, *pace, bool(np.median(ends / extents) <= BACK), len(ways), hold, scatter)
-    turned = float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3])))
-    typical_one: Any = (
-        path,
-        time,
-        begin[:3, 3],
-        begin[:3, :3],
-        turned,
-        one_way,
-        free,
-        _force(features, free, contacts),
+    extent, spread, least, most = (float(f(extents)) for f in (np.median, np.std, np.min, np.max))
+    return Shown(
+        unit=unit,
+        extent=extent,
+        spread=spread,
+        least=least,
+        most=most,
+        span=_span(free, motions, ways) if is_way else most,
+        speed=float(np.median(lengths / np.maximum(seconds, 1e-9))),
+        seconds=float(np.median(seconds)),
+        back=bool(np.median(ends / extents) <= BACK),
+        n=len(ways),
+        hold=hold,
+        scatter=scatter,
+        path=path,
+        time=time,
+        begin=begin[:3, 3],
+        orientation=begin[:3, :3],
+        turned=float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3]))),
+        one_way=one_way,
+        mechanism=free,
+        force=_force(features, free, contacts),
+        start=start,
+        hand=hand,
+        grasps=grasps[evenly(len(grasps), MOST_GRASPS)],
     )
-    return Shown(*whole, *typical_one, start=start, grasps=grasps[evenly(len(grasps), MOST_GRASPS)], hand=hand)
 
 
 def _force(features: FeatureMap, free: Mechanism, contacts: Sequence[Trajectory]) -> float | None:

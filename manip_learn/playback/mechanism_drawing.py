@@ -306,8 +306,8 @@ def furniture_of(
         found = None if abs(far) < LEAST_TRAVEL else (begin, end, first + k, float(np.sign(far)))
     held, least = np.zeros(len(along), dtype=bool), 0.0
     if shown is not None and shown.hold is not None:
-        sense = float(np.sign(axis @ shown.mechanism.axis)) if shown.mechanism.axis is not None else 1.0
-        handle, sense, least = shown.hold, sense or 1.0, shown.most
+        along_it = axis if shown.mechanism.axis is None else shown.mechanism.axis
+        handle, sense, least = shown.hold, float(np.sign(axis @ along_it)) or 1.0, shown.most
         shut, circle, _ = _coordinates(axis, centre, pitch, handle[None])
         if ways is None and found is not None:
             spans = [slice(found[0], found[1])]

@@ -114,8 +114,7 @@ def coordinate(shown: Shown, begin: Float[np.ndarray, " 3"], place: Float[np.nda
     """How far a hand is along a way from where it began [m or rad], by its place."""
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, :3, 3] = begin, place
-    by_place = replace(shown.mechanism, name="", orientation="free")
-    return float(replace(shown, mechanism=by_place).along(poses)[1, 0])
+    return float(replace(shown, mechanism=shown.mechanism.by_place()).along(poses)[1, 0])
 
 
 @final

@@ -18,11 +18,10 @@ from manip_learn.constraint.mechanism import (
     CLEAR_SHARE,
     CURVE,
     KIND_BY_NAME,
-    MECHANISM_KINDS,
     TURNING,
     Mechanism,
     MechanismKind,
-    Z,
+    kind_of_rows,
     mechanism_of,
 )
 from manip_learn.constraint.place import (
@@ -144,7 +143,7 @@ class MechanismRows(WeighedVelocity):
         """Return the mechanism whose rows are held, each as it is or not at all (see `FeatureMap`)."""
         shares = np.einsum("sp,sp->p", selection, selection)
         held = {name for name, share in zip(self.row_names, shares, strict=True) if share > 0.5}
-        kind = next((k for k in MECHANISM_KINDS if set(k.rows) == held), None)
+        kind = kind_of_rows(held)
         if kind is None or np.any(np.abs(shares - np.round(shares)) > CLEAR_SHARE):
             return None
         return mechanism_of(kind, self.geometry, self.radius, **self.twist.seen_from)
@@ -282,9 +281,7 @@ class PlaceRows(WeighedVelocity):
         kind = None if mechanism is None else KIND_BY_NAME.get(mechanism.name)
         if mechanism is None or kind is None:
             return self, selection
-        axis = Z if mechanism.axis is None else mechanism.axis / np.linalg.norm(mechanism.axis)
-        place = Place(axis, self.middle if mechanism.point is None else mechanism.point, mechanism.pitch or 0.0)
-        return rows_of(kind, place, mechanism.radius, self.twist)
+        return rows_of(kind, mechanism.located(), mechanism.radius, self.twist)
 
     def describe(self) -> dict[str, Any]:
         """Return frame, form and middle, and the names of the rows."""

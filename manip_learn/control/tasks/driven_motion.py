@@ -17,7 +17,7 @@ from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, pose_error
-from manip_learn.constraint.mechanism import CURVE, MECHANISM_KINDS, ON_THE_AXIS, Mechanism, mechanism_of
+from manip_learn.constraint.mechanism import CURVE, ON_THE_AXIS, Mechanism, kind_of_rows, mechanism_of
 from manip_learn.constraint.place import Place, across
 from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
@@ -299,7 +299,7 @@ def _along_row(
     rest = [name for name in names if name not in {*held, *(_COMBINED.get(name) for name in held)}]
     driven = _free_row(held, rest, direction, unit)
     beside = [name for name in rest if name != driven] if straight and not is_firm else []
-    kind = next((k for k in MECHANISM_KINDS if g is not None and {*k.rows} == {*held}), None)
+    kind = None if g is None else kind_of_rows(held)
     features = rows.with_rows((*(held if kind is None else kind.rows), *beside, driven))
     turns, pitch = driven in ("turn", "tangential"), g.pitch if {"screw", "helical"} & {*held} else 0.0
 
@@ -359,11 +359,11 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
         turning = across(mechanism.axis)
     features = twist.with_axes(AXES if len(turning) else AXES[:3])
     rows = Constraint(block_diag(np.eye(3), turning[:, : features.n_rows - 3]), features, constraint.provenance)
-    places = shown.poses[:, :3, 3]
-    ways = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
+    poses = shown.poses
+    ways = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
     moves = np.append(True, np.diff(ways) > 1e-9)
-    path = _Path(ways[moves], shown.poses[moves], shown.poses[0])
-    driven = path.twist([0.0], shown.poses[0])[: features.n_rows, 0]
+    path = _Path(ways[moves], poses[moves], poses[0])
+    driven = path.twist([0.0], poses[0])[: features.n_rows, 0]
     profile = PathProfile(MotionProfile(float(shown.time[moves][-1]), 1.0, ramp), shown.time[moves], path.ways)
     return DrivenMotion(constraint, rows, driven, "m", "chart", lambda origin: replace(path, begin=origin)), profile
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import replace
 from typing import final
 
 import numpy as np
@@ -539,7 +538,7 @@ def motion_to(
         raise TargetError(f"the point must be three finite numbers (x, y, z) [m], got {point!r}")
     here, there = twist.pose(q), np.eye(4)
     there[:3, 3] = place
-    angle = float(replace(known, name="", orientation="fixed").at(here, np.inf).coordinates(there)[0])
+    angle = float(known.by_place().at(here, np.inf).coordinates(there)[0])
     if abs(angle) < 1e-6:
         raise TargetError("the hand is as near to the point as the mechanism allows: name another")
     task = motion(constraint, angle=angle, speed=speed, keep_orientation=keep_orientation, beyond_shown=True)

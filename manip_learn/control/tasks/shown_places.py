@@ -58,7 +58,7 @@ class ShownPlaces:
     """
 
     def __init__(self, mechanism: Mechanism | None, shown: Shown, motion: DrivenMotion, anew: bool):
-        self._shown = replace(shown, mechanism=replace(shown.mechanism, orientation="free"))  # by the hand's place
+        self._shown = replace(shown, mechanism=shown.mechanism.by_place())
         self._motion, self._anew = motion, anew
         self.sense = shown_sense(shown, motion, of_most=True) or 1.0
         rows: Any = motion.constraint.features
