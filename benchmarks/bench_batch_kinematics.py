@@ -18,7 +18,7 @@ from timing import keep, rounds_of, summary
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from manip_learn.constraint.manipulability import (
         log_manipulability_gradient,
         manipulability,
+        manipulability_batch,
         manipulability_gradient,
     )
-    from manip_learn.constraint.manipulability_batch import manipulability_batch
     from manip_learn.constraint.mechanism import Mechanism
     from manip_learn.constraint.shown import Shown
     from manip_learn.constraint.skill import Skill, Step
@@ -86,8 +86,8 @@ _NAMES = {
     "constraint.task_frame": "TaskFrame",
     "constraint.features": "CentreOfMass CurveRows CustomFeatures FeatureMap "
     "FrameJacobian MechanismRows RelativeFrameJacobian Stacked",
-    "constraint.manipulability": "log_manipulability_gradient manipulability manipulability_gradient",
-    "constraint.manipulability_batch": "manipulability_batch",
+    "constraint.manipulability": "log_manipulability_gradient manipulability manipulability_batch "
+    "manipulability_gradient",
     "learning": "ConstraintLearner",
     "learning.audit": "audit_episodes",
     "control.command": "Command Controller Status",

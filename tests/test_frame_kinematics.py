@@ -12,7 +12,7 @@ from case import case
 from conftest import tip_of
 
 from manip_learn.robot import load_robot
-from manip_learn.robot.frame_kinematics import PINOCCHIO_REFERENCES, FrameKinematics, vjps
+from manip_learn.robot.frame_kinematics import PINOCCHIO_REFERENCES, FrameKinematics
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -49,27 +49,11 @@ def test_the_joints_that_carry_a_frame_are_enough(name: str, robot_of: RobotOf, 
                         np.testing.assert_array_equal(robot.position(posture, frame), robot.pose(posture, frame)[:3, 3])
 
 
-def test_products_of_many_matrices_are_those_of_each(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Weights side by side give, row by row, what each of them gives by itself, for a product of any origin."""
-    for name in ROBOTS:
-        with case(name):
-            robot = robot_of(name)
-            selection = np.linalg.qr(rng.normal(size=(6, 2)))[0].T
-            for frame in frames_of(robot, name):
-                kinematics = robot.frame_kinematics(frame)
-                _, product = kinematics.weighted_vjp(robot.random_configuration(rng), "world", selection)
-                weights = rng.normal(size=(4, 2, robot.nv))
-                each = [product(matrix) for matrix in weights]
-                for known in (product, lambda matrix, product=product: product(matrix)):
-                    together = vjps(known, np.hstack(weights), len(weights))
-                    np.testing.assert_allclose(together, each, rtol=0, atol=1e-13)
-
-
 @pytest.mark.parametrize("name", ROBOTS)
 def test_no_number_depends_on_what_was_asked_before(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """In any order of calls, at any postures in between, every answer is the same to the last bit."""
     robot = robot_of(name)
-    frame, selection = robot.frame(tip_of(name)), np.eye(6)[:2]
+    frame = robot.frame(tip_of(name))
     kinematics = FrameKinematics(robot, frame)
     asked: list[Callable[[np.ndarray], tuple[np.ndarray, ...]]] = [
         lambda q: (kinematics.pose(q),),
@@ -77,8 +61,7 @@ def test_no_number_depends_on_what_was_asked_before(name: str, robot_of: RobotOf
         lambda q: (kinematics.jacobian(q, "world"),),
         lambda q: (kinematics.jacobian(q, "local"),),
         lambda q: kinematics.jacobian_and_derivative(q, "local"),
-        lambda q: (kinematics.jacobian_beside_vjp(q, "world"),),
-        lambda q: (lambda A, vjp: (A, vjp(np.ones(A.shape))))(*kinematics.weighted_vjp(q, "world", selection)),
+        lambda q: kinematics.jacobian_and_derivative(q, "world"),
     ]
     postures = [robot.random_configuration(rng) for _ in range(3)]
     expected = {}

@@ -12,8 +12,12 @@ from rounding import rounding
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
-from manip_learn.constraint.manipulability import log_manipulability_gradient, manipulability, manipulability_gradient
-from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.constraint.manipulability import (
+    log_manipulability_gradient,
+    manipulability,
+    manipulability_batch,
+    manipulability_gradient,
+)
 from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import EPS, manipulability_of
 

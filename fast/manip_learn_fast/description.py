@@ -91,12 +91,23 @@ def _to_z(axis: np.ndarray) -> np.ndarray:
     return np.column_stack((x, np.cross(axis, x), axis))
 
 
+def _on_twist(constraint: Constraint) -> np.ndarray:
+    """Lambda T_0 (6 columns) and Lambda T_k (18) of affine rows, then Lambda's shares of those of unit length."""
+    f, selection = constraint.features, constraint.selection
+    if isinstance(f, FrameJacobian):
+        return selection @ np.array([[name == axis for axis in AXES] for name in f.row_names], dtype=float)
+    place, affine, free = f.place_weights, selection.copy(), list(f.place_weights.free)
+    affine[:, free] = 0.0
+    numbers = np.concatenate([place.constant, place.by_place.reshape(-1, 18)], axis=1)
+    return np.concatenate([affine @ numbers, selection[:, free]], axis=1)
+
+
 def _rows(constraint: Constraint) -> dict[str, Any] | None:
     """Rows of the form Lambda (T_0 + sum_k p_k T_k) J."""
     f = constraint.features
     if not isinstance(f, FrameJacobian | MechanismRows | PlaceRows):
         return None
-    chain, padded, free = _chain(f.robot, f.frame), f.padded(constraint.selection), []
+    chain, padded, free = _chain(f.robot, f.frame), _on_twist(constraint), []
     if chain is None:
         return None
     own = isinstance(f, FrameJacobian) and f.own_axes
@@ -117,7 +128,7 @@ def _task(task: Task, constraint: Constraint, knows_rows: bool) -> dict[str, Any
     f = constraint.features
     if type(task) is not PointAttractor or not isinstance(f, FrameJacobian) or not knows_rows:
         return None
-    target, padded = task.target, f.padded(constraint.selection)
+    target, padded = task.target, _on_twist(constraint)
     numbers |= {"gain": task.gain, "max_speed": np.inf if task.max_speed is None else float(task.max_speed)}
     pose = target.shape == (4, 4)
     try:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, final
 
@@ -15,7 +15,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, row_in_words
+from manip_learn.constraint.features.feature_map import FeatureMap, row_in_words
 from manip_learn.constraint.features.other_features import described_features
 from manip_learn.constraint.intention import Intention
 from manip_learn.constraint.mechanism import Mechanism
@@ -35,6 +35,8 @@ _FORMAT = "manip_learn.constraint"
 SCHEMA = 2  # number of the format that `save` writes; 1 is that of 0.2
 SIGNATURE = "sha256"  # entry of a file: the SHA-256 of what says where an arm goes
 LARGEST_FILE = 100_000_000  # [bytes] of a constraint: one of a hundred thousand recordings has a tenth of it
+# vector-Jacobian product of A(q): weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k
+Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
 NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
 
 
@@ -69,7 +71,6 @@ class Constraint:
         self.features = features
         self.selection: Float[np.ndarray, "s p"] = _orthonormal(selection, features)
         self.selection.setflags(write=False)
-        self._padded = features.padded(self.selection)
         self.provenance: dict[str, Any] = dict(provenance or {})
         self.notes: tuple[str, ...] = ()
 
@@ -190,7 +191,9 @@ class Constraint:
 
     def value_and_vjp(self, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
         """A(q) and its vector-Jacobian product, weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, without dA/dq."""
-        return self.features.value_and_vjp(q, self._padded)
+        A, dA = self.value_and_derivative(q)
+        flat = dA.reshape(-1, self.nv)
+        return A, lambda weights: weights.reshape(-1).dot(flat)
 
     def residual(self, demonstrations: Iterable[Trajectory]) -> float:
         """Fraction of the motion that breaks A(q) u = 0: sqrt(sum |A^+ A u|^2 / sum |u|^2), 0 to 1.

@@ -8,19 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.feature_map import Vjp
+from manip_learn.constraint.constraint import Constraint, Vjp
 from manip_learn.constraint.small_matrices import svd
 from manip_learn.errors import ConstraintError, an
 from manip_learn.linalg import EPS
+from manip_learn.robot.batch.postures import checked_postures
 
 # below this ratio to the largest singular value the left singular vectors of zero and non-zero are mixed by rounding
 SINGULAR_RATIO = 64.0 * EPS
+GRADIENT_CHUNK = 512  # postures whose dA/dq are held at a time
 
 
 def manipulability(constraint: Constraint, q: ArrayLike) -> float:
@@ -85,18 +87,63 @@ def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[n
     return gradient / max(mu, floor, np.finfo(np.float64).tiny)
 
 
-def gradient_of(
-    A: Float[np.ndarray, "s nv"], dA: Float[np.ndarray, "s nv nv"]
-) -> tuple[float, Float[np.ndarray, " nv"], float]:
-    """mu, its gradient, and the mu below which a singularity cannot be told from rounding, from A and dA/dq."""
-    flat = dA.reshape(-1, A.shape[1])
-    return gradient_from(A.shape, svd(A), lambda weights: weights.reshape(-1).dot(flat))
+@final
+class ManipulabilityBatch(NamedTuple):
+    """mu and its gradient at n postures.
+
+    Attributes:
+        mu: shape (n,).
+        gradient: shape (n, nv), finite; at singularities the steepest ascent, see `manipulability_gradient`.
+        floor: shape (n,), the mu below which a singularity cannot be told from rounding; 0 where that is far away.
+    """
+
+    mu: Float[np.ndarray, " n"]
+    gradient: Float[np.ndarray, "n nv"]
+    floor: Float[np.ndarray, " n"]
+
+    @property
+    def log_gradient(self) -> Float[np.ndarray, "n nv"]:
+        """Gradient of log mu, see `log_manipulability_gradient`."""
+        return self.gradient / np.maximum(np.maximum(self.mu, self.floor), np.finfo(np.float64).tiny)[:, None]
+
+
+def manipulability_batch(constraint: Constraint, q: ArrayLike) -> ManipulabilityBatch:
+    """mu(q) and its gradient at n postures, the rows of q.
+
+    Args:
+        constraint: A(q).
+        q: Configurations (nq) or joint positions (nv), one per row.
+
+    Raises:
+        ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        ConstraintError: The arguments are in another order.
+    """
+    selection, features = constraint_first(constraint, q).selection, constraint.features
+    postures, nv = np.asarray(q, dtype=np.float64), constraint.nv
+    if constraint.robot is not None:
+        checked_postures(constraint.robot, postures)  # here, where a row's number is that of the caller
+    n, s = len(postures), len(selection)
+    out = ManipulabilityBatch(np.zeros(n), np.zeros((n, nv)), np.zeros(n))
+    for start in range(0, n if s <= nv else 0, GRADIENT_CHUNK):
+        part = slice(start, start + GRADIENT_CHUNK)
+        Phi, dPhi = features.batch_with_derivative(postures[part])
+        U, sigma, Vt = np.linalg.svd(selection @ Phi, full_matrices=False)
+        others = np.stack([np.prod(np.delete(sigma, i, axis=1), axis=1) for i in range(s)], axis=1)
+        weights = selection.T @ (U * others[:, None]) @ Vt
+        floor, lost = SINGULAR_RATIO * sigma[:, 0] * others[:, -1], sigma[:, -1] <= SINGULAR_RATIO * sigma[:, 0]
+        out.mu[part], out.floor[part] = others[:, 0] * sigma[:, 0], np.where(lost, floor, 0.0)
+        out.gradient[part] = np.einsum("nij,nijk->nk", weights, dPhi, optimize=True)
+        for i in start + np.flatnonzero(lost):
+            out.gradient[i] = manipulability_gradient(constraint, postures[i])
+    return out
 
 
 def gradient_from(
     shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp
 ) -> tuple[float, Float[np.ndarray, " nv"], float]:
-    """`gradient_of` from the shape of A, its decomposition, and weights -> sum_ij weights_ij dA_ij / dq_k.
+    """mu, its gradient, and the mu below which a singularity cannot be told from rounding.
+
+    From the shape of A, its decomposition, and weights -> sum_ij weights_ij dA_ij / dq_k:
 
     d mu / d q_k = sum_i (prod_{j != i} sigma_j) u_i^T (dA / dq_k) v_i.
     """

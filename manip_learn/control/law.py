@@ -13,8 +13,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgeqrf, dposv, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.feature_map import Vjp
+from manip_learn.constraint.constraint import Constraint, Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, smallest_gradient
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.control.command import ACCELERATION, SCALED_BELOW, Command, Status, status_of
@@ -23,7 +22,6 @@ from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullS
 from manip_learn.control.tasks import Task
 from manip_learn.errors import ConfigurationError, TargetError, advice
 from manip_learn.linalg import Inverse, inverse_singular_values, unit
-from manip_learn.robot.frame_kinematics import vjps
 
 # lambda of held rows over that of driven ones: where a direction is lost, what holds the hand gives way last
 _HELD = 0.1
@@ -374,7 +372,7 @@ class Law:
             pressing = -float(slope.dot(task)) / size if size > 0.0 else 0.0
         if pressing <= 0.0:
             return square
-        flat = vjps(rates, np.outer(pressed, unit(nv)), nv).reshape(-1)
+        flat = np.concatenate([rates(np.outer(pressed, e)) for e in unit(nv)])
         stable = dt / STABLE_SLOPE * math.sqrt(flat.dot(flat))
         return square + pressing * max(0.0, stable - square)
 
@@ -519,7 +517,7 @@ def _braking_share(
     _, vjp = constraint.value_and_vjp(q)
     s, share = constraint.n_constraints, 1.0
     for u, power in ((wish, 0.25), (previous, 1.0)):
-        bend = vjps(vjp, np.kron(unit(s), u), s).dot(u)
+        bend = np.array([vjp(np.outer(e, u)) for e in unit(s)]).dot(u)
         bend = bend - D.T.dot(D.dot(bend))
         time = limits.stopping_time(u)
         aside = 0.125 * time * time * math.sqrt(bend.dot(bend))

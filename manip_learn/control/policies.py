@@ -14,14 +14,12 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIssue]
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.feature_map import Vjp
+from manip_learn.constraint.constraint import Constraint, Vjp
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, an
 from manip_learn.linalg import unit
-from manip_learn.robot.frame_kinematics import vjps
 from manip_learn.robot.limit_potential import has_range, ranges, room_of
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_vector
@@ -461,8 +459,7 @@ def steepest_ascent(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vj
     largest, *others = sigma.tolist()
     rank = 1 + sum(x > SINGULAR_RATIO * largest for x in others) if largest > 0.0 else 0
     Z = Vt[rank:]
-    rows = [vjps(vjp, U[:, i : i + 1] * Z.reshape(-1), Z.shape[0]) for i in range(rank, U.shape[1])]
-    M = rows[0] if len(rows) == 1 else np.concatenate(rows)
+    M = np.array([vjp(np.outer(u, z)) for u in U[:, rank:].T for z in Z])
     flat = M.reshape(-1)
     square = float(flat.dot(flat))
     if square <= (SINGULAR_RATIO * largest) ** 2:  # rounding: the rows depend on each other everywhere

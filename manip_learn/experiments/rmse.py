@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.experiments import paper_setup as paper
 from manip_learn.experiments.charts import Figures, Panel, strips
 from manip_learn.experiments.metrics import policy_rmse

@@ -19,7 +19,7 @@ from numpy.random import Generator
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments import paper_setup as paper
 from manip_learn.experiments.charts import Figures, Panel, strips

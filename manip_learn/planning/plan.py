@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import ARRIVED
 from manip_learn.control.keeping_clear import CLEARANCE

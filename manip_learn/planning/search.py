@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.manipulability_batch import manipulability_batch
+from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.control.policies import ASCENT_GAIN
 from manip_learn.planning.stations import Postures, Stations, node_margins, rooms
 

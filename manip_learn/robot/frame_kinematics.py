@@ -8,7 +8,6 @@ and serves as the judge, and as the substitute should a Pinocchio release change
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from math import isfinite
 from typing import Any, final
 
@@ -104,68 +103,6 @@ def columns_to_joints(model: pin.Model) -> Int[np.ndarray, " nv"]:
     return owner
 
 
-@final
-class WeightedVjp:
-    """weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, from dJ/dq in Pinocchio's order.
-
-    Args:
-        by_joint: shape (n, 6 n), the derivative along each joint of the model; entry [k, 6 i + j] is dJ_ji / dq_k.
-        selection: Lambda.
-        columns: Which of the robot's joints those of the model are; None for all of them.
-        lift: Velocities of the model's joints from those of the robot's; None where they are the same.
-        nv: Number of the robot's joints.
-    """
-
-    __slots__ = ("_by_joint", "_columns", "_lift", "_nv", "_selection")
-
-    def __init__(
-        self,
-        by_joint: Float[np.ndarray, "n m"],
-        selection: Float[np.ndarray, "s 6"],
-        columns: Any,
-        lift: Float[np.ndarray, "n nv"] | None,
-        nv: int,
-    ):
-        self._by_joint, self._selection, self._columns, self._lift, self._nv = by_joint, selection, columns, lift, nv
-
-    def __call__(self, weights: Float[np.ndarray, "s nv"]) -> Float[np.ndarray, " nv"]:
-        """The product."""
-        lift, columns = self._lift, self._columns
-        if lift is not None:
-            return self._by_joint.dot(lift.dot(weights.T).dot(self._selection).reshape(-1)).dot(lift)
-        if columns is None:
-            return self._by_joint.dot(weights.T.dot(self._selection).reshape(-1))
-        out = np.zeros(self._nv)
-        out[columns] = self._by_joint.dot(weights.T[columns].dot(self._selection).reshape(-1))
-        return out
-
-    def many(self, weights: Float[np.ndarray, "s m"]) -> Float[np.ndarray, "k nv"]:
-        """The products of matrices that stand side by side, one row for each, in one go."""
-        selection, by_joint, lift, columns = self._selection, self._by_joint, self._lift, self._columns
-        if lift is None and columns is None:
-            return weights.T.dot(selection).reshape(-1, by_joint.shape[1]).dot(by_joint.T)
-        nv = self._nv
-        stack = weights.T.reshape(-1, nv, weights.shape[0])
-        stack = stack[:, columns] if lift is None else np.matmul(lift, stack)
-        rows = stack.dot(selection).reshape(stack.shape[0], -1).dot(by_joint.T)
-        if lift is not None:
-            return rows.dot(lift)
-        out = np.zeros((rows.shape[0], nv))
-        out[:, columns] = rows
-        return out
-
-
-def vjps(
-    vjp: Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]],
-    weights: Float[np.ndarray, "s m"],
-    number: int,
-) -> Float[np.ndarray, "number nv"]:
-    """The vector-Jacobian products of matrices that stand side by side, in one go where that is known."""
-    if isinstance(vjp, WeightedVjp):
-        return vjp.many(weights)
-    return np.array([vjp(matrix) for matrix in np.split(weights, number, axis=1)])
-
-
 def is_plain(q: np.ndarray) -> bool:
     """Whether an array can be handed to Pinocchio as it is: another layout would change the last digit."""
     return q.dtype is DOUBLE and q.flags.c_contiguous
@@ -178,7 +115,6 @@ class _Pass:
     def __init__(self, model: pin.Model, index: int):
         self.data = model.createData()
         self.posture: bytes | None = None  # that the frame was placed for; b"" is one, of a robot without joints
-        self.has_derivatives = False  # whether the Jacobians and their derivatives at that posture are there
         placement = self.data.oMf[index]
         # views into Pinocchio's own memory: they follow every pass
         self.position, self.rotation = placement.translation, placement.rotation
@@ -220,7 +156,6 @@ class FrameKinematics:
         self._plain = chain is not None and self._lift is None and self._columns is None
         self._fast_hessian = pinocchio_order_is_known(self.model)
         self._columns_to_joints = columns_to_joints(self.model)
-        self._hessian_shape = (self.model.nv, 6 * self.model.nv)
         self._local = threading.local()
 
     @property
@@ -252,7 +187,7 @@ class FrameKinematics:
         last = self._pass()
         if not (type(q) is np.ndarray and q.dtype is DOUBLE and q.tobytes() == last.posture):
             q = self._robot.checked_posture(q)
-            last.posture, last.has_derivatives = None, False
+            last.posture = None
             pin.forwardKinematics(self.model, last.data, self._configuration(q))
             pin.updateFramePlacement(self.model, last.data, self._index)
             last.posture = q.tobytes()
@@ -279,41 +214,22 @@ class FrameKinematics:
 
     def _model_jacobian(self, q: Any, reference: str) -> Float[np.ndarray, "6 n"]:
         last, checked = self._pass(), self._robot.checked_posture(q)
-        last.posture, last.has_derivatives = None, False
+        last.posture = None
         x = self._configuration(checked)
         J = pin.computeFrameJacobian(self.model, last.data, x, self._index, PINOCCHIO_REFERENCES[reference])
         if reference == "world":  # which places the frame, too
             last.posture = checked.tobytes()
         return J if J.ndim == 2 else J.reshape(6, 1)  # nv == 1
 
-    def jacobian_beside_vjp(self, q: Any, reference: str) -> Float[np.ndarray, "6 nv"]:
-        """The Jacobian, nearly free where `weighted_vjp` has just been called at this posture.
-
-        (Its last digits are those of `weighted_vjp`, whatever was called before.)
-        """
-        if not self._fast_hessian:
-            return self.jacobian(q, reference)
-        last = self._pass()
-        if not (last.has_derivatives and type(q) is np.ndarray and q.tobytes() == last.posture):
-            last = self._differentiated(q)
-        J = pin.getFrameJacobian(self.model, last.data, self._index, PINOCCHIO_REFERENCES[reference])
-        return self._public(J if J.ndim == 2 else J.reshape(6, 1))
-
-    def _derived(self, q: Any, reference: str) -> tuple[Float[np.ndarray, "6 n"], Float[np.ndarray, "n m"]]:
-        """J of the model's joints, and dJ/dq as it lies in Pinocchio's memory: entry [k, 6 i + j] is dJ_ji / dq_k."""
-        if self._fast_hessian:
-            model, data, ref = self.model, self._differentiated(q).data, PINOCCHIO_REFERENCES[reference]
-            J = pin.getFrameJacobian(model, data, self._index, ref)
-            by_joint = pin.getFrameKinematicHessian(model, data, self._index, ref)
-            return J if J.ndim == 2 else J.reshape(6, 1), by_joint.reshape(self._hessian_shape)  # nv == 1
-        J = self._model_jacobian(q, reference)  # a robot without joints, too, for which Pinocchio's getters crash
-        H = closed_form(J, self._columns_to_joints, reference)
-        return J, H.transpose(2, 1, 0).reshape(self._hessian_shape)
-
     def jacobian_and_derivative(self, q: Any, reference: str) -> tuple[np.ndarray, np.ndarray]:
         """J (6, nv) and dJ/dq (6, nv, nv)."""
-        J, by_joint = self._derived(q, reference)
-        H = reordered(by_joint, self.model.nv)
+        if self._fast_hessian:
+            model, data, ref = self.model, self._differentiated(q).data, PINOCCHIO_REFERENCES[reference]
+            J = pin.getFrameJacobian(model, data, self._index, ref).reshape(6, -1)  # nv == 1
+            H = reordered(pin.getFrameKinematicHessian(model, data, self._index, ref), model.nv)
+        else:  # a robot without joints, too, for which Pinocchio's getters crash
+            J = self._model_jacobian(q, reference)
+            H = closed_form(J, self._columns_to_joints, reference)
         if self._lift is not None:
             return J @ self._lift, self._lift.T @ (H @ self._lift)
         if self._columns is None:
@@ -323,17 +239,6 @@ class FrameKinematics:
         out[:, columns[:, None], columns] = H
         return self._public(J), out
 
-    def weighted_vjp(
-        self, q: Any, reference: str, selection: Float[np.ndarray, "s 6"]
-    ) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """A = Lambda J and its vector-Jacobian product, weights -> sum_ij weights_ij dA_ij/dq_k.
-
-        The gradient of a scalar function of A costs two small products; dA/dq is never formed.
-        """
-        J, by_joint = self._derived(q, reference)
-        A, vjp = selection.dot(J), WeightedVjp(by_joint, selection, self._columns, self._lift, self.nv)
-        return A if self._plain else self._public(A), vjp
-
     # ---- internals --------------------------------------------------------------------------------------------------
 
     def _differentiated(self, q: Any) -> _Pass:
@@ -341,7 +246,7 @@ class FrameKinematics:
         last, checked = self._pass(), q
         if not (q.__class__ is np.ndarray and q.shape == self._shape and is_plain(q) and isfinite(sum(q.tolist()))):
             checked = self._robot.checked_posture(q)
-        last.posture, last.has_derivatives = None, True
+        last.posture = None
         x = checked if self._plain and checked.shape[0] == self.nv else self._configuration(checked)
         pin.computeJointKinematicHessians(self.model, last.data, x)
         pin.updateFramePlacement(self.model, last.data, self._index)

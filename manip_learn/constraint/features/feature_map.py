@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from operator import attrgetter
 from reprlib import Repr
@@ -18,8 +18,6 @@ from manip_learn.constraint.reading import Read
 from manip_learn.errors import ConstraintError, FeatureError, TargetError
 
 NEGLIGIBLE_ENTRY = 5e-3  # entries of a unit vector below it are printed as 0: half of the last of two digits
-# vector-Jacobian product of A(q): weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k
-Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
 
 Selection = Float[np.ndarray, "_ p"]  # Lambda, or other combinations of the rows
 
@@ -76,19 +74,6 @@ class FeatureMap(ABC):
         """Phi(q) and dPhi/dq together, cheaper than one by one where a child shares work."""
         return self(q), self.derivative(q)
 
-    def padded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s k"]:
-        """What `value_and_vjp` takes for a selection matrix: made once, used at every step."""
-        return selection
-
-    def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s k"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
-        """A = Lambda Phi(q) and its vector-Jacobian product, weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k.
-
-        All that the gradient of a scalar function of A needs; dA/dq is not formed where a child can do without.
-        """
-        Phi, dPhi = self.value_and_derivative(q)
-        flat = dPhi.reshape(-1, self.nv)
-        return padded.dot(Phi), lambda weights: padded.T.dot(weights).reshape(-1).dot(flat)
-
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n configurations, the rows of q."""
         return np.reshape([self(row) for row in np.asarray(q, dtype=np.float64)], (-1, self.n_rows, self.nv))
@@ -107,14 +92,26 @@ class FeatureMap(ABC):
         """
         raise FeatureError(f"{self!r} has no task coordinates: give the controller a task that returns b itself")
 
-    def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Displacement from r(q) to the target, in the rows' axes.
+    def error_and_jacobian(
+        self, target: ArrayLike, q: ArrayLike
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
+        """Displacement e from r(q) to the target in the rows' axes, and E with de/dt = -E u for a fixed target.
+
+        E is None where that is Phi(q) itself.
 
         Raises:
             TargetError: Wrong size or not finite.
             FeatureError: The rows have no coordinates.
         """
-        return self._goal(target) - self.coordinates(q)
+        return self._goal(target) - self.coordinates(q), self.coordinates_jacobian(q)
+
+    def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
+        """Return the displacement of `error_and_jacobian`; errors as there."""
+        return self.error_and_jacobian(target, q)[0]
+
+    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """Return E of `error_and_jacobian`; errors as there."""
+        return self.error_and_jacobian(target, q)[1]
 
     def _goal(self, target: ArrayLike) -> Float[np.ndarray, " p"]:
         """Return a target as numbers in the order of the rows.
@@ -132,20 +129,6 @@ class FeatureMap(ABC):
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """dr/dq, so that dr/dt = dr/dq u; None where that is Phi(q) itself, as for all rows but rotations."""
         return None
-
-    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """E with d/dt `error_to(target, q)` = -E u for a fixed target; None where that is Phi(q) itself.
-
-        Raises:
-            TargetError: Wrong size or not finite.
-        """
-        return self.coordinates_jacobian(q)
-
-    def error_and_jacobian(
-        self, target: ArrayLike, q: ArrayLike
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
-        """`error_to` and `error_jacobian` together, cheaper than one by one where a child shares work."""
-        return self.error_to(target, q), self.error_jacobian(target, q)
 
     # ---- what holds the hand: of rows of one frame
 

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, Vjp, parsed_rows
+from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parsed_rows
 from manip_learn.constraint.mechanism import Mechanism, mechanism_of
 from manip_learn.constraint.place import AXES, AXIS_UNITS
 from manip_learn.constraint.reading import Read, hinge_or_screw, of_point_rows, of_twists, on_twist
@@ -51,35 +51,20 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     Raises:
         TargetError: It is none.
     """
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()  # in plain numbers: a moving goal is looked at in every step
-    squares = (a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0)
-    off = max(map(abs, (*squares, a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)))
-    if not off < NEARLY_ROTATION or a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0:
+    off = float(np.max(np.abs(R @ R.T - np.eye(3))))
+    if not off < NEARLY_ROTATION or np.linalg.det(R) < 0.0:
         raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
-    if off < EXACT_ROTATION:
-        return R
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(R).as_matrix()
+    U, _, Vt = np.linalg.svd(R)
+    return R if off < EXACT_ROTATION else U @ Vt
 
 
 def pose_error(
     pose: Float[np.ndarray, "4 4"], goal: Float[np.ndarray, "4 4"], own_axes: bool
 ) -> Float[np.ndarray, " 6"]:
     """Twist from a pose to a goal [m, rad], along the axes of the base or of the frame."""
-    return placement_error(pose[:3, 3], pose[:3, :3], goal[:3, 3], goal[:3, :3], own_axes)
-
-
-def placement_error(
-    position: Float[np.ndarray, " 3"],
-    rotation: Float[np.ndarray, "3 3"],
-    goal: Float[np.ndarray, " 3"],
-    goal_rotation: Float[np.ndarray, "3 3"],
-    own_axes: bool,
-) -> Float[np.ndarray, " 6"]:
-    """Return the twist of `pose_error`, from positions and rotations."""
-    error = np.concatenate([goal - position, rotation_vector(goal_rotation.dot(rotation.T))])
-    return error.reshape(2, 3).dot(rotation).reshape(6) if own_axes else error
+    R = pose[:3, :3]
+    error = np.concatenate([goal[:3, 3] - pose[:3, 3], rotation_vector(goal[:3, :3].dot(R.T))])
+    return error.reshape(2, 3).dot(R).reshape(6) if own_axes else error
 
 
 def parse_axes(axes: str | Sequence[str]) -> tuple[str, ...]:
@@ -116,7 +101,6 @@ class PoseRows(FeatureMap):
         self.frame = robot.frame(frame)
         self.relative_to = None if relative_to is None else robot.frame(relative_to)
         self.own_axes, self.only_linear = own_axes, not own_axes and max(rows) < 3
-        self._known_goal: tuple[Any, Any, Any] = (None, None, None)
 
     @property
     def seen_from(self) -> dict[str, str]:
@@ -186,6 +170,14 @@ class PoseRows(FeatureMap):
         pose = self.pose(q)
         return pose[:3, 3], pose[:3, :3]
 
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
+        """Phi(q) [m/s or rad/s per unit joint velocity].
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
+        return self.twist_rows(q, self.own_axes)[self._rows]
+
     @abstractmethod
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
         """All six rows, of the rate of the pose or of that along the frame's own axes; an array of the caller's."""
@@ -195,12 +187,20 @@ class PoseRows(FeatureMap):
 
         They are those in the base frame, or in the other frame where it is seen from there.
         """
-        if self.only_linear:  # no rotation vector, which is most of the time
-            return self.placement(q)[0][self._rows].copy()  # the next posture writes into it
         return pose_coordinates(self.pose(q))[self._rows]
 
-    def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Displacement to a target, in the axes of the rows; for its rate see `error_jacobian`.
+    def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
+        """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
+        if self.only_linear:
+            return None
+        C = np.eye(6)  # d/dt coordinates = C (v, w), along the axes of the base
+        C[3:, 3:] = left_jacobian_inverse(rotation_vector(self.pose(q)[:3, :3]))
+        return C[self._rows] @ self.twist_rows(q, False)
+
+    def error_and_jacobian(
+        self, target: ArrayLike, q: ArrayLike
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
+        """Displacement to a target, in the axes of the rows, and E of `FeatureMap`, exact; None for positions.
 
         Args:
             target: p numbers in the order of the rows: position of the origin in the base frame [m], rotation vector
@@ -211,21 +211,14 @@ class PoseRows(FeatureMap):
         Raises:
             TargetError: Wrong size, not finite, or a local map that needs all of x y z (or rx ry rz) or a pose.
         """
-        goal = target if type(target) is np.ndarray else np.asarray(target, dtype=np.float64)
-        if self.only_linear and goal.shape == (self.n_rows,):
-            # the usual reaching task, many times a second: no orientation is needed
-            displacement = goal - self.placement(q)[0][self._rows]
-            if math.isfinite(sum(displacement.tolist())):
-                return displacement
-        return self._error(goal, q)[0][self._rows]
-
-    def error_and_jacobian(
-        self, target: ArrayLike, q: ArrayLike
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
-        """`error_to` and `error_jacobian` from one look at the pose."""
+        goal = np.asarray(target, dtype=np.float64)
+        if self.only_linear and goal.shape == (self.n_rows,) and math.isfinite(goal.sum()):
+            return goal - self.placement(q)[0][self._rows], None  # most of the time: no orientation is needed
+        pose = self.pose(q)
+        meant, numbers = self._meant(goal, pose)
+        error = pose_error(pose, meant, self.own_axes)
         if self.only_linear:
-            return self.error_to(target, q), None
-        error, numbers, R = self._error(np.asarray(target, dtype=np.float64), q)
+            return error[self._rows], None
         J = self.twist_rows(q, self.own_axes)
         # M J, with d/dt error = -M (v, w): the rotation rows turn by Jl^-1 or Jr^-1
         M = left_jacobian_inverse(error[3:] if self.own_axes else -error[3:])
@@ -236,57 +229,37 @@ class PoseRows(FeatureMap):
             F = np.eye(3)
             F[given] = 0.0
             carried = left_jacobian_inverse(error[3:]) @ left_jacobian(numbers[3:]) @ F
-            M -= carried @ left_jacobian_inverse(rotation_vector(R))
+            M -= carried @ left_jacobian_inverse(rotation_vector(pose[:3, :3]))
         if self.own_axes:
             J[:3] -= skew(error[:3]).dot(J[3:])
         J[3:] = M.dot(J[3:])
         return error[self._rows], J[self._rows]
 
-    def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
-        if self.only_linear:
-            return None
-        C = np.eye(6)  # d/dt coordinates = C (v, w), along the axes of the base
-        C[3:, 3:] = left_jacobian_inverse(rotation_vector(self.pose(q)[:3, :3]))
-        return C[self._rows] @ self.twist_rows(q, False)
-
-    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """E with d/dt `error_to(target, q)` = -E u, exact; None where E = Phi(q), as for positions along the base.
-
-        Raises:
-            TargetError: As for `error_to`.
-        """
-        return None if self.only_linear else self.error_and_jacobian(target, q)[1]
-
-    def _error(
-        self, goal: np.ndarray, q: ArrayLike
-    ) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"] | None, Float[np.ndarray, "3 3"]]:
-        """All six rows of the error, the goal's numbers where it was given as numbers, and the frame's rotation."""
-        (position, rotation), numbers = self.placement(q), None
-        if goal is self._known_goal[0]:
-            place, turn = self._known_goal[1:]
-        elif goal.shape == (4, 4) and math.isfinite(sum(goal.reshape(-1).tolist())):
-            place, turn = goal[:3, 3].copy(), goal_rotation(goal[:3, :3])
-            if not goal.flags.writeable:  # a task's own, checked once
-                self._known_goal = (goal, place, turn)
-        elif goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
+    def _meant(
+        self, goal: np.ndarray, pose: Float[np.ndarray, "4 4"]
+    ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 6"] | None]:
+        """The pose that a target means, and its six numbers where it was given as numbers."""
+        meant = np.eye(4)
+        if goal.shape == (4, 4) and np.all(np.isfinite(goal)):
+            meant[:3, :3], meant[:3, 3] = goal_rotation(goal[:3, :3]), goal[:3, 3]
+            return meant, None
+        if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
             given = f"shape {goal.shape}" if goal.size > 6 else goal.tolist()
             seen = "" if self.relative_to is None else f" in frame {self.relative_to.name!r}"
             raise TargetError(
                 f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose{seen}, "
                 f"got {given}"
             )
-        else:
-            for triple in (AXES[:3], AXES[3:]) if self.own_axes else ():
-                if 0 < len(set(triple) & set(self.row_names)) < 3:
-                    raise TargetError(
-                        f"a target for the rows {' '.join(self.row_names)} in the frame's own axes is not determined: "
-                        f"use all of {' '.join(triple)}, or give a 4 x 4 pose"
-                    )
-            numbers = np.concatenate([position, rotation_vector(rotation)])
-            numbers[self._rows] = goal
-            place, turn = numbers[:3], rotation_matrix(numbers[3:])
-        return placement_error(position, rotation, place, turn, self.own_axes), numbers, rotation
+        for triple in (AXES[:3], AXES[3:]) if self.own_axes else ():
+            if 0 < len(set(triple) & set(self.row_names)) < 3:
+                raise TargetError(
+                    f"a target for the rows {' '.join(self.row_names)} in the frame's own axes is not determined: "
+                    f"use all of {' '.join(triple)}, or give a 4 x 4 pose"
+                )
+        numbers = pose_coordinates(pose)
+        numbers[self._rows] = goal
+        meant[:3, :3], meant[:3, 3] = rotation_matrix(numbers[3:]), numbers[:3]
+        return meant, numbers
 
 
 @final
@@ -326,26 +299,10 @@ class FrameJacobian(PoseRows):
         self.reference: Reference = reference
         self._kinematics = robot.frame_kinematics(self.frame)
 
-    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Phi(q): the chosen Jacobian rows [m/s or rad/s a joint velocity].
-
-        Raises:
-            ConfigurationError: Wrong size or not finite.
-        """
-        return self._kinematics.jacobian(q, self.reference)[self._rows]
-
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq at the cost of one Hessian."""
         J, H = self.robot.jacobian_and_derivative(q, self.frame, self.reference)
         return J[self._rows], H[self._rows]
-
-    def padded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s 6"]:
-        """The selection from all six rows of the Jacobian."""
-        return selection @ np.eye(len(AXES))[self._rows]
-
-    def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s 6"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
-        """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
-        return self._kinematics.weighted_vjp(q, self.reference, padded)
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
         """Return Phi and Lambda along axes that are turned; rows in the frame's own axes stay (see `FeatureMap`)."""
@@ -376,7 +333,7 @@ class FrameJacobian(PoseRows):
 
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
         """The Jacobian along the axes of the base or of the frame."""
-        return self._kinematics.jacobian_beside_vjp(q, "local" if own_axes else "world")
+        return self._kinematics.jacobian(q, "local" if own_axes else "world")
 
 
 @final
@@ -412,14 +369,6 @@ class RelativeFrameJacobian(PoseRows):
         super().__init__(robot, frame, axes, relative_to, False)
         if self.frame.index == self.relative_to.index:
             raise FeatureError(f"frame {frame!r} does not move relative to itself: name two frames")
-
-    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Phi(q) [m/s or rad/s per unit joint velocity].
-
-        Raises:
-            ConfigurationError: Wrong size or not finite.
-        """
-        return self.twist_rows(q, False)[self._rows]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq, as of many postures."""

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.curve import CURVE_ROWS, Curve
-from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parsed_rows
+from manip_learn.constraint.features.feature_map import Selected, Selection, parsed_rows
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.mechanism import (
@@ -315,9 +315,6 @@ class CurveRows(WeighedVelocity):
 
     kind = "curve-rows"
     saved = {"frame": "frame.name", "rows": "row_names", "points": "curve.points", "relative_to": "_relative_to"}
-    # of weights that are not affine in the place
-    padded = FeatureMap.padded
-    value_and_vjp = FeatureMap.value_and_vjp
 
     def __init__(
         self,

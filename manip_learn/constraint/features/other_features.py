@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, final
 
@@ -180,22 +180,17 @@ class Stacked(FeatureMap):
         """Task coordinates of all parts."""
         return np.concatenate([part.coordinates(q) for part in self.parts])
 
-    def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Displacement to a target, part by part (see the parts)."""
-        return np.concatenate([part.error_to(own, q) for part, own in self._by_part(target)])
-
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """Rates of the coordinates, part by part."""
         return self._stack([part.coordinates_jacobian(q) for part in self.parts], q)
 
-    def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """E with d/dt `error_to(target, q)` = -E u, part by part."""
-        return self._stack([part.error_jacobian(own, q) for part, own in self._by_part(target)], q)
-
-    def _by_part(self, target: ArrayLike) -> Iterable[tuple[FeatureMap, np.ndarray]]:
-        """Each part with its own numbers of the target."""
-        ends = np.cumsum([part.n_rows for part in self.parts])
-        return zip(self.parts, np.split(self._goal(target), ends[:-1]), strict=True)
+    def error_and_jacobian(
+        self, target: ArrayLike, q: ArrayLike
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
+        """Displacement to a target and E, part by part (see the parts)."""
+        goals = np.split(self._goal(target), np.cumsum([part.n_rows for part in self.parts])[:-1])
+        both = [part.error_and_jacobian(own, q) for part, own in zip(self.parts, goals, strict=True)]
+        return np.concatenate([e for e, _ in both]), self._stack([E for _, E in both], q)
 
     def _stack(self, blocks: list[Float[np.ndarray, "k nv"] | None], q: ArrayLike) -> np.ndarray | None:
         if all(block is None for block in blocks):

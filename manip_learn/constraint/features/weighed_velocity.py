@@ -8,13 +8,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
+from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian, PoseRows, RelativeFrameJacobian
 from manip_learn.constraint.place import AXES, PlaceWeights
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
-
-EVERY_ROW = np.eye(6)  # the twist itself
 
 
 class WeighedVelocity(FeatureMap):
@@ -64,35 +62,6 @@ class WeighedVelocity(FeatureMap):
         """Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J."""
         W, dW = (x[0] for x in self.weights(self.twist.placement(q)[0][None]))
         return _product(W, dW, *self.twist.value_and_derivative(q))
-
-    def padded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s k"]:
-        """Lambda T_0 (6 columns) and Lambda T_k (18) of affine rows, then Lambda's shares of those of unit length."""
-        place, affine = self.place_weights, selection.copy()
-        free = list(place.free)
-        affine[:, free] = 0.0
-        numbers = np.concatenate([place.constant, place.by_place.reshape(-1, 18)], axis=1)
-        return np.concatenate([affine @ numbers, selection[:, free]], axis=1)
-
-    def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s k"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
-        """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
-        J, vjp = self.twist.value_and_vjp(q, EVERY_ROW)
-        p = self.twist.placement(q)[0]  # there already
-        slopes = padded[:, 6:24].reshape(-1, 6, 3)
-        mix = padded[:, :6] + slopes.dot(p)
-        if self.place_weights.free:
-            slopes = slopes.copy()
-        W = self.place_weights.values(p[None]) if self.place_weights.free else mix
-        for share, i in zip(padded[:, 24:].T, self.place_weights.free, strict=True):
-            f = W[:, i, :3]
-            df = self.place_weights.slopes(i, p[None], f)
-            mix[:, :3] += share[:, None] * f
-            slopes[:, :3] += share[:, None, None] * df
-        by_place = slopes.reshape(-1, 3)
-
-        def weighted(weights: np.ndarray) -> np.ndarray:
-            return vjp(mix.T.dot(weights)) + weights.dot(J.T).reshape(-1).dot(by_place).dot(J[:3])
-
-        return mix.dot(J), weighted
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n postures, the rows of q, in bulk.
