@@ -216,7 +216,7 @@ def test_a_rollout_keeps_what_guided_it(robot_of) -> None:
             again = Constraint.from_dict(loaded.constraint, robot)
             np.testing.assert_array_equal(again.selection, constraint.selection)
             assert again.provenance == {"kind": "motion-constrained"}  # the phases are of other recordings
-            with pytest.raises(ConstraintMismatchError, match="the constraint was made for"):
+            with pytest.raises(ConstraintMismatchError, match="the constraint: it was made with"):
                 Constraint.from_dict(loaded.constraint, robot_of("planar3"))
 
 

@@ -283,13 +283,19 @@ class Constraint:
         if content.get("schema") not in (1, SCHEMA):
             seen = f"{source} has schema {content.get('schema')!r:.40}, this version reads 1 and {SCHEMA}"
             raise ConstraintMismatchError(f"{seen}: load it with a newer manip_learn, or learn the constraint again")
-        _check_robot(source, content, robot, same_urdf)
         try:
+            here = {"locked": dict(robot.locked), "objects": list(robot.objects)}  # of files that do not say
+            made = RobotIdentity.from_dict(here | content["robot"])
+            other, same_joints = made.refusal(robot, "it"), made.joint_names == robot.joint_names
+            if other and (same_urdf or not same_joints):
+                either = spoken(", or say same_urdf=False for another description with the same joints", "")
+                raise ConstraintError(other + either * same_joints)
             normal(content)
-            features = described_features(content["features"], robot)
-            constraint = Constraint(content["selection"], features, content.get("provenance"))
+            constraint = Constraint(
+                content["selection"], described_features(content["features"], robot), content.get("provenance")
+            )
             _check_rows(content, constraint)
-            then, digest = content["robot"].get("locked", robot.locked), signed(content)[SIGNATURE]
+            digest = signed(content)[SIGNATURE]
         except DAMAGE as error:
             raise damaged(source, error) from error
         except ManipLearnError as error:
@@ -304,11 +310,10 @@ class Constraint:
             constraint.notes = (unsigned,)
             if spoken("in Python", ""):  # commands print the notes
                 warnings.warn(unsigned, UserWarning, stacklevel=2)
-        if then != robot.locked:
-            said = f"the constraint was made with {locks_in_words(then)}, the robot has {locks_in_words(robot.locked)}"
-            constraint.notes += (said,)
-        elif then:
-            constraint.notes += (f"as when the constraint was made: {locks_in_words(then)}",)
+        if made.locked != robot.locked:
+            constraint.notes += (f"when the constraint was made, {'; '.join(made.differences(robot))}",)
+        elif made.locked:
+            constraint.notes += (f"as when the constraint was made: {locks_in_words(made.locked)}",)
         return constraint
 
     def __repr__(self) -> str:
@@ -416,39 +421,10 @@ def read_constraint_file(path: Path) -> dict[str, Any]:
     try:
         return parsed_json(read_regular_file(path, LARGEST_FILE))
     except OSError as error:
-        said = f"{path}: {unreadable(error)[1]}; `manip-learn learn ... --out FILE` writes a constraint"
-        raise ConstraintMismatchError(said) from error
+        said = unreadable(error)[1]
     except ValueError as error:
-        raise ConstraintMismatchError(
-            f"{path} is not a constraint file, it is not JSON ({reason_of(error)}): name what "
-            "`manip-learn learn --out FILE` or save() wrote"
-        ) from error
-
-
-def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf: bool) -> None:
-    try:
-        made = RobotIdentity.from_dict(content.get("robot"))
-    except DAMAGE as error:
-        raise damaged(path, error) from error
-    if made.joint_names != robot.joint_names:
-        raise ConstraintMismatchError(
-            f"{path} was made for robot {made.name!r} with the joints {', '.join(made.joint_names)}; {robot.name!r} "
-            f"has {', '.join(robot.joint_names)}: load that robot, with the same locked joints and objects"
-        )
-    if same_urdf and content["robot"].get("locked", robot.locked) != robot.locked:
-        raise ConstraintMismatchError(
-            f"{path} was made with {locks_in_words(made.locked)}, {robot.name!r} has {locks_in_words(robot.locked)}: "
-            "load the robot with joints locked at the same positions"
-        )
-    if same_urdf and made.fingerprint != robot.fingerprint:
-        raise ConstraintMismatchError(
-            f"{path} was made for another version of robot {made.name!r} (hash {made.fingerprint[:12]}, this one "
-            f"{robot.fingerprint[:12]}): "
-            + spoken(
-                "learn it again, or load it with same_urdf=False if only looks have changed",
-                "learn it again, or name the description that it was learnt with",
-            )
-        )
+        said = f"it is not a constraint file, it is not JSON ({reason_of(error)})"
+    raise ConstraintMismatchError(f"{path}: {said}; `manip-learn learn ... --out FILE` or save() writes a constraint")
 
 
 def locks_in_words(locked: Mapping[str, float]) -> str:
@@ -462,17 +438,14 @@ def _check_rows(content: Mapping[str, Any], constraint: Constraint) -> None:
     Raises:
         ConstraintError: They do.
     """
-    rows, features, kept = content["selection"], constraint.features, constraint.selection
-    for what, own in (("names", features.row_names), ("units", features.row_units)):
-        if (given := content[f"row_{what}"]) != list(own):
-            raise ConstraintError(f"its row {what} are {given}, those of its features {list(own)}: it is damaged")
-    postures = constraint.provenance.get("postures", [])
-    if not all(type(x) in (int, float) for row in (*rows, *postures) for x in row):
+    rows, own, saved = content["selection"], constraint.to_dict(), constraint.provenance.get("postures", [])
+    if not all(type(x) in (int, float) for row in (*rows, *saved) for x in row):
         raise ConstraintError("something stands in the place of a number (true, false or text): it is damaged")
-    if len(rows) != content.get("n_constraints", len(rows)):
-        raise ConstraintError(f"it has {len(rows)} rows of Lambda and states {content['n_constraints']}: it is damaged")
-    if kept.shape != np.shape(rows) or np.max(np.abs(kept - rows)) > NOT_EXACT:
+    if np.shape(rows) != constraint.selection.shape or np.max(np.abs(constraint.selection - rows)) > NOT_EXACT:
         raise ConstraintError("the rows of Lambda are not orthonormal, as those of every saved constraint are")
+    for what in ("row_names", "row_units", "n_constraints"):
+        if (given := content.get(what, own[what])) != own[what]:
+            raise ConstraintError(f"it states {what} {given}, its rows and features {own[what]}: it is damaged")
     robot = constraint.robot
-    if robot is not None and any(len(row) not in (robot.nq, robot.nv) for row in postures):
+    if robot is not None and any(len(row) not in (robot.nq, robot.nv) for row in saved):
         raise ConstraintError(f"the postures in which it was shown are not rows of {robot.nv} numbers: it is damaged")

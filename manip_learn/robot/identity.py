@@ -106,15 +106,11 @@ class RobotIdentity:
             found.append(f"the description has changed (kinematics or masses; {hashes})")
         return tuple(found)
 
-    def refuse_another(self, robot: Robot, where: str, path: Path | None = None) -> None:
-        """Nothing, if it is this robot.
-
-        Raises:
-            RecordingError: Another robot, or other joints locked; code `other-robot`.
-        """
+    def refusal(self, robot: Robot, where: str) -> str | None:
+        """Return how a loaded robot differs from that of a file, and what to do; None if it does not."""
         found = self.differences(robot)
         if not found:
-            return
+            return None
         how = (
             f"load_robot(..., locked={dict(self.locked)!r})" if self.locked else "load_robot(...) with no joint locked"
         )
@@ -123,11 +119,17 @@ class RobotIdentity:
             f"Give the description of {self.name!r} that it was made with; the joints that were locked then are locked"
             + advice(" without {}", "", "--lock"),
         )
-        raise RecordingError(
-            f"{where} was made with robot {self.name!r}, the robot loaded is {robot.name!r}: {'; '.join(found)}. {fix}",
-            code="other-robot",
-            path=path,
-        )
+        made = f"{where} was made with robot {self.name!r}, the robot loaded is {robot.name!r}"
+        return f"{made}: {'; '.join(found)}. {fix}"
+
+    def refuse_another(self, robot: Robot, where: str, path: Path | None = None) -> None:
+        """Nothing, if it is this robot.
+
+        Raises:
+            RecordingError: Another robot, or other joints locked; code `other-robot`.
+        """
+        if said := self.refusal(robot, where):
+            raise RecordingError(said, code="other-robot", path=path)
 
 
 def names_from(value: object, what: str) -> tuple[str, ...]:

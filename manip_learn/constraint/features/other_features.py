@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian, RelativeFrameJacobian, parse_axes
 from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, PlaceRows
-from manip_learn.errors import ConstraintMismatchError, FeatureError
+from manip_learn.errors import FeatureError
 from manip_learn.robot.robot import Robot
 
 DIFFERENCE_STEP = 1e-5  # central differences: truncation h^2 meets rounding eps / h
@@ -217,14 +217,13 @@ def described_features(described: Mapping[str, Any], robot: Robot) -> FeatureMap
         robot: The robot.
 
     Raises:
-        ConstraintMismatchError: A kind of features that this version does not know.
-        FeatureError: Settings that this robot does not have, or out of range.
+        FeatureError: A kind that this version does not know, or settings that this robot does not have.
     """
     kind = described["kind"]
     if kind == Stacked.kind:
         return Stacked([described_features(part, robot) for part in described["parts"]])
     make: Any = next((features for features in KINDS if features.kind == kind), None)
     if make is None:
-        raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")
+        raise FeatureError(f"unknown kind of features {kind!r}: this file comes from a newer version")
     names = [name for name in make.saved if name not in OPTIONAL or described.get(name) is not None]
     return make(robot, **{name: described[name] for name in names})
