@@ -419,7 +419,7 @@ def test_a_rollout_is_shown_by_its_name_alone(run, learnt):
         (["nothing.npz"], "no such file"),
         (["sawyer"], "at least one rollout"),
         ([DRAWER[0]], "name the robot before it"),
-        ([learnt[1], "--constraint", learnt[1]], "`manip-learn learn --out FILE`"),
+        ([learnt[1], "--constraint", learnt[1]], "`manip-learn learn ... --out FILE`"),
     ):
         code, _, err = run("replay", *words)
         assert code == 2 and said in err, err

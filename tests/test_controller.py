@@ -7,10 +7,10 @@ import pytest
 from random_arms import Asks
 from rounding import rounding
 
-from manip_learn.constraint import small_matrices
+from manip_learn.constraint import manipulability
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
-from manip_learn.constraint.small_matrices import svd
+from manip_learn.constraint.manipulability import svd
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
 from manip_learn.control.simulation import simulate
@@ -138,6 +138,6 @@ def test_svd_survives_a_failing_lapack(monkeypatch: pytest.MonkeyPatch, rng: np.
     """If LAPACK reports that it did not converge, NumPy's own call has the last word."""
     A = rng.normal(size=(2, 5))
     expected = np.linalg.svd(A)
-    monkeypatch.setattr(small_matrices, "dgesdd", lambda A: (np.nan, np.nan, np.nan, 1))
+    monkeypatch.setattr(manipulability, "dgesdd", lambda A: (np.nan, np.nan, np.nan, 1))
     for got, factor in zip(svd(A), expected, strict=True):
         np.testing.assert_array_equal(got, factor)

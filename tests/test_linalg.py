@@ -12,7 +12,7 @@ from case import case
 from rounding import rounding
 from test_axioms import pseudo_inverse
 
-from manip_learn.constraint.small_matrices import row_inverse, svd
+from manip_learn.constraint.manipulability import row_inverse, svd
 from manip_learn.linalg import (
     EPS,
     along_axes,

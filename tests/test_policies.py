@@ -11,8 +11,12 @@ from case import case
 import manip_learn as ml
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
-from manip_learn.constraint.manipulability import log_manipulability_gradient, manipulability, manipulability_gradient
-from manip_learn.constraint.small_matrices import svd
+from manip_learn.constraint.manipulability import (
+    log_manipulability_gradient,
+    manipulability,
+    manipulability_gradient,
+    svd,
+)
 from manip_learn.control.policies import (
     GROWTH,
     JointAttractor,

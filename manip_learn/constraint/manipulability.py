@@ -13,15 +13,16 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dgesdd  # pyright: ignore[reportAttributeAccessIssue]
 
 from manip_learn.constraint.constraint import Constraint, Vjp
-from manip_learn.constraint.small_matrices import svd
 from manip_learn.errors import ConstraintError, an
 from manip_learn.linalg import EPS
 from manip_learn.robot.batch.postures import checked_postures
 
 # below this ratio to the largest singular value the left singular vectors of zero and non-zero are mixed by rounding
 SINGULAR_RATIO = 64.0 * EPS
+LEAST_SINGULAR_RATIO = 0.04  # smallest over largest singular value of A that is taken as well-conditioned
 GRADIENT_CHUNK = 512  # postures whose dA/dq are held at a time
 
 
@@ -199,3 +200,23 @@ def _steepest(
     _, rate, Wt = np.linalg.svd(M, full_matrices=False)
     direction = Wt[0]
     return float(rate[0]), -direction if direction[np.argmax(np.abs(direction))] < 0.0 else direction
+
+
+def svd(
+    A: Float[np.ndarray, "s n"],
+) -> tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[np.ndarray, "n n"]]:
+    """U, the singular values, and V^T, all square: LAPACK's dgesdd without NumPy's wrapping, which takes longer than
+    the decomposition of a matrix as small as a constraint's.
+    """
+    U, sigma, Vt, failed = dgesdd(A)
+    if failed:
+        return np.linalg.svd(A, full_matrices=True)
+    return U, sigma, Vt
+
+
+def row_inverse(A: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], float, float] | None:
+    """A^{+T}, the product of the singular values, and the smallest of them; None of an ill-conditioned A."""
+    U, sigma, Vt = svd(A)
+    if A.shape[0] > A.shape[1] or not sigma[-1] > LEAST_SINGULAR_RATIO * sigma[0]:
+        return None
+    return (U / sigma).dot(Vt[: len(sigma)]), math.prod(sigma.tolist()), float(sigma[-1])

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgeqrf, dposv, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from manip_learn.constraint.constraint import Constraint, Vjp
-from manip_learn.constraint.manipulability import SINGULAR_RATIO, smallest_gradient
-from manip_learn.constraint.small_matrices import row_inverse, svd
+from manip_learn.constraint.manipulability import SINGULAR_RATIO, row_inverse, smallest_gradient, svd
 from manip_learn.control.command import ACCELERATION, SCALED_BELOW, Command, Status, status_of
 from manip_learn.control.limits import FINE, Barrier, Bounds, Limits, approach_bound
 from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullSpacePolicy, SampledPolicy

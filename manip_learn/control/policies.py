@@ -16,8 +16,7 @@ from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIs
 
 from manip_learn.constraint.constraint import Constraint, Vjp
 from manip_learn.constraint.features.frame_jacobian import PoseRows
-from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
-from manip_learn.constraint.small_matrices import row_inverse, svd
+from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from, row_inverse, svd
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, an
 from manip_learn.linalg import unit
 from manip_learn.robot.limit_potential import has_range, ranges, room_of

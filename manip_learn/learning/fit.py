@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import PoseRows
-from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.learning.search import least_used
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, View, displacements, steps_along
 from manip_learn.linalg import complement_rows, turned

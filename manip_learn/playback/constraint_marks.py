@@ -12,7 +12,7 @@ from jaxtyping import Float
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import MechanismRows
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
-from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.linalg import null_basis, row_basis
 from manip_learn.playback.guided_motion import MotionSamples
 from manip_learn.playback.page_writer import packed, unpacked

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.errors import TargetError, advice
 from manip_learn.linalg import unit
 
@@ -179,11 +179,18 @@ class PointAttractor(Task):
         Raises:
             TargetError: The target has the wrong size.
         """
+        return self._toward(constraint, q)[0]
+
+    def _toward(self, constraint: Constraint, q: ArrayLike) -> VelocityAndJacobian:
+        """The displacement, and E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
         features, s = constraint.features, constraint.n_constraints
         if self._fits(features):
-            return constraint.selection.dot(features.error_to(self.target, q))
+            error, E = features.error_and_jacobian(self.target, q)
+            return constraint.selection.dot(error), None if E is None else constraint.selection.dot(E)
         if self.target.shape == (s,):
-            return self.target - constraint.selection @ features.coordinates(q)
+            E = features.coordinates_jacobian(q)
+            way = self.target - constraint.selection @ features.coordinates(q)
+            return way, None if E is None else constraint.selection.dot(E)
         either = "" if s == features.n_rows else f", or {s}: one per row of the constraint"
         raise TargetError(
             f"the target must have {features.n_rows} numbers ({', '.join(features.row_names)}){either}; "
@@ -196,9 +203,7 @@ class PointAttractor(Task):
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
         """E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
-        features = constraint.features
-        E = features.error_jacobian(self.target, q) if self._fits(features) else features.coordinates_jacobian(q)
-        return None if E is None else constraint.selection.dot(E)
+        return self._toward(constraint, q)[1]
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """gain * displacement, scaled down to max_speed."""
@@ -206,10 +211,8 @@ class PointAttractor(Task):
 
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
         """b and E from one look at the pose."""
-        if type(self) is PointAttractor and self._fits(constraint.features):
-            error, E = constraint.features.error_and_jacobian(self.target, q)
-            return self._attraction(constraint.selection.dot(error)), None if E is None else constraint.selection.dot(E)
-        return super().velocity_and_jacobian(constraint, q, t)
+        displacement, E = self._toward(constraint, q)
+        return self._attraction(displacement), E
 
     def _attraction(self, displacement: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
         b = self.gain * displacement
