@@ -17,8 +17,79 @@ from manip_learn.constraint.shown import Shown
 from manip_learn.errors import DAMAGE, counted
 from manip_learn.robot.robot import Robot
 
+TAKE_KNOTS = 48  # of each part of a take: of a way and back two degrees apart, where a wrist turns by a radian
+MOST_TAKES = 12  # kept with a step: 50 kB of a file
 StepKind = Literal["reach", "way"]
 Gripping = Literal["close", "open"]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Take:
+    """How the joints went in one recording: to a contact, along it, and away from it.
+
+    Attributes:
+        name: Of the recording.
+        time: shape (k,), from where the contact began [s].
+        q: shape (k, nv), joint positions, thinned [rad or m].
+        end: When the contact ended [s].
+        moved: shape (4, 4): the fixtures stand elsewhere now, p' = R p + t.
+    """
+
+    name: str
+    time: Float[np.ndarray, " k"]
+    q: Float[np.ndarray, "k nv"]
+    end: float
+    moved: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+
+    @staticmethod
+    def of(name: str, time: Float[np.ndarray, " n"], q: Float[np.ndarray, "n nv"], begin: float, end: float) -> Take:
+        """Return a recording, thinned evenly along its path before, during and after a contact.
+
+        Args:
+            name: Of the recording.
+            time: Of the samples [s].
+            q: Joint positions without jumps by full turns.
+            begin: When the contact began, a time of a sample [s].
+            end: When it ended, likewise.
+        """
+        parts = time <= begin, (begin <= time) & (time <= end), time >= end
+        thin = [_thinned(time[part] - begin, q[part]) for part in parts]
+        knots = np.concatenate([thin[0][:-1], thin[1], thin[2][1:]])
+        return Take(name, knots[:, 0], knots[:, 1:], end - begin)
+
+    @property
+    def before(self) -> Float[np.ndarray, "k nv"]:
+        """Joint positions up to the contact, the first one of it included."""
+        return self.q[self.time <= 0.0]
+
+    @property
+    def along(self) -> Float[np.ndarray, "k nv"]:
+        """Joint positions of the contact."""
+        return self.q[(self.time >= 0.0) & (self.time <= self.end)]
+
+    @property
+    def after(self) -> Float[np.ndarray, "k nv"]:
+        """Joint positions from the last one of the contact on."""
+        return self.q[self.time >= self.end]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, for a skill's file."""
+        plain = {"name": self.name, "time": np.round(self.time, 4).tolist(), "q": np.round(self.q, 5).tolist()}
+        return plain | {"end": round(self.end, 4), "moved": self.moved.tolist()}
+
+    @staticmethod
+    def from_dict(content: Mapping[str, Any]) -> Take:
+        """Return what `to_dict` wrote."""
+        arrays = {name: np.array(content[name], dtype=np.float64) for name in ("time", "q", "moved")}
+        return Take(name=str(content["name"]), end=float(content["end"]), **arrays)
+
+
+def _thinned(time: Float[np.ndarray, " n"], q: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "k m"]:
+    """Times and joint positions at even distances along the joints' path, the first and the last sample among them."""
+    ways = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1)))
+    even = np.linspace(0.0, ways[-1], min(len(q), TAKE_KNOTS))
+    return np.column_stack([np.interp(even, ways, x) for x in (time, *q.T)]) if ways[-1] > 0.0 else np.c_[time, q][:1]
 
 
 @final
@@ -35,6 +106,7 @@ class Step:
             recordings say so.
         fingers: Joint -> where it goes then [rad or m]; a gripper whose joints were not recorded has none.
         place: shape (3,), where the hand goes at the end of a skill, in the base frame [m]; None of other steps.
+        takes: Of a way, the recordings that showed it; none in files of 0.2.
     """
 
     kind: StepKind
@@ -43,6 +115,7 @@ class Step:
     gripper: Gripping | None = None
     place: Float[np.ndarray, " 3"] | None = None
     fingers: Mapping[str, float] = field(default_factory=dict)
+    takes: tuple[Take, ...] = ()
 
     @property
     def as_shown(self) -> Constraint | None:
@@ -92,7 +165,11 @@ class Skill:
         for step in self.steps:
             shown = step.shown and step.shown.moved(transform)
             place = None if step.place is None else transform[:3, :3] @ step.place + transform[:3, 3]
-            steps.append(replace(step, constraint=elsewhere.get(id(step.constraint)), shown=shown, place=place))
+            takes = step.takes  # of a hand that is seen from another frame nothing moves in the base's
+            if step.constraint is not None and step.constraint.features.relative_to is None:
+                takes = tuple(replace(take, moved=transform @ take.moved) for take in takes)
+            constraint = elsewhere.get(id(step.constraint))
+            steps.append(replace(step, constraint=constraint, shown=shown, place=place, takes=takes))
         return replace(self, constraints=tuple(elsewhere[id(c)] for c in self.constraints), steps=tuple(steps))
 
     def to_dict(self) -> dict[str, Any]:
@@ -106,6 +183,7 @@ class Skill:
             vars(step)
             | {"constraint": number.get(id(step.constraint)), "shown": step.shown and step.shown.to_dict()}
             | {"place": None if step.place is None else step.place.tolist(), "fingers": dict(step.fingers)}
+            | {"takes": [take.to_dict() for take in step.takes]}
             for step in self.steps
         ]
         others = [c.to_dict() for c in self.constraints[1:]]
@@ -154,7 +232,8 @@ def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step
     where = None if place is None else np.array(place, dtype=np.float64).reshape(3)
     constraint = None if number is None else constraints[int(number)]
     fingers = {str(name): float(value) for name, value in entry.get("fingers", {}).items()}
-    return Step(kind, constraint, Shown.from_dict(entry["shown"]), gripper, where, fingers)
+    takes = tuple(map(Take.from_dict, entry.get("takes", ())))
+    return Step(kind, constraint, Shown.from_dict(entry["shown"]), gripper, where, fingers, takes)
 
 
 def one_way(constraint: Constraint) -> Skill:

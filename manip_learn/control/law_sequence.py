@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.other_features import CustomFeatures
@@ -23,6 +25,7 @@ from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
 _RAMP = 0.5  # [s] from rest to the speed, as that of a way
+LOOKED = 8  # places on each piece of a path at which its speed is looked at
 CLOSING = 0.5  # [s] that a gripper takes to close or to open
 _SETTLING = 1.0  # [s] after which the way begins anyhow, with what encoder noise leaves
 
@@ -30,13 +33,17 @@ _SETTLING = 1.0  # [s] after which the way begins anyhow, with what encoder nois
 def every_joint(robot: Robot) -> Constraint:
     """A(q) = I: a row for the velocity of each joint."""
     nv, one, none = robot.nv, np.eye(robot.nv), np.zeros((robot.nv,) * 3)
-    rows = CustomFeatures(lambda _q: one, robot.joint_names, nv, derivative=lambda _q: none, robot=robot)
-    return Constraint(one, rows)
+    same = partial(_same, one)
+    return Constraint(one, CustomFeatures(same, robot.joint_names, nv, derivative=partial(_same, none), robot=robot))
+
+
+def _same(value: np.ndarray, _q: np.ndarray) -> np.ndarray:
+    return value  # a function of a module can be pickled
 
 
 @final
 class JointMotion(Task):
-    """b = dq*/dt + gain (q*(t) - q): straight from posture to posture, at rest in each of them.
+    """b = dq*/dt + gain (q*(t) - q): straight from posture to posture, at rest in each, or smoothly through all.
 
     It begins with the first call, as a `FreeDirection` does; a call at or before that time after later ones is a new
     run. Each leg takes the time that its slowest joint needs, and the tip where its speed is limited.
@@ -46,6 +53,7 @@ class JointMotion(Task):
         postures: shape (k, nv), joint positions [rad or m], the start first.
         share: Of the joints' velocity limits that is used at most.
         gripper: What a gripper does meanwhile, `"close"` or `"open"`, for which it has half a second at least.
+        through: One leg, a spline through all postures, in place of a straight one between each two.
 
     Attributes:
         start: shape (nv,), the first posture [rad or m].
@@ -58,21 +66,25 @@ class JointMotion(Task):
     waits = True
     gain = 10.0  # [1/s] rate at which deviations are taken back, as of a way
 
-    def __init__(self, limits: Limits, postures: ArrayLike, share: float = 1.0, gripper: Gripping | None = None):
+    def __init__(
+        self,
+        limits: Limits,
+        postures: ArrayLike,
+        share: float = 1.0,
+        gripper: Gripping | None = None,
+        *,
+        through: bool = False,
+    ):
         robot, table = limits.robot, np.array(postures, dtype=np.float64)
         if table.ndim != 2 or table.shape[1] != robot.nv or not len(table) or not np.all(np.isfinite(table)):
             raise ConfigurationError(f"the path must be postures of {robot.nv} finite joint positions, one a row")
         self._robot = robot
         self.gripper: Gripping | None = gripper
-        steps = np.diff(table, axis=0)
-        times = np.max(np.abs(steps) / (share * limits.velocity), axis=1, initial=0.0)  # [s] at full speed
-        if (tip := limits.tip) is not None:
-            shares, legs = np.linspace(0.0, 1.0, 33), zip(table, steps, strict=False)  # the law keeps what is between
-            fastest = [max(tip.fastest(robot.configuration(q + s * d), d) for s in shares) for q, d in legs]
-            times = np.maximum(times, np.array(fastest) / tip.pace)
-        moves = times > 0.0
-        self._starts, self._steps = table[:-1][moves], steps[moves]
-        self._profiles = [MotionProfile(1.0, 1.0 / time, _RAMP) for time in times[moves].tolist()]
+        table = table[np.append(True, np.any(np.diff(table, axis=0) != 0.0, axis=1))]  # those of rest are no legs
+        legs = [table][: len(table) - 1] if through else [table[i : i + 2] for i in range(len(table) - 1)]
+        found = [_smooth(limits, leg, share) for leg in legs]
+        self._paths = [path for path, _ in found]
+        self._profiles = [MotionProfile(1.0, 1.0 / time, _RAMP) for _, time in found]
         self._ends = np.cumsum([profile.duration for profile in self._profiles])
         self.start, self._last = table[0], table[-1]
         self.reset()
@@ -94,7 +106,7 @@ class JointMotion(Task):
             return self._last, np.zeros_like(self._last)
         profile = self._profiles[leg]
         share, rate = profile.at(t - float(self._ends[leg]) + profile.duration)
-        return self._starts[leg] + share * self._steps[leg], rate * self._steps[leg]
+        return self._paths[leg](share), rate * self._paths[leg](share, 1)
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " nv"]:
         """b of every joint."""
@@ -114,6 +126,25 @@ class JointMotion(Task):
 
     def __repr__(self) -> str:
         return f"JointMotion({len(self._profiles)} legs, {self.duration:.3g} s)"
+
+
+def _smooth(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> tuple[CubicSpline, float]:
+    """Return a path through postures, by the share of it, and the time that it takes at full speed [s]."""
+    robot, tip = limits.robot, limits.tip
+
+    def needed(q: np.ndarray, rates: np.ndarray) -> Float[np.ndarray, " n"]:
+        """Return the time that each joint motion takes at a posture, at full speed."""
+        times = np.max(np.abs(rates) / (share * limits.velocity), axis=1)
+        if tip is None:
+            return times
+        fastest = [tip.fastest(robot.configuration(x), d) for x, d in zip(q, rates, strict=True)]
+        return np.maximum(times, np.array(fastest) / tip.pace)
+
+    steps = np.diff(knots, axis=0)
+    times = np.append(0.0, np.cumsum(needed(knots[:-1] + 0.5 * steps, steps)))
+    path = CubicSpline(times / times[-1], knots, bc_type="natural")
+    fine = np.linspace(0.0, 1.0, LOOKED * max(4, len(steps)) + 1)  # the law keeps what is between
+    return path, float(np.max(needed(path(fine), path(fine, 1))))
 
 
 @final

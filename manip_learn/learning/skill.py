@@ -11,11 +11,12 @@ import numpy as np
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.shown import poses_of, shown_by
-from manip_learn.constraint.skill import Skill, Step
+from manip_learn.constraint.skill import MOST_TAKES, Skill, Step, Take
 from manip_learn.errors import counted
 from manip_learn.learning.answer import Answer, Found
 from manip_learn.learning.table import Table
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Trajectory, evenly
+from manip_learn.robot.batch.postures import unwound
 
 LEAVES = 0.02  # [m] that a hand goes after its last contact if it was taken away from there, and not only let go
 GRIPS = 0.1  # share of its range that a gripper's joint moves when it closes or opens
@@ -47,7 +48,8 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
             shown = shown_by(constraint.features, constraint.selection, constraint.mechanism, pieces)
         reach = Step("reach", constraint, **opening)
         closing, opening = _gripping(constraint.features, table, chosen, place)
-        steps += [reach, Step("way", constraint, shown, **closing)]
+        takes = _takes(constraint, table, chosen, place)
+        steps += [reach, Step("way", constraint, shown, takes=takes, **closing)]
     ends = [(contacts[-1].piece.q[-1], table.moved[recording].q[-1]) for recording, contacts in chosen.items()]
     poses = poses_of(constraints[usual[-1]].features, np.concatenate(ends).reshape(2 * len(ends), -1))
     if poses is not None:
@@ -55,6 +57,21 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
         if np.median(np.linalg.norm(end - last, axis=1)) > LEAVES:
             steps.append(Step("reach", None, place=np.median(end, axis=0), **opening))
     return Skill(tuple(constraints), tuple(steps), (note,) if times < len(order) else ())
+
+
+def _takes(constraint: Constraint, table: Table, chosen: dict[int, list[_Contact]], k: int) -> tuple[Take, ...]:
+    """Return how the joints went to contact k, along it and away from it, in some of the recordings."""
+    if (robot := constraint.robot) is None:
+        return ()
+    takes: list[Take] = []
+    for recording in [list(chosen)[i] for i in evenly(len(chosen), MOST_TAKES)]:
+        whole, pieces = table.moved[recording], [contact.piece for contact in chosen[recording]]
+        since = pieces[k - 1].time[-1] if k else -np.inf
+        until = pieces[k + 1].time[0] if k + 1 < len(pieces) else np.inf
+        near = (since <= whole.time) & (whole.time <= until)
+        ends = pieces[k].time[[0, -1]].tolist()
+        takes.append(Take.of(whole.name, whole.time[near], unwound(robot, whole.q[near]), *ends))
+    return tuple(takes)
 
 
 def _contacts_in_order(answers: Sequence[Answer], table: Table) -> dict[int, list[_Contact]]:

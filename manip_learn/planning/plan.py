@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, final
@@ -14,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability_batch
+from manip_learn.constraint.skill import Take
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import ARRIVED
 from manip_learn.control.keeping_clear import CLEARANCE
@@ -27,6 +29,7 @@ from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
 from manip_learn.planning.clearance import Clearance
+from manip_learn.planning.following import Followed, carried, followed, joined, nearest_turn
 from manip_learn.planning.grasp_cone import GraspCone
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
@@ -61,6 +64,7 @@ SPARE = 1.1  # times the time that the fastest joint needs: its speed also takes
 LESS = 0.9  # of a way that did not come true is tried next
 LEAST_SHARE = 0.01  # of the whole way: less is no part of it
 LOOKED = 20  # of marches in whose way something is, for what would help
+LOOKED_AT = 6  # every such posture of a recording is looked at beside what stands around
 _SEEN = 60  # postures of an approach of which a plan says how near they come to what stands around
 _TURN = 2.0 * np.pi
 Around = Scene | Literal["assumed"] | None
@@ -101,6 +105,7 @@ class Plan:
         candidates: Number of postures at the first station that were compared.
         notes: What was not looked at, in sentences.
         around: What approach and way keep clear of.
+        take: The recording that it follows; None of a plan that was searched.
     """
 
     robot: Robot
@@ -115,6 +120,7 @@ class Plan:
     candidates: int
     notes: tuple[str, ...] = ()
     around: Surroundings = Surroundings()
+    take: Take | None = None
 
     @property
     def rollout(self) -> Rollout:
@@ -218,9 +224,38 @@ def plan(
     """
     if candidates < LEAST_CANDIDATES:
         raise ConfigurationError(f"a plan needs {LEAST_CANDIDATES} candidates or more, got {candidates!r}")
-    said = progress or (lambda _title, _share: None)
     problem = _Problem(constraint, motion, start, seed, grasp, limits, collision, scene, dt)
     problem.check()
+    return _searched(problem, candidates, progress or (lambda _title, _share: None))
+
+
+def plan_as_shown(
+    constraint: Constraint,
+    motion: FreeDirection,
+    start: ArrayLike,
+    takes: Sequence[Take],
+    seed: int,
+    *,
+    limits: Limits,
+    scene: Around,
+    dt: float,
+    progress: Progress,
+) -> Plan:
+    """The plan that follows one of the recordings; that of `plan`, whose arguments and errors these are, where none can
+    be followed or none is given.
+    """
+    problem = _Problem(constraint, motion, start, seed, None, limits, True, scene, dt, takes)
+    problem.check()
+    found = problem.as_it_stands(None) if takes else None
+    found = found or (problem.follow(progress) if takes else None)
+    if found is not None:
+        return found
+    found = _searched(problem, _CANDIDATES, progress)
+    said = "no recording could be followed: the posture was searched"
+    return replace(found, notes=(*found.notes, said)) if takes else found
+
+
+def _searched(problem: _Problem, candidates: int, said: Progress) -> Plan:
     said("comparing postures", 0.1)
     marches = problem.marches(candidates)
     if problem.slow_down(marches):
@@ -264,9 +299,20 @@ def moved_to(
     """
     robot = limits.robot
     path = joint_path(robot, robot.positions(start), goal, limits, clear, seed)
-    if path is None:
-        return None
-    task = JointMotion(limits, path, APPROACH_SHARE)
+    return None if path is None else moved_through(path, start, limits, dt)
+
+
+def moved_through(
+    knots: Sequence[Float[np.ndarray, " nv"]] | Postures,
+    start: Float[np.ndarray, " nq"],
+    limits: Limits,
+    dt: float,
+    *,
+    through: bool = False,
+) -> tuple[ResolvedRateController, Rollout] | None:
+    """The motion of the joints through knots, and its law, see `JointMotion`; None where it does not arrive."""
+    robot = limits.robot
+    task = JointMotion(limits, np.array(knots), APPROACH_SHARE, through=through)
     law = ResolvedRateController(every_joint(robot), task, limits=limits, dt=dt)
     rollout = simulate(robot, law, start, task.duration + 1.0, dt)
     arrived = np.flatnonzero((rollout.task_error < ARRIVED) & (rollout.time >= task.duration))
@@ -336,6 +382,7 @@ class _Problem:
         collision: SelfCollision | bool,
         scene: Around,
         dt: float,
+        takes: Sequence[Take] = (),
     ):
         if not isinstance(motion, FreeDirection):
             raise ConfigurationError(
@@ -349,7 +396,7 @@ class _Problem:
         self.robot, self.constraint, self.motion = robot, constraint, motion.with_distance(motion.wanted)
         self.start = robot.checked_posture(start)
         self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
-        self.seed, self.rng = seed, np.random.default_rng(seed)
+        self.takes, self.seed, self.rng = takes, seed, np.random.default_rng(seed)
         self.missing: MissingExtraError | None = None  # what would look for a way around it
         self.vain = 0  # searches for an approach that found none
         self.unreached: tuple[str, str] | None = None  # what stands between the start and a posture of hold
@@ -379,8 +426,20 @@ class _Problem:
             features: Any = self.rows.features
             around = surroundings_of(None if scene == "assumed" else scene, robot, features.frame)
         shown = [np.array(x, dtype=np.float64) for x in constraint.provenance.get("postures", ()) if len(x) == robot.nv]
-        self.clear = Clearance(robot, collision, around, self.positions, shown)
-        self.notes = (*self.clear.notes, *self.notes)
+        passed = [q for take in takes for q in take.q[::LOOKED_AT]]
+        self.clear = Clearance(robot, collision, around, self.positions, [*shown, *passed])
+        self.notes = (*self.clear.notes, *self._contradicted(around), *self.notes)
+
+    def _contradicted(self, around: Surroundings) -> Iterator[str]:
+        """What the recordings say against a stated scene, in sentences."""
+        stated, deepest = set(around.names) - around.assumed, dict[str, tuple[float, str]]()
+        for take in self.takes if stated else ():
+            for q in take.q[::LOOKED_AT] if np.allclose(take.moved, np.eye(4)) else ():
+                pair = self.clear.touching(q, distance=0.0)
+                if pair is not None and (name := pair.links[1]) in stated:
+                    deepest[name] = max(deepest.get(name, (0.0, "")), (-pair.distance, take.name))
+        for name, (depth, take) in deepest.items():
+            yield f"{take} passes {1e3 * depth:.0f} mm inside {name!r}: the scene does not stand where it was shown"
 
     def check(self) -> None:
         """Refuse a start, a way or a grasp that cannot be."""
@@ -522,6 +581,53 @@ class _Problem:
         task = motion.with_distance(motion.wanted)  # which remembers its own start
         policy = PathPolicy(time, path, FOLLOWING, self.robot, self.stations.moving, task)
         return ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
+
+    def follow(self, said: Progress) -> Plan | None:
+        """The way as the first recording that comes true shows it, see `planning.following`; None if none does."""
+        compared = 0
+        for one in followed(self.motion, self.rows, self.takes, self.stations, self.positions):
+            said(f"following {one.take.name}", 0.2 + 0.6 * compared / len(self.takes))
+            compared += 1
+            path = nearest_turn(self.robot, one.path, self.positions)
+            clear = self.clear.holding([path[0]])
+            came = self._came(one, path[0], clear) if clear.of_way(path) else None
+            if came is None:
+                continue
+            how, to_hold, approach = came
+            motion, stations, notes = one.motion, one.stations, list[str]()
+            if one.margins.speed < 0.0:
+                motion = motion.slowed(SPARE * (1.0 - one.margins.speed))
+                ways, stations = np.abs(stations.distance), Stations.of(motion, self.start, self.limits)
+                path = np.column_stack([np.interp(np.abs(stations.distance), ways, x) for x in path.T])
+                notes.append(f"the joints are too slow for it: it takes {motion.duration:.3g} s")
+            law = self._law(motion, stations.time, path)
+            way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
+            if outcome.is_done and not outcome.strays and clear.of_way(unwound(self.robot, way.q)):
+                laws, margins = LawSequence(to_hold, law), margins_of(stations, path)
+                found = self._plan(laws, path[0], approach, way, margins, outcome, (), compared)
+                notes.insert(0, f"as {one.take.name} shows it, the approach {how}")
+                return replace(found, take=one.take, notes=(*found.notes, *notes))
+        return None
+
+    def _came(
+        self, one: Followed, hold: Float[np.ndarray, " nv"], clear: Clearance
+    ) -> tuple[str, ResolvedRateController, Rollout] | None:
+        """How the hand comes to a posture of hold: as it was shown, else straight, else around what is in the way."""
+        before = np.where(self.stations.moving, one.take.before, self.positions)
+        before = carried(self.constraint.features, before, one.take.moved)
+        knots = joined(nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
+        if knots is not None and self._is_clear(knots, clear):
+            moved = moved_through(knots, self.start, self.limits, self.dt, through=True)
+            if moved is not None:
+                mu = manipulability_batch(self.rows, moved[1].q).mu
+                return "too", moved[0], replace(moved[1], manipulability=mu)
+        moved = self._approach(hold, clear)
+        return None if moved is None else ("straight" if clear.of_line(self.positions, hold) else "planned", *moved)
+
+    def _is_clear(self, knots: Postures, clear: Clearance) -> bool:
+        """Whether knots are within the limits, and clear."""
+        inside = np.all((knots >= self.limits.lower) & (knots <= self.limits.upper))
+        return bool(inside) and clear.of_way(knots)
 
     def as_it_stands(self, found: Plan | None) -> Plan | None:
         """The way from the start with the ascent of mu, or with spare joints at rest.

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.shown import Unit
-from manip_learn.constraint.skill import Skill, Step, one_way
+from manip_learn.constraint.skill import Skill, Step, Take, one_way
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits
@@ -24,14 +24,18 @@ from manip_learn.control.way import simulate_way
 from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, advice, an, counted, spoken
 from manip_learn.linalg import complement_rows, finite
 from manip_learn.planning.clearance import Clearance
-from manip_learn.planning.plan import Around, moved_to, plan
+from manip_learn.planning.following import carried, joined, nearest_turn
+from manip_learn.planning.plan import Around, moved_through, moved_to, plan_as_shown
 from manip_learn.planning.stations import Stations
 from manip_learn.planning.surroundings import Surroundings
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.joints import Frame
+from manip_learn.robot.robot import Robot
 
 _ROOM = 1.05  # times the speed of a way that was shown, with what `TipLimits.pace` leaves out
 TipSpeed = float | Literal["shown"] | None
+LEAST_SPEED = 0.05  # [m/s] at which a tip may go anyhow, however slowly a hand was guided
 _NEAR = 1e-3  # [m] a hand this near to where it is to go is there
 
 
@@ -51,6 +55,8 @@ class StepDone:
         fastest: Largest share of a joint's velocity limit that it took.
         place: shape (3,), where the hand was at its end: where it took hold, of a way its farthest place [m].
         name: What it was, in words.
+        grasp: shape (4, 4), of the hand where it takes hold; None of a retreat.
+        off: Distance of that from the nearest place where a contact began [m]; None where that is not known.
     """
 
     kind: str
@@ -63,11 +69,14 @@ class StepDone:
     fastest: float
     place: Float[np.ndarray, " 3"]
     name: str
+    grasp: Float[np.ndarray, "4 4"] | None = None
+    off: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer: lengths in m, angles in degrees."""
         size = 1.0 if self.unit == "m" else float(np.degrees(1.0))
         in_words = {"unit": "m" if self.unit == "m" else "deg", "place": self.place.tolist()}
+        in_words["grasp"] = None if self.grasp is None else self.grasp.tolist()
         return vars(self) | in_words | {"wanted": size * self.wanted, "done": size * self.done}
 
 
@@ -117,34 +126,39 @@ def _said(step: StepDone) -> str:
 def repeat(
     skill: Skill | Constraint,
     start: ArrayLike,
-    moved: ArrayLike | None = None,
+    fixture_transform: ArrayLike | None = None,
     *,
+    prefer: Literal["shown", "room"] = "shown",
     scene: Around = "assumed",
     seed: int = 0,
     limits: Limits | None = None,
     dt: float = 0.01,
     tip_speed: TipSpeed = APPROACH_SPEED,
     progress: Progress | None = None,
+    moved: ArrayLike | None = None,
 ) -> Repetition:
     """Do again what the recordings show, from any start: every step in the order in which it was shown.
 
-    Each way is planned (see `plan`): the hand takes hold where the contacts began, in the posture that leaves most room
-    for the way, and goes as far as was shown, or along the path that was shown, in the time that was shown, or longer
-    where the tip would be faster than `tip_speed`. After the last way the hand goes where the recordings ended.
+    Each way follows a recording: the hand comes, takes hold and goes as it did there, as far as was shown, or along the
+    path that was shown, in the time that was shown, or longer where the tip would be faster than `tip_speed`. After the
+    last way it goes where the recordings ended. Where no recording can be followed, or none is known, the posture in
+    which the hand takes hold is searched (see `plan`).
 
     Args:
         skill: As learnt (`ConstraintLearner.skill_`) or loaded; a constraint stands for its one way.
         start: Posture before the first step.
-        moved: shape (4, 4), a rigid motion in the base's frame: the fixtures stand elsewhere, p' = R p + t [m].
+        fixture_transform: shape (4, 4), a rigid motion in the base's frame: the fixtures stand elsewhere, p' = R p + t
+            [m].
+        prefer: `"shown"`, or `"room"`: the posture that leaves most room for the way is searched first.
         scene: What stands around, as of `plan`: kept clear of by every step.
         seed: Of the random postures: the same seed gives the same motion.
         limits: Of the joints; the robot's own by default.
         dt: Step of the simulation [s].
-        tip_speed: Largest speed of the tip in every step, of approach, way and retreat [m/s]; the tip is the frame that
-            the skill holds. No way is faster than it was shown. `"shown"`: that of the fastest way as it was shown, and
-            the default where that is more. None: no limit but those of the joints. The lower one counts where `limits`
-            have a speed, too.
+        tip_speed: Largest speed of the tip in every step, of approach, way and retreat [m/s], and no more than was
+            shown; the tip is the frame that the skill holds. `"shown"`: as fast as was shown. None: no limit but those
+            of the joints. The lower one counts where `limits` have a speed, too.
         progress: As for `simulate`.
+        moved: Former name of `fixture_transform`, valid until 0.4.
 
     Returns:
         The motion, the outcome of each step, the controller that does it, and notes: of a way that takes longer than it
@@ -179,11 +193,14 @@ def repeat(
     if doubts := list(dict.fromkeys(told)):  # those of all recordings stand with each constraint
         said_of = counted(len(doubts), "warning")
         notes.append(f"learnt with {said_of}, read them before an arm moves: {'; '.join(doubts)}")
-    if moved is not None:
-        skill = skill.moved(_rigid(moved))
+    if prefer not in ("shown", "room"):
+        raise ConfigurationError(f"prefer is {prefer!r}: it must be 'shown' or 'room'")
+    if (transform := moved if fixture_transform is None else fixture_transform) is not None:
+        skill = skill.moved(_rigid(transform))
     q, said = robot.checked_posture(start), progress or (lambda _title, _share: None)
     limits = _limited(limits or Limits(robot), tip_speed, skill, q)
-    asked = _Asked(limits, dt, seed, scene)
+    asked = _Asked(limits, dt, seed, scene, prefer, said)
+    take: Take | None = None
     laws: list[ResolvedRateController] = []
     done: list[StepDone] = []
     whole: Rollout | None = None
@@ -195,9 +212,10 @@ def repeat(
             parts = [_grip(step, name, q, asked, 0.0 if whole is None else whole.manipulability[-1])]
             q = parts[-1].rollout.q[-1]
         if step.kind == "way":
-            parts, around = [*parts, *(found := _way(step, name, q, asked))[0]], found[1]
+            ways, around, take = _way(step, name, q, asked)
+            parts += ways
         elif step.place is not None:  # to a way its plan goes
-            parts += _retreat(skill, step, name, q, around, asked)
+            parts += _retreat(skill, step, name, q, around, take, asked)
         for part in parts:
             laws.append(part.law)
             done += part.done
@@ -211,9 +229,6 @@ def repeat(
     whole = replace(whole, constraint=guide, target=None)  # not those of its last part
     tip = batch_kinematics(robot, skill.constraints[0].features.frame)  # type: ignore[attr-defined]  # a plan has looked
     far = np.linalg.norm(np.diff(tip.pose(whole.q)[:, :3, 3], axis=0), axis=1)
-    most = float(np.max(np.linalg.norm(tip.jacobian(whole.q, rows=range(3)), axis=1) @ limits.velocity))
-    if isinstance(tip_speed, int | float) and tip_speed > most:
-        notes.append(f"{tip_speed:g} m/s at the tip is more than the arm can do on this motion, {most:.2g} m/s at most")
     fastest = float(np.max(far / np.diff(whole.time)))
     return Repetition(skill, whole, tuple(done), LawSequence(*laws), float(np.sum(far)), fastest, tuple(notes))
 
@@ -232,12 +247,23 @@ def _limited(limits: Limits, tip_speed: TipSpeed, skill: Skill, q: Float[np.ndar
         words = spoken("'shown', or None for no limit", "shown, or none for no limit")
         name = advice("{}", "tip_speed", "--tip-speed")
         raise ConfigurationError(f"{name} is {tip_speed!r}: it must be {wanted}, {words}")
+    frames = [f for constraint in skill.constraints if (f := getattr(constraint.features, "frame", None)) is not None]
+    takes = [take for step in skill.steps for take in step.takes]
+    ways = [motion(way) for step in skill.steps if step.kind == "way" and (way := step.as_shown) is not None]
+    shown = [_ROOM * Stations.of(way, q, limits).tip_speed for way in ways if isinstance(way, FreeDirection)]
+    shown += [LEAST_SPEED, *(_tip_speed(limits.robot, frames[0], take) for take in takes)]
     if tip_speed == "shown":
-        ways = (motion(way) for step in skill.steps if step.kind == "way" and (way := step.as_shown) is not None)
-        stations = (Stations.of(way, q, limits) for way in ways if isinstance(way, FreeDirection))
-        speed = max([speed, *(_ROOM * each.tip_speed for each in stations)])
-    frames = (getattr(constraint.features, "frame", None) for constraint in skill.constraints)
-    return limits.with_tip_speed(speed, [frame.name for frame in frames if frame is not None])
+        speed = max(shown) if takes else max(speed, *shown)
+    elif takes:
+        speed = min(speed, max(shown))
+    return limits.with_tip_speed(speed, [frame.name for frame in frames])
+
+
+def _tip_speed(robot: Robot, frame: Frame, take: Take) -> float:
+    """The largest speed of the tip in a recording, but for one in fifty of its samples [m/s]."""
+    places = batch_kinematics(robot, frame).pose(take.q)[:, :3, 3]
+    steps, times = np.linalg.norm(np.diff(places, axis=0), axis=1), np.diff(take.time)
+    return float(np.quantile(steps[times > 0.0] / times[times > 0.0], 0.98)) if np.any(times > 0.0) else 0.0
 
 
 def _name(number: int, step: Step, skill: Skill) -> str:
@@ -265,6 +291,8 @@ class _Asked(NamedTuple):
     dt: float
     seed: int
     scene: Around
+    prefer: str
+    said: Progress
 
 
 def _grip(step: Step, name: str, q: Float[np.ndarray, " n"], asked: _Asked, mu: float) -> _Part:
@@ -280,14 +308,17 @@ def _grip(step: Step, name: str, q: Float[np.ndarray, " n"], asked: _Asked, mu: 
     return _Part(law, replace(rollout, phases=((f"{name}: {step.gripper}", 0.0, float(rollout.time[-1])),)))
 
 
-def _way(step: Step, name: str, q: Float[np.ndarray, " n"], asked: _Asked) -> tuple[list[_Part], Surroundings]:
-    """Take hold and go along what was learnt, as it was shown in this step; and what stands around."""
+def _way(
+    step: Step, name: str, q: Float[np.ndarray, " n"], asked: _Asked
+) -> tuple[list[_Part], Surroundings, Take | None]:
+    """Take hold and go along what was learnt, as it was shown in this step; what stands around, and who showed it."""
     constraint = step.as_shown
     if constraint is None or constraint.robot is None:
         raise TargetError(f"step {name!r}: no constraint to go along")
-    limits, dt, seed, scene = asked
+    limits, dt, seed, scene, prefer, said = asked
+    takes, around = step.takes if prefer == "shown" else (), {"limits": limits, "scene": scene, "dt": dt}
     try:
-        found = plan(constraint, motion(constraint), q, seed, scene=scene, limits=limits, dt=dt)
+        found = plan_as_shown(constraint, motion(constraint), q, takes, seed, **around, progress=said)  # type: ignore
     except NoPlanError as refusal:
         facts = {"largest": refusal.largest, "posture": refusal.posture}
         raise NoPlanError(
@@ -297,9 +328,12 @@ def _way(step: Step, name: str, q: Float[np.ndarray, " n"], asked: _Asked) -> tu
     hold, end = (robot.position(x, frame) for x in (found.approach.q[-1], found.way.q[-1]))
     far, came = float(np.linalg.norm(hold - robot.position(q, frame))), found.outcome
     fast = float(np.max(np.abs(found.approach.u) / robot.velocity_limit))
-    reach = StepDone("reach", far, far, "m", 0.0, None, None, fast, hold, f"take hold for {name}")
+    grasp, off = robot.pose(found.approach.q[-1], frame), None
+    if constraint.shown is not None and len(constraint.shown.grasps):
+        off = float(np.min(np.linalg.norm(constraint.shown.grasps[:, :3, 3] - hold, axis=1)))
+    reach = StepDone("reach", far, far, "m", 0.0, None, None, fast, hold, f"take hold for {name}", grasp, off)
     numbers = abs(came.wanted), abs(came.done), came.unit, came.deviation, found.margin
-    way = StepDone("way", *numbers, came.stopped_by, came.fastest[1], end, name)
+    way = StepDone("way", *numbers, came.stopped_by, came.fastest[1], end, name, grasp, off)
     to_hold, along = found.controller.laws
     approach, motion_along, grips = _named(found.approach, name), _named(found.way, name), []
     if step.gripper is not None:
@@ -308,7 +342,7 @@ def _way(step: Step, name: str, q: Float[np.ndarray, " n"], asked: _Asked) -> tu
         q[:, fingers] = grips[0].rollout.q[-1, fingers]
         motion_along = replace(motion_along, q=q)
     parts = [_Part(to_hold, approach, (reach,), found.notes), *grips, _Part(along, motion_along, (way,))]
-    return parts, found.around.afterwards
+    return parts, found.around.afterwards, found.take
 
 
 def _named(rollout: Rollout, name: str) -> Rollout:
@@ -319,16 +353,32 @@ def _named(rollout: Rollout, name: str) -> Rollout:
 
 
 def _retreat(
-    skill: Skill, step: Step, name: str, q: Float[np.ndarray, " n"], around: Surroundings, asked: _Asked
+    skill: Skill,
+    step: Step,
+    name: str,
+    q: Float[np.ndarray, " n"],
+    around: Surroundings,
+    take: Take | None,
+    asked: _Asked,
 ) -> list[_Part]:
-    """The hand goes straight to where the recordings ended, or the joints around what is in the way of that."""
-    limits, dt, seed, _ = asked
+    """The hand goes where the recordings ended: as it was shown, else straight, else around what is in the way."""
+    limits, dt, seed = asked[:3]
     last = next(s.constraint for s in reversed(skill.steps) if s.constraint is not None)
     robot, frame = limits.robot, last.features.frame.name  # type: ignore[attr-defined]  # a place is known of a frame's rows
     away = np.asarray(step.place) - robot.position(q, frame)
     far = float(np.linalg.norm(away))
     if far <= _NEAR:
         return []  # it is there
+    clear, here = Clearance(robot, True, around, robot.positions(q)), robot.positions(q)
+    if take is not None and last.features.relative_to is None:
+        after = carried(last.features, np.where(_moving(robot, last), take.after, here), take.moved)
+        over = np.eye(4)  # from where this recording ended to where they did
+        over[:3, 3] = np.asarray(step.place) - robot.position(robot.configuration(after[-1]), frame)
+        end = carried(last.features, nearest_turn(robot, after, here)[-1:], over)[0]
+        knots = joined(nearest_turn(robot, after, here), here, end)
+        if knots is not None and np.all((knots >= limits.lower) & (knots <= limits.upper)) and clear.of_way(knots):
+            if (moved := moved_through(knots, q, limits, dt, through=True)) is not None:
+                return [_gone(robot, frame, step, name, far, *moved)]
     line = Constraint(complement_rows(away[None] / far), FrameJacobian(robot, frame))
     speed = min(APPROACH_SPEED, np.inf if limits.tip is None else limits.tip.pace)
     task = FreeDirection(line, far, speed, direction=away)
@@ -336,8 +386,6 @@ def _retreat(
     rollout, outcome = simulate_way(robot, law, q, dt)
     if not outcome.is_done:
         raise NoPlanError(f"step {name!r}: the hand does not get to where the recordings ended: {outcome.stopped_by}")
-    clear = Clearance(robot, True, around, robot.positions(q))
-    done = abs(outcome.done)
     touching = next((pair for x in rollout.q if (pair := clear.touching(robot.positions(x))) is not None), None)
     notes: tuple[str, ...] = ()
     if touching is not None:
@@ -348,10 +396,22 @@ def _retreat(
             notes = (f"on the {name} {between} would touch, if that is where it was assumed to be: name a scene",)
         else:
             raise NoPlanError(f"step {name!r}: {between} would touch on the way to where the recordings ended")
+    return [_gone(robot, frame, step, name, far, law, rollout)._replace(notes=notes)]
+
+
+def _moving(robot: Robot, constraint: Constraint) -> Bool[np.ndarray, " nv"]:
+    """Which joints move the hand."""
+    return np.array([robot.moves(name, constraint.features.frame) for name in robot.joint_names])  # type: ignore
+
+
+def _gone(
+    robot: Robot, frame: str, step: Step, name: str, far: float, law: ResolvedRateController, rollout: Rollout
+) -> _Part:
+    """A retreat, and what became of it: it comes as near as the place where this recording ended."""
     end, fastest = robot.position(rollout.q[-1], frame), float(np.max(np.abs(rollout.u) / robot.velocity_limit))
     off = float(np.linalg.norm(end - np.asarray(step.place)))
     rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
-    return [_Part(law, rollout, (StepDone("reach", far, done, "m", off, None, None, fastest, end, name),), notes)]
+    return _Part(law, rollout, (StepDone("reach", far, far, "m", off, None, None, fastest, end, name),))
 
 
 def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:

@@ -147,7 +147,7 @@ def marches_of(
         here = np.flatnonzero(station == k)
         table[here, k] = q[here]
         for sense in (1, -1):
-            _march(stations, rows, table, here, grasps[family], kind, int(k), sense)
+            march(stations, rows, table, here, grasps[family], kind, int(k), sense)
     p, k = np.nonzero(np.isfinite(table[:, :, 0]))
     nodes = node_margins(weighed or stations, table[p, k], k)
     least, log_mu = np.full((P, L), -np.inf), np.full((P, L), -np.inf)
@@ -177,7 +177,7 @@ def seeds_of(
     return random, station, family
 
 
-def _march(
+def march(
     stations: Stations,
     rows: Constraint,
     table: Float[np.ndarray, "P L nv"],
@@ -214,22 +214,26 @@ def _pulls(stations: Stations, rows: Constraint, q: Postures, kind: Int[np.ndarr
     return out
 
 
-def relaxed(stations: Stations, q: Postures, grasp: Float[np.ndarray, "3 3"]) -> Postures:
+def relaxed(stations: Stations, q: Postures, grasp: Float[np.ndarray, "3 3"], *, pinned: bool = False) -> Postures:
     """A path with a larger least margin and a straighter motion of the joints, from one that is on the way.
 
     Args:
         stations: The way, or its beginning.
         q: One posture a station.
         grasp: Orientation of the hand at the start.
+        pinned: The first posture stays as it is.
     """
     k, grasps = np.arange(len(q)), np.repeat(grasp[None], len(q), axis=0)
     (value, slope, within), rise = soft_margin(stations, q), FIRST_RISE
     for _ in range(BAND_STEPS):
+        slope[0] *= not pinned
         largest = np.max(np.abs(slope))
         bent = np.zeros_like(q)
         bent[1:-1] = 0.5 * (q[2:] + q[:-2]) - q[1:-1]
         step = SMOOTH * bent + (rise / largest * slope if largest > 0.0 else 0.0)
         moved, there = stations.onto(q + step, k, grasps, MARCH_STEPS)
+        if pinned:
+            moved[0] = q[0]
         new = soft_margin(stations, moved)
         if np.all(there) and new[0] > value and new[2] >= min(within, 0.0):
             q, (value, slope, within), rise = moved, new, 1.5 * rise

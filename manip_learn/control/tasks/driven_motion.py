@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal, final
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.linalg import block_diag
 
 from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.curve import Curve
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, pose_error
 from manip_learn.constraint.mechanism import CURVE, ON_THE_AXIS, Mechanism, kind_of_rows, mechanism_of
@@ -55,6 +56,10 @@ def way_in_words(way: float, unit: Unit) -> str:
     return f"{abs(way):.3g} m" if unit == "m" else f"{math.degrees(abs(way)):.3g} degrees"
 
 
+def _no_chart(_origin: Origin) -> None:
+    return None
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class DrivenMotion:
@@ -77,7 +82,7 @@ class DrivenMotion:
     driven: Float[np.ndarray, " p"]
     unit: Unit
     told_by: Literal["coordinates", "row", "chart"]
-    chart_at: Callable[[Origin], Any] = lambda origin: None
+    chart_at: Callable[[Origin], Any] = _no_chart
     around: Mechanism | None = None
 
     def origin(self, q: ArrayLike) -> Origin:
@@ -203,14 +208,17 @@ def driven_motion(
         return DrivenMotion(*driven, "coordinates")
     v, w = np.split(f @ np.eye(6)[[AXES.index(name) for name in features.row_names]], 2)
 
-    def chart_at(origin: Origin) -> Chart:
-        if not features.own_axes:
-            return _chart(origin, v, np.zeros(3), w)
-        turn = origin[:3, :3] @ w
-        travel = origin[:3, :3] @ v + np.cross(origin[:3, 3], turn)
-        return _chart(origin, travel, turn, np.zeros(3), is_carried=True)
-
+    chart_at = partial(_chart_of_axes, features.own_axes, v, w)
     return DrivenMotion(*driven, "coordinates" if features.only_linear else "row", chart_at)
+
+
+def _chart_of_axes(own: bool, v: Float[np.ndarray, " 3"], w: Float[np.ndarray, " 3"], origin: Origin) -> Chart:
+    """Return the chart of a hand that moves along axes of the base or its own, and turns about them."""
+    if not own:
+        return _chart(origin, v, np.zeros(3), w)
+    turn = origin[:3, :3] @ w
+    travel = origin[:3, :3] @ v + np.cross(origin[:3, 3], turn)
+    return _chart(origin, travel, turn, np.zeros(3), is_carried=True)
 
 
 def _chart(origin: Origin, travel: np.ndarray, turn: np.ndarray, spin: np.ndarray, **more: Any) -> Chart:
@@ -301,23 +309,25 @@ def _along_row(
     beside = [name for name in rest if name != driven] if straight and not is_firm else []
     kind = None if g is None else kind_of_rows(held)
     features = rows.with_rows((*(held if kind is None else kind.rows), *beside, driven))
-    turns, pitch = driven in ("turn", "tangential"), g.pitch if {"screw", "helical"} & {*held} else 0.0
-
-    def chart_at(origin: Origin) -> Chart:
-        if g is None:
-            return Mechanism("other", name=CURVE, curve=rows.curve, orientation="fixed").at(origin, np.inf)
-        if turns:
-            spin = np.zeros(3) if "turn" in held else g.axis  # a hand that may turn about the axis turns with it
-            travel = pitch * g.axis + np.cross(g.point, g.axis)
-            return _chart(origin, travel, g.axis, spin, is_carried=driven == "turn", centre=g.point)
-        out = origin[:3, 3] - g.point
-        out -= (out @ g.axis) * g.axis
-        return _chart(origin, out / np.linalg.norm(out) if driven == "radial" else g.axis, *np.zeros((2, 3)))
-
+    turns, chart_at = driven in ("turn", "tangential"), partial(_chart_of_row, driven, frozenset(held), g, rows.curve)
     one = np.eye(features.n_rows)
     wide = None if kind is None or straight or kind.kind in ("hinge", "screw") else mechanism_of(kind, g, None)
     selected = Constraint(one, features, constraint.provenance)
     return DrivenMotion(constraint, selected, one[-1], "rad" if turns else "m", "chart", chart_at, wide)
+
+
+def _chart_of_row(driven: str, held: frozenset[str], g: Place | None, curve: Curve | None, origin: Origin) -> Chart:
+    """Return the chart of a hand that moves along a row of a mechanism, or along a curve."""
+    if g is None:
+        return Mechanism("other", name=CURVE, curve=curve, orientation="fixed").at(origin, np.inf)
+    if driven in ("turn", "tangential"):
+        pitch = g.pitch if {"screw", "helical"} & held else 0.0
+        spin = np.zeros(3) if "turn" in held else g.axis  # a hand that may turn about the axis turns with it
+        travel = pitch * g.axis + np.cross(g.point, g.axis)
+        return _chart(origin, travel, g.axis, spin, is_carried=driven == "turn", centre=g.point)
+    out = origin[:3, 3] - g.point
+    out -= (out @ g.axis) * g.axis
+    return _chart(origin, out / np.linalg.norm(out) if driven == "radial" else g.axis, *np.zeros((2, 3)))
 
 
 def _free_row(held: list[str], rest: list[str], direction: ArrayLike | str | None, unit: Unit | None) -> str:
@@ -362,10 +372,12 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
     poses = shown.poses
     ways = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
     moves = np.append(True, np.diff(ways) > 1e-9)
-    path = _Path(ways[moves], poses[moves], poses[0])
+    ways, places, R = ways[moves], poses[moves, :3, 3], poses[moves, :3, :3]
+    table = np.hstack([places, rotation_vectors(R @ R[0].T), np.gradient(places, ways, axis=0)])
+    path = _Path(ways, table, poses[0])
     driven = path.twist([0.0], poses[0])[: features.n_rows, 0]
     profile = PathProfile(MotionProfile(float(shown.time[moves][-1]), 1.0, ramp), shown.time[moves], path.ways)
-    return DrivenMotion(constraint, rows, driven, "m", "chart", lambda origin: replace(path, begin=origin)), profile
+    return DrivenMotion(constraint, rows, driven, "m", "chart", path.beginning), profile
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,18 +385,19 @@ class _Path:
     """Chart of a path that was shown, by its length [m], for a hand that may be turned otherwise where it begins."""
 
     ways: Float[np.ndarray, " k"]
-    poses: Float[np.ndarray, "k 4 4"]
+    table: Float[np.ndarray, "k 9"]  # places, rotation vectors since the beginning, and tangents
     begin: Float[np.ndarray, "4 4"]
 
-    @cached_property
-    def _table(self) -> Float[np.ndarray, "k 9"]:
-        """Places, rotation vectors since the beginning, and tangents."""
-        places, R = self.poses[:, :3, 3], self.poses[:, :3, :3]
-        return np.hstack([places, rotation_vectors(R @ R[0].T), np.gradient(places, self.ways, axis=0)])
+    def beginning(self, origin: Origin) -> _Path:
+        """Return the chart of a hand that begins it at another pose."""
+        return replace(self, begin=origin)
 
     def _at(self, s: float) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
         """Return place, rotation since the beginning, and tangent; straight on before and after the path."""
-        place, turn, tangent = np.split(np.array([np.interp(s, self.ways, x) for x in self._table.T]), 3)
+        k = min(max(int(np.searchsorted(self.ways, s)), 1), len(self.ways) - 1)
+        share = min(max((s - self.ways[k - 1]) / (self.ways[k] - self.ways[k - 1]), 0.0), 1.0)
+        row = (1.0 - share) * self.table[k - 1] + share * self.table[k]
+        place, turn, tangent = row[:3], row[3:6], row[6:]
         return place + (s - min(max(s, 0.0), float(self.ways[-1]))) * tangent, rotation_matrix(turn), tangent
 
     def pose(self, s: ArrayLike) -> Origin:
@@ -398,7 +411,7 @@ class _Path:
         """Of the place next to the hand, of those less than 2 cm along it from `near`: a path may cross itself."""
         some = np.flatnonzero(np.abs(self.ways - near) <= _BESIDE)
         if len(some):
-            off = np.linalg.norm(self._table[some, :3] - pose[:3, 3], axis=1) + _AHEAD * np.abs(self.ways[some] - near)
+            off = np.linalg.norm(self.table[some, :3] - pose[:3, 3], axis=1) + _AHEAD * np.abs(self.ways[some] - near)
             near = float(self.ways[some[int(np.argmin(off))]])
         return near + (pose[:3, 3] - self.pose([near])[:3, 3]) @ self._at(near)[2][:, None]
 

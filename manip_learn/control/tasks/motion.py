@@ -245,6 +245,12 @@ class FreeDirection(Task):
         """This motion slowed down by a factor, from a start of its own."""
         return self._with_profile(self._profile.slowed(times))
 
+    def taking_hold(self, grasp: Origin) -> FreeDirection:
+        """This motion for a hand that takes hold at a pose (4, 4), from a start of its own."""
+        other = self._with_profile(self._profile)
+        other._shown = None if self._shown is None else self._shown.only(grasp)
+        return other
+
     def _with_profile(self, profile: MotionProfile | PathProfile) -> FreeDirection:
         other = copy.copy(self)
         other._profile = profile

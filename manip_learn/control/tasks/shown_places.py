@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import replace
 from functools import cached_property
@@ -71,6 +72,13 @@ class ShownPlaces:
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
         self._room = GRIP / lever  # how far from what was shown a hand may begin, along the way [m or rad]
 
+    def only(self, grasp: Origin) -> ShownPlaces:
+        """Return these places for a hand that takes hold at one pose."""
+        other = copy.copy(self)
+        vars(other).pop("_ahead", None)
+        other._begins, other._anew = grasp[None], True
+        return other
+
     @cached_property
     def _ahead(self) -> Float[np.ndarray, "n k"]:
         """How far along what is free each beginning is from the first [m or rad]."""
@@ -96,7 +104,7 @@ class ShownPlaces:
             begins = begins[ends <= max(self._shown.span, ends.min()) + self._room]
         if not self._is_turned:
             begins[:, :3, :3] = here[:3, :3]
-        elif min(self.apart(here, begin) for begin in begins) > GRIP:  # from elsewhere the typical one
+        elif len(begins) > 1 and min(self.apart(here, begin) for begin in begins) > GRIP:  # then the typical one
             begins = self._shown.chart.grasp[None]
         if way < 0.0:  # back from where one of them ended
             begins = [Course(self._motion, begin).goal(-distance) for begin in begins]
