@@ -19,6 +19,7 @@ import re
 import sys
 import time
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -31,7 +32,7 @@ from scipy.spatial.transform import Rotation as R
 import manip_learn as ml
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-from make_recordings.guided_arm import set_damping
+from make_recordings.guided_arm import set_damping  # pyright: ignore[reportMissingImports]
 
 TIMESTEP, RATE, NOISE = 0.001, 100.0, 1e-4  # [s], of recordings [Hz] and [rad]
 STIFFNESS, SERVO_NOISE = 2000.0, 5e-5  # [N m/rad], [rad]
@@ -54,13 +55,12 @@ class Arm:
     locked: tuple[str, ...] = ()
 
 
+FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 ARMS = {
     "xarm7": Arm("xarm7", "link_eef", (0.0, -0.2, 0.0, 1.4, 0.0, 0.1, 0.0), 0.75),
     "kinova": Arm("kinova", "j2s6s200_end_effector", (3.1, 3.4, 1.9, 1.5, 2.0, 1.6), 0.75),  # joints without ends
     "ur5": Arm("ur5", "tool0", (0.0, -1.6, 1.9, -0.3, 1.57, 0.0), 0.85),
-    "panda": Arm(
-        "panda", "panda_hand_tcp", (0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.8), 0.75, ("panda_finger_joint1", "panda_finger_joint2")
-    ),
+    "panda": Arm("panda", "panda_hand_tcp", (0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.8), 0.75, FINGERS),
     "sawyer": Arm("sawyer", "right_gripper_tip", (0.0, -0.6, 0.0, 1.2, 0.0, 1.0, 1.57), 1.0),
 }
 
@@ -73,9 +73,9 @@ class Task:
     The way is the share of `ways` that the joints go out and back, of a table two of them in loops.
     """
 
-    joints: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...]
+    joints: tuple[tuple[str, Sequence[float], Sequence[float]], ...]
     handle: tuple[float, ...]
-    bar: tuple[tuple[float, ...], float]
+    bar: tuple[Sequence[float], float]
     ways: tuple[float, ...]
     friction: float
     firm: bool = False
@@ -83,27 +83,24 @@ class Task:
     kept: float = 0.0  # [N m/rad] of a wrist that is held straight
 
 
-_OUT = (-np.cos(0.6), -np.sin(0.6), 0.0)
+OUT, BESIDE, NONE = (-np.cos(0.6), -np.sin(0.6), 0.0), (-np.sin(0.6), np.cos(0.6), 0.0), (0.0, 0.0, 0.0)
+X, Y, Z = np.eye(3).tolist()
+DRAWER = Task((("slide", OUT, NONE),), (0.62, 0.15, 0.35), (BESIDE, 0.06), (0.22,), 3.0)
+LID = Task((("hinge", (0, -1, 0), (0.28, 0, 0)),), (0.4, 0.1, 0.25), (Y, 0.08), (1.1,), 0.4, down=True)
+SLOPE = ("slide", (np.cos(0.12), 0, -np.sin(0.12)), NONE), ("slide", Y, NONE)
 TASKS = {
-    "drawer": Task((("slide", _OUT, (0, 0, 0)),), (0.62, 0.15, 0.35), ((-np.sin(0.6), np.cos(0.6), 0), 0.06), (0.22,), 3.0),
-    "skew": Task((("slide", _OUT, (0, 0, 0)),), (0.62, 0.15, 0.35), ((0, 1, 0), 0.06), (0.22,), 3.0),
-    "drawer_kept": Task(
-        (("slide", _OUT, (0, 0, 0)),), (0.62, 0.15, 0.35), ((-np.sin(0.6), np.cos(0.6), 0), 0.06), (0.22,), 3.0, kept=25.0
-    ),
-    "door": Task((("hinge", (0, 0, 1), (0.02, -0.35, 0)),), (0.6, 0.1, 0.45), ((0, 0, 1), 0.06), (1.0,), 0.6, True),
-    "valve": Task((("hinge", (1, 0, 0), (0, -0.12, 0)),), (0.6, 0.12, 0.4), ((1, 0, 0), 0.0), (1.4,), 0.6, True),
-    "sliding_door": Task((("slide", (0, 1, 0), (0, 0, 0)),), (0.55, -0.2, 0.45), ((0, 0, 1), 0.1), (0.42,), 5.0, True),
-    "knob": Task((("hinge", (1, 0, 0), (0, 0, 0)),), (0.6, 0.05, 0.4), ((1, 0, 0), 0.01), (1.2,), 0.1, True),
-    "lid": Task((("hinge", (0, -1, 0), (0.28, 0, 0)),), (0.4, 0.1, 0.25), ((0, 1, 0), 0.08), (1.1,), 0.4, down=True),
-    "lid_kept": Task(
-        (("hinge", (0, -1, 0), (0.28, 0, 0)),), (0.45, 0.1, 0.25), ((0, 1, 0), 0.08), (0.6,), 0.4, down=True, kept=25.0
-    ),
-    "oven": Task((("hinge", (0, -1, 0), (0.03, 0, -0.32)),), (0.62, 0.0, 0.5), ((0, 1, 0), 0.1), (1.0,), 1.0),
-    "table": Task(
-        (("slide", (np.cos(0.12), 0, -np.sin(0.12)), (0, 0, 0)), ("slide", (0, 1, 0), (0, 0, 0))),
-        (0.5, 0.0, 0.2), ((0, 1, 0), 0.08), (0.1, 0.14), 1.0, down=True,
-    ),
-    "peg": Task((("slide", (0, 0, 1), (0, 0, 0)),), (0.5, 0.1, 0.3), ((0, 0, 1), 0.01), (0.12,), 0.5, True, True),
+    "drawer": DRAWER,
+    "skew": replace(DRAWER, bar=(Y, 0.06)),
+    "drawer_kept": replace(DRAWER, kept=25.0),
+    "door": Task((("hinge", Z, (0.02, -0.35, 0)),), (0.6, 0.1, 0.45), (Z, 0.06), (1.0,), 0.6, True),
+    "valve": Task((("hinge", X, (0, -0.12, 0)),), (0.6, 0.12, 0.4), (X, 0.0), (1.4,), 0.6, True),
+    "sliding_door": Task((("slide", Y, NONE),), (0.55, -0.2, 0.45), (Z, 0.1), (0.42,), 5.0, True),
+    "knob": Task((("hinge", X, NONE),), (0.6, 0.05, 0.4), (X, 0.01), (1.2,), 0.1, True),
+    "lid": LID,
+    "lid_kept": replace(LID, handle=(0.45, 0.1, 0.25), ways=(0.6,), kept=25.0),
+    "oven": Task((("hinge", (0, -1, 0), (0.03, 0, -0.32)),), (0.62, 0.0, 0.5), (Y, 0.1), (1.0,), 1.0),
+    "table": Task(SLOPE, (0.5, 0.0, 0.2), (Y, 0.08), (0.1, 0.14), 1.0, down=True),
+    "peg": Task((("slide", Z, NONE),), (0.5, 0.1, 0.3), (Z, 0.01), (0.12,), 0.5, True, True),
 }
 
 
@@ -217,7 +214,8 @@ def recorded(arm: Arm, robot: ml.Robot, task: Task, seed: int) -> tuple[np.ndarr
     m, d = w.m, w.d
     place, held, turn = w.grasp()
     phase, back = rng.uniform(0.0, 2.0 * np.pi, 2), turn.apply([0.0, 0.0, -1.0])
-    start, _ = w.posture(place + 0.12 * back + rng.normal(0.0, 0.03, 3), R.from_rotvec(rng.normal(0.0, 0.2, 3)) * turn, held)
+    before = place + 0.12 * back + rng.normal(0.0, 0.03, 3), R.from_rotvec(rng.normal(0.0, 0.2, 3)) * turn
+    start, _ = w.posture(*before, held)
     spans = [rng.uniform(*x) for x in ((0.2, 0.5), (1.5, 2.5), (0.2, 0.6), (4.0, 7.0), (0.2, 0.5), (1.0, 1.6))]
     edge, pause, size = np.cumsum(spans), rng.uniform(0.2, 0.8), rng.uniform(0.8, 1.0)
     slides = np.array([kind == "slide" for kind, *_ in task.joints])
@@ -297,8 +295,12 @@ def run(arm: Arm, task: Task, seed: int) -> Outcome:
             break
     if len(made) <= RECORDINGS:
         raise RuntimeError("no recordings within the limits")
-    demos = [ml.Trajectory(x[:, 0], x[:, 1:], None, robot.joint_names, f"recording {k + 1}") for k, (x, _) in enumerate(made)]
-    shown = float(np.median([np.max(np.linalg.norm(far - far[0], axis=1)) for _, far in made[:RECORDINGS]]))
+    names = [f"recording {k + 1}" for k in range(len(made))]
+    demos = [
+        ml.Trajectory(x[:, 0], x[:, 1:], None, robot.joint_names, n) for n, (x, _) in zip(names, made, strict=True)
+    ]
+    extents = np.array([np.max(np.linalg.norm(far - far[0], axis=1)) for _, far in made[:RECORDINGS]])
+    shown = float(np.median(extents))
     skill = ml.ConstraintLearner(ml.FrameJacobian(robot, arm.tip)).fit(demos[:RECORDINGS]).skill_
     start, began = demos[RECORDINGS].q[0], time.process_time()
     again = ml.repeat(skill, start)
@@ -312,11 +314,11 @@ def run(arm: Arm, task: Task, seed: int) -> Outcome:
     damping = 2.0 * np.sqrt(STIFFNESS * inertia.diagonal()[w.v])
     loop = ml.ServoLoop(again.controller, dt=TIMESTEP, contact=ml.Contact(stiffness=STIFFNESS))
     loop.reset(start)
-    last, most, force, off, turned, path = len(again.controller.laws) - 1, 0.0, 0.0, np.nan, 0.0, [w.kinematics(start)[0]]
+    most, force, off, turned, path = 0.0, 0.0, np.nan, 0.0, [w.kinematics(start)[0]]
     ways = [k for k, law in enumerate(again.controller.laws) if isinstance(law.task, ml.FreeDirection)]
     grip = (np.eye(3), np.eye(3))
     axis, half = _unit(task.bar[0]), arm.size * task.bar[1]
-    for i in range(int((again.rollout.time[-1] + 3.0) / TIMESTEP)):
+    for i in range(int((again.rollout.time[-1] + 1.0) / TIMESTEP)):
         command = loop.update(d.qpos[w.q] + w.rng.normal(0.0, SERVO_NOISE, w.n), i * TIMESTEP)
         number = loop.controller.number
         if number == ways[0] and np.isnan(off):
@@ -334,28 +336,24 @@ def run(arm: Arm, task: Task, seed: int) -> Outcome:
             turned = max(turned, float(np.degrees(R.from_matrix(hand @ body.T).magnitude()))) if task.firm else 0.0
         if i % 20 == 0:
             path.append(d.xpos[w.tip].copy())
-        if number == last and i * TIMESTEP > again.rollout.time[-1] + 1.0:
-            break
+    if len(task.joints) > 1:  # one of the recordings is done again
+        shown = float(extents[np.argmin(np.abs(extents - most))])
     walked = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
     hold = next(step.place for step in again.steps if step.grasp is not None)
-    extent = shown if task.joints[0][0] == "slide" else shown * np.linalg.norm(arm.size * np.array(task.joints[0][2]))
-    if len(task.joints) > 1:
-        extent = float(np.linalg.norm(np.diff(w_path(again), axis=0), axis=1).sum())
+    lever = arm.size * np.linalg.norm(task.joints[0][2])
+    wiped = (
+        next(s.shown.points for s in skill.steps if s.shown is not None) if len(task.joints) > 1 else np.zeros((1, 3))
+    )
+    extent = np.linalg.norm(np.diff(wiped, axis=0), axis=1).sum() or shown * (lever or 1.0)
     straight = np.linalg.norm(hold - path[0]) + extent + (np.linalg.norm(again.steps[-1].place - path[-1]) + 0.12)
     ratio = walked / (3.0 * straight + 0.2)
     return Outcome(off, most / shown, turned, force, float(ratio), seconds, again.is_done, "; ".join(again.notes))
 
 
-def w_path(again: Any) -> np.ndarray:
-    """Places of the path that is wiped [m]."""
-    step = next(s for s in again.skill.steps if s.shown is not None)
-    return step.shown.points
-
-
 def main() -> None:
     """Run what is named, and count."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("runs", nargs="*", help="ARM or ARM:TASK; by default every task on every arm that is not shipped")
+    parser.add_argument("runs", nargs="*", help="ARM or ARM:TASK; by default all of arms not shipped")
     parser.add_argument("--seed", type=int, default=1)
     options, good, total = parser.parse_args(), 0, 0
     warnings.simplefilter("ignore")
@@ -369,10 +367,10 @@ def main() -> None:
                 print(f"{name}:{task} {options.seed}: {type(error).__name__}: {str(error)[:200]}", flush=True)
                 continue
             good += one.done
+            fails = "" if one.done else f"  <--- said {'' if one.said_done else 'not '}done; {one.notes[:300]}"
             print(
                 f"{name}:{task} {options.seed}: closed {1e3 * one.off:.1f} mm off, way {one.way:.3f}, hand turned "
-                f"{one.turned:.2f} deg beside it, {one.force:.0f} N, tip path {one.path:.2f}, {one.seconds:.1f} s"
-                + ("" if one.done else f"  <--- {'said done' if one.said_done else 'said not done'}; {one.notes[:300]}"),
+                f"{one.turned:.2f} deg beside it, {one.force:.0f} N, path {one.path:.2f}, {one.seconds:.1f} s{fails}",
                 flush=True,
             )
     print(f"{good} of {total}")

@@ -96,8 +96,8 @@ def exhaustive(case: Case, rng: np.random.Generator) -> bool | None:
     mu; those that come to the end, clear of the arm's own links at the start, are simulated.
     """
     stations = Stations.of(case.motion, case.start, ml.Limits(case.robot))
-    rows, grasp = case.motion.constraint, stations.grasp[None]
-    marches = marches_of(stations, rows, case.start, EXHAUSTIVE, rng, grasp)
+    rows = case.motion.constraint
+    marches = marches_of(stations, rows, case.start, EXHAUSTIVE, rng)
     if not np.isfinite(marches.least).any(axis=0).all():
         return None
     links = self_collision(case.robot)

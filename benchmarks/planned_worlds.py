@@ -366,12 +366,12 @@ def exhaustive(one: World, scene: ml.Scene | str | None, seed: int) -> dict[str,
     robot, limits, motion = one.robot, Limits(one.robot), one.motion.with_distance(one.motion.wanted)
     rows, frame = motion.rows(one.constraint), robot.frame(TIPS[one.arm])
     stations = Stations.of(motion, one.start, limits)
-    marches = marches_of(stations, rows, one.start, EXHAUSTIVE, rng, stations.grasp[None])
+    marches = marches_of(stations, rows, one.start, EXHAUSTIVE, rng)
     margin = float(np.max(marches.along[:, -1], initial=-np.inf))
     if -np.inf < margin < 0.0:
         motion = motion.slowed(SPARE * (1.0 - margin))
         stations = Stations.of(motion, one.start, limits)
-        marches = marches_of(stations, rows, one.start, EXHAUSTIVE, rng, stations.grasp[None])
+        marches = marches_of(stations, rows, one.start, EXHAUSTIVE, rng)
     given = scene if isinstance(scene, ml.Scene) else None
     around = surroundings_of(given, robot, frame) if scene else Surroundings()
     clear, whole = Clearance(robot, True, around, one.start), np.flatnonzero(np.isfinite(marches.along[:, -1]))

@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from manip_learn.errors import ManipLearnError, NoPlanError
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
-    from manip_learn.planning.grasp_cone import GraspCone
     from manip_learn.planning.plan import Plan, plan
     from manip_learn.planning.repeat import Repetition, repeat
     from manip_learn.planning.scene import Box, Cylinder, Mesh, Scene, Sphere
@@ -98,7 +97,6 @@ _NAMES = {
     "control.policies": "JointAttractor JointLimitAvoidance ManipulabilityAscent NullSpacePolicy "
     "WeightedPolicies ZeroPolicy",
     "control.tasks": "FreeDirection Hold PointAttractor Task Track motion",
-    "planning.grasp_cone": "GraspCone",
     "planning.plan": "Plan plan",
     "planning.repeat": "Repetition repeat",
     "planning.scene": "Box Cylinder Mesh Scene Sphere",
@@ -115,6 +113,7 @@ _NAMES = {
 # names that are gone, and what to use instead: of 0.1 until 0.3, of 0.2 until 0.4
 _REMOVED = {
     "following_error_limit": "give ServoLoop contact=Contact(held=..., stiffness=...): forces on the hand stop the arm",
+    "GraspCone": "leave it out: a loose grip turns freely, a firm one is held as it was shown",
     "SelfCollisionAvoidance": "Limits(robot, clear_of=SelfCollision(robot)) keeps the links apart",
     "PenalisedManipulabilityAscent": "task.ascent() climbs the room that is left, of joint ranges too",
     **dict.fromkeys(
@@ -136,7 +135,7 @@ _REMOVED = {
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 __all__ = ["Box", "CentreOfMass", "Command", "Constraint", "ConstraintLearner", "Contact", "Controller", "CurveRows"]
 __all__ += ["CustomFeatures", "Cylinder", "Demonstrations", "Driver", "FeatureMap", "FollowMotion", "FrameJacobian"]
-__all__ += ["FreeDirection", "GraspCone", "Hold", "JointAttractor", "JointLimitAvoidance", "LeRobotDriver"]
+__all__ += ["FreeDirection", "Hold", "JointAttractor", "JointLimitAvoidance", "LeRobotDriver"]
 __all__ += ["LeRobotMotor", "Limits", "LiveViewer", "ManipLearnError", "ManipulabilityAscent", "Mechanism"]
 __all__ += ["MechanismRows", "Mesh", "MuJoCoDriver", "NoPlanError", "NullSpacePolicy", "Plan"]
 __all__ += ["PointAttractor", "RecordedFiles", "RecordingSource", "RelativeFrameJacobian", "Repetition"]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from case import case
 from conftest import chain_urdf
 
 import manip_learn as ml
@@ -17,7 +16,6 @@ from manip_learn.planning.clearance import self_collision
 from manip_learn.planning.search import soft_margin
 from manip_learn.planning.stations import Stations, margins_of
 from manip_learn.robot.collision import SelfCollision
-from manip_learn.robot.rotations import rotation_matrix
 
 PANDA_TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8])
@@ -70,7 +68,7 @@ def test_a_plan_does_the_whole_way_from_a_start_beside_a_singularity(
     """Approach and way are joined and within limits; the hand takes hold where it was; mu stays above the greedy."""
     assert opened.outcome.is_done and opened.outcome.deviation < 1e-3
     assert np.allclose(opened.approach.q[0], HARD, atol=1e-12)
-    assert np.max(np.abs(opened.approach.q[-1] - opened.hold)) < 1e-3
+    assert np.max(np.abs(opened.approach.q[-1] - opened.q_grasp)) < 1e-3
     assert np.max(np.abs(opened.way.q[0] - opened.approach.q[-1])) < 1e-12
     # the hand takes hold where it was, in the orientation in which it was
     there = sawyer.pose(opened.approach.q[-1], "right_gripper_tip")
@@ -85,7 +83,7 @@ def test_a_plan_does_the_whole_way_from_a_start_beside_a_singularity(
 
 
 def test_the_margin_is_that_of_the_motion_as_it_is_executed(drawer: ml.Constraint, opened: ml.Plan) -> None:
-    """The formula, evaluated on the simulated way, gives the plan's margins; other postures are not better."""
+    """The formula, evaluated on the simulated way, gives the plan's margins."""
     robot, rows = drawer.robot, opening(drawer, keep_orientation=True).constraint
     q = opened.way.q[opened.way.time >= opened.outcome.begins]
     u = opened.way.u[opened.way.time >= opened.outcome.begins]
@@ -98,8 +96,6 @@ def test_the_margin_is_that_of_the_motion_as_it_is_executed(drawer: ml.Constrain
     assert opened.margins.speed == pytest.approx(speed, abs=0.05)
     assert opened.margins.weakest == pytest.approx(sigma / (sigma + 1.0), abs=0.02)
     assert opened.margin == min(opened.margins.room, opened.margins.speed, opened.margins.weakest)
-    assert opened.others and max(other.margin for other in opened.others) <= opened.margin + 0.05
-    assert all("left" in other.why or "weakest" in other.why for other in opened.others)
 
 
 def test_simulate_and_a_servo_loop_run_a_plan(sawyer: ml.Robot, opened: ml.Plan) -> None:
@@ -130,7 +126,7 @@ def test_a_plan_is_saved_like_a_rollout_with_its_phases(tmp_path: Path, sawyer: 
     ends = [end for _, _, end in opened.rollout.phases]
     starts = [start for _, start, _ in opened.rollout.phases]
     assert starts[1:] == ends[:-1] and ends[-1] == pytest.approx(opened.rollout.time[-1])
-    assert "margin" in repr(opened) and "instead" in opened._repr_html_()
+    assert "margin" in repr(opened) and "margin" in opened._repr_html_()
 
 
 @pytest.mark.parametrize("turn", (60.0, -60.0))
@@ -191,39 +187,6 @@ def test_a_way_too_fast_for_the_joints_takes_longer(panda: ml.Robot) -> None:
     plan = ml.plan(rail, motion, READY, limits=Limits(panda, velocity=0.4), **FEW)
     assert plan.outcome.is_done and plan.outcome.seconds > 3.0 * 1.5
     assert "too slow" in " ".join(plan.notes)
-
-
-# ---- the hand ---------------------------------------------------------------------------------------------------
-
-
-def test_a_symmetric_gripper_takes_hold_in_one_of_its_two_orientations(panda: ml.Robot) -> None:
-    """Half a turn away, where the last joint is near its limit."""
-    rail = line(panda, PANDA_TIP)
-    motion = ml.motion(rail, along=0.2, keep_orientation=True)
-    twisted = READY + [0, 0, 0, 0, 0, 0, 1.9]  # the last joint near its limit: half a turn back is better
-    turned = ml.plan(rail, motion, twisted, grasp=ml.GraspCone(turns=2))
-    kept = ml.plan(rail, motion, twisted)
-    here, there = (panda.pose(q, PANDA_TIP)[:3, :3] for q in (twisted, turned.hold))
-    half = here @ np.diag([-1.0, -1.0, 1.0])
-    assert min(np.max(np.abs(there - R)) for R in (here, half)) < 1e-3
-    assert turned.margin > kept.margin + 0.1 and np.max(np.abs(there - half)) < 1e-3
-
-
-def test_a_hand_stays_inside_its_cone(panda: ml.Robot) -> None:
-    """All along the way, as executed."""
-    rail = line(panda, PANDA_TIP)
-    cone = ml.GraspCone(angle=0.3, turns=None, direction=(0.3, 0.0, -1.0))
-    plan = ml.plan(rail, ml.motion(rail, along=0.2), READY, grasp=cone, **FEW)
-    down = np.array([0.3, 0.0, -1.0]) / np.linalg.norm([0.3, 0.0, -1.0])
-    for q in plan.way.q[::20]:
-        assert panda.pose(q, PANDA_TIP)[:3, 2] @ down > np.cos(0.32)
-
-
-def test_a_cone_that_is_none_is_refused() -> None:
-    """The sentence says what was got."""
-    for wrong in ({"axis": (0, 0, 0)}, {"angle": -1.0}, {"angle": 3.2}, {"turns": 0}, {"direction": (1, 2)}):
-        with case(wrong), pytest.raises(ml.ManipLearnError, match="got"):
-            ml.GraspCone(**wrong)
 
 
 # ---- where there is none ----------------------------------------------------------------------------------------
@@ -297,9 +260,6 @@ def test_bad_starts_and_ways_are_refused_in_a_sentence(panda: ml.Robot, sawyer: 
     endless = Limits(panda, velocity=np.where(np.arange(7) == 3, np.inf, 2.0))
     with pytest.raises(ml.ManipLearnError, match="panda_joint4.*no velocity limit"):
         ml.plan(rail, motion, READY, limits=endless)
-    own = ml.Constraint(np.eye(6)[[0, 1, 3, 4, 5]], ml.FrameJacobian(panda, PANDA_TIP, "pose", "local"))
-    with pytest.raises(ml.ManipLearnError, match="own axes"):
-        ml.plan(own, ml.motion(own, along=-0.1), READY, grasp=ml.GraspCone(turns=2))
 
 
 # ---- parts ------------------------------------------------------------------------------------------------------
@@ -321,29 +281,6 @@ def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda: ml.R
     rows = list(range(0, len(q), 3))
     assert np.max(np.abs(numeric[rows] - slope[rows])) < 1e-5 * max(1.0, np.max(np.abs(slope)))
     assert value <= margins_of(stations, q).margin + 1e-9
-
-
-def test_a_grasp_cone_is_filled_evenly(rng: np.random.Generator) -> None:
-    """Every axis is inside the cone, of whose area each half has half; without a cone the hand is turned evenly about
-    its axis; the first orientation is next to the one shown.
-    """
-    shown = rotation_matrix(np.array([0.3, -1.1, 0.7]))
-    for angle, turns, direction in ((0.5, None, (0, 0, -1)), (1.2, 2, None), (np.pi, 3, (1, 2, 0.5))):
-        with case(angle):
-            cone = ml.GraspCone((0.0, 0.6, 0.8), angle, turns, direction)
-            found = np.array([cone.orientations(shown, rng) for _ in range(40)])
-            np.testing.assert_allclose(np.linalg.inv(found), found.swapaxes(-1, -2), atol=1e-9)
-            off = np.arccos(np.clip(found @ np.asarray(cone.axis) @ cone.toward(shown), -1.0, 1.0))
-            assert np.all(off[:, 0] < 1e-6) and np.all(off <= angle + 1e-6)
-            share = (1.0 - np.cos(off[:, 1:])) / (1.0 - np.cos(angle))
-            assert np.mean(share) == pytest.approx(0.5, abs=0.05)
-            assert np.mean(share < 0.25) == pytest.approx(0.25, abs=0.05)
-    for turns in (1, 2, 5, None):
-        found = ml.GraspCone(turns=turns).orientations(shown, rng)
-        assert len(found) == (turns or 24)
-        for k, R in enumerate(found):
-            about = rotation_matrix(np.array([0.0, 0.0, 2.0 * np.pi * k / len(found)]))
-            np.testing.assert_allclose(R, shown @ about, atol=1e-12)
 
 
 def test_the_sense_in_which_joints_have_more_room(rng: np.random.Generator) -> None:

@@ -23,7 +23,6 @@ from manip_learn.control.tasks.motion import motion_to, null_policy
 from manip_learn.control.way import WayDone, leads_away, simulate_way
 from manip_learn.errors import TargetError
 from manip_learn.linalg import complement_rows
-from manip_learn.planning.grasp_cone import GraspCone
 from manip_learn.planning.plan import Plan, plan
 from manip_learn.planning.stations import margin_of
 from manip_learn.recordings.load import Progress
@@ -272,12 +271,8 @@ def follow(
     """
     if not isinstance(task, FreeDirection):
         raise TargetError("only a way is planned: --plan goes with --along or --turn")
-    grasp = None
-    if options.grasp_angle is not None or options.grasp_turns is not None:
-        turns = 1 if options.grasp_turns is None else options.grasp_turns or None
-        grasp = GraspCone(angle=math.radians(options.grasp_angle or 0.0), turns=turns)
     around = scene_of(options.scene, constraint.robot)
-    found = plan(constraint, task, q0, options.seed, grasp=grasp, scene=around, dt=dt, progress=progress)
+    found = plan(constraint, task, q0, options.seed, scene=around, dt=dt, progress=progress)
     begins = float(found.approach.time[-1]) + (found.outcome.begins or 0.0)
     return found, found.rollout, replace(found.outcome, begins=begins)
 

@@ -194,17 +194,12 @@ class PlanOptions:
         bool, Option("--plan", help="Choose the posture in which to take hold, so that all of it can be done.")
     ] = False
     seed: Annotated[int, Option(help="Random seed of the search.")] = 0
-    grasp_angle: Annotated[float | None, Option(help="Largest tilt of the hand's z axis [degrees].")] = None
-    grasp_turns: Annotated[
-        int | None, Option(help="Number of turns about that axis that grip alike; 2: a gripper, 0: a knob.")
-    ] = None
     scene: SceneFile = None
 
     def __post_init__(self) -> None:
         """Refuse options of a plan without `--plan`."""
-        given = (self.seed, self.grasp_angle, self.grasp_turns, self.scene)
-        if not self.plan and given != (0, None, None, None):
-            raise TargetError("--seed, --grasp-angle, --grasp-turns and --scene go with --plan")
+        if not self.plan and (self.seed, self.scene) != (0, None):
+            raise TargetError("--seed and --scene go with --plan")
 
 
 @final

@@ -335,7 +335,6 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
         if plan.around.names:
             say(console, f"  clear of: {', '.join(plan.around.names)}")
         if explain:
-            say(console, *(f"  instead, margin {other.margin:.0%}: {other.why}" for other in plan.others[:3]))
             say(console, f"  of {counted(plan.candidates, 'posture')} that take hold")
         say(console, *plan.notes, style="yellow")
     counts = controlled.rollout.status_counts

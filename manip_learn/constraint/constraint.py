@@ -286,10 +286,7 @@ class Constraint:
         try:
             here = {"locked": dict(robot.locked), "objects": list(robot.objects)}  # of files that do not say
             made = RobotIdentity.from_dict(here | content["robot"])
-            other, same_joints = made.refusal(robot, "it"), made.joint_names == robot.joint_names
-            if other and (same_urdf or not same_joints):
-                either = spoken(", or say same_urdf=False for another description with the same joints", "")
-                raise ConstraintError(other + either * same_joints)
+            _check_robot(made, robot, same_urdf)
             normal(content)
             constraint = Constraint(
                 content["selection"], described_features(content["features"], robot), content.get("provenance")
@@ -425,6 +422,13 @@ def read_constraint_file(path: Path) -> dict[str, Any]:
     except ValueError as error:
         said = f"it is not a constraint file, it is not JSON ({reason_of(error)})"
     raise ConstraintMismatchError(f"{path}: {said}; `manip-learn learn ... --out FILE` or save() writes a constraint")
+
+
+def _check_robot(made: RobotIdentity, robot: Robot, same_urdf: bool) -> None:
+    other, same_joints = made.refusal(robot, "it"), made.joint_names == robot.joint_names
+    if other and (same_urdf or not same_joints):
+        either = spoken(", or say same_urdf=False for another description with the same joints", "")
+        raise ConstraintError(other + either * same_joints)
 
 
 def locks_in_words(locked: Mapping[str, float]) -> str:

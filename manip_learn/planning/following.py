@@ -73,10 +73,12 @@ def grasps_of(takes: Sequence[Take], shown: Shown, features: Any) -> list[Float[
     return [mechanism.at(grasp, np.inf).pose([-far]) for grasp, far in zip(own, ahead, strict=True)]
 
 
-def nearest_turn(robot: Robot, q: Float[np.ndarray, "*n nv"], near: Float[np.ndarray, " nv"]) -> np.ndarray:
-    """Return the same postures by whole turns of endless joints, the first of them next to another."""
-    endless = (np.array(robot.joint_units) == "rad") & ~np.isfinite(robot.position_lower)
-    return q - np.where(endless, 2.0 * np.pi * np.round((np.atleast_2d(q)[0] - near) / (2.0 * np.pi)), 0.0)
+def nearest_turn(robot: Robot, q: Float[np.ndarray, "n nv"], near: Float[np.ndarray, " nv"]) -> np.ndarray:
+    """Return the same postures by whole turns of joints, the first next to another, as far as the limits let them."""
+    angles = np.array(robot.joint_units) == "rad"
+    moved = q - np.where(angles, 2.0 * np.pi * np.round((q[0] - near) / (2.0 * np.pi)), 0.0)
+    beyond = np.any((moved < robot.position_lower) | (moved > robot.position_upper), axis=0)
+    return np.where(beyond, q, moved)
 
 
 def carried(features: Any, q: Postures, moved: Float[np.ndarray, "4 4"]) -> Postures:
@@ -113,7 +115,7 @@ def followed(
     if shown is None or not takes:
         return
     both = list(zip(takes, grasps_of(takes, shown, features), strict=True))
-    far = [np.max(np.abs(nearest_turn(robot, take.along[0], positions) - positions)) for take in takes]
+    far = [np.max(np.abs(nearest_turn(robot, take.along[:1], positions) - positions)) for take in takes]
     others = list[Followed]()
     for k in np.argsort(far, kind="stable").tolist():
         take, grasp = both[k]
@@ -125,7 +127,7 @@ def followed(
                 continue
             margins = margins_of(at, path)
             if margins.margin < ENOUGH:
-                better = relaxed(at, path, at.grasp, pinned=True)
+                better = relaxed(at, path, pinned=True)
                 if (left := margins_of(at, better)).margin > margins.margin:
                     path, margins = better, left
             found = Followed(take, grasp, own, at, path, margins)
@@ -154,7 +156,7 @@ def _as_shown(at: Stations, take: Take, q: Postures, shown: Shown, features: Any
     weight = np.interp(shares, [0.0, 0.02, 0.05], [20.0, 5.0, 1.0])  # that of hold is kept
     fits = [np.polynomial.Polynomial.fit(shares, x, degree, w=weight, domain=[0.0, 1.0]) for x in q[:top].T]
     guess = carried(features, np.column_stack([fit(wanted) for fit in fits]), take.moved)
-    path, there = at.onto(guess, np.arange(len(at)), np.repeat(at.grasp[None], len(at), axis=0), 3 * MARCH_STEPS)
+    path, there = at.onto(guess, np.arange(len(at)), 3 * MARCH_STEPS)
     near = np.max(np.abs(np.diff(path, axis=0))) <= JUMP and np.max(np.abs(path - guess)) <= JUMP
     return path if np.all(there) and near else None
 
@@ -162,12 +164,12 @@ def _as_shown(at: Stations, take: Take, q: Postures, shown: Shown, features: Any
 def _marched(at: Stations, rows: Any, take: Take, q: Postures, features: Any) -> Way | None:
     """Return the way from the recorded posture of hold on, the spare joints at rest."""
     first = carried(features, q[:1], take.moved)
-    held, there = at.onto(first, np.zeros(1, dtype=int), at.grasp[None], 5 * MARCH_STEPS)
+    held, there = at.onto(first, np.zeros(1, dtype=int), 5 * MARCH_STEPS)
     if not there[0]:
         return None
     table = np.full((1, len(at), q.shape[1]), np.nan)
     table[0, 0] = held[0]
-    march(at, rows, table, np.array([0]), at.grasp[None], np.zeros(1, dtype=int), 0, 1)
+    march(at, rows, table, np.array([0]), np.zeros(1, dtype=int), 0, 1)
     return table[0] if np.all(np.isfinite(table)) else None
 
 

@@ -29,11 +29,10 @@ from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
 from manip_learn.planning.clearance import Clearance
-from manip_learn.planning.following import Followed, carried, followed, joined, nearest_turn
-from manip_learn.planning.grasp_cone import GraspCone
+from manip_learn.planning.following import ENOUGH, Followed, carried, followed, joined, nearest_turn
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
-from manip_learn.planning.search import APART, TIE, Marches, marches_of, relaxed
+from manip_learn.planning.search import TIE, Marches, marches_of, relaxed
 from manip_learn.planning.stations import (
     FEWEST,
     MOST,
@@ -43,7 +42,6 @@ from manip_learn.planning.stations import (
     Stations,
     margins_of,
     node_margins,
-    rooms,
 )
 from manip_learn.planning.surroundings import Surroundings, surroundings_of
 from manip_learn.recordings.load import Progress
@@ -59,31 +57,14 @@ APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of ho
 AGAIN = 4  # times the seeds before a plan is refused
 _TRIED = 8  # choices that are simulated, best margin first
 VAIN = 3  # searches for an approach that find none, half a second each: then straight ones only
-OTHERS = 4  # choices of which a plan says why they are worse
+OTHERS = 4  # choices of which a refusal looks how far they come
 SPARE = 1.1  # times the time that the fastest joint needs: its speed also takes deviations back
 LESS = 0.9  # of a way that did not come true is tried next
 LEAST_SHARE = 0.01  # of the whole way: less is no part of it
 LOOKED = 20  # of marches in whose way something is, for what would help
 LOOKED_AT = 6  # every such posture of a recording is looked at beside what stands around
 _SEEN = 60  # postures of an approach of which a plan says how near they come to what stands around
-_TURN = 2.0 * np.pi
 Around = Scene | Literal["assumed"] | None
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class _Choice:
-    """A posture in which the hand could take hold, and what becomes of the way from there.
-
-    Attributes:
-        posture: Joint positions [rad or m].
-        margin: The least margin of its best way, as of `Plan`.
-        why: What limits it, or what stands in its way, in words.
-    """
-
-    posture: Float[np.ndarray, " nv"]
-    margin: float
-    why: str
 
 
 @final
@@ -93,14 +74,13 @@ class Plan:
 
     Attributes:
         robot: The robot.
-        hold: Joint positions in which the hand takes hold [rad or m].
+        q_grasp: Joint positions in which the hand takes hold [rad or m].
         approach: From the start to that posture, as simulated.
         way: The motion itself, as simulated, from the time when the hand has taken hold.
         margin: Least share of its own limits that the way leaves, at most 1: of the joints' ranges, of their speeds,
             of what the weakest direction could do (`manip_learn.planning.stations` has the formula).
         margins: The same in parts, with where and which joint.
         outcome: What became of the way: how far, how straight, how fast.
-        others: Other postures in which the hand could take hold, and why they were not chosen, best first.
         controller: Runs the plan, in `simulate` and in a `ServoLoop`, from the start.
         candidates: Number of postures at the first station that were compared.
         notes: What was not looked at, in sentences.
@@ -109,13 +89,12 @@ class Plan:
     """
 
     robot: Robot
-    hold: Float[np.ndarray, " nv"]
+    q_grasp: Float[np.ndarray, " nv"]
     approach: Rollout
     way: Rollout
     margin: float
     margins: Margins
     outcome: WayDone
-    others: tuple[_Choice, ...]
     controller: LawSequence
     candidates: int
     notes: tuple[str, ...] = ()
@@ -148,7 +127,6 @@ class Plan:
         facts: list[tuple[str, str | None]] = [
             ("plan", self.sentence),
             ("compared", f"{self.candidates} postures that take hold"),
-            *(("instead", f"margin {other.margin:.0%}: {other.why}") for other in self.others),
         ]
         return html_card.card("Plan", html_card.facts(facts))
 
@@ -158,10 +136,9 @@ class Plan:
             "margin": self.margin,
             "limited_by": self.margins.limited_by(self.outcome.unit),
             "least_singular_value": self.margins.singular_value,
-            "hold": self.hold.tolist(),
+            "hold": self.q_grasp.tolist(),
             "approach_seconds": float(self.approach.time[-1]),
             "candidates": self.candidates,
-            "others": [{"posture": o.posture.tolist(), "margin": o.margin, "why": o.why} for o in self.others],
             "notes": list(self.notes),
             "clear_of": list(self.around.names),
         }
@@ -173,7 +150,6 @@ def plan(
     start: ArrayLike,
     seed: int = 0,
     *,
-    grasp: GraspCone | None = None,
     candidates: int = _CANDIDATES,
     limits: Limits | None = None,
     collision: SelfCollision | bool = True,
@@ -195,8 +171,6 @@ def plan(
         motion: The way along it, as `motion` makes it.
         start: Posture before the motion.
         seed: Of the random postures: the same seed gives the same plan.
-        grasp: Orientations in which the hand may take hold; None keeps that at the start where the motion holds the
-            orientation, and takes any where it does not.
         candidates: Number of postures from which the search begins.
         limits: Of the joints; the robot's own by default.
         collision: The pairs of links that must not touch; True for those of the robot's shapes, False for none.
@@ -224,7 +198,7 @@ def plan(
     """
     if candidates < LEAST_CANDIDATES:
         raise ConfigurationError(f"a plan needs {LEAST_CANDIDATES} candidates or more, got {candidates!r}")
-    problem = _Problem(constraint, motion, start, seed, grasp, limits, collision, scene, dt)
+    problem = _Problem(constraint, motion, start, seed, limits, collision, scene, dt)
     problem.check()
     return _searched(problem, candidates, progress or (lambda _title, _share: None))
 
@@ -244,10 +218,12 @@ def plan_as_shown(
     """The plan that follows one of the recordings; that of `plan`, whose arguments and errors these are, where none can
     be followed or none is given.
     """
-    problem = _Problem(constraint, motion, start, seed, None, limits, True, scene, dt, takes)
+    problem = _Problem(constraint, motion, start, seed, limits, True, scene, dt, takes)
     problem.check()
     found = problem.as_it_stands(None) if takes else None
-    found = found or (problem.follow(progress) if takes else None)
+    if takes and (found is None or found.margin < ENOUGH):
+        shown = problem.follow(progress)
+        found = found if shown is None or (found is not None and found.margin > shown.margin) else shown
     if found is not None:
         return found
     found = _searched(problem, _CANDIDATES, progress)
@@ -299,20 +275,24 @@ def moved_to(
     """
     robot = limits.robot
     path = joint_path(robot, robot.positions(start), goal, limits, clear, seed)
-    return None if path is None else moved_through(path, start, limits, dt)
+    return None if path is None else _through(path, start, limits, dt)
 
 
-def moved_through(
-    knots: Sequence[Float[np.ndarray, " nv"]] | Postures,
-    start: Float[np.ndarray, " nq"],
-    limits: Limits,
-    dt: float,
-    *,
-    through: bool = False,
+def moved_as_shown(
+    knots: Postures | None, start: Float[np.ndarray, " nq"], limits: Limits, clear: Clearance, dt: float
+) -> tuple[ResolvedRateController, Rollout] | None:
+    """The smooth motion of the joints through knots, and its law; None where these are not within limits and clear."""
+    if knots is None or np.any((knots < limits.lower) | (knots > limits.upper)) or not clear.of_way(knots):
+        return None
+    return _through(knots, start, limits, dt, through=True)
+
+
+def _through(
+    knots: ArrayLike, start: Float[np.ndarray, " nq"], limits: Limits, dt: float, *, through: bool = False
 ) -> tuple[ResolvedRateController, Rollout] | None:
     """The motion of the joints through knots, and its law, see `JointMotion`; None where it does not arrive."""
     robot = limits.robot
-    task = JointMotion(limits, np.array(knots), APPROACH_SHARE, through=through)
+    task = JointMotion(limits, knots, APPROACH_SHARE, through=through)
     law = ResolvedRateController(every_joint(robot), task, limits=limits, dt=dt)
     rollout = simulate(robot, law, start, task.duration + 1.0, dt)
     arrived = np.flatnonzero((rollout.task_error < ARRIVED) & (rollout.time >= task.duration))
@@ -377,7 +357,6 @@ class _Problem:
         motion: FreeDirection,
         start: ArrayLike,
         seed: int,
-        grasp: GraspCone | None,
         limits: Limits | None,
         collision: SelfCollision | bool,
         scene: Around,
@@ -395,7 +374,7 @@ class _Problem:
             raise FeatureError("a way is planned for a robot: the features have none")
         self.robot, self.constraint, self.motion = robot, constraint, motion.with_distance(motion.wanted)
         self.start = robot.checked_posture(start)
-        self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
+        self.limits, self.dt = limits or Limits(robot), dt
         self.takes, self.seed, self.rng = takes, seed, np.random.default_rng(seed)
         self.missing: MissingExtraError | None = None  # what would look for a way around it
         self.vain = 0  # searches for an approach that found none
@@ -451,19 +430,10 @@ class _Problem:
                 f"at the start {one!r} and {other!r} touch, {-touching.distance:.2g} m deep: start elsewhere"
                 + (f", or correct {other!r} in the scene" if other in self.clear.names else "")
             )
-        own = getattr(self.rows.features, "reference", "world") == "local"
-        if self.grasp is not None and own and self.stations.holds_orientation:
-            raise TargetError("what was learnt is fixed to the hand's own axes: its grasp cannot be chosen")
 
-    def marches(self, candidates: int, stations: Stations | None = None, grasp: GraspCone | None = None) -> Marches:
+    def marches(self, candidates: int, stations: Stations | None = None) -> Marches:
         """Postures along the way."""
-        stations, grasp = stations or self.stations, grasp or self.grasp
-        if grasp is None:
-            grasps = stations.grasp[None]
-            return marches_of(stations, self.rows, self.positions, candidates, self.rng, grasps)
-        grasps = grasp.orientations(stations.grasp, self.rng)
-        # a hand that is free to turn takes hold inside the cone, and stays there while it turns with the way
-        return marches_of(stations.posed(), self.rows, self.positions, candidates, self.rng, grasps, stations)
+        return marches_of(stations or self.stations, self.rows, self.positions, candidates, self.rng)
 
     def slow_down(self, marches: Marches) -> bool:
         """Give the way more time, where no posture is found from which the joints are fast enough for it."""
@@ -485,7 +455,7 @@ class _Problem:
 
         Plans in which the hand takes hold turned as in the recordings come first, where these say how that was.
         """
-        if self.stations.grip is None or self.grasp is not None:
+        if self.stations.grip is None:
             return self._best(marches, said, False)
         found = self._best(marches.as_shown, said, True)
         if found is None and (found := self._best(marches, said, False)) is not None:
@@ -500,67 +470,32 @@ class _Problem:
         for march in choices.tolist():
             if self.vain >= VAIN and not clear.of_line(self.positions, marches.q[march, 0]):
                 continue
-            path = self._relaxed(marches.q[march], marches.grasp[march], clear, is_as_shown)
+            path = self._relaxed(marches.q[march], clear, is_as_shown)
             if path is None:
                 continue
             if (tried := tried + 1) > _TRIED:
                 break
             said("simulating the best of them", 0.3 + 0.08 * tried)
-            reached = self._reached(path, clear)
-            if reached is None:
-                continue
-            path, to_hold, approach = reached
-            law = self._law(self.motion, self.stations.time, path)
-            way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
-            if outcome.is_done and not outcome.strays and clear.of_way(unwound(self.robot, way.q)):
-                others = []  # why the best of them are worse
-                for other in [c for c in choices.tolist() if c != march][:OTHERS]:
-                    margins = margins_of(self.stations, marches.q[other])
-                    why = margins.limited_by(self.motion.unit)
-                    others.append(_Choice(marches.q[other, 0], margins.margin, why))
-                margins, sequence = margins_of(self.stations, path), LawSequence(to_hold, law)
-                return self._plan(sequence, path[0], approach, way, margins, outcome, tuple(others), len(choices))
+            for way in (nearest_turn(self.robot, path, self.positions), path):
+                if (moved := self._approach(way[0], clear)) is not None:
+                    law = self._law(self.motion, self.stations.time, way)
+                    if (found := self._come_true(law, moved, clear, len(choices), way)) is not None:
+                        return found
+                    break
+            else:
+                self.unreached = clear.in_line(self.positions, path[0])
         return None
 
-    def _relaxed(
-        self, march: Postures, grasp: Float[np.ndarray, "3 3"], clear: Clearance, is_as_shown: bool
-    ) -> Postures | None:
+    def _relaxed(self, march: Postures, clear: Clearance, is_as_shown: bool) -> Postures | None:
         """The postures of a march, relaxed where that is clear and right too; None where something is in its way."""
 
         def right(way: Postures) -> bool:
-            stations = self.stations
-            if is_as_shown and not stations.takes_hold_as_shown(way[:1])[0]:
-                return False
-            if self.grasp is not None:
-                toward = stations.turns[: len(way)] @ self.grasp.toward(stations.grasp)
-                if not np.all(self.grasp.holds(stations.hand.pose(way)[:, :3, :3], toward)):
-                    return False
-            return clear.of_way(way)
+            return (not is_as_shown or bool(self.stations.takes_hold_as_shown(way[:1])[0])) and clear.of_way(way)
 
         if not right(march):
             return None
-        better = relaxed(self.stations, march, grasp)
+        better = relaxed(self.stations, march)
         return better if right(better) else march
-
-    def _reached(self, path: Postures, clear: Clearance) -> tuple[Postures, ResolvedRateController, Rollout] | None:
-        """A path, the law that leads to it and its rollout; by whole turns of joints where the limits leave several.
-
-        The nearest turns come first where they leave the limits no less room, else that path as it is.
-        """
-        robot = self.robot
-        shift = np.where(
-            np.array(robot.joint_units) == "rad", _TURN * np.round((self.positions - path[0]) / _TURN), 0.0
-        )
-        moved = path + shift
-        shift[np.any((moved < robot.position_lower) | (moved > robot.position_upper), axis=0)] = 0.0
-        ways = [path, path + shift] if np.any(shift) else [path]
-        if np.min(rooms(self.stations, ways[-1])) >= np.min(rooms(self.stations, path)):
-            ways = ways[::-1]
-        for way in ways:
-            if (approach := self._approach(way[0], clear)) is not None:
-                return way, *approach
-        self.unreached = clear.in_line(self.positions, path[0])
-        return None
 
     def _approach(
         self, goal: Float[np.ndarray, " nv"], clear: Clearance
@@ -593,41 +528,30 @@ class _Problem:
             came = self._came(one, path[0], clear) if clear.of_way(path) else None
             if came is None:
                 continue
-            how, to_hold, approach = came
-            motion, stations, notes = one.motion, one.stations, list[str]()
+            how, moved = came
+            motion, stations, notes = one.motion, one.stations, [f"as {one.take.name} shows it, the approach {how}"]
             if one.margins.speed < 0.0:
                 motion = motion.slowed(SPARE * (1.0 - one.margins.speed))
                 ways, stations = np.abs(stations.distance), Stations.of(motion, self.start, self.limits)
                 path = np.column_stack([np.interp(np.abs(stations.distance), ways, x) for x in path.T])
                 notes.append(f"the joints are too slow for it: it takes {motion.duration:.3g} s")
-            law = self._law(motion, stations.time, path)
-            way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
-            if outcome.is_done and not outcome.strays and clear.of_way(unwound(self.robot, way.q)):
-                laws, margins = LawSequence(to_hold, law), margins_of(stations, path)
-                found = self._plan(laws, path[0], approach, way, margins, outcome, (), compared)
-                notes.insert(0, f"as {one.take.name} shows it, the approach {how}")
+            found = self._come_true(self._law(motion, stations.time, path), moved, clear, compared, path, stations)
+            if found is not None:
                 return replace(found, take=one.take, notes=(*found.notes, *notes))
         return None
 
     def _came(
         self, one: Followed, hold: Float[np.ndarray, " nv"], clear: Clearance
-    ) -> tuple[str, ResolvedRateController, Rollout] | None:
+    ) -> tuple[str, tuple[ResolvedRateController, Rollout]] | None:
         """How the hand comes to a posture of hold: as it was shown, else straight, else around what is in the way."""
         before = np.where(self.stations.moving, one.take.before, self.positions)
         before = carried(self.constraint.features, before, one.take.moved)
         knots = joined(nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
-        if knots is not None and self._is_clear(knots, clear):
-            moved = moved_through(knots, self.start, self.limits, self.dt, through=True)
-            if moved is not None:
-                mu = manipulability_batch(self.rows, moved[1].q).mu
-                return "too", moved[0], replace(moved[1], manipulability=mu)
+        if (moved := moved_as_shown(knots, self.start, self.limits, clear, self.dt)) is not None:
+            mu = manipulability_batch(self.rows, moved[1].q).mu
+            return "too", (moved[0], replace(moved[1], manipulability=mu))
         moved = self._approach(hold, clear)
-        return None if moved is None else ("straight" if clear.of_line(self.positions, hold) else "planned", *moved)
-
-    def _is_clear(self, knots: Postures, clear: Clearance) -> bool:
-        """Whether knots are within the limits, and clear."""
-        inside = np.all((knots >= self.limits.lower) & (knots <= self.limits.upper))
-        return bool(inside) and clear.of_way(knots)
+        return None if moved is None else ("straight" if clear.of_line(self.positions, hold) else "planned", moved)
 
     def as_it_stands(self, found: Plan | None) -> Plan | None:
         """The way from the start with the ascent of mu, or with spare joints at rest.
@@ -638,55 +562,58 @@ class _Problem:
         Returns:
             None where that does not come true, or leaves less than the other plan by more than a tie.
         """
-        if self.motion.hold(self.start) > 0.0 or self.grasp is not None:
+        if self.motion.hold(self.start) > 0.0:
             return None
-        least = -np.inf if found is None else found.margin - TIE
+        least, compared = (-np.inf, 0) if found is None else (found.margin - TIE, found.candidates)
         if node_margins(self.stations, self.positions[None], np.zeros(1, dtype=int)).least[0] < least:
             return None  # where the way begins it leaves less already
         clear = self.clear.holding([self.positions])
+        if (moved := self._approach(self.positions, clear)) is None:
+            return None
         for climbs in (True, False):
             task = self.motion.with_distance(self.motion.wanted)
             policy = task.ascent() if climbs else None
             law = ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
-            way, outcome = simulate_way(self.robot, law, self.start, self.dt)
-            if not outcome.is_done or outcome.strays or outcome.begins is None:
-                continue
-            joints = unwound(self.robot, way.q)
-            time = outcome.begins + self.stations.time * (outcome.seconds or 0.0) / self.stations.time[-1]
-            path = np.array([np.interp(time, way.time, column) for column in joints.T]).T
-            margins = margins_of(self.stations, path)
-            wanted = margins.margin >= least and clear.of_way(unwound(self.robot, way.q))
-            reached = self._approach(self.positions, clear) if wanted else None
-            if reached is None:
-                continue
-            sequence = LawSequence(reached[0], law)
-            stands = self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0)
-            if found is None:
+            stands = self._come_true(law, moved, clear, compared)
+            if stands is not None and stands.margin >= least:
                 return stands
-            others = [_Choice(found.hold, found.margin, found.margins.limited_by(self.motion.unit)), *found.others]
-            apart = [other for other in others if np.max(np.abs(other.posture - self.positions)) > APART]
-            return replace(stands, others=tuple(apart[:OTHERS]), candidates=found.candidates)
         return None
 
-    def _plan(
+    def _come_true(
         self,
-        laws: LawSequence,
-        hold: Float[np.ndarray, " nv"],
-        approach: Rollout,
-        way: Rollout,
-        margins: Margins,
-        outcome: WayDone,
-        others: tuple[_Choice, ...],
+        law: ResolvedRateController,
+        moved: tuple[ResolvedRateController, Rollout],
+        clear: Clearance,
         compared: int,
-    ) -> Plan:
-        held, end = outcome.begins or 0.0, float(way.time[-1])
+        path: Postures | None = None,
+        stations: Stations | None = None,
+    ) -> Plan | None:
+        """The plan of a way after an approach; None where it does not come true in simulation.
+
+        Args:
+            law: What does the way.
+            moved: The law of the approach, and its rollout.
+            clear: What is clear.
+            compared: Number of postures that were compared.
+            path: Postures at stations, whose margins count; None for those of the simulation.
+            stations: These; by default those of the problem.
+        """
+        to_hold, approach = moved
+        way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
+        joints, stations = unwound(self.robot, way.q), stations or self.stations
+        if not outcome.is_done or outcome.strays or outcome.begins is None or not clear.of_way(joints):
+            return None
+        if path is None:
+            time = outcome.begins + stations.time * (outcome.seconds or 0.0) / stations.time[-1]
+            path = np.column_stack([np.interp(time, way.time, column) for column in joints.T])
+        margins, held, end = margins_of(stations, path), outcome.begins, float(way.time[-1])
         approach = replace(approach, phases=(("approach", 0.0, float(approach.time[-1])),))
         done = ({**outcome.to_dict(), "margin": margins.margin},)
         way = replace(way, phases=(*((("hold", 0.0, held),) if held else ()), ("way", held, end)), ways=done)
         seen = (run.q[:: len(run) // _SEEN + 1] for run in (approach, way))
         way = replace(way, around=self.clear.plain(self.robot.positions(q) for q in np.concatenate([*seen])))
-        numbers = margins.margin, margins, outcome, others, laws, compared, self.notes, self.clear.around
-        return Plan(self.robot, hold, approach, way, *numbers)
+        numbers = margins.margin, margins, outcome, LawSequence(to_hold, law), compared, self.notes, self.clear.around
+        return Plan(self.robot, path[0], approach, way, *numbers)
 
     # ---- where there is no plan -----------------------------------------------------------------------------------
 
@@ -702,15 +629,11 @@ class _Problem:
             end_of = self.marches(candidates // 2, self.stations.free_to_turn())
             if end_of.reached == end:
                 helps += ("a hand that may turn on the way could do it",)
-            said = "a hand that takes hold turned about its z axis could do it (grasp=GraspCone(turns=None))"
-            if self.grasp is None and self.marches(candidates // 2, grasp=GraspCone(turns=None)).reached == end:
-                helps += (said,)
         more = "".join(f"; {sentence}" for sentence in helps)
         if marches.reached < 0:
             low, high = self.stations.span
             q = self.rng.uniform(low, high, (min(candidates, 64), self.robot.nv))
-            zero, grasp = np.zeros(len(q), dtype=int), np.repeat(self.stations.grasp[None], len(q), axis=0)
-            q, _ = self.stations.onto(q, zero, grasp, 60)
+            q, _ = self.stations.onto(q, np.zeros(len(q), dtype=int), 60)
             gap = np.min(np.linalg.norm(self.stations.hand.pose(q)[:, :3, 3] - self.stations.places[0], axis=1))
             return NoPlanError(
                 "no posture takes hold: the handle is out of the arm's reach, "

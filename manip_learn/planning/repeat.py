@@ -20,12 +20,11 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import APPROACH_SPEED, FreeDirection, motion
-from manip_learn.control.way import simulate_way
 from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, advice, an, counted, spoken
-from manip_learn.linalg import complement_rows, finite
+from manip_learn.linalg import finite
 from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.following import carried, joined, nearest_turn
-from manip_learn.planning.plan import Around, moved_through, moved_to, plan_as_shown
+from manip_learn.planning.plan import Around, moved_as_shown, moved_to, plan_as_shown
 from manip_learn.planning.stations import Stations
 from manip_learn.planning.surroundings import Surroundings
 from manip_learn.recordings.load import Progress
@@ -365,53 +364,42 @@ def _retreat(
     limits, dt, seed = asked[:3]
     last = next(s.constraint for s in reversed(skill.steps) if s.constraint is not None)
     robot, frame = limits.robot, last.features.frame.name  # type: ignore[attr-defined]  # a place is known of a frame's rows
-    away = np.asarray(step.place) - robot.position(q, frame)
-    far = float(np.linalg.norm(away))
+    hand, here, place = FrameJacobian(robot, frame), robot.positions(q), np.asarray(step.place)
+    far = float(np.linalg.norm(place - hand.pose(q)[:3, 3]))
     if far <= _NEAR:
         return []  # it is there
-    clear, here = Clearance(robot, True, around, robot.positions(q)), robot.positions(q)
+    clear, knots, end = Clearance(robot, True, around, here), None, here
+
+    def brought(x: np.ndarray) -> np.ndarray:
+        """Return a posture with the hand, turned as it is, where the recordings ended."""
+        over = np.eye(4)
+        over[:3, 3] = place - hand.pose(robot.configuration(x))[:3, 3]
+        return carried(hand, x[None], over)[0]
+
     if take is not None and last.features.relative_to is None:
-        after = carried(last.features, np.where(_moving(robot, last), take.after, here), take.moved)
-        over = np.eye(4)  # from where this recording ended to where they did
-        over[:3, 3] = np.asarray(step.place) - robot.position(robot.configuration(after[-1]), frame)
-        end = carried(last.features, nearest_turn(robot, after, here)[-1:], over)[0]
-        knots = joined(nearest_turn(robot, after, here), here, end)
-        if knots is not None and np.all((knots >= limits.lower) & (knots <= limits.upper)) and clear.of_way(knots):
-            if (moved := moved_through(knots, q, limits, dt, through=True)) is not None:
-                return [_gone(robot, frame, step, name, far, *moved)]
-    line = Constraint(complement_rows(away[None] / far), FrameJacobian(robot, frame))
-    speed = min(APPROACH_SPEED, np.inf if limits.tip is None else limits.tip.pace)
-    task = FreeDirection(line, far, speed, direction=away)
-    law = ResolvedRateController(line, task, task.ascent(), limits=limits, dt=dt)
-    rollout, outcome = simulate_way(robot, law, q, dt)
-    if not outcome.is_done:
-        raise NoPlanError(f"step {name!r}: the hand does not get to where the recordings ended: {outcome.stopped_by}")
-    touching = next((pair for x in rollout.q if (pair := clear.touching(robot.positions(x))) is not None), None)
-    notes: tuple[str, ...] = ()
-    if touching is not None:
-        goal, between = robot.positions(rollout.q[-1]), " and ".join(touching.links)
-        if (moved := moved_to(goal, q, limits, clear, seed, dt) if clear(goal) else None) is not None:
-            law, rollout = moved
-        elif touching.links[1] in around.assumed:
-            notes = (f"on the {name} {between} would touch, if that is where it was assumed to be: name a scene",)
-        else:
-            raise NoPlanError(f"step {name!r}: {between} would touch on the way to where the recordings ended")
-    return [_gone(robot, frame, step, name, far, law, rollout)._replace(notes=notes)]
+        after = carried(hand, np.where(_moving(robot, last), take.after, here), take.moved)
+        after = nearest_turn(robot, after, here)
+        knots = joined(after, here, brought(after[-1]))
+    moved = moved_as_shown(knots, q, limits, clear, dt)
+    if moved is None:
+        end = brought(here)
+        moved = moved_to(end, q, limits, clear, seed, dt) if clear(end) else None
+    if moved is None:
+        between = " and ".join(clear.in_line(here, end) or ("something", "the arm"))
+        raise NoPlanError(f"step {name!r}: {between} would touch on the way to where the recordings ended")
+    law, rollout = moved
+    end, fastest = hand.pose(rollout.q[-1])[:3, 3], float(np.max(np.abs(rollout.u) / robot.velocity_limit))
+    off = float(np.linalg.norm(end - place))
+    rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
+    stopped = None if off <= 10.0 * _NEAR else "the end of the arm's reach"
+    return [
+        _Part(law, rollout, (StepDone("reach", far, max(0.0, far - off), "m", off, None, stopped, fastest, end, name),))
+    ]
 
 
 def _moving(robot: Robot, constraint: Constraint) -> Bool[np.ndarray, " nv"]:
     """Which joints move the hand."""
     return np.array([robot.moves(name, constraint.features.frame) for name in robot.joint_names])  # type: ignore
-
-
-def _gone(
-    robot: Robot, frame: str, step: Step, name: str, far: float, law: ResolvedRateController, rollout: Rollout
-) -> _Part:
-    """A retreat, and what became of it: it comes as near as the place where this recording ended."""
-    end, fastest = robot.position(rollout.q[-1], frame), float(np.max(np.abs(rollout.u) / robot.velocity_limit))
-    off = float(np.linalg.norm(end - np.asarray(step.place)))
-    rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
-    return _Part(law, rollout, (StepDone("reach", far, far, "m", off, None, None, fastest, end, name),))
 
 
 def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:

@@ -47,14 +47,12 @@ class Marches:
     Attributes:
         stations: The way.
         q: shape (P, L, nv), postures; not finite where a march did not come so far.
-        grasp: shape (P, 3, 3), orientation of the hand at the start of each march's way.
         least: shape (P, L), margin of each posture; -inf where there is none.
         log_mu: shape (P, L), log of the manipulability of each posture.
     """
 
     stations: Stations
     q: Float[np.ndarray, "P L nv"]
-    grasp: Float[np.ndarray, "P 3 3"]
     least: Float[np.ndarray, "P L"]
     log_mu: Float[np.ndarray, "P L"]
 
@@ -106,7 +104,7 @@ class Marches:
 
     @property
     def _parts(self) -> tuple[np.ndarray, ...]:
-        return self.q, self.grasp, self.least, self.log_mu
+        return self.q, self.least, self.log_mu
 
     def _only(self, some: Int[np.ndarray, " k"]) -> Marches:
         return Marches(self.stations, *(part[some] for part in self._parts))
@@ -118,8 +116,6 @@ def marches_of(
     start: Float[np.ndarray, " nv"],
     number: int,
     rng: np.random.Generator,
-    grasps: Float[np.ndarray, "g 3 3"],
-    weighed: Stations | None = None,
 ) -> Marches:
     """Seeds, and their marches along the whole way.
 
@@ -129,36 +125,34 @@ def marches_of(
         start: Joint positions before the motion.
         number: Of seeds.
         rng: Random numbers.
-        grasps: Orientations in which the hand may take hold, where the rows hold orientations; tried in turn.
-        weighed: The same way with the rows whose margins count, where the search holds others too; None for the same.
     """
-    q, station, family = seeds_of(stations, start, number, rng, len(grasps))
+    q, station = seeds_of(stations, start, number, rng)
     if stations.grip is not None:  # seeds where the hand takes hold: first those turned as in the recordings
         some = np.flatnonzero(station == 0)
-        q[some], _ = stations.posed().onto(q[some], station[some], stations.grips(len(some), rng), SEED_STEPS)
-    q, there = stations.onto(q, station, grasps[family], SEED_STEPS)
-    q, station, family = q[there], station[there], family[there]
+        q[some], _ = stations.posed().onto(q[some], station[some], SEED_STEPS, grasp=stations.grips(len(some), rng))
+    q, there = stations.onto(q, station, SEED_STEPS)
+    q, station = q[there], station[there]
     # without those that inverse kinematics found twice, to a thousandth of a radian or a metre
-    first = np.sort(np.unique(np.column_stack([np.round(q, 3), station, family]), axis=0, return_index=True)[1])
-    q, station, family = q[first], station[first], family[first]
+    first = np.sort(np.unique(np.column_stack([np.round(q, 3), station]), axis=0, return_index=True)[1])
+    q, station = q[first], station[first]
     P, L, nv = len(q), len(stations), q.shape[1]
     table, kind = np.full((P, L, nv), np.nan), np.arange(P) % 3
     for k in np.unique(station):
         here = np.flatnonzero(station == k)
         table[here, k] = q[here]
         for sense in (1, -1):
-            march(stations, rows, table, here, grasps[family], kind, int(k), sense)
+            march(stations, rows, table, here, kind, int(k), sense)
     p, k = np.nonzero(np.isfinite(table[:, :, 0]))
-    nodes = node_margins(weighed or stations, table[p, k], k)
+    nodes = node_margins(stations, table[p, k], k)
     least, log_mu = np.full((P, L), -np.inf), np.full((P, L), -np.inf)
     least[p, k], log_mu[p, k] = nodes.least, nodes.log_mu
-    return Marches(weighed or stations, table, grasps[family], least, log_mu)
+    return Marches(stations, table, least, log_mu)
 
 
 def seeds_of(
-    stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator, n_grasps: int
-) -> tuple[Postures, Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """The start, postures along its self-motion, and random ones; the station and the grasp of each."""
+    stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator
+) -> tuple[Postures, Int[np.ndarray, " n"]]:
+    """The start, postures along its self-motion, and random ones; the station of each."""
     low, high = stations.span
     random = np.where(stations.moving, rng.uniform(low, high, (number, len(start))), start)
     station = np.array([0, len(stations) // 2, len(stations) - 1])[np.arange(number) % 3]
@@ -172,9 +166,7 @@ def seeds_of(
     places = np.concatenate([np.arange(1, half + 1), -np.arange(walked - half)])[:, None]
     random[1:walked], station[:walked] = (start + places * step)[1:], 0
     random[0] = start
-    family = np.arange(number) // 3 % n_grasps
-    family[:walked] = 0
-    return random, station, family
+    return random, station
 
 
 def march(
@@ -182,7 +174,6 @@ def march(
     rows: Constraint,
     table: Float[np.ndarray, "P L nv"],
     some: Int[np.ndarray, " n"],
-    grasp: Float[np.ndarray, "P 3 3"],
     kind: Int[np.ndarray, " P"],
     k: int,
     sense: int,
@@ -193,7 +184,7 @@ def march(
         time = abs(stations.time[k + sense] - stations.time[k])
         pull = _pulls(stations, rows, q, kind[some]) * time
         k += sense
-        there_q, there = stations.onto(q, np.full(len(some), k), grasp[some], MARCH_STEPS, pull)
+        there_q, there = stations.onto(q, np.full(len(some), k), MARCH_STEPS, pull)
         there &= np.max(np.abs(there_q - q), axis=1) <= JUMP
         some = some[there]
         table[some, k] = there_q[there]
@@ -214,16 +205,15 @@ def _pulls(stations: Stations, rows: Constraint, q: Postures, kind: Int[np.ndarr
     return out
 
 
-def relaxed(stations: Stations, q: Postures, grasp: Float[np.ndarray, "3 3"], *, pinned: bool = False) -> Postures:
+def relaxed(stations: Stations, q: Postures, *, pinned: bool = False) -> Postures:
     """A path with a larger least margin and a straighter motion of the joints, from one that is on the way.
 
     Args:
         stations: The way, or its beginning.
         q: One posture a station.
-        grasp: Orientation of the hand at the start.
         pinned: The first posture stays as it is.
     """
-    k, grasps = np.arange(len(q)), np.repeat(grasp[None], len(q), axis=0)
+    k = np.arange(len(q))
     (value, slope, within), rise = soft_margin(stations, q), FIRST_RISE
     for _ in range(BAND_STEPS):
         slope[0] *= not pinned
@@ -231,7 +221,7 @@ def relaxed(stations: Stations, q: Postures, grasp: Float[np.ndarray, "3 3"], *,
         bent = np.zeros_like(q)
         bent[1:-1] = 0.5 * (q[2:] + q[:-2]) - q[1:-1]
         step = SMOOTH * bent + (rise / largest * slope if largest > 0.0 else 0.0)
-        moved, there = stations.onto(q + step, k, grasps, MARCH_STEPS)
+        moved, there = stations.onto(q + step, k, MARCH_STEPS)
         if pinned:
             moved[0] = q[0]
         new = soft_margin(stations, moved)

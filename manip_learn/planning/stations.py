@@ -195,9 +195,9 @@ class Stations:
         self,
         q: Postures,
         station: Int[np.ndarray, " n"],
-        grasp: Float[np.ndarray, "n 3 3"],
         steps: int,
         pull: Postures | None = None,
+        grasp: Float[np.ndarray, "n 3 3"] | None = None,
     ) -> tuple[Postures, Bool[np.ndarray, " n"]]:
         """Postures brought onto their stations, within the joint limits, by Newton's method.
 
@@ -206,14 +206,15 @@ class Stations:
         Args:
             q: Where they begin.
             station: Number of each one's station.
-            grasp: Orientation of each one's hand at the start of the way.
             steps: Of Newton's method, at most.
             pull: How far the spare joints go towards something else, in the first step [rad or m].
+            grasp: Orientation of each one's hand at the start of the way; by default that of the stations.
 
         Returns:
             The postures, and which of them are there.
         """
         low, high = self.limits.robot.position_lower, self.limits.robot.position_upper
+        grasp = np.broadcast_to(self.grasp, (len(q), 3, 3)) if grasp is None else grasp
         q = np.clip(q if pull is None else q + pull, low, high)
         there = np.zeros(len(q), dtype=bool)
         todo = np.arange(len(q))

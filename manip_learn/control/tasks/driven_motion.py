@@ -28,7 +28,7 @@ from manip_learn.robot.rotations import rotation_matrix, rotation_vector, rotati
 
 Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
 _BESIDE = 0.02  # [m] along a path from where a hand should be, within which it is: some strokes of a wipe cross nearer
-_AHEAD = 0.1  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
+_AHEAD = 0.5  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
 _FREE = 0.1  # share of a direction that must be free for it to be meant
 # share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
 _PURE = 0.995
