@@ -15,6 +15,8 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint, damaged, read_constraint_file, signed
 from manip_learn.constraint.shown import Shown
 from manip_learn.errors import DAMAGE, counted
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.robot import Robot
 
 TAKE_KNOTS = 48  # of each part of a take: of a way and back two degrees apart, where a wrist turns by a radian
@@ -43,20 +45,22 @@ class Take:
     moved: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
 
     @staticmethod
-    def of(name: str, time: Float[np.ndarray, " n"], q: Float[np.ndarray, "n nv"], begin: float, end: float) -> Take:
+    def of(robot: Any, whole: Trajectory, since: float, begin: float, end: float, until: float) -> Take:
         """Return a recording, thinned evenly along its path before, during and after a contact.
 
         Args:
-            name: Of the recording.
-            time: Of the samples [s].
-            q: Joint positions without jumps by full turns.
+            robot: The robot.
+            whole: The recording.
+            since: When the contact before it ended [s].
             begin: When the contact began, a time of a sample [s].
             end: When it ended, likewise.
+            until: When the next one begins [s].
         """
-        parts = time <= begin, (begin <= time) & (time <= end), time >= end
+        time, q = whole.time, unwound(robot, whole.q)
+        parts = (since <= time) & (time <= begin), (begin <= time) & (time <= end), (end <= time) & (time <= until)
         thin = [_thinned(time[part] - begin, q[part]) for part in parts]
         knots = np.concatenate([thin[0][:-1], thin[1], thin[2][1:]])
-        return Take(name, knots[:, 0], knots[:, 1:], end - begin)
+        return Take(whole.name, knots[:, 0], knots[:, 1:], end - begin)
 
     @property
     def before(self) -> Float[np.ndarray, "k nv"]:

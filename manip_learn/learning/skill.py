@@ -16,7 +16,6 @@ from manip_learn.errors import counted
 from manip_learn.learning.answer import Answer, Found
 from manip_learn.learning.table import Table
 from manip_learn.recordings.trajectory import Trajectory, evenly
-from manip_learn.robot.batch.postures import unwound
 
 LEAVES = 0.02  # [m] that a hand goes after its last contact if it was taken away from there, and not only let go
 GRIPS = 0.1  # share of its range that a gripper's joint moves when it closes or opens
@@ -48,8 +47,7 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
             shown = shown_by(constraint.features, constraint.selection, constraint.mechanism, pieces)
         reach = Step("reach", constraint, **opening)
         closing, opening = _gripping(constraint.features, table, chosen, place)
-        takes = _takes(constraint, table, chosen, place)
-        steps += [reach, Step("way", constraint, shown, takes=takes, **closing)]
+        steps += [reach, Step("way", constraint, shown, takes=_takes(constraint, table, chosen, place), **closing)]
     ends = [(contacts[-1].piece.q[-1], table.moved[recording].q[-1]) for recording, contacts in chosen.items()]
     poses = poses_of(constraints[usual[-1]].features, np.concatenate(ends).reshape(2 * len(ends), -1))
     if poses is not None:
@@ -61,16 +59,11 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
 
 def _takes(constraint: Constraint, table: Table, chosen: dict[int, list[_Contact]], k: int) -> tuple[Take, ...]:
     """Return how the joints went to contact k, along it and away from it, in some of the recordings."""
-    if (robot := constraint.robot) is None:
-        return ()
-    takes: list[Take] = []
-    for recording in [list(chosen)[i] for i in evenly(len(chosen), MOST_TAKES)]:
-        whole, pieces = table.moved[recording], [contact.piece for contact in chosen[recording]]
-        since = pieces[k - 1].time[-1] if k else -np.inf
-        until = pieces[k + 1].time[0] if k + 1 < len(pieces) else np.inf
-        near = (since <= whole.time) & (whole.time <= until)
-        ends = pieces[k].time[[0, -1]].tolist()
-        takes.append(Take.of(whole.name, whole.time[near], unwound(robot, whole.q[near]), *ends))
+    takes, names = list[Take](), list(chosen) if constraint.robot is not None else []
+    for recording in (names[i] for i in evenly(len(names), MOST_TAKES)):
+        ends = [float(x) for contact in chosen[recording] for x in contact.piece.time[[0, -1]]]
+        since, begin, end, until = [-np.inf, *ends, np.inf][2 * k : 2 * k + 4]
+        takes.append(Take.of(constraint.robot, table.moved[recording], since, begin, end, until))
     return tuple(takes)
 
 
