@@ -17,7 +17,7 @@ from scipy.interpolate import UnivariateSpline
 from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.curve import Curve
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.mechanism import CURVE, Mechanism
+from manip_learn.constraint.mechanism import CURVE, ON_THE_AXIS, Mechanism
 from manip_learn.constraint.place import across
 from manip_learn.errors import counted
 from manip_learn.linalg import complement_rows, row_basis
@@ -38,6 +38,7 @@ EFFORTS = 200  # samples of a contact whose efforts are looked at
 CARRIED = 0.3  # share by which efforts may miss the weight that they carry: payloads, friction, the force itself
 LEAST_FORCE = 10.0  # [N] which the friction of an arm that a hand guides does not look like
 LEAST_SEEN = 0.02  # of the largest singular value of the hand's motion: in directions below, efforts tell no force
+FINGERS = 0.1  # [m] from an axis in the hand: half the length of a hand, as that of the turns of a path
 LEAK = 0.1  # share by which a learnt row holds what it does not mean to: its uncertainty
 
 
@@ -258,12 +259,20 @@ def _of_02(c: dict[str, Any], path: Float[np.ndarray, "T k"]) -> tuple[Mechanism
     told: dict[str, Any] = {"pitch": c["pitch"] or None, "radius": c["radius"] if c["kind"] == "sleeve" else None}
     name = CURVE if curve is not None else ""
     axis = None if kind == "ball" or name else axes[0]
-    return Mechanism(kind, axis, point, orientation=orientation, name=name, curve=curve, **told), path  # type: ignore[arg-type]
+    known = Mechanism(kind, axis, point, orientation=orientation, name=name, curve=curve, **told)  # type: ignore[arg-type]
+    return known, path * (
+        _sizes(known) / (np.array([known.radius or 1.0, 1.0]) if kind == "other" and not name else 1.0)
+    )
 
 
 def _sizes(mechanism: Mechanism) -> Float[np.ndarray, "..."]:
-    """Return by what coordinates are multiplied so that all have one unit: on a cylinder angles become arcs [m]."""
-    return np.array([mechanism.radius or 1.0, 1.0]) if mechanism.kind == "cylinder" else np.ones(1)
+    """Return by what coordinates are multiplied so that all have one unit: on a cylinder angles become arcs [m].
+
+    About an axis in the hand they are arcs of the fingers.
+    """
+    radius = mechanism.radius or 1.0
+    on_axis = mechanism.orientation == "carried" and radius < ON_THE_AXIS
+    return np.array([FINGERS if on_axis else radius, 1.0]) if mechanism.kind == "cylinder" else np.ones(1)
 
 
 def _ways(mechanism: Mechanism, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:

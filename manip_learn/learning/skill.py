@@ -72,7 +72,8 @@ def _contacts_in_order(answers: Sequence[Answer], table: Table) -> dict[int, lis
     stretches = [(number, stretch) for number, answer in enumerate(answers) for stretch in answer.stretches]
     out: dict[int, list[_Contact]] = {stretch.recording: [] for _, stretch in stretches}
     for number, stretch in sorted(stretches, key=lambda numbered: numbered[1].start):
-        contact, kept = _Contact(number, table.piece(stretch)), out[stretch.recording]
+        piece, kept = table.moved[stretch.recording][stretch.start : stretch.end], out[stretch.recording]
+        contact = _Contact(number, piece)
         if kept and kept[-1].constraint == number:
             kept[-1] = max(kept[-1], contact, key=lambda c: c.piece.duration)
         else:

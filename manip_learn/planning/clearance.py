@@ -39,7 +39,7 @@ def self_collision(robot: Robot) -> SelfCollision | None:
 class Clearance:
     """Whether postures are clear of self-collision and of what stands around.
 
-    An assumed floor gives way to the start, and to postures that were shown.
+    An assumed floor gives way to the start, and to postures that were shown; so do links that touch each other there.
 
     Args:
         robot: The robot.
@@ -87,7 +87,17 @@ class Clearance:
         self.links = self.links.with_obstacles(self._around.obstacles, self._own)
         near = [pair for pair in self._pairs(start, 2.0 * CLEARANCE) if pair.distance >= 0.0]
         self._near = {pair.links: 0.5 * pair.distance for pair in reversed(near)}
-        self.least = min([CLEARANCE, *self._near.values()])
+        for q in shown if self._own else ():  # an arm has been there: where its links touch, their shapes are too large
+            for pair in self._pairs(q, CLEARANCE):
+                if pair.links[1] not in self._around.names:
+                    least = pair.distance - _ROUNDED
+                    self._near[pair.links] = min(least, self._near.get(pair.links, least))
+        self.notes += [
+            f"{one!r} and {other!r} touch in the recordings: their shapes count as {-1e3 * depth:.0f} mm too large"
+            for (one, other), depth in self._near.items()
+            if depth < -_ROUNDED
+        ]
+        self.least = min([CLEARANCE, *(max(x, 0.0) for x in self._near.values())])
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
@@ -158,10 +168,8 @@ class Clearance:
 
     def touching(self, q: Posture, distance: float | None = None) -> Proximity | None:
         """Two things nearer to each other than a distance [m], by default the clearance; None if none are."""
-        if distance is None:
-            pairs = [p for p in self._pairs(q, CLEARANCE) if p.distance <= self._near.get(p.links, CLEARANCE)]
-        else:
-            pairs = self._pairs(q, distance)
+        most = CLEARANCE if distance is None else distance
+        pairs = [p for p in self._pairs(q, most) if p.distance <= min(most, self._near.get(p.links, most))]
         if not pairs:
             return None
         found = min(pairs, key=lambda pair: pair.distance)

@@ -24,6 +24,7 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
 ENOUGH = 0.15  # margin of a way that is shown: with less, limits or a singularity are felt in the motion
+ONE_PLACE = 5e-3  # [m] within which a hand is where contacts began
 ROUGH = 5  # degree of the polynomials that smooth a joint's path along a way
 CARRIED_STEPS, PARTS = 20, 4  # of Newton's method in each part of the motion by which fixtures have moved
 FAINT = 1e-5  # [m2 or rad2] of damping in them
@@ -114,6 +115,7 @@ def followed(
     shown, features, robot = motion.learnt.shown, motion.learnt.features, stations.limits.robot
     if shown is None or not takes:
         return
+    takes = [take for take in takes if _begins_held(take, shown, features)] or takes
     both = list(zip(takes, grasps_of(takes, shown, features), strict=True))
     far = [np.max(np.abs(nearest_turn(robot, take.along[:1], positions) - positions)) for take in takes]
     others = list[Followed]()
@@ -138,6 +140,14 @@ def followed(
             if margins.speed > TOO_SLOW:
                 break
     yield from sorted(others, key=lambda one: -one.margins.margin)
+
+
+def _begins_held(take: Take, shown: Shown, features: Any) -> bool:
+    """Whether the hand was on the mechanism already where the contact is said to begin, by what it did later."""
+    poses = take.moved @ features.twist.poses(take.along)
+    chart = shown.mechanism.at(poses[len(poses) // 2], np.inf)
+    meant = chart.pose(chart.coordinates(poses[0]))
+    return float(np.linalg.norm(meant[:3, 3] - poses[0, :3, 3])) <= ONE_PLACE
 
 
 def _as_shown(at: Stations, take: Take, q: Postures, shown: Shown, features: Any) -> Way | None:

@@ -24,7 +24,7 @@ from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, adv
 from manip_learn.linalg import finite
 from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.following import carried, joined, nearest_turn
-from manip_learn.planning.plan import Around, moved_as_shown, moved_to, plan_as_shown
+from manip_learn.planning.plan import LOOKED_AT, Around, moved_as_shown, moved_to, plan_as_shown
 from manip_learn.planning.stations import Stations
 from manip_learn.planning.surroundings import Surroundings
 from manip_learn.recordings.load import Progress
@@ -368,7 +368,8 @@ def _retreat(
     far = float(np.linalg.norm(place - hand.pose(q)[:3, 3]))
     if far <= _NEAR:
         return []  # it is there
-    clear, knots, end = Clearance(robot, True, around, here), None, here
+    shown = [x for step in skill.steps for other in step.takes for x in other.q[::LOOKED_AT]]
+    clear, knots, end = Clearance(robot, True, around, here, shown), None, here
 
     def brought(x: np.ndarray) -> np.ndarray:
         """Return a posture with the hand, turned as it is, where the recordings ended."""
@@ -391,9 +392,8 @@ def _retreat(
     end, fastest = hand.pose(rollout.q[-1])[:3, 3], float(np.max(np.abs(rollout.u) / robot.velocity_limit))
     off = float(np.linalg.norm(end - place))
     rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
-    stopped = None if off <= 10.0 * _NEAR else "the end of the arm's reach"
     return [
-        _Part(law, rollout, (StepDone("reach", far, max(0.0, far - off), "m", off, None, stopped, fastest, end, name),))
+        _Part(law, rollout, (StepDone("reach", far, max(0.0, far - off), "m", off, None, None, fastest, end, name),))
     ]
 
 

@@ -18,17 +18,18 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.curve import Curve
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, pose_error
-from manip_learn.constraint.mechanism import CURVE, ON_THE_AXIS, Mechanism, kind_of_rows, mechanism_of
+from manip_learn.constraint.mechanism import CURVE, Mechanism, kind_of_rows, mechanism_of
 from manip_learn.constraint.place import Place, across
 from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.linalg import along_axes, complement_rows, finite
-from manip_learn.robot.rotations import rotation_matrix, rotation_vector, rotation_vectors
+from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors
 
 Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
 _BESIDE = 0.02  # [m] along a path from where a hand should be, within which it is: some strokes of a wipe cross nearer
 _AHEAD = 0.5  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
+_LEVER = 0.1  # [m] at which a turn of the hand counts as a way along a path: half the length of a hand
 _FREE = 0.1  # share of a direction that must be free for it to be meant
 # share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
 _PURE = 0.995
@@ -349,32 +350,24 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
     The rows are the hand's velocity along the base's axes, and those of its rotation that are held.
 
     Raises:
-        ConstraintError: Features that are not rows of one frame; a hand that turns where its place rests.
+        ConstraintError: Features that are not rows of one frame.
     """
     if (twist := constraint.features.twist) is None:
         raise ConstraintError(f"a path is followed with a frame, not with {constraint.features!r}")
     mechanism = constraint.mechanism
     orientation = "free" if mechanism is None else mechanism.orientation
-    if mechanism is not None and orientation == "carried" and (mechanism.radius or 0.0) < ON_THE_AXIS:
-        python = "distance=0.05, direction='slide' or angle=0.5, direction='turn'"
-        ways = advice("{}", python, "--along 0.05 --direction slide or --turn 30 --direction turn")
-        if mechanism.kind == "ball":
-            ways = advice("{}", "angle=0.5, direction=(0, 0, 1)", "--turn 30 --direction 0,0,1")
-        raise ConstraintError(
-            f"the hand turns where its place rests ({mechanism.sentence}), and such a motion is not repeated as it "
-            f"was shown: name one of its ways ({ways or '`manip-learn control` drives each'})"
-        )
     turning = np.zeros((0, 3)) if orientation == "free" else np.eye(3)
     if orientation == "about-axis" and mechanism is not None and mechanism.axis is not None:
         turning = across(mechanism.axis)
     features = twist.with_axes(AXES if len(turning) else AXES[:3])
     rows = Constraint(block_diag(np.eye(3), turning[:, : features.n_rows - 3]), features, constraint.provenance)
     poses = shown.poses
-    ways = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
+    turns = _LEVER * rotation_vectors(poses[:, :3, :3] @ poses[0, :3, :3].T) * (len(turning) > 0)
+    places = np.hstack([poses[:, :3, 3], turns])
+    ways = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
     moves = np.append(True, np.diff(ways) > 1e-9)
-    ways, places, R = ways[moves], poses[moves, :3, 3], poses[moves, :3, :3]
-    table = np.hstack([places, rotation_vectors(R @ R[0].T), np.gradient(places, ways, axis=0)])
-    path = _Path(ways, table, poses[0])
+    ways, places = ways[moves], places[moves]
+    path = _Path(ways, np.hstack([places, np.gradient(places, ways, axis=0)]), poses[0])
     driven = path.twist([0.0], poses[0])[: features.n_rows, 0]
     profile = PathProfile(MotionProfile(float(shown.time[moves][-1]), 1.0, ramp), shown.time[moves], path.ways)
     return DrivenMotion(constraint, rows, driven, "m", "chart", path.beginning), profile
@@ -382,43 +375,45 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """Chart of a path that was shown, by its length [m], for a hand that may be turned otherwise where it begins."""
+    """Chart of a path that was shown, by its length [m], for a hand that may be turned otherwise where it begins.
+
+    A turn counts as a way at a lever, so that a hand goes on where its place rests while it turns.
+    """
 
     ways: Float[np.ndarray, " k"]
-    table: Float[np.ndarray, "k 9"]  # places, rotation vectors since the beginning, and tangents
+    table: Float[np.ndarray, "k 12"]  # places, rotation vectors since the beginning times the lever, and their tangents
     begin: Float[np.ndarray, "4 4"]
 
     def beginning(self, origin: Origin) -> _Path:
         """Return the chart of a hand that begins it at another pose."""
         return replace(self, begin=origin)
 
-    def _at(self, s: float) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
-        """Return place, rotation since the beginning, and tangent; straight on before and after the path."""
+    def _at(self, s: float) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"]]:
+        """Return the place and the turn since the beginning, and the tangent; straight on before and after the path."""
         k = min(max(int(np.searchsorted(self.ways, s)), 1), len(self.ways) - 1)
         share = min(max((s - self.ways[k - 1]) / (self.ways[k] - self.ways[k - 1]), 0.0), 1.0)
         row = (1.0 - share) * self.table[k - 1] + share * self.table[k]
-        place, turn, tangent = row[:3], row[3:6], row[6:]
-        return place + (s - min(max(s, 0.0), float(self.ways[-1]))) * tangent, rotation_matrix(turn), tangent
+        return row[:6] + (s - min(max(s, 0.0), float(self.ways[-1]))) * row[6:], row[6:]
 
     def pose(self, s: ArrayLike) -> Origin:
         """Return the pose of the hand."""
-        out = self.begin.copy()
-        out[:3, 3], R, _ = self._at(float(np.asarray(s)[0]))
-        out[:3, :3] = R @ out[:3, :3]
+        out, (place, _) = self.begin.copy(), self._at(float(np.asarray(s)[0]))
+        out[:3, 3], out[:3, :3] = place[:3], rotation_matrix(place[3:] / _LEVER) @ out[:3, :3]
         return out
 
     def coordinates(self, pose: Origin, near: float) -> Float[np.ndarray, " 1"]:
         """Of the place next to the hand, of those less than 2 cm along it from `near`: a path may cross itself."""
-        some = np.flatnonzero(np.abs(self.ways - near) <= _BESIDE)
+        turned = _LEVER * rotation_vector(pose[:3, :3] @ self.begin[:3, :3].T) * bool(self.table[:, 3:6].any())
+        here, some = np.append(pose[:3, 3], turned), np.flatnonzero(np.abs(self.ways - near) <= _BESIDE)
         if len(some):
-            off = np.linalg.norm(self.table[some, :3] - pose[:3, 3], axis=1) + _AHEAD * np.abs(self.ways[some] - near)
+            off = np.linalg.norm(self.table[some, :6] - here, axis=1) + _AHEAD * np.abs(self.ways[some] - near)
             near = float(self.ways[some[int(np.argmin(off))]])
-        return near + (pose[:3, 3] - self.pose([near])[:3, 3]) @ self._at(near)[2][:, None]
+        place, tangent = self._at(near)
+        return np.array([near + float((here - place) @ tangent)])
 
     def twist(self, s: ArrayLike, pose: Origin) -> Float[np.ndarray, "6 1"]:
-        s, step = float(np.asarray(s)[0]), float(self.ways[-1]) / len(self.ways)
-        turn = rotation_vector(self._at(s + step)[1] @ self._at(s - step)[1].T)
-        return np.append(self._at(s)[2], turn / (2.0 * step))[:, None]
+        place, tangent = self._at(float(np.asarray(s)[0]))
+        return np.append(tangent[:3], left_jacobian(place[3:] / _LEVER) @ tangent[3:] / _LEVER)[:, None]
 
     def error(self, pose: Origin, s: ArrayLike) -> Float[np.ndarray, " 6"]:
         return -pose_error(pose, self.pose(s), False)
