@@ -359,6 +359,9 @@ class RepeatOptions:
     tip_speed: Annotated[
         str, Option(help="Largest speed of the tip [m/s]; shown: as it was shown, however fast; none: no limit.")
     ] = "0.25"
+    prefer: Annotated[
+        str, Option(help="shown: as in a recording; room: in the posture that leaves most room for the way.")
+    ] = "shown"
     out: Annotated[Path | None, Option(help="Rollout file to write: .npz, .csv or .mcap (for ROS).")] = None
     html: Annotated[Path | None, Option(help="Replay to write.")] = None
     loading: RobotOptions = RobotOptions()

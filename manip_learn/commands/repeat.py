@@ -69,7 +69,8 @@ def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Re
         T, turns = np.eye(4), [math.radians(a) for a in (*moved[3:], 0.0, 0.0, 0.0)[:3]]
         T[:3, 3], T[:3, :3] = moved[:3], Rotation.from_euler("xyz", turns).as_matrix()
     around, speed = scene_of(options.scene, robot), _tip_speed(options.tip_speed)
-    done = repeat(skill, q0, T, scene=around, seed=options.seed, tip_speed=speed, progress=progress)
+    made = {"scene": around, "seed": options.seed, "tip_speed": speed, "prefer": options.prefer}
+    done = repeat(skill, q0, T, **made, progress=progress)
     out = None if options.out is None else done.rollout.save(options.out)
     page = None
     if options.html is not None:

@@ -264,7 +264,10 @@ def print_repeated(console: Console, repeated: Repeated) -> None:
         table.add_row(text(step.name), far, wanted, off, f"{100 * step.fastest:.0f} %", margin)
     console.print(table)
     say(console, done.pace)
-    say(console, *(f"{step.name}: at {_at(step.place.tolist())}" for step in done.steps if step.kind == "reach"))
+    for step in done.steps:
+        off = "" if step.off is None else f", {1e3 * step.off:.1f} mm from where a contact began"
+        if step.kind == "reach":
+            say(console, f"{step.name}: at {_at(step.place.tolist())}{off}")
     stopped = (f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by)
     say(console, *stopped, style="yellow")
     say_end(console, done.notes, repeated.out, repeated.page)

@@ -270,9 +270,14 @@ def _sizes(mechanism: Mechanism) -> Float[np.ndarray, "..."]:
 
     About an axis in the hand they are arcs of the fingers.
     """
-    radius = mechanism.radius or 1.0
-    on_axis = mechanism.orientation == "carried" and radius < ON_THE_AXIS
-    return np.array([FINGERS if on_axis else radius, 1.0]) if mechanism.kind == "cylinder" else np.ones(1)
+    if mechanism.kind != "cylinder":
+        return np.ones(1)
+    return np.array([FINGERS if _is_on_axis(mechanism) else mechanism.radius or 1.0, 1.0])
+
+
+def _is_on_axis(mechanism: Mechanism) -> bool:
+    carried = mechanism.kind == "cylinder" and mechanism.orientation == "carried"
+    return carried and (mechanism.radius or 1.0) < ON_THE_AXIS
 
 
 def _ways(mechanism: Mechanism, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
@@ -304,14 +309,17 @@ def shown_by(
         return None
     ways = [_ways(free, p) for p in motions]
     is_way = ways[0].shape[1] == 1
-    farthest = [int(np.argmax(np.linalg.norm(w, axis=1))) for w in ways]
+    gone = [w[:, 1:] if _is_on_axis(free) else w for w in ways]  # where the hand turns about itself it goes nowhere
+    farthest = [int(np.argmax(np.linalg.norm(w, axis=1))) for w in gone]
     signed = np.array([float(w[i, 0]) for w, i in zip(ways, farthest, strict=True)])
     one_way = True
     if is_way:
         one_way = abs(float(np.sum(signed))) >= ONE_SIDED * float(np.sum(np.abs(signed)))
         if np.sum(signed) < 0.0:
             free, ways, signed = free.reversed(), [-w for w in ways], -signed
-    extents = np.array([float(np.linalg.norm(w[i])) for w, i in zip(ways, farthest, strict=True)])
+    extents = np.array(
+        [float(np.linalg.norm(w[i])) for w, i in zip(gone if not is_way else ways, farthest, strict=True)]
+    )
     if not np.all(np.isfinite(extents)) or float(np.median(extents)) <= 0.0:
         return None
     times = [contact.time - contact.time[0] for contact in contacts]

@@ -19,8 +19,8 @@ from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.robot import Robot
 
-TAKE_KNOTS = 48  # of each part of a take: of a way and back two degrees apart, where a wrist turns by a radian
-MOST_TAKES = 12  # kept with a step: 50 kB of a file
+TAKE_KNOTS = 24, 40, 16  # of a take before, during and after the contact: 4 kB of a file for an arm
+MOST_TAKES = 12  # kept with a step
 StepKind = Literal["reach", "way"]
 Gripping = Literal["close", "open"]
 
@@ -58,7 +58,7 @@ class Take:
         """
         time, q = whole.time, unwound(robot, whole.q)
         parts = (since <= time) & (time <= begin), (begin <= time) & (time <= end), (end <= time) & (time <= until)
-        thin = [_thinned(time[part] - begin, q[part]) for part in parts]
+        thin = [_thinned(time[part] - begin, q[part], n) for part, n in zip(parts, TAKE_KNOTS, strict=True)]
         knots = np.concatenate([thin[0][:-1], thin[1], thin[2][1:]])
         return Take(whole.name, knots[:, 0], knots[:, 1:], end - begin)
 
@@ -89,10 +89,10 @@ class Take:
         return Take(name=str(content["name"]), end=float(content["end"]), **arrays)
 
 
-def _thinned(time: Float[np.ndarray, " n"], q: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "k m"]:
+def _thinned(time: Float[np.ndarray, " n"], q: Float[np.ndarray, "n nv"], most: int) -> Float[np.ndarray, "k m"]:
     """Times and joint positions at even distances along the joints' path, the first and the last sample among them."""
     ways = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1)))
-    even = np.linspace(0.0, ways[-1], min(len(q), TAKE_KNOTS))
+    even = np.linspace(0.0, ways[-1], min(len(q), most))
     return np.column_stack([np.interp(even, ways, x) for x in (time, *q.T)]) if ways[-1] > 0.0 else np.c_[time, q][:1]
 
 

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.control.keeping_clear import CLEARANCE
+from manip_learn.errors import listed
 from manip_learn.planning.surroundings import AWAY, BEHIND, FLOOR, Surroundings
-from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision, known_shapes
+from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision, known_shapes, missing_meshes
 from manip_learn.robot.robot import Robot
 
 _ROUNDED = 1e-3  # [m] behind the hand that takes hold there is this much more room than it takes: it shakes a little
@@ -71,6 +72,9 @@ class Clearance:
                 "the robot has no shapes: self-collision was not looked at"
                 + (", capsules along its links keep clear of what stands around" if around.obstacles else "")
             )
+        if lost := missing_meshes(robot):
+            files = listed(uri.rpartition("/")[2] for uri in lost)
+            self.notes.append(f"the robot's shapes {files} are not found: capsules along the links stand for them")
         self.links = found.with_obstacles(around.obstacles, self._own)
         self._start, self._around, self._behind = start, around, AWAY
         if FLOOR in around.assumed:

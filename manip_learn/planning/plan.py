@@ -529,7 +529,7 @@ class _Problem:
             if came is None:
                 continue
             how, moved = came
-            motion, stations, notes = one.motion, one.stations, [f"as {one.take.name} shows it, the approach {how}"]
+            motion, stations, notes = one.motion, one.stations, [f"follows {one.take.name}, the approach {how}"]
             if one.margins.speed < 0.0:
                 motion = motion.slowed(SPARE * (1.0 - one.margins.speed))
                 ways, stations = np.abs(stations.distance), Stations.of(motion, self.start, self.limits)
@@ -549,9 +549,13 @@ class _Problem:
         knots = joined(nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
         if (moved := moved_as_shown(knots, self.start, self.limits, clear, self.dt)) is not None:
             mu = manipulability_batch(self.rows, moved[1].q).mu
-            return "too", (moved[0], replace(moved[1], manipulability=mu))
+            return "as shown", (moved[0], replace(moved[1], manipulability=mu))
         moved = self._approach(hold, clear)
-        return None if moved is None else ("straight" if clear.of_line(self.positions, hold) else "planned", moved)
+        return (
+            None
+            if moved is None
+            else ("straight" if clear.of_line(self.positions, hold) else "around what is in the way", moved)
+        )
 
     def as_it_stands(self, found: Plan | None) -> Plan | None:
         """The way from the start with the ascent of mu, or with spare joints at rest.

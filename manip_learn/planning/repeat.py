@@ -385,15 +385,18 @@ def _retreat(
     if moved is None:
         end = brought(here)
         moved = moved_to(end, q, limits, clear, seed, dt) if clear(end) else None
+    stopped = None
+    if moved is None:  # the hand stays where it has let go
+        between = " and ".join(clear.in_line(here, end) or ("the arm", "something"))
+        stopped, moved = f"{between}, which would touch", moved_to(here, q, limits, clear, seed, dt)
     if moved is None:
-        between = " and ".join(clear.in_line(here, end) or ("something", "the arm"))
-        raise NoPlanError(f"step {name!r}: {between} would touch on the way to where the recordings ended")
+        raise NoPlanError(f"step {name!r}: the arm touches something where the last way ends")
     law, rollout = moved
     end, fastest = hand.pose(rollout.q[-1])[:3, 3], float(np.max(np.abs(rollout.u) / robot.velocity_limit))
     off = float(np.linalg.norm(end - place))
     rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
     return [
-        _Part(law, rollout, (StepDone("reach", far, max(0.0, far - off), "m", off, None, None, fastest, end, name),))
+        _Part(law, rollout, (StepDone("reach", far, max(0.0, far - off), "m", off, None, stopped, fastest, end, name),))
     ]
 
 

@@ -151,14 +151,35 @@ def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[Collision
             code="no-collision-shapes",
             path=robot.source,
         )
-    uris = dict.fromkeys(e.geometry.uri for e in elements if isinstance(e.geometry, MeshElement))
-    roots = mesh_roots(path, robot.package_dirs)
-    files = {uri: find_mesh(uri, roots) for uri in uris}
+    meshes = _meshes(robot, tag)
+    lost = {uri: error for uri, error in meshes.items() if isinstance(error, RobotError)}
+    if lost and (tag == "visual" or len(lost) == len(meshes)):  # drawn ones are a stopgap: all of them, or none
+        raise next(iter(lost.values()))
+    kept = [e for e in elements if not (isinstance(e.geometry, MeshElement) and e.geometry.uri in lost)]
+    bare = {e.link for e in elements} - {e.link for e in kept}
+    capsules = collision_shapes(robot, "links") if bare else ()
+    return (*(_shape(robot, e, meshes) for e in kept), *(shape for shape in capsules if shape.link in bare))
+
+
+@lru_cache(maxsize=16)
+def _meshes(robot: Robot, tag: Literal["collision", "visual"]) -> dict[str, Any]:
+    """The meshes of a robot by their addresses, or why one could not be read."""
+    path, files, lost = robot.source or Path(robot.name), dict[str, Path](), dict[str, RobotError]()
+    elements, roots = visual_elements(robot.description or b"", path, tag), mesh_roots(path, robot.package_dirs)
+    for uri in dict.fromkeys(e.geometry.uri for e in elements if isinstance(e.geometry, MeshElement)):
+        try:
+            files[uri] = find_mesh(uri, roots)
+        except RobotError as error:
+            lost[uri] = error
     parsed = read_meshes(list(files.values()))
-    for mesh in parsed.values():
-        if isinstance(mesh, RobotError):
-            raise mesh
-    return tuple(_shape(robot, element, {uri: parsed[file] for uri, file in files.items()}) for element in elements)
+    return lost | {uri: parsed[file] for uri, file in files.items()}
+
+
+def missing_meshes(robot: Robot) -> tuple[str, ...]:
+    """Return the addresses of collision meshes that could not be read, where others could."""
+    if known_shapes(robot) != "collision":
+        return ()
+    return tuple(uri for uri, mesh in _meshes(robot, "collision").items() if isinstance(mesh, RobotError))
 
 
 @lru_cache(maxsize=16)
