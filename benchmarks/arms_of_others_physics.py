@@ -1,13 +1,15 @@
 """What a person shows on arms that are not shipped, done again in physics: where the fingers close, how far it goes.
 
     python benchmarks/arms_of_others_physics.py --seed 1 xarm7 kinova:drawer ur5:door
+    python benchmarks/arms_of_others_physics.py --seed 1 --folder urdf_files gen3 iiwa14 irb1600
 
 An arm and one fixture in MuJoCo. A person guides the hand to the handle, along the fixture and away (tremor, a pause,
 pushes at the elbow); five whole recordings at 100 Hz with 1e-4 rad of noise are learnt with default options. `repeat`
 then goes from another start, in a `ServoLoop` on servos of 2000 N m/rad with 5e-5 rad of noise; the grip closes where
 the hand is when the loop says so. One line a run: how far off the handle the hand closed, how far the fixture went over
 the median shown, how much otherwise the hand turned than what it holds, the largest force in the grip, and the tip's
-path over three times the straight one and 0.2 m. Nothing of the library takes part in the recordings.
+path over three times the straight one and 0.2 m. Nothing of the library takes part in the recordings. The arms of
+`--folder` are files that others published: https://github.com/Daniella1/urdf_files_dataset.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -17,6 +19,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Sequence
@@ -35,7 +38,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 from make_recordings.guided_arm import set_damping  # pyright: ignore[reportMissingImports]
 
 TIMESTEP, RATE, NOISE = 0.001, 100.0, 1e-4  # [s], of recordings [Hz] and [rad]
-STIFFNESS, SERVO_NOISE = 2000.0, 5e-5  # [N m/rad], [rad]
+STIFFNESS, SLIDE, SERVO_NOISE = 2000.0, 2e5, 5e-5  # [N m/rad], [N/m], [rad or m]
 RECORDINGS = 5
 FORWARD = R.from_matrix(np.column_stack([[0, 1, 0], [0, 0, 1], [1, 0, 0]]))  # the hand's z along x of the base
 DOWN = R.from_matrix(np.diag([1.0, -1.0, -1.0]))
@@ -46,21 +49,45 @@ TOO_FAR, MOST_FORCE, WAY = 5e-3, 40.0, (0.95, 1.08)  # [m], [N], shares of what 
 @final
 @dataclass(frozen=True)
 class Arm:
-    """An arm: what `load_robot` is told, its hand, a posture in front of fixtures, and their distance over a metre."""
+    """An arm: what `load_robot` is told, its hand, a posture in front of fixtures, their distance over a metre.
+
+    And what is written otherwise in its file.
+    """
 
     name: str
     tip: str
     home: tuple[float, ...]
     size: float = 0.8
-    locked: tuple[str, ...] = ()
+    edit: tuple[str, str] = ("", "")
+
+    def load(self, folder: Path) -> ml.Robot:
+        """The robot."""
+        robot = ml.load_robot(str(folder / self.name) if "/" in self.name else self.name)
+        if not self.edit[0] or robot.source is None or robot.description is None:
+            return robot
+        file = Path(tempfile.mkdtemp()) / "edited.urdf"
+        file.write_text(robot.description.decode().replace(*self.edit), encoding="utf-8")
+        return ml.load_robot(str(file), package_dirs=list(robot.source.parents)[:5])
 
 
-FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+LIFT = (  # a column below the arm
+    '"world_joint" type="fixed">',
+    '"lift" type="prismatic"><axis xyz="0 0 1"/><limit lower="-0.2" upper="0.3" velocity="0.5" effort="500"/>',
+)
+GEN3, IIWA, IRB = (
+    "matlab/kortex_description/urdf/kinovaGen3.urdf",
+    "drake/iiwa_description/urdf/iiwa14_primitive_collision.urdf",
+    "matlab/abb_irb1600_support/urdf/abbIrb1600.urdf",
+)
 ARMS = {
     "xarm7": Arm("xarm7", "link_eef", (0.0, -0.2, 0.0, 1.4, 0.0, 0.1, 0.0), 0.75),
     "kinova": Arm("kinova", "j2s6s200_end_effector", (3.1, 3.4, 1.9, 1.5, 2.0, 1.6), 0.75),  # joints without ends
+    "lost_mesh": Arm("xarm7", "link_eef", (0.0, -0.2, 0.0, 1.4, 0.0, 0.1, 0.0), 0.75, ("link7.stl", "no.stl")),
+    "column": Arm("ur5", "tool0", (0.2, 0.0, -1.6, 1.9, -0.3, 1.57, 0.0), 0.85, LIFT),
+    "gen3": Arm(GEN3, "EndEffector_Link", (0.0, 0.3, 3.1, -2.2, 0.0, 0.9, 1.5), 0.8),
+    "iiwa14": Arm(IIWA, "iiwa_link_7", (-0.5, 1.0, 1.2, -1.5, 0.3, -0.9, -1.2), 1.1),
+    "irb1600": Arm(IRB, "tool0", (0.2, 0.4, 0.1, 0.35, -0.55, -3.4), 1.5),
     "ur5": Arm("ur5", "tool0", (0.0, -1.6, 1.9, -0.3, 1.57, 0.0), 0.85),
-    "panda": Arm("panda", "panda_hand_tcp", (0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.8), 0.75, FINGERS),
     "sawyer": Arm("sawyer", "right_gripper_tip", (0.0, -0.6, 0.0, 1.2, 0.0, 1.0, 1.57), 1.0),
 }
 
@@ -121,7 +148,7 @@ class World:
 
     def __init__(self, arm: Arm, robot: ml.Robot, task: Task, rng: np.random.Generator):
         self.task, self.arm, self.rng, self.n = task, arm, rng, robot.nv
-        text = Path(str(robot.source)).read_text(encoding="utf-8")
+        text = (robot.description or b"").decode()
         for tag in ("visual", "collision", "transmission", "gazebo"):
             text = re.sub(rf"<{tag}\b[^>]*/>|<{tag}\b.*?</{tag}>", "", text, flags=re.DOTALL)
         moving = "|".join(map(re.escape, robot.joint_names))
@@ -220,6 +247,7 @@ def recorded(arm: Arm, robot: ml.Robot, task: Task, seed: int) -> tuple[np.ndarr
     edge, pause, size = np.cumsum(spans), rng.uniform(0.2, 0.8), rng.uniform(0.8, 1.0)
     slides = np.array([kind == "slide" for kind, *_ in task.joints])
     stiff, damp = np.where(slides, 2700.0, 180.0), np.where(slides, 60.0, 4.0)
+    gains = np.where(np.array(robot.joint_units) == "rad", 1.0, SLIDE / STIFFNESS)
     tremor, push, out, far, end = np.zeros(3), np.zeros(w.n), list[np.ndarray](), list[np.ndarray](), (held, held)
     d.qpos[w.q] = start
     J = np.zeros((6, m.nv))
@@ -241,7 +269,7 @@ def recorded(arm: Arm, robot: ml.Robot, task: Task, seed: int) -> tuple[np.ndarr
                 end = here, w.posture(x + r.apply([0.0, 0.0, -0.1]) + rng.normal(0.0, 0.02, 3), r, here)[0]
             a, b, share = (start, held, (t - edge[0]) / spans[1]) if t < edge[1] else (*end, (t - edge[4]) / spans[5])
             goal = a + smooth(share) * (b - a)
-            d.qfrc_applied[w.v] = 300.0 * (goal - d.qpos[w.q]) - 20.0 * d.qvel[w.v] + 0.3 * push
+            d.qfrc_applied[w.v] = gains * (300.0 * (goal - d.qpos[w.q]) - 20.0 * d.qvel[w.v]) + 0.3 * push
         else:
             if not d.eq_active[0]:
                 w.hold(True)
@@ -282,9 +310,9 @@ class Outcome:
         return self.off <= TOO_FAR and WAY[0] <= self.way <= WAY[1] and self.force <= MOST_FORCE and self.path <= 1.0
 
 
-def run(arm: Arm, task: Task, seed: int) -> Outcome:
+def run(arm: Arm, task: Task, seed: int, folder: Path) -> Outcome:
     """Record, learn, repeat, and look at the fixture."""
-    robot = ml.load_robot(arm.name, locked=arm.locked)
+    robot = arm.load(folder)
     made = list[tuple[np.ndarray, np.ndarray]]()
     for k in range(4 * RECORDINGS):
         one = recorded(arm, robot, task, 1000 * seed + k)
@@ -311,8 +339,9 @@ def run(arm: Arm, task: Task, seed: int) -> Outcome:
     mujoco.mj_forward(m, d)
     inertia = np.zeros((m.nv, m.nv))
     mujoco.mj_fullM(m, d, inertia)
-    damping = 2.0 * np.sqrt(STIFFNESS * inertia.diagonal()[w.v])
-    loop = ml.ServoLoop(again.controller, dt=TIMESTEP, contact=ml.Contact(stiffness=STIFFNESS))
+    stiffness = np.where(np.array(robot.joint_units) == "rad", STIFFNESS, SLIDE)
+    damping = 2.0 * np.sqrt(stiffness * inertia.diagonal()[w.v])
+    loop = ml.ServoLoop(again.controller, dt=TIMESTEP)
     loop.reset(start)
     most, force, off, turned, path = 0.0, 0.0, np.nan, 0.0, [w.kinematics(start)[0]]
     ways = [k for k, law in enumerate(again.controller.laws) if isinstance(law.task, ml.FreeDirection)]
@@ -328,7 +357,7 @@ def run(arm: Arm, task: Task, seed: int) -> Outcome:
             grip = d.xmat[w.tip].reshape(3, 3).copy(), d.xmat[w.body].reshape(3, 3).copy()
         elif number > ways[-1] and d.eq_active[0]:
             w.hold(False)
-        d.qfrc_applied[w.v] = STIFFNESS * (loop.position - d.qpos[w.q]) - damping * (d.qvel[w.v] - command.velocity)
+        d.qfrc_applied[w.v] = stiffness * (loop.position - d.qpos[w.q]) - damping * (d.qvel[w.v] - command.velocity)
         mujoco.mj_step(m, d)
         if d.eq_active[0]:
             force, most = max(force, w.force), max(most, float(np.linalg.norm(d.qpos[w.fq])))
@@ -347,7 +376,8 @@ def run(arm: Arm, task: Task, seed: int) -> Outcome:
     extent = np.linalg.norm(np.diff(wiped, axis=0), axis=1).sum() or shown * (lever or 1.0)
     straight = np.linalg.norm(hold - path[0]) + extent + (np.linalg.norm(again.steps[-1].place - path[-1]) + 0.12)
     ratio = walked / (3.0 * straight + 0.2)
-    return Outcome(off, most / shown, turned, force, float(ratio), seconds, again.is_done, "; ".join(again.notes))
+    notes = "; ".join([loop.stopped_by or "", *again.notes])
+    return Outcome(off, most / shown, turned, force, float(ratio), seconds, again.is_done, notes)
 
 
 def main() -> None:
@@ -355,14 +385,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="*", help="ARM or ARM:TASK; by default all of arms not shipped")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--folder", type=Path, default=Path(), help="of the files that others published")
     options, good, total = parser.parse_args(), 0, 0
     warnings.simplefilter("ignore")
-    for word in options.runs or [name for name in ARMS if name != "sawyer"]:
+    for word in options.runs or [n for n in ARMS if n != "sawyer"]:
         name, _, which = word.partition(":")
         for task in [which] if which else TASKS:
             total += 1
             try:
-                one = run(ARMS[name], TASKS[task], options.seed)
+                one = run(ARMS[name], TASKS[task], options.seed, options.folder)
             except (RuntimeError, ml.ManipLearnError) as error:
                 print(f"{name}:{task} {options.seed}: {type(error).__name__}: {str(error)[:200]}", flush=True)
                 continue

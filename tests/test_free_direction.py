@@ -144,8 +144,8 @@ def test_cylinder_sleeve_and_ball(robot_of: RobotOf) -> None:
         assert np.ptp(np.linalg.norm(d, axis=1)) < 1e-4
 
 
-def test_a_peg_is_slid_or_turned_but_not_repeated(robot_of: RobotOf) -> None:
-    """A hand on the axis of what it turns cannot follow the path of its place: refused, and the remedy works."""
+def test_a_peg_is_slid_or_turned_or_repeated(robot_of: RobotOf) -> None:
+    """A hand on the axis of what it turns goes one way at a time, or the path that was shown."""
     robot = robot_of("panda")
     features = MechanismRows(
         robot, TIP, "turn-1 turn-2 slide-1 slide-2", axis=AXIS, point=robot.position(READY, robot.frame(TIP))
@@ -155,14 +155,10 @@ def test_a_peg_is_slid_or_turned_but_not_repeated(robot_of: RobotOf) -> None:
     shown = shown_by(features, np.eye(4), slide.learnt.mechanism, [Trajectory(done.time, done.q, done.u)])
     assert shown is not None
     peg = Constraint(np.eye(4), features, {"shown": shown.to_dict()})
-    with pytest.raises(
-        ConstraintError, match=r"name one of its ways \(distance=0\.05, direction='slide' or angle=0\.5"
-    ):
-        motion(peg)
-    assert (motion(peg, along=0.05, direction="slide").unit, motion(peg, turn=0.5, direction="turn").unit) == (
-        "m",
-        "rad",
-    )
+    again = tips(run(motion(peg), READY, climb=False), robot)
+    assert np.linalg.norm(again[-1] - tips(done, robot)[-1]) < 2e-3  # a millimetre may be missing of a way
+    units = [motion(peg, along=0.05, direction="slide").unit, motion(peg, turn=0.5, direction="turn").unit]
+    assert units == ["m", "rad"]
 
 
 def test_direction_in_a_plane_is_projected(robot_of: RobotOf) -> None:

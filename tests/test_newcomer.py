@@ -63,7 +63,7 @@ TYPED: dict[str, tuple[str, str]] = {
     "a replay of what is not there": ("replay run.npz", "check the path"),
     "a constraint in place of a rollout": ("replay planar3 held.json", "`manip-learn replay`"),
     "the file before the robot": ("control held.json planar3", "name the robot here"),
-    "a recording in place of a constraint": ("control planar3 demo_01.csv", "`manip-learn learn --out FILE`"),
+    "a recording in place of a constraint": ("control planar3 demo_01.csv", "`manip-learn learn ... --out FILE`"),
     "degrees": ("control planar3 held.json --start 17,46,23 --along 0.1", "give positions in rad, not in degrees"),
     "a name with a slip": ("inspect swayer", "did you mean 'sawyer'"),
     "an arm of an extra": ("inspect 'Lite 6'", "pip install 'manip_learn[descriptions]'"),

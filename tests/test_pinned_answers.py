@@ -264,7 +264,7 @@ def a_way(kind: str, folder: Path) -> dict[str, Any]:
     said: dict[str, Any] = {"q": done.q, "error": done.task_error, "words": str(task)}
     if kind == "drawer":
         found = ml.plan(constraint, task, ready, candidates=96)
-        said["plan"] = {"hold": found.hold, "found": found, "words": str(found), "approach": found.approach.q}
+        said["plan"] = {"hold": found.q_grasp, "found": found, "words": str(found), "approach": found.approach.q}
     return said
 
 

@@ -12,10 +12,11 @@ from conftest import chain_urdf
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES
 from manip_learn.control.limits import Limits
-from manip_learn.planning.clearance import self_collision
+from manip_learn.planning.clearance import Clearance, self_collision
 from manip_learn.planning.search import soft_margin
 from manip_learn.planning.stations import Stations, margins_of
-from manip_learn.robot.collision import SelfCollision
+from manip_learn.planning.surroundings import Surroundings
+from manip_learn.robot.collision import SelfCollision, collision_shapes
 
 PANDA_TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8])
@@ -126,7 +127,7 @@ def test_a_plan_is_saved_like_a_rollout_with_its_phases(tmp_path: Path, sawyer: 
     ends = [end for _, _, end in opened.rollout.phases]
     starts = [start for _, start, _ in opened.rollout.phases]
     assert starts[1:] == ends[:-1] and ends[-1] == pytest.approx(opened.rollout.time[-1])
-    assert "margin" in repr(opened) and "margin" in opened._repr_html_()
+    assert "margin" in repr(opened)
 
 
 @pytest.mark.parametrize("turn", (60.0, -60.0))
@@ -302,3 +303,30 @@ def test_the_sense_in_which_joints_have_more_room(rng: np.random.Generator) -> N
         np.testing.assert_array_equal(limits.freer_sense(q, direction), -direction if back else direction)
         turned += back
     assert 30 < turned < 170
+
+
+def test_what_a_recording_shows_is_possible(panda: ml.Robot) -> None:
+    """Links that touch in a posture that was shown count as clear to that depth, and are named; a posture in which they
+    are deeper into each other is not clear.
+    """
+    rng, links = np.random.default_rng(4), self_collision(panda)
+    assert links is not None
+    touching = (q for q in (panda.random_configuration(rng) for _ in range(9999)) if links.closer_than(q, -0.01))
+    q = next(x for x in touching if len(links.closer_than(x, 0.0)) == 1)
+    plain, told = Clearance(panda, True, Surroundings(), READY), Clearance(panda, True, Surroundings(), READY, [q])
+    assert not plain(q) and told(q) and not plain.notes
+    (one, other) = links.closer_than(q, 0.0)[0].links
+    assert any(f"{one!r} and {other!r} touch in the recordings" in note for note in told.notes)
+
+
+def test_a_lost_mesh_costs_its_own_link_only(tmp_path: Path) -> None:
+    """The others are kept, capsules stand for it, and a plan names the file."""
+    whole = ml.load_robot("xarm7")
+    assert whole.source is not None and whole.description is not None
+    file = tmp_path / "lost.urdf"
+    file.write_bytes(whole.description.replace(b"link6.stl", b"lost.stl"))
+    robot = ml.load_robot(str(file), package_dirs=list(whole.source.parents)[:5])
+    kinds = {shape.link: type(shape.geometry).__name__ for shape in collision_shapes(robot)}
+    assert kinds["link6"] == "Capsule" and kinds["link5"] == "Convex"
+    notes = Clearance(robot, True, Surroundings(), np.zeros(7)).notes
+    assert any("lost.stl" in note for note in notes)

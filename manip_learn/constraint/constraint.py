@@ -425,7 +425,7 @@ def read_constraint_file(path: Path) -> dict[str, Any]:
 
 
 def _check_robot(made: RobotIdentity, robot: Robot, same_urdf: bool) -> None:
-    other, same_joints = made.refusal(robot, "it"), made.joint_names == robot.joint_names
+    other, same_joints = made.mismatch(robot, "it"), made.joint_names == robot.joint_names
     if other and (same_urdf or not same_joints):
         either = spoken(", or say same_urdf=False for another description with the same joints", "")
         raise ConstraintError(other + either * same_joints)

@@ -77,29 +77,24 @@ class Clearance:
             self.notes.append(f"the robot's shapes {files} are not found: capsules along the links stand for them")
         self.links = found.with_obstacles(around.obstacles, self._own)
         self._start, self._around, self._behind = start, around, AWAY
-        if FLOOR in around.assumed:
-            depths = [
-                (CLEARANCE - pair.distance, where, pair.links[0])
-                for q, where in [(start, "at the start"), *((q, "in the recordings") for q in shown)]
-                for pair in self._pairs(q, 0.0)
-                if pair.links[1] == FLOOR
-            ]
-            if depths:
-                depth, where, link = max(depths)
-                self._around = around.lowered(depth)
-                self.notes.append(f"{where} {link!r} is below the base: the floor is taken {depth:.3f} m lower")
+        postures = [(start, "at the start"), *((q, "in the recordings") for q in shown)]
+        seen = [(pair, where) for q, where in postures for pair in self._pairs(q, CLEARANCE)]
+        below = [(-p.distance, where, p.links[0]) for p, where in seen if p.links[1] == FLOOR and p.distance <= 0.0]
+        if FLOOR in around.assumed and below:
+            depth, where, link = max(below)
+            self._around = around.lowered(CLEARANCE + depth)
+            self.notes.append(f"{where} {link!r} is below the base: the floor is taken {CLEARANCE + depth:.3f} m lower")
         self.links = self.links.with_obstacles(self._around.obstacles, self._own)
         near = [pair for pair in self._pairs(start, 2.0 * CLEARANCE) if pair.distance >= 0.0]
         self._near = {pair.links: 0.5 * pair.distance for pair in reversed(near)}
-        for q in shown if self._own else ():  # an arm has been there: where its links touch, their shapes are too large
-            for pair in self._pairs(q, CLEARANCE):
-                if pair.links[1] not in self._around.names:
-                    least = pair.distance - _ROUNDED
-                    self._near[pair.links] = min(least, self._near.get(pair.links, least))
+        for pair, where in seen:  # an arm has been there: where its links touch, their shapes are too large
+            if where != "at the start" and pair.links[1] not in self._around.names:
+                least = pair.distance - _ROUNDED
+                self._near[pair.links] = min(least, self._near.get(pair.links, least))
+        touching = [(*links, -1e3 * least) for links, least in self._near.items() if least < -_ROUNDED]
         self.notes += [
-            f"{one!r} and {other!r} touch in the recordings: their shapes count as {-1e3 * depth:.0f} mm too large"
-            for (one, other), depth in self._near.items()
-            if depth < -_ROUNDED
+            f"{one!r} and {other!r} touch in the recordings: their shapes count as {depth:.0f} mm too large"
+            for one, other, depth in touching
         ]
         self.least = min([CLEARANCE, *(max(x, 0.0) for x in self._near.values())])
 

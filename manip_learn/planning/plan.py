@@ -45,7 +45,6 @@ from manip_learn.planning.stations import (
 )
 from manip_learn.planning.surroundings import Surroundings, surroundings_of
 from manip_learn.recordings.load import Progress
-from manip_learn.robot import html_card
 from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
@@ -122,13 +121,6 @@ class Plan:
 
     def __repr__(self) -> str:
         return f"Plan({self.sentence})"
-
-    def _repr_html_(self) -> str:
-        facts: list[tuple[str, str | None]] = [
-            ("plan", self.sentence),
-            ("compared", f"{self.candidates} postures that take hold"),
-        ]
-        return html_card.card("Plan", html_card.facts(facts))
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer: lengths in m, angles in rad, of the way in degrees."""
@@ -239,9 +231,8 @@ def _searched(problem: _Problem, candidates: int, said: Progress) -> Plan:
     found = problem.best(marches, said)
     if found is None:
         said("comparing more postures", 0.5)
-        more = problem.marches(AGAIN * candidates)
-        found = problem.best(more, said)
-        marches = marches.joined_with(more)
+        marches = problem.marches(AGAIN * candidates)
+        found = problem.best(marches, said)
     found = problem.as_it_stands(found) or found
     if found is None and problem.missing is not None:
         raise problem.missing
@@ -607,6 +598,7 @@ class _Problem:
         joints, stations = unwound(self.robot, way.q), stations or self.stations
         if not outcome.is_done or outcome.strays or outcome.begins is None or not clear.of_way(joints):
             return None
+        hold = self.positions if path is None else path[0]
         if path is None:
             time = outcome.begins + stations.time * (outcome.seconds or 0.0) / stations.time[-1]
             path = np.column_stack([np.interp(time, way.time, column) for column in joints.T])
@@ -617,7 +609,7 @@ class _Problem:
         seen = (run.q[:: len(run) // _SEEN + 1] for run in (approach, way))
         way = replace(way, around=self.clear.plain(self.robot.positions(q) for q in np.concatenate([*seen])))
         numbers = margins.margin, margins, outcome, LawSequence(to_hold, law), compared, self.notes, self.clear.around
-        return Plan(self.robot, path[0], approach, way, *numbers)
+        return Plan(self.robot, hold, approach, way, *numbers)
 
     # ---- where there is no plan -----------------------------------------------------------------------------------
 

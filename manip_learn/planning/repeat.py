@@ -194,6 +194,8 @@ def repeat(
         notes.append(f"learnt with {said_of}, read them before an arm moves: {'; '.join(doubts)}")
     if prefer not in ("shown", "room"):
         raise ConfigurationError(f"prefer is {prefer!r}: it must be 'shown' or 'room'")
+    if prefer == "shown" and not any(step.takes for step in skill.steps):
+        notes.append("no recording is kept with this task: the posture of each way is searched")
     if (transform := moved if fixture_transform is None else fixture_transform) is not None:
         skill = skill.moved(_rigid(transform))
     q, said = robot.checked_posture(start), progress or (lambda _title, _share: None)
@@ -269,7 +271,7 @@ def _name(number: int, step: Step, skill: Skill) -> str:
     if step.kind == "reach":
         return "retreat"
     mechanism = None if step.constraint is None else step.constraint.mechanism
-    what = "way" if mechanism is None else mechanism.noun
+    what = "way" if mechanism is None else mechanism.kind if mechanism.noun == "other" else mechanism.noun
     ways = [s for s in skill.steps[: number + 1] if s.kind == "way"]
     return f"{what} {len(ways)}" if sum(s.kind == "way" for s in skill.steps) > 1 else what
 

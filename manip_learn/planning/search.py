@@ -60,12 +60,8 @@ class Marches:
     def as_shown(self) -> Marches:
         """Those that take hold with the hand turned as in the recordings."""
         here = np.flatnonzero(np.isfinite(self.least[:, 0]))
-        return self._only(here[self.stations.takes_hold_as_shown(self.q[here, 0])])
-
-    def joined_with(self, other: Marches) -> Marches:
-        """These, and others after them."""
-        parts = zip(self._parts, other._parts, strict=True)
-        return Marches(self.stations, *(np.concatenate(pair) for pair in parts))
+        some = here[self.stations.takes_hold_as_shown(self.q[here, 0])]
+        return Marches(self.stations, self.q[some], self.least[some], self.log_mu[some])
 
     def where(self, clear: Callable[[Float[np.ndarray, " nv"]], bool]) -> Marches:
         """These marches from the first station up to the last at which their postures are clear."""
@@ -101,13 +97,6 @@ class Marches:
             if not out or np.min(np.max(np.abs(self.q[out, 0] - self.q[march, 0]), axis=1)) > APART:
                 out.append(march)
         return np.array(out, dtype=int)
-
-    @property
-    def _parts(self) -> tuple[np.ndarray, ...]:
-        return self.q, self.least, self.log_mu
-
-    def _only(self, some: Int[np.ndarray, " k"]) -> Marches:
-        return Marches(self.stations, *(part[some] for part in self._parts))
 
 
 def marches_of(

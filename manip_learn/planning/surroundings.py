@@ -86,15 +86,10 @@ class Surroundings:
 
     def lowered(self, depth: float) -> Surroundings:
         """With a floor that lies lower [m]."""
-        down = np.array([0.0, 0.0, depth])
-        moved = (replace(o, placement=_moved(o.placement, -down)) if o.name == FLOOR else o for o in self.obstacles)
+        down = np.zeros((4, 4))
+        down[2, 3] = depth
+        moved = (replace(o, placement=o.placement - down) if o.name == FLOOR else o for o in self.obstacles)
         return replace(self, obstacles=tuple(moved))
-
-
-def _moved(placement: _Pose, step: Float[np.ndarray, " 3"]) -> _Pose:
-    out = placement.copy()
-    out[:3, 3] += step
-    return out
 
 
 def surroundings_of(scene: Scene | None, robot: Robot, frame: Frame) -> Surroundings:

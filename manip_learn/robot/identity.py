@@ -106,7 +106,7 @@ class RobotIdentity:
             found.append(f"the description has changed (kinematics or masses; {hashes})")
         return tuple(found)
 
-    def refusal(self, robot: Robot, where: str) -> str | None:
+    def mismatch(self, robot: Robot, where: str) -> str | None:
         """Return how a loaded robot differs from that of a file, and what to do; None if it does not."""
         found = self.differences(robot)
         if not found:
@@ -128,7 +128,7 @@ class RobotIdentity:
         Raises:
             RecordingError: Another robot, or other joints locked; code `other-robot`.
         """
-        if said := self.refusal(robot, where):
+        if said := self.mismatch(robot, where):
             raise RecordingError(said, code="other-robot", path=path)
 
 

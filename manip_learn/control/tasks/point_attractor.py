@@ -211,6 +211,8 @@ class PointAttractor(Task):
 
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
         """b and E from one look at the pose."""
+        if type(self) is not PointAttractor:  # a child's own velocity counts
+            return super().velocity_and_jacobian(constraint, q, t)
         displacement, E = self._toward(constraint, q)
         return self._attraction(displacement), E
 
