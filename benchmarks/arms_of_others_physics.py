@@ -88,7 +88,6 @@ ARMS = {
     "iiwa14": Arm(IIWA, "iiwa_link_7", (-0.5, 1.0, 1.2, -1.5, 0.3, -0.9, -1.2), 1.1),
     "irb1600": Arm(IRB, "tool0", (0.2, 0.4, 0.1, 0.35, -0.55, -3.4), 1.5),
     "ur5": Arm("ur5", "tool0", (0.0, -1.6, 1.9, -0.3, 1.57, 0.0), 0.85),
-    "sawyer": Arm("sawyer", "right_gripper_tip", (0.0, -0.6, 0.0, 1.2, 0.0, 1.0, 1.57), 1.0),
 }
 
 
@@ -388,7 +387,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path(), help="of the files that others published")
     options, good, total = parser.parse_args(), 0, 0
     warnings.simplefilter("ignore")
-    for word in options.runs or [n for n in ARMS if n != "sawyer"]:
+    for word in options.runs or ARMS:
         name, _, which = word.partition(":")
         for task in [which] if which else TASKS:
             total += 1
