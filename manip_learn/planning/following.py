@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, final
 
 import numpy as np
@@ -25,12 +26,14 @@ from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
 ENOUGH = 0.15  # margin of a way that is shown: with less, limits or a singularity are felt in the motion
 ONE_PLACE = 5e-3  # [m] within which a hand is where contacts began
+HELD = 20.0  # weight of the posture of hold in them beside each other: it is kept
 ROUGH = 5  # degree of the polynomials that smooth a joint's path along a way
 CARRIED_STEPS, PARTS = 20, 4  # of Newton's method in each part of the motion by which fixtures have moved
 FAINT = 1e-5  # [m2 or rad2] of damping in them
 TOO_SLOW = -1.0  # margin of speed of a way that takes twice its time: another way of going is tried first
 JOINS = 0.6  # share of a shown approach by which it is joined: what is left is gone as it was shown
 KNOTS = 24  # of an approach
+LEAST_APPROACH = 0.05  # [rad or m] that a joint goes in a recording that shows an approach: a cut one shows none
 Way = Float[np.ndarray, "L nv"]
 
 
@@ -124,8 +127,8 @@ def followed(
         own = motion.taking_hold(grasp)
         at = Stations.of(own, robot.configuration(positions), stations.limits)
         q = np.where(stations.moving, take.along, positions)
-        for path in (_as_shown(at, take, q, shown, features), _marched(at, rows, take, q, features)):
-            if path is None:
+        for way in (partial(_as_shown, shown), partial(_marched, rows)):
+            if (path := way(at, take, q, features)) is None:
                 continue
             margins = margins_of(at, path)
             if margins.margin < ENOUGH:
@@ -150,7 +153,7 @@ def _begins_held(take: Take, shown: Shown, features: Any) -> bool:
     return float(np.linalg.norm(meant[:3, 3] - poses[0, :3, 3])) <= ONE_PLACE
 
 
-def _as_shown(at: Stations, take: Take, q: Postures, shown: Shown, features: Any) -> Way | None:
+def _as_shown(shown: Shown, at: Stations, take: Take, q: Postures, features: Any) -> Way | None:
     """Return the recorded joint path, smoothed along the way and brought onto its stations."""
     poses, times = take.moved @ features.twist.poses(q), take.time[(take.time >= 0.0) & (take.time <= take.end)]
     if shown.is_way:
@@ -163,7 +166,7 @@ def _as_shown(at: Stations, take: Take, q: Postures, shown: Shown, features: Any
         return None
     wanted = wanted / wanted[-1]
     degree = min(ROUGH if shown.is_way else 2 * ROUGH, top // 4)
-    weight = np.interp(shares, [0.0, 0.02, 0.05], [20.0, 5.0, 1.0])  # that of hold is kept
+    weight = np.interp(shares, [0.0, 0.05], [HELD, 1.0])
     fits = [np.polynomial.Polynomial.fit(shares, x, degree, w=weight, domain=[0.0, 1.0]) for x in q[:top].T]
     guess = carried(features, np.column_stack([fit(wanted) for fit in fits]), take.moved)
     path, there = at.onto(guess, np.arange(len(at)), 3 * MARCH_STEPS)
@@ -171,7 +174,7 @@ def _as_shown(at: Stations, take: Take, q: Postures, shown: Shown, features: Any
     return path if np.all(there) and near else None
 
 
-def _marched(at: Stations, rows: Any, take: Take, q: Postures, features: Any) -> Way | None:
+def _marched(rows: Any, at: Stations, take: Take, q: Postures, features: Any) -> Way | None:
     """Return the way from the recorded posture of hold on, the spare joints at rest."""
     first = carried(features, q[:1], take.moved)
     held, there = at.onto(first, np.zeros(1, dtype=int), 5 * MARCH_STEPS)
@@ -194,12 +197,10 @@ def joined(path: Postures, start: Float[np.ndarray, " nv"], end: Float[np.ndarra
     Returns:
         Knots from the start to the end; None where the recording moves too little to be an approach.
     """
-    if len(path) < 3 or np.max(np.abs(path - path[-1])) < 0.05:
+    if len(path) < 3 or np.max(np.abs(path - path[-1])) < LEAST_APPROACH:
         return None
-    near = int(
-        np.argmin(np.linalg.norm(path[: max(1, 3 * len(path) // 4)] - start, axis=1))
-    )  # its last quarter is gone
-    some = path[near:]
+    far = np.linalg.norm(path[: max(1, 3 * len(path) // 4)] - start, axis=1)  # its last quarter is always gone
+    some = path[int(np.argmin(far)) :]
     at = np.linspace(0.0, 1.0, KNOTS)
     knots = np.column_stack([np.interp(at, np.linspace(0.0, 1.0, len(some)), x) for x in some.T])
     x = np.minimum(at / JOINS, 1.0)

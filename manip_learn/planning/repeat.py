@@ -411,7 +411,7 @@ def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:
     T = finite(moved, 4, 4)
     if T is None or np.max(np.abs((R := T[:3, :3]) @ R.T - np.eye(3))) > 1e-6 or np.linalg.det(R) < 0:
         raise TargetError(
-            "moved must be a rigid motion: four rows [R t; 0 0 0 1] of finite numbers, R a rotation, got "
+            "fixture_transform must be a rigid motion: four rows [R t; 0 0 0 1] of finite numbers, R a rotation, got "
             f"{np.array2string(np.asarray(moved), precision=3) if np.size(moved) <= 16 else an(moved)}"
         )
     return T
