@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
@@ -202,12 +202,12 @@ def repeat(
     limits = _limited(limits or Limits(robot), tip_speed, skill, q)
     asked = _Asked(limits, dt, seed, scene, prefer, said)
     take: Take | None = None
-    laws: list[ResolvedRateController] = []
-    done: list[StepDone] = []
+    laws, done = list[ResolvedRateController](), list[StepDone]()
     whole: Rollout | None = None
     for number, step in enumerate(skill.steps):
         name = _name(number, step, skill)
-        said(name, number / len(skill.steps))
+        asked = asked._replace(said=lambda title, share, k=number: said(title, (k + share) / len(skill.steps)))
+        asked.said(name, 0.0)
         parts: list[_Part] = []
         if step.kind == "reach" and step.gripper is not None:
             parts = [_grip(step, name, q, asked, 0.0 if whole is None else whole.manipulability[-1])]
@@ -226,12 +226,12 @@ def repeat(
     if whole is None:
         raise TargetError("there is nothing to do again: the skill has no way")
     said("done", 1.0)
-    guide = next((way["constraint"] for way in whole.ways), whole.constraint)
-    whole = replace(whole, constraint=guide, target=None)  # not those of its last part
+    guides = (*(way["constraint"] for way in whole.ways), whole.constraint)
+    whole = replace(whole, constraint=guides[0], target=None)  # not those of its last part
     tip = batch_kinematics(robot, skill.constraints[0].features.frame)  # type: ignore[attr-defined]  # a plan has looked
     far = np.linalg.norm(np.diff(tip.pose(whole.q)[:, :3, 3], axis=0), axis=1)
-    fastest = float(np.max(far / np.diff(whole.time)))
-    return Repetition(skill, whole, tuple(done), LawSequence(*laws), float(np.sum(far)), fastest, tuple(notes))
+    numbers = float(np.sum(far)), float(np.max(far / np.diff(whole.time)))
+    return Repetition(skill, whole, tuple(done), LawSequence(*laws), *numbers, tuple(notes))
 
 
 def _limited(limits: Limits, tip_speed: TipSpeed, skill: Skill, q: Float[np.ndarray, " n"]) -> Limits:
@@ -269,7 +269,7 @@ def _tip_speed(robot: Robot, frame: Frame, take: Take) -> float:
 
 def _name(number: int, step: Step, skill: Skill) -> str:
     if step.kind == "reach":
-        return "retreat"
+        return "reach" if step.place is None else "retreat"
     mechanism = None if step.constraint is None else step.constraint.mechanism
     what = "way" if mechanism is None else mechanism.kind if mechanism.noun == "other" else mechanism.noun
     ways = [s for s in skill.steps[: number + 1] if s.kind == "way"]
@@ -380,7 +380,8 @@ def _retreat(
         return carried(hand, x[None], over)[0]
 
     if take is not None and last.features.relative_to is None:
-        after = carried(hand, np.where(_moving(robot, last), take.after, here), take.moved)
+        moving = [robot.moves(joint, hand.frame) for joint in robot.joint_names]
+        after = carried(hand, np.where(moving, take.after, here), take.moved)
         after = nearest_turn(robot, after, here)
         knots = joined(after, here, brought(after[-1]))
     moved = moved_as_shown(knots, q, limits, clear, dt)
@@ -400,11 +401,6 @@ def _retreat(
     return [
         _Part(law, rollout, (StepDone("reach", far, max(0.0, far - off), "m", off, None, stopped, fastest, end, name),))
     ]
-
-
-def _moving(robot: Robot, constraint: Constraint) -> Bool[np.ndarray, " nv"]:
-    """Which joints move the hand."""
-    return np.array([robot.moves(name, constraint.features.frame) for name in robot.joint_names])  # type: ignore
 
 
 def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:
