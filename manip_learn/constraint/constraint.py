@@ -190,7 +190,7 @@ class Constraint:
         return self.selection @ Phi, dA.reshape(-1, *dPhi.shape[1:])
 
     def value_and_vjp(self, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
-        """A(q) and its vector-Jacobian product, weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, without dA/dq."""
+        """A(q) and its vector-Jacobian product, weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k."""
         A, dA = self.value_and_derivative(q)
         flat = dA.reshape(-1, self.nv)
         return A, lambda weights: weights.reshape(-1).dot(flat)
