@@ -321,17 +321,16 @@ def _way(
     try:
         found = plan_as_shown(constraint, motion(constraint), q, takes, seed, **around, progress=said)  # type: ignore
     except NoPlanError as refusal:
-        facts = {"largest": refusal.largest, "posture": refusal.posture}
-        raise NoPlanError(
-            f"step {name!r}: {refusal}", stopped_by=refusal.stopped_by, helps=refusal.helps, **facts
-        ) from refusal
+        same = {what: getattr(refusal, what) for what in ("largest", "posture", "stopped_by", "helps")}
+        raise NoPlanError(f"step {name!r}: {refusal}", **same) from refusal
     robot, frame = found.robot, constraint.features.frame.name  # type: ignore[attr-defined]  # a plan has looked
     hold, end = (robot.position(x, frame) for x in (found.approach.q[-1], found.way.q[-1]))
     far, came = float(np.linalg.norm(hold - robot.position(q, frame))), found.outcome
     fast = float(np.max(np.abs(found.approach.u) / robot.velocity_limit))
     grasp, off = robot.pose(found.approach.q[-1], frame), None
     if constraint.shown is not None and len(constraint.shown.grasps):
-        off = float(np.min(np.linalg.norm(constraint.shown.grasps[:, :3, 3] - hold, axis=1)))
+        seen = constraint.features.twist.pose(found.approach.q[-1])[:3, 3]  # perhaps from another frame
+        off = float(np.min(np.linalg.norm(constraint.shown.grasps[:, :3, 3] - seen, axis=1)))
     reach = StepDone("reach", far, far, "m", 0.0, None, None, fast, hold, f"take hold for {name}", grasp, off)
     numbers = abs(came.wanted), abs(came.done), came.unit, came.deviation, found.margin
     way = StepDone("way", *numbers, came.stopped_by, came.fastest[1], end, name, grasp, off)
