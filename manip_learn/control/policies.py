@@ -33,6 +33,7 @@ GROWTH = 1.25
 LEAST_ROOM = 1e-4  # of a joint's range, below which a joint counts as at its limit: its slope stays finite
 _SAME = 1e-9  # share by which rates may differ that count as equal
 LAG = 3.0  # [cycles] in which a kept orientation is taken back at the fastest: readings may be two cycles late
+SETTLES = 0.1  # [s] and in which it is: as a task's own feedback, since faster is the noise of the encoders
 LARGEST_RATE = 1.0  # [1/s] half ranges a second that a joint moves at most, for joints whose range is short
 
 
@@ -358,7 +359,8 @@ class KeptOrientation(SampledPolicy):
 
     The wish descends theta^2 / (2 rms^2), theta the angle from the orientation that was shown and rms how well that was
     kept: a habit weighs as much as it was kept well, 1 / rms^2 beside grad log M of `RoomAscent`, with the same gain.
-    The step is implicit, stable at any weight: with the rotation rows J of the hand, and h = LAG dt gain,
+    The step is implicit, stable at any weight: with the rotation rows J of the hand, and
+    h = max(LAG dt, SETTLES) gain,
 
         pi = (I + h J^T J / rms^2)^-1 (pi_0 + gain J^T theta / rms^2)
 
@@ -396,7 +398,7 @@ class KeptOrientation(SampledPolicy):
         J, pose = self._features.twist_rows(q, False)[3:], self._features.pose(q)
         turn = rotation_vector(self._wanted() @ pose[:3, :3].T)
         u = u + (self.gain / self.rms**2) * J.T.dot(turn)
-        stiff = self.rms**2 / (LAG * dt * self.gain) * np.eye(3) + J @ J.T
+        stiff = self.rms**2 / (max(LAG * dt, SETTLES) * self.gain) * np.eye(3) + J @ J.T
         return u - J.T.dot(np.linalg.solve(stiff, J.dot(u)))
 
     def beside(self, policy: NullSpacePolicy) -> KeptOrientation:
