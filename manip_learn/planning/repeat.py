@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.constraint.shown import Unit
 from manip_learn.constraint.skill import Skill, Step, Take, one_way
 from manip_learn.control.controller import ResolvedRateController
@@ -35,7 +36,6 @@ from manip_learn.robot.robot import Robot
 _ROOM = 1.05  # times the speed of a way that was shown, with what `TipLimits.pace` leaves out
 TipSpeed = float | Literal["shown"] | None
 LEAST_SPEED = 0.05  # [m/s] at which a tip may go anyhow, however slowly a hand was guided
-_NEAR = 1e-3  # [m] a hand this near to where it is to go is there
 
 
 @final
@@ -216,7 +216,7 @@ def repeat(
             ways, around, take = _way(step, name, q, asked)
             parts += ways
         elif step.place is not None:  # to a way its plan goes
-            parts += _retreat(skill, step, name, q, around, take, asked)
+            parts += _retreat(laws[-1], step, name, q, around, take, asked)
         for part in parts:
             laws.append(part.law)
             done += part.done
@@ -353,7 +353,7 @@ def _named(rollout: Rollout, name: str) -> Rollout:
 
 
 def _retreat(
-    skill: Skill,
+    last: ResolvedRateController,
     step: Step,
     name: str,
     q: Float[np.ndarray, " n"],
@@ -363,14 +363,13 @@ def _retreat(
 ) -> list[_Part]:
     """The hand goes where the recordings ended: as it was shown, else straight, else around what is in the way."""
     limits, dt, seed = asked[:3]
-    last = next(s.constraint for s in reversed(skill.steps) if s.constraint is not None)
-    robot, frame = limits.robot, last.features.frame.name  # type: ignore[attr-defined]  # a place is known of a frame's rows
+    features: Any = last.constraint.features  # a place is known of a frame's rows
+    robot, frame = limits.robot, features.frame.name
     hand, here, place = FrameJacobian(robot, frame), robot.positions(q), np.asarray(step.place)
     far = float(np.linalg.norm(place - hand.pose(q)[:3, 3]))
-    if far <= _NEAR:
-        return []  # it is there
-    shown = [x for step in skill.steps for other in step.takes for x in other.q[::LOOKED_AT]]
-    clear, knots, end = Clearance(robot, True, around, here, shown), None, here
+    if far <= 1e-3:  # [m]: it is there
+        return []
+    clear, knots, end = Clearance(robot, True, around, here, () if take is None else [*take.q[::LOOKED_AT]]), None, here
 
     def brought(x: np.ndarray) -> np.ndarray:
         """Return a posture with the hand, turned as it is, where the recordings ended."""
@@ -378,7 +377,7 @@ def _retreat(
         over[:3, 3] = place - hand.pose(robot.configuration(x))[:3, 3]
         return carried(hand, x[None], over)[0]
 
-    if take is not None and last.features.relative_to is None:
+    if take is not None and features.relative_to is None:
         moving = [robot.moves(joint, hand.frame) for joint in robot.joint_names]
         after = carried(hand, np.where(moving, take.after, here), take.moved)
         after = nearest_turn(robot, after, here)
@@ -396,7 +395,8 @@ def _retreat(
     law, rollout = moved
     end, fastest = hand.pose(rollout.q[-1])[:3, 3], float(np.max(np.abs(rollout.u) / robot.velocity_limit))
     off = float(np.linalg.norm(end - place))
-    rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
+    mu = manipulability_batch(last.task.rows(last.constraint), rollout.q).mu  # of the way that is left
+    rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=(), manipulability=mu)
     return [
         _Part(law, rollout, (StepDone("reach", far, max(0.0, far - off), "m", off, None, stopped, fastest, end, name),))
     ]
