@@ -260,9 +260,8 @@ def _of_02(c: dict[str, Any], path: Float[np.ndarray, "T k"]) -> tuple[Mechanism
     name = CURVE if curve is not None else ""
     axis = None if kind == "ball" or name else axes[0]
     known = Mechanism(kind, axis, point, orientation=orientation, name=name, curve=curve, **told)  # type: ignore[arg-type]
-    return known, path * (
-        _sizes(known) / (np.array([known.radius or 1.0, 1.0]) if kind == "other" and not name else 1.0)
-    )
+    arcs = np.array([known.radius or 1.0, 1.0]) if kind == "other" and not name else np.ones(1)  # as 0.2 had them
+    return known, path * (_sizes(known) / arcs)
 
 
 def _sizes(mechanism: Mechanism) -> Float[np.ndarray, "..."]:
@@ -317,9 +316,7 @@ def shown_by(
         one_way = abs(float(np.sum(signed))) >= ONE_SIDED * float(np.sum(np.abs(signed)))
         if np.sum(signed) < 0.0:
             free, ways, signed = free.reversed(), [-w for w in ways], -signed
-    extents = np.array(
-        [float(np.linalg.norm(w[i])) for w, i in zip(gone if not is_way else ways, farthest, strict=True)]
-    )
+    extents = np.array([float(np.linalg.norm(w[i])) for w, i in zip(gone, farthest, strict=True)])
     if not np.all(np.isfinite(extents)) or float(np.median(extents)) <= 0.0:
         return None
     times = [contact.time - contact.time[0] for contact in contacts]

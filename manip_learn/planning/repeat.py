@@ -317,9 +317,9 @@ def _way(
     if constraint is None or constraint.robot is None:
         raise TargetError(f"step {name!r}: no constraint to go along")
     limits, dt, seed, scene, prefer, said = asked
-    takes, around = step.takes if prefer == "shown" else (), {"limits": limits, "scene": scene, "dt": dt}
+    takes, shown = step.takes if prefer == "shown" else (), motion(constraint)
     try:
-        found = plan_as_shown(constraint, motion(constraint), q, takes, seed, **around, progress=said)  # type: ignore
+        found = plan_as_shown(constraint, shown, q, takes, seed, limits=limits, scene=scene, dt=dt, progress=said)
     except NoPlanError as refusal:
         same = {what: getattr(refusal, what) for what in ("largest", "posture", "stopped_by", "helps")}
         raise NoPlanError(f"step {name!r}: {refusal}", **same) from refusal
