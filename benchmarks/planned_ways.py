@@ -25,7 +25,7 @@ from table_file import put
 
 import manip_learn as ml
 from manip_learn.control.way import WayDone, simulate_way
-from manip_learn.planning.clearance import self_collision
+from manip_learn.planning.clearance import links_of
 from manip_learn.planning.search import marches_of
 from manip_learn.planning.stations import Stations
 
@@ -60,7 +60,7 @@ def say(*words: object) -> None:
 def case(name: str, keep_orientation: bool, rng: np.random.Generator) -> Case:
     """A random posture, and a rail through the hand."""
     robot = ml.load_robot(name, locked=LOCKED.get(name, ()))
-    links = self_collision(robot)
+    links = links_of(robot)[0]
     while True:
         q = robot.positions(robot.random_configuration(rng))
         q = np.clip(q, np.maximum(robot.position_lower, -np.pi), np.minimum(robot.position_upper, np.pi))
@@ -85,7 +85,7 @@ def greedy(case: Case, climbs: bool, q: np.ndarray | None = None, dt: float = 0.
     motion = case.motion.with_distance(case.motion.wanted)
     law = ml.ResolvedRateController(case.constraint, motion, motion.ascent() if climbs else None, dt=dt)
     rollout, outcome = simulate_way(case.robot, law, case.start if q is None else q, dt)
-    links = self_collision(case.robot)
+    links = links_of(case.robot)[0]
     return done(outcome) and (links is None or not any(links.closer_than(x, 0.0) for x in rollout.q[::10]))
 
 
@@ -100,7 +100,7 @@ def exhaustive(case: Case, rng: np.random.Generator) -> bool | None:
     marches = marches_of(stations, rows, case.start, EXHAUSTIVE, rng)
     if not np.isfinite(marches.least).any(axis=0).all():
         return None
-    links = self_collision(case.robot)
+    links = links_of(case.robot)[0]
     whole = marches.q[np.isfinite(marches.least).all(axis=1), 0]
     clear = [q for q in whole if links is None or not links.closer_than(case.robot.configuration(q), NEAR)]
     return any(greedy(case, climbs, q, DT) for q in clear for climbs in (False, True))
@@ -139,7 +139,7 @@ def row(name: str, keep_orientation: bool, starts: int, seed: int, report: bool)
 
 def sound(one: Case, plan: ml.Plan) -> bool:
     """Whether approach and way are within the limits and clear of self-collision."""
-    robot, links = one.robot, self_collision(one.robot)
+    robot, links = one.robot, links_of(one.robot)[0]
     for rollout in (plan.approach, plan.way):
         q = np.array([robot.positions(x) for x in rollout.q])
         inside = np.all((q >= robot.position_lower - 1e-9) & (q <= robot.position_upper + 1e-9))

@@ -32,12 +32,11 @@ from planned_ways import TIPS as FLANGES
 import manip_learn as ml
 from manip_learn.control.limits import Limits
 from manip_learn.control.way import simulate_way
-from manip_learn.planning.clearance import Clearance, self_collision
+from manip_learn.planning.clearance import Clearance, Surroundings, hand_of, links_of
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.plan import FOLLOWING, SPARE, PathPolicy
 from manip_learn.planning.search import marches_of
 from manip_learn.planning.stations import Stations
-from manip_learn.planning.surroundings import Surroundings, hand_of, surroundings_of
 
 TIPS = FLANGES | {"sawyer": "right_gripper_tip"}  # whose shapes have a gripper: its flange is behind that
 KINDS = ("drawer", "door", "wipe", "drawer", "door", "wipe", "drawer", "door", "wipe", "drawer")
@@ -151,7 +150,7 @@ class Meshes:
 
     def _moves(self, a: int, b: int) -> bool:
         names = {self.links[a], self.links[b]}
-        known = self_collision(self.robot)
+        known = links_of(self.robot)[0]
         # links that overlap at every posture, by the planner's list: only pairs that can be told apart count
         return known is None or tuple(sorted(names)) in {tuple(sorted(p)) for p in known.link_pairs}
 
@@ -239,7 +238,7 @@ def world(arm: str, kind: str, number: int, seed: int) -> World:
     rng = np.random.default_rng([seed, number, list(TIPS).index(arm)])
     meshes = meshes_of(arm)
     robot = meshes.robot
-    own = self_collision(robot)
+    own = links_of(robot)[0]
     while True:
         q = robot.positions(robot.random_configuration(rng))
         q = np.clip(q, np.maximum(robot.position_lower, -np.pi), np.minimum(robot.position_upper, np.pi))
@@ -373,7 +372,7 @@ def exhaustive(one: World, scene: ml.Scene | str | None, seed: int) -> dict[str,
         stations = Stations.of(motion, one.start, limits)
         marches = marches_of(stations, rows, one.start, EXHAUSTIVE, rng)
     given = scene if isinstance(scene, ml.Scene) else None
-    around = surroundings_of(given, robot, frame) if scene else Surroundings()
+    around = Surroundings.of(given, robot, frame) if scene else Surroundings()
     clear, whole = Clearance(robot, True, around, one.start), np.flatnonzero(np.isfinite(marches.along[:, -1]))
     reached = int(marches.reached)
     counts: dict[str, Any] = {"postures": int(np.isfinite(marches.least[:, 0]).sum()), "whole": len(whole)}

@@ -15,7 +15,7 @@ from when_cases import PAUSE, Case
 
 import manip_learn as ml
 from manip_learn.control.way import AT_REST, DONE, SLACK, STRAY, WayDone, simulate_way
-from manip_learn.planning.clearance import self_collision
+from manip_learn.planning.clearance import links_of
 
 GAIN, DURATION, THERE = 2.0, 5.0, 1e-3  # [1/s] and [s] of reaching, and what may be missing of it [m or rad]
 SCRIPTS = Path(__file__).resolve().parent / "peers"
@@ -143,7 +143,7 @@ def _stroke(case: Case, number: int, q: np.ndarray, name: str, dt: float) -> tup
 
 
 def _plan(case: Case, number: int, q: np.ndarray, name: str, dt: float) -> tuple[np.ndarray, Part] | None:
-    task, links = case.motion(number), self_collision(case.constraint.robot)
+    task, links = case.motion(number), links_of(case.constraint.robot)[0]
     touching = links is not None and bool(links.closer_than(q, 0.0))  # starts are drawn without regard to links
     try:
         way = ml.plan(case.constraint, task, q, seed=0, collision=not touching).way

@@ -14,9 +14,8 @@ from random_arms import random_tree
 import manip_learn as ml
 from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
-from manip_learn.planning.clearance import Clearance, links_of
+from manip_learn.planning.clearance import Clearance, Surroundings, links_of
 from manip_learn.planning.joint_path import joint_path
-from manip_learn.planning.surroundings import Surroundings
 from manip_learn.robot.collision import Obstacle, SelfCollision
 
 STATIONS = 100  # at which a straight motion is checked
@@ -119,7 +118,8 @@ def test_what_may_touch_may_touch(roboplan, sawyer: ml.Robot):
     hand = frozenset(name for name in sawyer.frame_names if sawyer.frame(name).parent_joint == carrier)
     links, limits = links_of(sawyer)[0], Limits(sawyer)
     for may, found in ((hand, True), (frozenset(), False)):
-        clear = Clearance(sawyer, links, Surroundings((*around(sawyer), *handle.obstacles(sawyer, may))), start)
+        stands = Surroundings((*around(sawyer), *handle.obstacles(sawyer)), handled=frozenset({"handle"}), hand=may)
+        clear = Clearance(sawyer, links, stands, start)
         assert (joint_path(sawyer, start, goal, limits, clear, 0) is not None) == found
 
 

@@ -12,10 +12,9 @@ from conftest import chain_urdf
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES
 from manip_learn.control.limits import Limits
-from manip_learn.planning.clearance import Clearance, self_collision
+from manip_learn.planning.clearance import Clearance, Surroundings, links_of
 from manip_learn.planning.search import soft_margin
 from manip_learn.planning.stations import Stations, margins_of
-from manip_learn.planning.surroundings import Surroundings
 from manip_learn.robot.collision import SelfCollision, collision_shapes
 
 PANDA_TIP = "panda_hand_tcp"
@@ -250,7 +249,7 @@ def test_bad_starts_and_ways_are_refused_in_a_sentence(panda: ml.Robot, sawyer: 
     with pytest.raises(ml.ManipLearnError, match="outside its limits"):
         ml.plan(rail, motion, READY + [9, 0, 0, 0, 0, 0, 0])
     rng = np.random.default_rng(3)
-    links = self_collision(panda)
+    links = links_of(panda)[0]
     touching = next(q for q in (panda.random_configuration(rng) for _ in range(9999)) if links.closer_than(q, 0.0))
     with pytest.raises(ml.ManipLearnError, match="touch"):
         ml.plan(rail, motion, touching)
@@ -309,7 +308,7 @@ def test_what_a_recording_shows_is_possible(panda: ml.Robot) -> None:
     """Links that touch in a posture that was shown count as clear to that depth, and are named; a posture in which they
     are deeper into each other is not clear.
     """
-    rng, links = np.random.default_rng(4), self_collision(panda)
+    rng, links = np.random.default_rng(4), links_of(panda)[0]
     pairs = ((x, links.closer_than(x, 0.0)) for x in (panda.random_configuration(rng) for _ in range(9999)))
     q, found = next((x, found) for x, found in pairs if len(found) == 1 and found[0].distance < -2e-3)
     plain, told = Clearance(panda, True, Surroundings(), READY), Clearance(panda, True, Surroundings(), READY, [q])

@@ -7,8 +7,7 @@ import pytest
 
 import manip_learn as ml
 from manip_learn.control.keeping_clear import CLEARANCE
-from manip_learn.planning.clearance import Clearance
-from manip_learn.planning.surroundings import FLOOR, Surroundings, hand_of, surroundings_of
+from manip_learn.planning.clearance import FLOOR, Clearance, Surroundings
 
 TIP, READY = "panda_hand_tcp", np.array([0.0, -0.6, 0.0, -2.2, 0.0, 1.8, 0.7])
 HEIGHT = np.array([0.0, 0.0, 1.0])
@@ -35,8 +34,8 @@ def test_an_assumed_floor_gives_way_and_a_given_one_does_not(panda: ml.Robot):
 def test_nothing_is_invented(panda: ml.Robot):
     """Of what is opened nobody knows its front: without a scene there is a floor, with one what it states."""
     frame = panda.frame(TIP)
-    assert surroundings_of(None, panda, frame).names == (FLOOR,)
-    assert surroundings_of(ml.Scene(boxes=[ml.Box((0.1, 0.1, 0.1), (1.0, 0.0, 0.0), "box")]), panda, frame).names == (
+    assert Surroundings.of(None, panda, frame).names == (FLOOR,)
+    assert Surroundings.of(ml.Scene(boxes=[ml.Box((0.1, 0.1, 0.1), (1.0, 0.0, 0.0), "box")]), panda, frame).names == (
         "box",
     )
 
@@ -45,8 +44,7 @@ def test_a_hand_goes_no_deeper_than_the_least_deep_that_takes_hold(panda: ml.Rob
     """Of postures that take hold one is in the thing held and one is beside it: the first is not clear."""
     start, place = READY + [0.0, -0.4, 0.0, 0.0, 0.0, 0.0, 0.0], panda.position(READY, TIP)
     scene = ml.Scene(None, [ml.Box((0.3, 0.3, 0.3), place - [0.0, 0.0, 0.12], "chest")], handled=("chest",))
-    hand = hand_of(panda, panda.frame(TIP))
-    clear = Clearance(panda, True, Surroundings(scene.obstacles(panda, hand)).for_hand(panda, hand), start)
+    clear = Clearance(panda, True, Surroundings.of(scene, panda, panda.frame(TIP)), start)
     beside = READY + [0.0, -0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
     both, alone = clear.holding([READY, beside]), clear.holding([READY])
     assert alone(READY) and alone(beside)

@@ -24,7 +24,7 @@ from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
 from manip_learn.planning.clearance import Clearance, Posture
 from manip_learn.robot.collision import SelfCollision
-from manip_learn.robot.plain_urdf import BASE, box_size, joint_name, plain_urdf
+from manip_learn.robot.plain_urdf import joint_name, plain_urdf
 from manip_learn.robot.robot import Robot
 
 NODES = 300  # of both trees: a path round a box takes 150 at most
@@ -99,10 +99,7 @@ def _searched(
             core, rrt = import_module("roboplan.core"), import_module("roboplan.rrt")
     except ImportError as error:
         raise MissingExtraError("a path round what is in the way", "plan") from error
-    scene, moving = _copied(clear.links, tuple(clear.pairs), limits, grown * clear.least)
-    obstacles = clear.obstacles
-    for name, number in moving.items():
-        scene.updateGeometryPlacement(name, BASE, np.asfortranarray(obstacles[number].placement))
+    scene = _copied(clear.links, clear.pairs, limits, grown * clear.least)
     names = np.array([joint_name(block.index) for block in limits.robot.blocks])
     place = np.argsort(scene.getJointPositionIndices(names.tolist()))
     if scene.hasCollisions(start[place]) or scene.hasCollisions(goal[place]):
@@ -120,28 +117,20 @@ def _searched(
 
 
 @lru_cache(maxsize=COPIES)
-def _copied(
-    links: SelfCollision, pairs: tuple[tuple[int, int], ...], limits: Limits, larger: float
-) -> tuple[Any, dict[str, int]]:
-    """RoboPlan's scene of ours, the links larger by so much [m], and of the boxes in it the names and numbers."""
-    core, obstacles = import_module("roboplan.core"), links.obstacles
-    first = links.geometry.ngeoms - len(obstacles)
+def _copied(links: SelfCollision, pairs: tuple[tuple[int, int], ...], limits: Limits, larger: float) -> Any:
+    """RoboPlan's scene of ours, the links larger by so much [m]."""
+    core = import_module("roboplan.core")
     sizes, together = dict[str, tuple[Any, float]](), list[tuple[str, str]]()
     for k, other in pairs:
         hull = other in links.faces
         one, two = f"{'h' if hull else 'g'}{k:03}", f"s{other:03}"
         sizes |= {one: (links.solid(k, hull), larger), two: (links.solid(other), 0.0)}
         together.append((one, two))
-    named = {f"s{first + k:03}": k for k in range(len(obstacles))}
-    boxes = {n: (k, size) for n, k in named.items() if n in sizes and (size := box_size(obstacles[k].geometry))}
     low = np.where(np.isfinite(limits.lower), limits.lower, np.minimum(limits.upper - 2.0 * _TURN, -_TURN))
     high = np.where(np.isfinite(limits.upper), limits.upper, np.maximum(limits.lower + 2.0 * _TURN, _TURN))
     with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
-        fixed = {name: solid for name, solid in sizes.items() if name not in boxes}
-        text = plain_urdf(limits.robot, low - _ROUNDING, high + _ROUNDING, fixed, Path(folder))
+        text = plain_urdf(limits.robot, low - _ROUNDING, high + _ROUNDING, sizes, Path(folder))
         scene = core.Scene("copy", core.loadUrdfSceneDescriptionFromXml(text))
-    for name, (k, size) in boxes.items():  # which may be elsewhere at the next call
-        scene.addBoxGeometry(name, BASE, core.Box(*size), np.asfortranarray(obstacles[k].placement), np.ones(4))
     scene.setCollisions([(a, b) for a, b in product(sizes, sizes) if a < b], False)
     scene.setCollisions(together, True)
-    return scene, {name: k for name, (k, _) in boxes.items()}
+    return scene

@@ -28,7 +28,7 @@ from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
-from manip_learn.planning.clearance import Clearance
+from manip_learn.planning.clearance import Clearance, Surroundings
 from manip_learn.planning.following import ENOUGH, Followed, carried, followed, joined, nearest_turn
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
@@ -43,7 +43,6 @@ from manip_learn.planning.stations import (
     margins_of,
     node_margins,
 )
-from manip_learn.planning.surroundings import Surroundings, surroundings_of
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.collision import SelfCollision
@@ -394,7 +393,7 @@ class _Problem:
                     f"a scene is a Scene, None for nothing, or left out to be assumed, not {an(scene)}"
                 )
             features: Any = self.rows.features
-            around = surroundings_of(None if scene == "assumed" else scene, robot, features.frame)
+            around = Surroundings.of(None if scene == "assumed" else scene, robot, features.frame)
         shown = [np.array(x, dtype=np.float64) for x in constraint.provenance.get("postures", ()) if len(x) == robot.nv]
         passed = [q for take in takes for q in take.q[::LOOKED_AT]]
         self.clear = Clearance(robot, collision, around, self.positions, [*shown, *passed])
@@ -419,7 +418,7 @@ class _Problem:
             one, other = touching.links
             raise TargetError(
                 f"at the start {one!r} and {other!r} touch, {-touching.distance:.2g} m deep: start elsewhere"
-                + (f", or correct {other!r} in the scene" if other in self.clear.names else "")
+                + (f", or correct {other!r} in the scene" if other in self.clear.around.names else "")
             )
 
     def marches(self, candidates: int, stations: Stations | None = None) -> Marches:
@@ -675,7 +674,7 @@ class _Problem:
             return None, ()
         several, depth, (link, other) = min(found)
         moved = f"the {other} {np.ceil(100.0 * depth) / 100.0:.2f} m farther from {link} would leave room there"
-        return (link, other), (moved,) if other in self.clear.names and not several else ()
+        return (link, other), (moved,) if other in self.clear.around.names and not several else ()
 
     def _largest(self, path: Postures) -> tuple[float, str]:
         """How much of the way comes true from the beginning of a path, and what stops it before the end of that."""

@@ -23,11 +23,10 @@ from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import APPROACH_SPEED, FreeDirection, motion
 from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, advice, an, counted, spoken
 from manip_learn.linalg import finite
-from manip_learn.planning.clearance import Clearance
+from manip_learn.planning.clearance import Clearance, Surroundings
 from manip_learn.planning.following import carried, joined, nearest_turn
 from manip_learn.planning.plan import LOOKED_AT, Around, moved_as_shown, moved_to, plan_as_shown
 from manip_learn.planning.stations import Stations
-from manip_learn.planning.surroundings import Surroundings
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.joints import Frame
@@ -342,7 +341,7 @@ def _way(
         q[:, fingers] = grips[0].rollout.q[-1, fingers]
         motion_along = replace(motion_along, q=q)
     parts = [_Part(to_hold, approach, (reach,), found.notes), *grips, _Part(along, motion_along, (way,))]
-    return parts, found.around.afterwards, found.take
+    return parts, found.around, found.take
 
 
 def _named(rollout: Rollout, name: str) -> Rollout:

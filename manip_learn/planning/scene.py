@@ -189,24 +189,23 @@ class Scene:
         """All that stands there but the floor, to draw: each has a `name`, a `pose` and a `shape`, see `Thing`."""
         return (*self.boxes, *self.spheres, *self.cylinders, *self.meshes)
 
-    def obstacles(self, robot: Robot, hand: frozenset[str] = frozenset()) -> tuple[Obstacle, ...]:
+    def obstacles(self, robot: Robot) -> tuple[Obstacle, ...]:
         """The scene as what a robot's links keep clear of; the floor is a large box below.
 
         The links that its first joint carries may touch the floor, and what its base stands on or in.
 
         Args:
             robot: The robot.
-            hand: Names of the links of its hand, which may touch what is handled.
         """
         parents, out = robot.pinocchio_model.parents, list[Obstacle]()
         low = frozenset(name for name in robot.frame_names if parents[robot.frame(name).parent_joint] == 0)
         below = [] if self.floor is None else [Box((LARGEST,) * 3, (0, 0, self.floor - 0.5 * LARGEST), "floor")]
         for thing in (*below, *self.solids):
-            pose, may_touch = np.asarray(thing.pose), hand if thing.name in self.handled else frozenset[str]()
+            pose = np.asarray(thing.pose)
             stands = np.abs(pose[:3, 3] @ pose[:3, :3]) - CLOSE  # the origin of the base
-            for made in obstacles_of(thing.name, pose, thing.shape, may_touch):
+            for made in obstacles_of(thing.name, pose, thing.shape):
                 is_below = thing in below or np.all(stands <= made.half)
-                out.append(replace(made, may_touch=may_touch | low) if is_below else made)
+                out.append(replace(made, may_touch=low) if is_below else made)
         return tuple(out)
 
     @property

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from itertools import combinations
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, final
 
 import coal
@@ -21,7 +20,7 @@ import pinocchio as pin
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.errors import RobotError, UnknownNameError
+from manip_learn.errors import RobotError
 from manip_learn.robot.description.mjcf import turn_z_to
 from manip_learn.robot.description.urdf import as_matrix
 from manip_learn.robot.robot import Robot
@@ -30,7 +29,6 @@ from manip_learn.robot.visuals.meshes import Mesh, find_mesh, mesh_roots, read_m
 from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, VisualElement, visual_elements
 
 Shapes = Literal["collision", "visual", "links"]
-Moved = Mapping[str, Float[np.ndarray, "4 4"]]
 # postures that are looked at for links that can touch: every 0.2 rad of two joints that turn once
 SAMPLED_POSTURES = 1000
 # [m] depth that may come from convex hulls, which are larger than the links
@@ -195,22 +193,19 @@ def known_shapes(robot: Robot) -> Shapes:
     return "links"
 
 
-def obstacles_of(
-    name: str, placement: Float[np.ndarray, "4 4"], shape: Solid | Mesh, may_touch: frozenset[str] = frozenset()
-) -> tuple[Obstacle, ...]:
+def obstacles_of(name: str, placement: Float[np.ndarray, "4 4"], shape: Solid | Mesh) -> tuple[Obstacle, ...]:
     """A thing of the world as what links keep clear of; each part of a mesh that hangs together is one.
 
     Args:
         name: What it is called.
         placement: shape (4, 4), in the robot's base frame [m].
         shape: What it is, in its own frame.
-        may_touch: Names of the links that may touch it.
     """
     import trimesh
 
     if isinstance(shape, Solid):
         geometry, half, _ = _solid(shape)
-        return (Obstacle(name, placement, geometry, half, may_touch),)
+        return (Obstacle(name, placement, geometry, half),)
     whole, out = trimesh.Trimesh(shape.vertices, shape.faces), list[Obstacle]()  # it joins corners in one place
     parts = whole.split(only_watertight=False, repair=False)
     for part in parts if 0 < len(parts) <= MOST_PARTS else [whole]:
@@ -219,7 +214,7 @@ def obstacles_of(
             geometry, closed = coal.Convex(*_lists(part.convex_hull)), None
         else:
             geometry = _surface(part)
-        out.append(Obstacle(name, placement, geometry, np.abs(part.vertices).max(axis=0), may_touch, closed))
+        out.append(Obstacle(name, placement, geometry, np.abs(part.vertices).max(axis=0), closed=closed))
     return tuple(out)
 
 
@@ -332,6 +327,7 @@ class SelfCollision:
     Attributes:
         link_pairs: Names of the links whose distances from each other count.
         obstacles: What stands around.
+        pairs: Numbers in `geometry` of the shapes whose distances count, a link's first.
         faces: Numbers in `geometry` of those that are large faces, as a floor: to these a hull is as near as its mesh.
 
     Raises:
@@ -353,20 +349,20 @@ class SelfCollision:
         self._model, self._hulls = robot.pinocchio_model, hulls
         self._pair_up(self._pairs_joined_by(range(2, self._model.njoints)))
         touching = {p.links for p in self.closer_than(robot.neutral() if free is None else free, 0.0)}
-        self._pair_up(kept := [pair for pair in self._pairs if self._links(*pair) not in touching])
+        self._pair_up(kept := [pair for pair in self.pairs if self.links_of(*pair) not in touching])
         # links with two joints between them that do not touch at any of the sampled postures
         close = set(self._pairs_joined_by(range(2, 3)))
         self._pair_up([pair for pair in kept if pair in close])
-        apart = {self._links(*pair) for pair in self._pairs}
+        apart = {self.links_of(*pair) for pair in self.pairs}
         rng = np.random.default_rng(0)  # the same pairs every time
         for _ in range(SAMPLED_POSTURES):
             _, geometry_data, far = self._placed(robot.random_configuration(rng))
             for k in np.flatnonzero(far <= -HULL_SLACK).tolist():
-                links = self._links(*self._pairs[k])
+                links = self.links_of(*self.pairs[k])
                 if links in apart and pin.computeDistance(self._geometry, geometry_data, k).min_distance <= -HULL_SLACK:
                     apart.discard(links)
-        kept = [pair for pair in kept if self._links(*pair) not in apart]
-        self.link_pairs = tuple(dict.fromkeys(self._links(*pair) for pair in kept))
+        kept = [pair for pair in kept if self.links_of(*pair) not in apart]
+        self.link_pairs = tuple(dict.fromkeys(self.links_of(*pair) for pair in kept))
         self._pair_up(kept, obstacles)
 
     def with_obstacles(self, obstacles: Sequence[Obstacle], own: bool = True) -> SelfCollision:
@@ -379,7 +375,7 @@ class SelfCollision:
         other = object.__new__(SelfCollision)
         vars(other).update(vars(self))
         vars(other).pop("levers", None)
-        other._pair_up(self._pairs[: len(self._radii)] if own else [], obstacles)
+        other._pair_up(self.pairs[: len(self._radii)] if own else [], obstacles)
         return other
 
     @property
@@ -400,7 +396,7 @@ class SelfCollision:
                 out[k, joint.idx_v : joint.idx_v + joint.nv] = length if turns else max(1.0, length)
                 length += float(np.linalg.norm(model.jointPlacements[j].translation))
                 length += 0.0 if turns else float(np.minimum(slide, LARGE_BLOCK).sum())
-        a, b = np.array(self._pairs, dtype=np.intp).reshape(-1, 2).T
+        a, b = np.array(self.pairs, dtype=np.intp).reshape(-1, 2).T
         levers = np.where((out[a] > 0.0) & (out[b] > 0.0), 0.0, out[a] + out[b])  # what carries both changes nothing
         return levers if robot.coupling is None else levers @ np.abs(robot.coupling.lift)
 
@@ -411,7 +407,7 @@ class SelfCollision:
             return thing
         return pin.GeometryObject(thing.name, thing.parentJoint, thing.placement, self._solids[number].surface)
 
-    def is_clear(self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({})) -> bool:
+    def is_clear(self, q: ArrayLike, distance: float) -> bool:
         """Whether no pair is at a distance of at most `distance` [m]: not `closer_than`, in a fifth of its time.
 
         Args and errors as for `closer_than`.
@@ -423,9 +419,6 @@ class SelfCollision:
             self._local.margin = distance
         posture = self.robot.pinocchio_configuration(q)
         pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data, posture)
-        for name, placement in moved.items():
-            for k in self._numbers(name)[0]:
-                geometry_data.oMg[k] = pin.SE3(placement)
         if pin.computeCollisions(self._geometry, geometry_data, self._hulls):
             for k, found in enumerate(geometry_data.collisionResults):
                 if not found.isCollision():
@@ -436,24 +429,20 @@ class SelfCollision:
                     return False
                 if coal.distance(*meshes, coal.DistanceRequest(), coal.DistanceResult()) <= distance:
                     return False
-        return not (self._closed and self.closer_than(q, distance, moved))  # within a mesh nothing touches
+        return not (self._closed and self.closer_than(q, distance))  # within a mesh nothing touches
 
-    def closer_than(
-        self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({}), only: Sequence[int] | None = None
-    ) -> list[Proximity]:
+    def closer_than(self, q: ArrayLike, distance: float, only: Sequence[int] | None = None) -> list[Proximity]:
         """All pairs of shapes at a distance of at most `distance` [m], and their gradients.
 
         Args:
             q: Configuration or joint positions.
             distance: [m].
-            moved: Name of an obstacle -> where it is now, in the robot's base frame [m]; the others are in their place.
             only: Numbers of the pairs that are looked at; None for all.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
-            UnknownNameError: `moved` names no obstacle.
         """
-        data, geometry_data, far = self._placed(q, moved, only is None)
+        data, geometry_data, far = self._placed(q, only is None)
         found = list[Proximity]()
         for k in np.flatnonzero(far <= distance).tolist() if only is None else only:
             result, exact = self._distance(k, geometry_data, float(far[k]) if only is None else -np.inf, distance)
@@ -466,9 +455,9 @@ class SelfCollision:
         _, geometry_data, _ = self._placed(q, bounded=False)
         return [self._distance(k, geometry_data, -np.inf, np.inf)[1] for k in only]
 
-    def nearest(self, q: ArrayLike, moved: Moved = MappingProxyType({})) -> Proximity | None:
+    def nearest(self, q: ArrayLike) -> Proximity | None:
         """The pair of shapes at the smallest distance; None if nothing can touch. See `closer_than`."""
-        data, geometry_data, far = self._placed(q, moved)
+        data, geometry_data, far = self._placed(q)
         best, pair, least = None, -1, np.inf
         for k in np.argsort(far).tolist():
             if far[k] >= least:
@@ -483,7 +472,7 @@ class SelfCollision:
 
         What is nearer than `most` by its hulls is looked at on its triangles.
         """
-        result, pair = pin.computeDistance(self._geometry, geometry_data, k), self._pairs[k]
+        result, pair = pin.computeDistance(self._geometry, geometry_data, k), self.pairs[k]
         # where its iterations fail on shapes that overlap, Coal returns the lowest number and no direction
         distance = max(float(result.min_distance), bound)
         if distance > 0.0 and (mesh := self._closed.get(pair[1])) is not None:
@@ -496,16 +485,14 @@ class SelfCollision:
 
     def _meshes(self, k: int, geometry_data: Any) -> list[Any]:
         """A pair and its places for Coal, by their triangles; nothing where hulls are all that counts."""
-        pair, out = self._pairs[k], list[Any]()
+        pair, out = self.pairs[k], list[Any]()
         if self._hulls or pair[1] in self.faces or all(self._solids[i].mesh is None for i in pair):
             return out
         for place, i in ((geometry_data.oMg[i], i) for i in pair):
             out += [self._solids[i].surface, coal.Transform3s(place.rotation, place.translation)]
         return out
 
-    def _placed(
-        self, q: ArrayLike, moved: Moved = MappingProxyType({}), bounded: bool = True
-    ) -> tuple[pin.Data, Any, Float[np.ndarray, " pairs"]]:
+    def _placed(self, q: ArrayLike, bounded: bool = True) -> tuple[pin.Data, Any, Float[np.ndarray, " pairs"]]:
         """Data with Jacobians, shapes at their places, and, if `bounded`, a lower bound of each distance."""
         data, geometry_data = self._own_data()
         pin.computeJointJacobians(self._model, data, self.robot.pinocchio_configuration(q))
@@ -515,12 +502,7 @@ class SelfCollision:
         centres = np.array([geometry_data.oMg[k].translation for k in range(len(self._shapes))])
         first, second = self._pair_table
         apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
-        places = self._places.copy() if moved else self._places
-        for name, placement in moved.items():
-            numbers, rows = self._numbers(name)
-            places[rows] = placement
-            for k in numbers:
-                geometry_data.oMg[k] = pin.SE3(placement)
+        places = self._places
         if not self.obstacles:
             return data, geometry_data, apart
         # of the ball about a link from the box about an obstacle, negative where its centre is inside
@@ -530,14 +512,8 @@ class SelfCollision:
         bound = np.sqrt(np.einsum("ki,ki->k", outside, outside)) + np.minimum(beyond.max(axis=1), 0.0)
         return data, geometry_data, np.concatenate([apart, bound - self._met_radii])
 
-    def _numbers(self, name: str) -> tuple[list[int], np.ndarray]:
-        """Of an obstacle's shapes, and of the pairs that it is in."""
-        if name not in self._named:
-            raise UnknownNameError("obstacle", name, self._named)
-        return self._named[name]
-
     def _proximity(self, k: int, result: Any, distance: float, data: pin.Data) -> Proximity:
-        a, b = self._pairs[k]
+        a, b = self.pairs[k]
         nx, ny, nz = np.asarray(result.normal).tolist()
         x, y, z = result.getNearestPoint1().tolist()
         # n . (v + w x p) = n . v + (p x n) . w, alike at both points, which n joins; NumPy's cross takes 20 us
@@ -550,9 +526,10 @@ class SelfCollision:
             gradient, nx, ny, nz = np.zeros(self._model.nv), 0.0, 0.0, 0.0
         coupling = self.robot.coupling
         lifted = gradient if coupling is None else gradient @ coupling.lift
-        return Proximity(self._links(a, b), distance, lifted, np.array([nx, ny, nz]), k)
+        return Proximity(self.links_of(a, b), distance, lifted, np.array([nx, ny, nz]), k)
 
-    def _links(self, a: int, b: int) -> tuple[str, str]:
+    def links_of(self, a: int, b: int) -> tuple[str, str]:
+        """Return the names of the links, or of link and obstacle, of two shapes of `geometry`."""
         return self._solids[a].link, self._solids[b].link
 
     def _pairs_joined_by(self, numbers: range) -> list[tuple[int, int]]:
@@ -567,7 +544,7 @@ class SelfCollision:
         self.obstacles, self._local, n = tuple(obstacles), threading.local(), len(self._shapes)
         around = list(enumerate(self.obstacles, n))
         met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
-        self._pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
+        self.pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
         self.faces = {b for b, o in around if min(o.half) >= LARGE_BLOCK}
         self._closed = {b: o.closed for b, o in around if o.closed is not None}
         world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0) for o in self.obstacles]
@@ -576,15 +553,13 @@ class SelfCollision:
         for number, solid in enumerate(self._solids):
             placed = pin.GeometryObject(f"{number}", solid.joint, pin.SE3(solid.placement), solid.geometry)
             self._geometry.addGeometryObject(placed)
-        for a, b in self._pairs:
+        for a, b in self.pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(a, b))
         self._pair_table, self._met = (np.array(p, dtype=np.intp).reshape(-1, 2).T for p in (pairs, met))
         radii = np.array([s.radius for s in self._shapes])
         self._radii, self._met_radii = radii[self._pair_table].sum(axis=0), radii[self._met[0]]
         self._places = np.array([o.placement for o in met_things]).reshape(-1, 4, 4)
         self._halves = np.array([o.half for o in met_things]).reshape(-1, 3)
-        named = {o.name: [b for b, other in around if other.name == o.name] for o in self.obstacles}
-        self._named = {name: (numbers, np.isin(self._met[1], numbers)) for name, numbers in named.items()}
         # 1 for each velocity of Pinocchio's model that moves a solid, else 0
         self._carries = np.zeros((len(self._solids), self._model.nv))
         for k, shape in enumerate(self._shapes):

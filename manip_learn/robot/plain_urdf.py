@@ -20,7 +20,6 @@ from scipy.spatial import ConvexHull
 from manip_learn.robot.joints import motion_along
 from manip_learn.robot.robot import Robot
 
-BASE = "l000"  # the link that stands still
 # corners of a solid about the ball of radius 1: its faces are 0.8866 away where its corners are at 1
 BALL_CORNERS = np.array([np.divide(d, 0.8866 * np.linalg.norm(d)) for d in product((-1, 0, 1), repeat=3) if any(d)])
 
@@ -28,11 +27,6 @@ BALL_CORNERS = np.array([np.divide(d, 0.8866 * np.linalg.norm(d)) for d in produ
 def joint_name(index: int) -> str:
     """What the joint with that Pinocchio id is called."""
     return f"j{index:03}"
-
-
-def box_size(shape: Any) -> tuple[float, ...] | None:
-    """Edges of a box of Coal [m]; None for other shapes."""
-    return tuple((2.0 * np.asarray(shape.halfSide)).tolist()) if isinstance(shape, coal.Box) else None
 
 
 def plain_urdf(
@@ -55,7 +49,7 @@ def plain_urdf(
     Raises:
         ValueError: A joint that neither turns nor slides, or does both.
     """
-    model, out = robot.pinocchio_model, [f"<robot name='copy'><link name='{BASE}'/>"]
+    model, out = robot.pinocchio_model, ["<robot name='copy'><link name='l000'/>"]
     data, mimics = model.createData(), {m.joint: m for m in robot.mimics}
     pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
     ends = {b.name: (lower[b.v][0], upper[b.v][0]) for b in robot.blocks}

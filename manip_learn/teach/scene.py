@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 from manip_learn.constraint.features.frame_jacobian import pose_error
 from manip_learn.constraint.place import across
 from manip_learn.errors import ConfigurationError, MissingExtraError, counted
-from manip_learn.planning.clearance import links_of
-from manip_learn.planning.surroundings import hand_of
+from manip_learn.planning.clearance import hand_of, links_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import (
     BODY,
