@@ -193,19 +193,22 @@ def known_shapes(robot: Robot) -> Shapes:
     return "links"
 
 
-def obstacles_of(name: str, placement: Float[np.ndarray, "4 4"], shape: Solid | Mesh) -> tuple[Obstacle, ...]:
+def obstacles_of(
+    name: str, placement: Float[np.ndarray, "4 4"], shape: Solid | Mesh, may_touch: frozenset[str] = frozenset()
+) -> tuple[Obstacle, ...]:
     """A thing of the world as what links keep clear of; each part of a mesh that hangs together is one.
 
     Args:
         name: What it is called.
         placement: shape (4, 4), in the robot's base frame [m].
         shape: What it is, in its own frame.
+        may_touch: Names of the links that may touch it.
     """
     import trimesh
 
     if isinstance(shape, Solid):
         geometry, half, _ = _solid(shape)
-        return (Obstacle(name, placement, geometry, half),)
+        return (Obstacle(name, placement, geometry, half, may_touch),)
     whole, out = trimesh.Trimesh(shape.vertices, shape.faces), list[Obstacle]()  # it joins corners in one place
     parts = whole.split(only_watertight=False, repair=False)
     for part in parts if 0 < len(parts) <= MOST_PARTS else [whole]:
@@ -214,7 +217,7 @@ def obstacles_of(name: str, placement: Float[np.ndarray, "4 4"], shape: Solid | 
             geometry, closed = coal.Convex(*_lists(part.convex_hull)), None
         else:
             geometry = _surface(part)
-        out.append(Obstacle(name, placement, geometry, np.abs(part.vertices).max(axis=0), closed=closed))
+        out.append(Obstacle(name, placement, geometry, np.abs(part.vertices).max(axis=0), may_touch, closed))
     return tuple(out)
 
 
