@@ -96,8 +96,7 @@ def exhaustive(case: Case, rng: np.random.Generator) -> bool | None:
     mu; those that come to the end, clear of the arm's own links at the start, are simulated.
     """
     stations = Stations.of(case.motion, case.start, ml.Limits(case.robot))
-    rows = case.motion.constraint
-    marches = marches_of(stations, rows, case.start, EXHAUSTIVE, rng)
+    marches = marches_of(stations, case.start, EXHAUSTIVE, rng)
     if not np.isfinite(marches.least).any(axis=0).all():
         return None
     links = links_of(case.robot)[0]

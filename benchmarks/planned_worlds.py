@@ -363,14 +363,14 @@ def exhaustive(one: World, scene: ml.Scene | str | None, seed: int) -> dict[str,
     """Whether the way is done from any of many postures of the same hand, and how far the first obstacles let it."""
     began, rng = time.process_time(), np.random.default_rng([seed, 7])
     robot, limits, motion = one.robot, Limits(one.robot), one.motion.with_distance(one.motion.wanted)
-    rows, frame = motion.rows(one.constraint), robot.frame(TIPS[one.arm])
+    frame = robot.frame(TIPS[one.arm])
     stations = Stations.of(motion, one.start, limits)
-    marches = marches_of(stations, rows, one.start, EXHAUSTIVE, rng)
+    marches = marches_of(stations, one.start, EXHAUSTIVE, rng)
     margin = float(np.max(marches.along[:, -1], initial=-np.inf))
     if -np.inf < margin < 0.0:
         motion = motion.slowed(SPARE * (1.0 - margin))
         stations = Stations.of(motion, one.start, limits)
-        marches = marches_of(stations, rows, one.start, EXHAUSTIVE, rng)
+        marches = marches_of(stations, one.start, EXHAUSTIVE, rng)
     given = scene if isinstance(scene, ml.Scene) else None
     around = Surroundings.of(given, robot, frame) if scene else Surroundings()
     clear, whole = Clearance(robot, True, around, one.start), np.flatnonzero(np.isfinite(marches.along[:, -1]))

@@ -7,7 +7,7 @@ with the most. The margin is what a search for the posture would have more of (`
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, final
@@ -20,7 +20,7 @@ from manip_learn.constraint.shown import Shown
 from manip_learn.constraint.skill import Take
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.planning.search import JUMP, MARCH_STEPS, march, relaxed
-from manip_learn.planning.stations import Margins, Postures, Stations, margins_of
+from manip_learn.planning.stations import Margins, Postures, Stations, margins_of, onto_poses
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
@@ -28,8 +28,7 @@ ENOUGH = 0.15  # margin of a way that is shown: with less, limits or a singulari
 ONE_PLACE = 5e-3  # [m] within which a hand is where contacts began
 HELD = 20.0  # weight of the posture of hold in them beside each other: it is kept
 ROUGH = 5  # degree of the polynomials that smooth a joint's path along a way
-CARRIED_STEPS, PARTS = 20, 4  # of Newton's method in each part of the motion by which fixtures have moved
-FAINT = 1e-5  # [m2 or rad2] of damping in them
+PARTS = 4  # of the motion by which fixtures have moved, each within reach of Newton's method
 TOO_SLOW = -1.0  # margin of speed of a way that takes twice its time: another way of going is tried first
 JOINS = 0.6  # share of a shown approach by which it is joined: what is left is gone as it was shown
 KNOTS = 24  # of an approach
@@ -39,24 +38,22 @@ Way = Float[np.ndarray, "L nv"]
 
 @final
 @dataclass(frozen=True, eq=False)
-class Followed:
-    """One recording, brought onto the mechanism.
+class Candidate:
+    """A way of the joints.
 
     Attributes:
-        take: The recording.
-        grasp: shape (4, 4), where the hand takes hold [m].
-        motion: The way from there.
+        motion: What the hand does, from where it takes hold.
         stations: Its stations.
         path: shape (L, nv), joint positions there [rad or m].
         margins: What these leave.
+        take: The recording that is followed; None if none is.
     """
 
-    take: Take
-    grasp: Float[np.ndarray, "4 4"]
     motion: FreeDirection
     stations: Stations
     path: Way
     margins: Margins
+    take: Take | None = None
 
 
 def grasps_of(takes: Sequence[Take], shown: Shown, features: Any) -> list[Float[np.ndarray, "4 4"]]:
@@ -90,52 +87,37 @@ def carried(features: Any, q: Postures, moved: Float[np.ndarray, "4 4"]) -> Post
     robot, turn = features.robot, rotation_vector(moved[:3, :3])
     if np.allclose(moved, np.eye(4), atol=1e-12):
         return q
-    q, poses, low, high = q.copy(), features.twist.poses(q), robot.position_lower, robot.position_upper
+    poses, rows = features.twist.poses(q), np.repeat(np.eye(6)[None], len(q), axis=0)
     for part in np.arange(1, PARTS + 1) / PARTS:
         R = rotation_matrix(part * turn)
-        places = poses[:, :3, 3] @ R.T + part * moved[:3, 3]
-        for _ in range(CARRIED_STEPS // PARTS):
-            now, J = features.twist.poses(q), features.twist.batch(q)
-            turned = [rotation_vector(R @ x[:3, :3] @ y[:3, :3].T) for x, y in zip(poses, now, strict=True)]
-            error = np.hstack([places - now[:, :3, 3], turned])
-            gram = J @ J.transpose(0, 2, 1) + FAINT * np.eye(6)
-            q = np.clip(q + np.einsum("nij,ni->nj", J, np.linalg.solve(gram, error[..., None])[..., 0]), low, high)
+        places, turns = poses[:, :3, 3] @ R.T + part * moved[:3, 3], R @ poses[:, :3, :3]
+        q, _ = onto_poses(features.twist, robot, q, places, turns, rows, MARCH_STEPS)
     return q
 
 
 def followed(
-    motion: FreeDirection, rows: Any, takes: Sequence[Take], stations: Stations, positions: Float[np.ndarray, " nv"]
-) -> Iterator[Followed]:
-    """Return the recordings on the mechanism: those with enough margin as they come, then the others, the best first.
+    motion: FreeDirection, takes: Sequence[Take], stations: Stations, positions: Float[np.ndarray, " nv"]
+) -> Iterator[Candidate]:
+    """Return the way from where the arm stands, if it is on the mechanism, and the recordings brought onto that: those
+    with enough margin as they come, then the others, the best first.
 
     Args:
         motion: The way, as it was shown.
-        rows: The rows held and driven.
         takes: The recordings.
         stations: Of that motion, for the limits and the joints that move the hand.
         positions: Joint positions before it [rad or m].
     """
-    shown, features, robot = motion.learnt.shown, motion.learnt.features, stations.limits.robot
-    if shown is None or not takes:
-        return
-    takes = [take for take in takes if _begins_held(take, shown, features)] or takes
-    both = list(zip(takes, grasps_of(takes, shown, features), strict=True))
-    far = [np.max(np.abs(nearest_turn(robot, take.along[:1], positions) - positions)) for take in takes]
-    others = list[Followed]()
-    for k in np.argsort(far, kind="stable").tolist():
-        take, grasp = both[k]
-        own = motion.taking_hold(grasp)
-        at = Stations.of(own, robot.configuration(positions), stations.limits)
-        q = np.where(stations.moving, take.along, positions)
-        for way in (partial(_as_shown, shown), partial(_marched, rows)):
-            if (path := way(at, take, q, features)) is None:
+    others = list[Candidate]()
+    for take, own, at, ways in _tries(motion, takes, stations, positions):
+        for way in ways:
+            if (path := way()) is None:
                 continue
             margins = margins_of(at, path)
             if margins.margin < ENOUGH:
                 better = relaxed(at, path, pinned=True)
                 if (left := margins_of(at, better)).margin > margins.margin:
                     path, margins = better, left
-            found = Followed(take, grasp, own, at, path, margins)
+            found = Candidate(own, at, path, margins, take)
             if margins.margin >= ENOUGH:
                 yield found
                 break
@@ -143,6 +125,27 @@ def followed(
             if margins.speed > TOO_SLOW:
                 break
     yield from sorted(others, key=lambda one: -one.margins.margin)
+
+
+def _tries(
+    motion: FreeDirection, takes: Sequence[Take], stations: Stations, positions: Float[np.ndarray, " nv"]
+) -> Iterator[tuple[Take | None, FreeDirection, Stations, list[Callable[[], Way | None]]]]:
+    """Return what is tried, in this order, see `followed`: a recording, its way, and how the joints may go that."""
+    shown, features, robot = motion.learnt.shown, motion.learnt.features, stations.limits.robot
+    start = robot.configuration(positions)
+    if motion.hold(start) == 0.0:
+        yield None, motion, stations, [partial(_marched, stations, positions)]
+    if shown is None:
+        return
+    takes = [take for take in takes if _begins_held(take, shown, features)] or takes
+    both = list(zip(takes, grasps_of(takes, shown, features), strict=True))
+    far = [np.max(np.abs(nearest_turn(robot, take.along[:1], positions) - positions)) for take in takes]
+    for k in np.argsort(far, kind="stable").tolist():
+        take, grasp = both[k]
+        own = motion.taking_hold(grasp)
+        at, q = Stations.of(own, start, stations.limits), np.where(stations.moving, take.along, positions)
+        first = carried(features, q[:1], take.moved)[0]
+        yield take, own, at, [partial(_as_shown, shown, at, take, q, features), partial(_marched, at, first)]
 
 
 def _begins_held(take: Take, shown: Shown, features: Any) -> bool:
@@ -174,15 +177,14 @@ def _as_shown(shown: Shown, at: Stations, take: Take, q: Postures, features: Any
     return path if np.all(there) and near else None
 
 
-def _marched(rows: Any, at: Stations, take: Take, q: Postures, features: Any) -> Way | None:
-    """Return the way from the recorded posture of hold on, the spare joints at rest."""
-    first = carried(features, q[:1], take.moved)
-    held, there = at.onto(first, np.zeros(1, dtype=int), 5 * MARCH_STEPS)
+def _marched(at: Stations, hold: Float[np.ndarray, " nv"]) -> Way | None:
+    """Return the way from a posture of hold on, the spare joints at rest."""
+    first, there = at.onto(hold[None], np.zeros(1, dtype=int), 5 * MARCH_STEPS)
     if not there[0]:
         return None
-    table = np.full((1, len(at), q.shape[1]), np.nan)
-    table[0, 0] = held[0]
-    march(at, rows, table, np.array([0]), np.zeros(1, dtype=int), 0, 1)
+    table = np.full((1, len(at), len(hold)), np.nan)
+    table[0, 0] = first[0]
+    march(at, table, np.array([0]), 0, 1)
     return table[0] if np.all(np.isfinite(table)) else None
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
@@ -29,27 +30,18 @@ from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
 from manip_learn.planning.clearance import Clearance, Surroundings
-from manip_learn.planning.following import ENOUGH, Followed, carried, followed, joined, nearest_turn
+from manip_learn.planning.following import ENOUGH, Candidate, carried, followed, joined, nearest_turn
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
-from manip_learn.planning.search import TIE, Marches, marches_of, relaxed
-from manip_learn.planning.stations import (
-    FEWEST,
-    MOST,
-    PERIOD,
-    Margins,
-    Postures,
-    Stations,
-    margins_of,
-    node_margins,
-)
+from manip_learn.planning.search import SEED_STEPS, Marches, marches_of, relaxed, seeds_of
+from manip_learn.planning.stations import FEWEST, MOST, PERIOD, Margins, Postures, Stations, margins_of
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
 
 _CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than 0.01 (benchmarks/planned_ways.py)
-LEAST_CANDIDATES = 8  # three stations, three kinds of pull, and the start
+LEAST_CANDIDATES = 8  # two at each of three stations, and two to spare
 FOLLOWING = 5.0  # [1/s] pull back to the planned postures, half as hard as the task's own feedback
 APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of hold: beside people, as ISO 10218-1
 AGAIN = 4  # times the seeds before a plan is refused
@@ -147,6 +139,7 @@ def plan(
     scene: Around = "assumed",
     dt: float = 0.01,
     progress: Progress | None = None,
+    takes: Sequence[Take] = (),
 ) -> Plan:
     """The posture in which to take hold so that the whole way can be done, and the motion from the start through it.
 
@@ -169,6 +162,7 @@ def plan(
             recordings show and that the arm is in at the start.
         dt: Step of the simulation [s].
         progress: As for `simulate`.
+        takes: Recordings of this way, see `Step.takes`: the first that can be followed is; then nothing is searched.
 
     Raises:
         NoPlanError: The way cannot be done from any posture that was tried; says how much of it can, what stops it,
@@ -189,104 +183,69 @@ def plan(
     """
     if candidates < LEAST_CANDIDATES:
         raise ConfigurationError(f"a plan needs {LEAST_CANDIDATES} candidates or more, got {candidates!r}")
-    problem = _Problem(constraint, motion, start, seed, limits, collision, scene, dt)
-    problem.check()
-    return _searched(problem, candidates, progress or (lambda _title, _share: None))
-
-
-def plan_as_shown(
-    constraint: Constraint,
-    motion: FreeDirection,
-    start: ArrayLike,
-    takes: Sequence[Take],
-    seed: int,
-    *,
-    limits: Limits,
-    scene: Around,
-    dt: float,
-    progress: Progress,
-) -> Plan:
-    """The plan that follows one of the recordings; that of `plan`, whose arguments and errors these are, where none can
-    be followed or none is given.
-    """
-    problem = _Problem(constraint, motion, start, seed, limits, True, scene, dt, takes)
-    problem.check()
-    found = problem.as_it_stands(None) if takes else None
-    if takes and (found is None or found.margin < ENOUGH):
-        shown = problem.follow(progress)
-        found = found if shown is None or (found is not None and found.margin > shown.margin) else shown
-    if found is not None:
+    said = progress or (lambda _title, _share: None)
+    problem = _Problem(constraint, motion, start, seed, limits, collision, scene, dt, takes)
+    if takes and (found := problem.followed(said)) is not None:
         return found
-    found = _searched(problem, _CANDIDATES, progress)
-    said = "no recording could be followed: the posture was searched"
-    return replace(found, notes=(*found.notes, said)) if takes else found
+    found = problem.searched(candidates, said)
+    note = "no recording could be followed: the posture was searched"
+    return replace(found, notes=(*found.notes, note)) if takes else found
 
 
-def _searched(problem: _Problem, candidates: int, said: Progress) -> Plan:
-    said("comparing postures", 0.1)
-    marches = problem.marches(candidates)
-    if problem.slow_down(marches):
-        marches = problem.marches(candidates)
-    found = problem.best(marches, said)
-    if found is None:
-        said("comparing more postures", 0.5)
-        marches = problem.marches(AGAIN * candidates)
-        found = problem.best(marches, said)
-    found = problem.as_it_stands(found) or found
-    if found is None and problem.missing is not None:
-        raise problem.missing
-    if found is None:
-        said("looking for what would help", 0.6)
-        raise problem.refusal(marches, candidates)
-    said("planned", 1.0)
-    return found
+@final
+class Approach(NamedTuple):
+    """The motion of the joints to a posture: how it goes in words, its law, and what it does."""
+
+    how: str
+    law: ResolvedRateController
+    rollout: Rollout
 
 
-def moved_to(
+def approach(
     goal: Float[np.ndarray, " nv"],
     start: Float[np.ndarray, " nq"],
+    rows: Constraint,
     limits: Limits,
     clear: Clearance,
     seed: int,
     dt: float,
-) -> tuple[ResolvedRateController, Rollout] | None:
-    """The motion of the joints from one posture to another, and its law; None where something is in the way.
+    shown: Postures | None = None,
+) -> Approach | None:
+    """The motion of the joints to a posture: as it was shown, else straight, else around what is in the way; None where
+    there is none.
 
     Args:
         goal: Joint positions.
         start: A configuration.
+        rows: Of which the rollout says the manipulability.
         limits: Of the joints.
         clear: What is clear.
         seed: Of the path around what is in the way.
         dt: Step of the simulation [s].
+        shown: Knots of a motion that was shown, if there is one.
 
     Raises:
         MissingExtraError: Something is in the way of the straight motion, and RoboPlan is not installed.
     """
     robot = limits.robot
+
+    def through(how: str, knots: ArrayLike, smooth: bool) -> Approach | None:
+        task = JointMotion(limits, knots, APPROACH_SHARE, through=smooth)
+        law = ResolvedRateController(every_joint(robot), task, limits=limits, dt=dt)
+        rollout = simulate(robot, law, start, task.duration + 1.0, dt)
+        arrived = np.flatnonzero((rollout.task_error < ARRIVED) & (rollout.time >= task.duration))
+        if not len(arrived):
+            return None
+        rollout = rollout.until(float(rollout.time[arrived[0]]))
+        return Approach(how, law, replace(rollout, manipulability=manipulability_batch(rows, rollout.q).mu))
+
+    inside = shown is not None and np.all((shown >= limits.lower) & (shown <= limits.upper))
+    if shown is not None and inside and clear.of_way(shown) and (found := through("as shown", shown, True)):
+        return found
     path = joint_path(robot, robot.positions(start), goal, limits, clear, seed)
-    return None if path is None else _through(path, start, limits, dt)
-
-
-def moved_as_shown(
-    knots: Postures | None, start: Float[np.ndarray, " nq"], limits: Limits, clear: Clearance, dt: float
-) -> tuple[ResolvedRateController, Rollout] | None:
-    """The smooth motion of the joints through knots, and its law; None where these are not within limits and clear."""
-    if knots is None or np.any((knots < limits.lower) | (knots > limits.upper)) or not clear.of_way(knots):
+    if path is None:
         return None
-    return _through(knots, start, limits, dt, through=True)
-
-
-def _through(
-    knots: ArrayLike, start: Float[np.ndarray, " nq"], limits: Limits, dt: float, *, through: bool = False
-) -> tuple[ResolvedRateController, Rollout] | None:
-    """The motion of the joints through knots, and its law, see `JointMotion`; None where it does not arrive."""
-    robot = limits.robot
-    task = JointMotion(limits, knots, APPROACH_SHARE, through=through)
-    law = ResolvedRateController(every_joint(robot), task, limits=limits, dt=dt)
-    rollout = simulate(robot, law, start, task.duration + 1.0, dt)
-    arrived = np.flatnonzero((rollout.task_error < ARRIVED) & (rollout.time >= task.duration))
-    return (law, rollout.until(float(rollout.time[arrived[0]]))) if len(arrived) else None
+    return through("straight" if len(path) == 2 else "around what is in the way", path, False)
 
 
 @final
@@ -337,6 +296,12 @@ class PathPolicy(NullSpacePolicy):
         return f"PathPolicy({len(self.time)} knots over {self.time[-1] - self.time[0]:g} s, gain={self.gain:g})"
 
 
+def _slower(motion: FreeDirection, times: float, why: str) -> tuple[FreeDirection, str]:
+    """A motion slowed down by a factor, and why, and how long it takes, in words."""
+    slow, far = motion.slowed(times), way_in_words(motion.wanted, motion.unit)
+    return slow, f"{why}: {far} takes {slow.duration:.3g} s instead of {motion.duration:.3g} s"
+
+
 @final
 class _Problem:
     """One call of `plan`."""
@@ -366,8 +331,8 @@ class _Problem:
         self.start = robot.checked_posture(start)
         self.limits, self.dt = limits or Limits(robot), dt
         self.takes, self.seed, self.rng = takes, seed, np.random.default_rng(seed)
-        self.missing: MissingExtraError | None = None  # what would look for a way around it
         self.vain = 0  # searches for an approach that found none
+        self.missing: MissingExtraError | None = None  # what would look for a way around it
         self.unreached: tuple[str, str] | None = None  # what stands between the start and a posture of hold
         unsuited = next((b for b in robot.blocks if b.kind in ("floating", "planar", "other")), None)
         if unsuited is not None:
@@ -382,10 +347,11 @@ class _Problem:
                 ": state it in the robot's description, or pass limits=Limits(robot, velocity=...)"
             )
         self.positions = robot.positions(self.start)
-        self.stations, self.notes = Stations.of(self.motion, self.start, self.limits), ()
-        tip = self.limits.tip
+        self.notes, tip = (), self.limits.tip
+        self.stations = Stations.of(self.motion, self.start, self.limits)
         if tip is not None and (times := self.stations.tip_speed / tip.pace) > 1.01:  # a pace leaves 2 %
-            self._take_longer(times, f"{tip.speed:.3g} m/s at the tip")
+            self.motion, slower = _slower(self.motion, times, f"{tip.speed:.3g} m/s at the tip")
+            self.stations, self.notes = Stations.of(self.motion, self.start, self.limits), (slower,)
         around = Surroundings()
         if scene is not None:
             if not isinstance(scene, Scene) and scene != "assumed":
@@ -399,6 +365,14 @@ class _Problem:
         self.clear = Clearance(robot, collision, around, self.positions, [*shown, *passed])
         self.notes = (*self.clear.notes, *self._contradicted(around), *self.notes)
 
+        check_inside(robot, self.positions)
+        if (touching := self.clear.touching(self.positions, distance=0.0)) is not None:
+            one, other = touching.links
+            raise TargetError(
+                f"at the start {one!r} and {other!r} touch, {-touching.distance:.2g} m deep: start elsewhere"
+                + (f", or correct {other!r} in the scene" if other in self.clear.around.names else "")
+            )
+
     def _contradicted(self, around: Surroundings) -> Iterator[str]:
         """What the recordings say against a stated scene, in sentences."""
         stated, deepest = set(around.names) - around.assumed, dict[str, tuple[float, str]]()
@@ -410,96 +384,105 @@ class _Problem:
         for name, (depth, take) in deepest.items():
             yield f"{take} passes {1e3 * depth:.0f} mm inside {name!r}: the scene does not stand where it was shown"
 
-    def check(self) -> None:
-        """Refuse a start, a way or a grasp that cannot be."""
-        check_inside(self.robot, self.positions)
-        touching = self.clear.touching(self.positions, distance=0.0)
-        if touching is not None:
-            one, other = touching.links
-            raise TargetError(
-                f"at the start {one!r} and {other!r} touch, {-touching.distance:.2g} m deep: start elsewhere"
-                + (f", or correct {other!r} in the scene" if other in self.clear.around.names else "")
-            )
-
     def marches(self, candidates: int, stations: Stations | None = None) -> Marches:
         """Postures along the way."""
-        return marches_of(stations or self.stations, self.rows, self.positions, candidates, self.rng)
+        return marches_of(stations or self.stations, self.positions, candidates, self.rng)
 
-    def slow_down(self, marches: Marches) -> bool:
-        """Give the way more time, where no posture is found from which the joints are fast enough for it."""
-        margin = float(np.max(marches.along[:, -1], initial=-np.inf))
-        if not -np.inf < margin < -TIE:
-            return False
-        self._take_longer(SPARE * (1.0 - margin), "the joints are too slow for it")
-        return True
-
-    def _take_longer(self, times: float, why: str) -> None:
-        """Slow the way down by a factor, and note why and how long it takes."""
-        before, self.motion = self.motion.duration, self.motion.slowed(times)
-        self.stations = Stations.of(self.motion, self.start, self.limits)
-        far = way_in_words(self.motion.wanted, self.motion.unit)
-        self.notes = (*self.notes, f"{why}: {far} takes {self.motion.duration:.3g} s instead of {before:.3g} s")
-
-    def best(self, marches: Marches, said: Progress) -> Plan | None:
-        """The plan with the largest margin that comes true in simulation; None if none does.
-
-        Plans in which the hand takes hold turned as in the recordings come first, where these say how that was.
-        """
-        if self.stations.grip is None:
-            return self._best(marches, said, False)
-        found = self._best(marches.as_shown, said, True)
-        if found is None and (found := self._best(marches, said, False)) is not None:
-            note = "the hand takes hold turned otherwise than shown: so turned it finds no way"
-            found = replace(found, notes=(*found.notes, note))
-        return found
-
-    def _best(self, marches: Marches, said: Progress, is_as_shown: bool) -> Plan | None:
-        last = len(self.stations) - 1
-        choices, tried = marches.choices(last), 0
-        clear = self.clear.holding(marches.q[choices, 0])
-        for march in choices.tolist():
-            if self.vain >= VAIN and not clear.of_line(self.positions, marches.q[march, 0]):
-                continue
-            path = self._relaxed(marches.q[march], clear, is_as_shown)
-            if path is None:
-                continue
-            if (tried := tried + 1) > _TRIED:
-                break
-            said("simulating the best of them", 0.3 + 0.08 * tried)
-            for way in (nearest_turn(self.robot, path, self.positions), path):
-                if (moved := self._approach(way[0], clear)) is not None:
-                    law = self._law(self.motion, self.stations.time, way)
-                    if (found := self._come_true(law, moved, clear, len(choices), way)) is not None:
-                        return found
-                    break
-            else:
-                self.unreached = clear.in_line(self.positions, path[0])
+    def followed(self, said: Progress) -> Plan | None:
+        """The way as the first recording that comes true shows it, see `planning.following`; None if none does."""
+        tried = followed(self.motion, self.takes, self.stations, self.positions)
+        for compared, one in enumerate(tried):
+            name = "the arm as it stands" if one.take is None else one.take.name
+            said(f"following {name}", 0.2 + 0.6 * compared / (len(self.takes) + 1))
+            clear = self.clear.holding(one.path[:1])
+            if clear.of_way(one.path) and (found := self._tried(one, clear, compared + 1)) is not None:
+                return found
         return None
 
-    def _relaxed(self, march: Postures, clear: Clearance, is_as_shown: bool) -> Postures | None:
-        """The postures of a march, relaxed where that is clear and right too; None where something is in its way."""
+    def searched(self, candidates: int, said: Progress) -> Plan:
+        """The plan with the largest margin that comes true in simulation.
 
-        def right(way: Postures) -> bool:
-            return (not is_as_shown or bool(self.stations.takes_hold_as_shown(way[:1])[0])) and clear.of_way(way)
+        Those in which the hand takes hold turned as in the recordings come first, where these say how that was.
 
-        if not right(march):
+        Raises:
+            NoPlanError, MissingExtraError: As of `plan`.
+        """
+        for share, number in enumerate((candidates, AGAIN * candidates)):
+            said("comparing postures", 0.1 + 0.4 * share)
+            marches = self.marches(number)
+            choices = marches.choices(len(self.stations) - 1)
+            clear = self.clear.holding(marches.q[choices, 0])
+            for one in islice(self._relaxed(marches, choices, clear), _TRIED):
+                said("simulating the best of them", 0.3 + 0.4 * share)
+                if (found := self._tried(one, clear, len(choices))) is None:
+                    continue
+                as_shown = self.stations.takes_hold_as_shown(one.path[:1])[0] or bool(marches.stand(choices[:1])[0])
+                note = "the hand takes hold turned otherwise than shown: so turned it finds no way"
+                said("planned", 1.0)
+                return found if as_shown else replace(found, notes=(*found.notes, note))
+        if self.missing is not None:
+            raise self.missing
+        said("looking for what would help", 0.9)
+        raise self.refusal(marches, candidates)
+
+    def _relaxed(self, marches: Marches, choices: Int[np.ndarray, " k"], clear: Clearance) -> Iterator[Candidate]:
+        """Marches in whose way nothing is, relaxed where that is clear, too, and the hand turned as it was."""
+        as_shown = self.stations.takes_hold_as_shown
+        for march, stands in zip(choices.tolist(), marches.stand(choices).tolist(), strict=True):
+            path = marches.q[march]
+            if not clear.of_way(path):
+                continue
+            better = relaxed(self.stations, path, pinned=stands)
+            if as_shown(better[:1])[0] >= as_shown(path[:1])[0] and clear.of_way(better):
+                path = better
+            yield Candidate(self.motion, self.stations, path, margins_of(self.stations, path))
+
+    def _tried(self, one: Candidate, clear: Clearance, compared: int) -> Plan | None:
+        """The plan of a candidate whose postures are clear; None where it cannot be reached or does not come true."""
+        motion, stations, take, notes = one.motion, one.stations, one.take, self.notes
+        path, turned = one.path, nearest_turn(self.robot, one.path, self.positions)
+        if margins_of(stations, turned).margin >= min(ENOUGH, one.margins.margin):
+            path = turned  # the short way there
+        if (to_hold := self._approach(path[0], take, clear)) is None:
             return None
-        better = relaxed(self.stations, march)
-        return better if right(better) else march
+        if one.margins.speed < 0.0:
+            motion, slower = _slower(motion, SPARE * (1.0 - one.margins.speed), "the joints are too slow for it")
+            ways, stations = np.abs(stations.distance), Stations.of(motion, self.start, self.limits)
+            path = np.column_stack([np.interp(np.abs(stations.distance), ways, x) for x in path.T])
+            notes = (*notes, slower)
+        law = self._law(motion, stations.time, path)
+        way, outcome = simulate_way(self.robot, law, to_hold.rollout.q[-1], self.dt)
+        begins, end = outcome.begins, float(way.time[-1])
+        if not outcome.is_done or outcome.strays or begins is None or not clear.of_way(unwound(self.robot, way.q)):
+            return None
+        if take is not None:
+            notes = (*notes, f"follows {take.name}, the approach {to_hold.how}")
+        margins, came = margins_of(stations, path), to_hold.rollout
+        came = replace(came, phases=(("approach", 0.0, float(came.time[-1])),))
+        done = ({**outcome.to_dict(), "margin": margins.margin},)
+        way = replace(way, phases=(*((("hold", 0.0, begins),) if begins else ()), ("way", begins, end)), ways=done)
+        seen = np.concatenate([run.q[:: len(run) // _SEEN + 1] for run in (came, way)])
+        way = replace(way, around=self.clear.plain(map(self.robot.positions, seen)))
+        numbers = margins.margin, margins, outcome, LawSequence(to_hold.law, law), compared, notes
+        return Plan(self.robot, path[0], came, way, *numbers, self.clear.around, take)
 
-    def _approach(
-        self, goal: Float[np.ndarray, " nv"], clear: Clearance
-    ) -> tuple[ResolvedRateController, Rollout] | None:
-        """The motion from the start to the posture of hold, and its law; None where something is in the way."""
+    def _approach(self, hold: Float[np.ndarray, " nv"], take: Take | None, clear: Clearance) -> Approach | None:
+        """The motion from the start to a posture of hold; None where something is in the way."""
+        knots = None
+        if take is not None:
+            before = np.where(self.stations.moving, take.before, self.positions)
+            before = carried(self.constraint.features, before, take.moved)
+            knots = joined(nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
+        if knots is None and self.vain >= VAIN and not clear.of_line(self.positions, hold):
+            return None
+        found = None
         try:
-            moved = moved_to(goal, self.start, self.limits, clear, self.seed, self.dt)
+            found = approach(hold, self.start, self.rows, self.limits, clear, self.seed, self.dt, knots)
         except MissingExtraError as error:  # straight motions to other postures may be clear
-            self.missing, moved = error, None
-        if moved is None:
-            self.vain += 1
-            return None
-        law, rollout = moved
-        return law, replace(rollout, manipulability=manipulability_batch(self.rows, rollout.q).mu)
+            self.missing = error
+        if found is None:
+            self.vain, self.unreached = self.vain + 1, clear.in_line(self.positions, hold)
+        return found
 
     def _law(self, motion: FreeDirection, time: Float[np.ndarray, " k"], path: Postures) -> ResolvedRateController:
         """What does a motion with its spare joints along postures at times since the way began [s]."""
@@ -507,174 +490,47 @@ class _Problem:
         policy = PathPolicy(time, path, FOLLOWING, self.robot, self.stations.moving, task)
         return ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
 
-    def follow(self, said: Progress) -> Plan | None:
-        """The way as the first recording that comes true shows it, see `planning.following`; None if none does."""
-        compared = 0
-        for one in followed(self.motion, self.rows, self.takes, self.stations, self.positions):
-            said(f"following {one.take.name}", 0.2 + 0.6 * compared / len(self.takes))
-            compared += 1
-            path = nearest_turn(self.robot, one.path, self.positions)
-            clear = self.clear.holding([path[0]])
-            came = self._came(one, path[0], clear) if clear.of_way(path) else None
-            if came is None:
-                continue
-            how, moved = came
-            motion, stations, notes = one.motion, one.stations, [f"follows {one.take.name}, the approach {how}"]
-            if one.margins.speed < 0.0:
-                motion = motion.slowed(SPARE * (1.0 - one.margins.speed))
-                ways, stations = np.abs(stations.distance), Stations.of(motion, self.start, self.limits)
-                path = np.column_stack([np.interp(np.abs(stations.distance), ways, x) for x in path.T])
-                notes.append(f"the joints are too slow for it: it takes {motion.duration:.3g} s")
-            found = self._come_true(self._law(motion, stations.time, path), moved, clear, compared, path, stations)
-            if found is not None:
-                return replace(found, take=one.take, notes=(*found.notes, *notes))
-        return None
-
-    def _came(
-        self, one: Followed, hold: Float[np.ndarray, " nv"], clear: Clearance
-    ) -> tuple[str, tuple[ResolvedRateController, Rollout]] | None:
-        """How the hand comes to a posture of hold: as it was shown, else straight, else around what is in the way."""
-        before = np.where(self.stations.moving, one.take.before, self.positions)
-        before = carried(self.constraint.features, before, one.take.moved)
-        knots = joined(nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
-        if (moved := moved_as_shown(knots, self.start, self.limits, clear, self.dt)) is not None:
-            mu = manipulability_batch(self.rows, moved[1].q).mu
-            return "as shown", (moved[0], replace(moved[1], manipulability=mu))
-        moved = self._approach(hold, clear)
-        return (
-            None
-            if moved is None
-            else ("straight" if clear.of_line(self.positions, hold) else "around what is in the way", moved)
-        )
-
-    def as_it_stands(self, found: Plan | None) -> Plan | None:
-        """The way from the start with the ascent of mu, or with spare joints at rest.
-
-        Args:
-            found: The plan otherwise.
-
-        Returns:
-            None where that does not come true, or leaves less than the other plan by more than a tie.
-        """
-        if self.motion.hold(self.start) > 0.0:
-            return None
-        least, compared = (-np.inf, 0) if found is None else (found.margin - TIE, found.candidates)
-        if node_margins(self.stations, self.positions[None], np.zeros(1, dtype=int)).least[0] < least:
-            return None  # where the way begins it leaves less already
-        clear = self.clear.holding([self.positions])
-        if (moved := self._approach(self.positions, clear)) is None:
-            return None
-        for climbs in (True, False):
-            task = self.motion.with_distance(self.motion.wanted)
-            policy = task.ascent() if climbs else None
-            law = ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
-            stands = self._come_true(law, moved, clear, compared)
-            if stands is not None and stands.margin >= least:
-                return stands
-        return None
-
-    def _come_true(
-        self,
-        law: ResolvedRateController,
-        moved: tuple[ResolvedRateController, Rollout],
-        clear: Clearance,
-        compared: int,
-        path: Postures | None = None,
-        stations: Stations | None = None,
-    ) -> Plan | None:
-        """The plan of a way after an approach; None where it does not come true in simulation.
-
-        Args:
-            law: What does the way.
-            moved: The law of the approach, and its rollout.
-            clear: What is clear.
-            compared: Number of postures that were compared.
-            path: Postures at stations, whose margins count; None for those of the simulation.
-            stations: These; by default those of the problem.
-        """
-        to_hold, approach = moved
-        way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
-        joints, stations = unwound(self.robot, way.q), stations or self.stations
-        if not outcome.is_done or outcome.strays or outcome.begins is None or not clear.of_way(joints):
-            return None
-        hold = self.positions if path is None else path[0]
-        if path is None:
-            time = outcome.begins + stations.time * (outcome.seconds or 0.0) / stations.time[-1]
-            path = np.column_stack([np.interp(time, way.time, column) for column in joints.T])
-        margins, held, end = margins_of(stations, path), outcome.begins, float(way.time[-1])
-        approach = replace(approach, phases=(("approach", 0.0, float(approach.time[-1])),))
-        done = ({**outcome.to_dict(), "margin": margins.margin},)
-        way = replace(way, phases=(*((("hold", 0.0, held),) if held else ()), ("way", held, end)), ways=done)
-        seen = (run.q[:: len(run) // _SEEN + 1] for run in (approach, way))
-        way = replace(way, around=self.clear.plain(self.robot.positions(q) for q in np.concatenate([*seen])))
-        numbers = margins.margin, margins, outcome, LawSequence(to_hold, law), compared, self.notes, self.clear.around
-        return Plan(self.robot, hold, approach, way, *numbers)
-
     # ---- where there is no plan -----------------------------------------------------------------------------------
 
     def refusal(self, marches: Marches, candidates: int) -> NoPlanError:
         """How much of the way can be done, what stops it, and what would help, from all marches compared."""
-        takes_hold = marches.q[np.isfinite(marches.least[:, 0]), 0]
-        clear = marches.where(self.clear.holding(takes_hold))
-        last, end = clear.reached, len(self.stations) - 1
-        pair, helps = self._in_the_way(marches) if last < marches.reached == end else (None, ())
-        if self.unreached is not None and last == end:
-            pair = self.unreached
+        clear = marches.where(self.clear.holding(marches.q[np.isfinite(marches.least[:, 0]), 0]))
+        end, last, largest, posture = len(self.stations) - 1, clear.reached, 0.0, None
+        stopped_by, pair, helps = self._stopped_by(marches), self.unreached if last == end else None, tuple[str, ...]()
+        if last < marches.reached == end:
+            pair, helps = self._in_the_way(marches)
         if self.stations.holds_orientation:
-            end_of = self.marches(candidates // 2, self.stations.free_to_turn())
-            if end_of.reached == end:
-                helps += ("a hand that may turn on the way could do it",)
-        more = "".join(f"; {sentence}" for sentence in helps)
-        if marches.reached < 0:
-            low, high = self.stations.span
-            q = self.rng.uniform(low, high, (min(candidates, 64), self.robot.nv))
-            q, _ = self.stations.onto(q, np.zeros(len(q), dtype=int), 60)
-            gap = np.min(np.linalg.norm(self.stations.hand.pose(q)[:, :3, 3] - self.stations.places[0], axis=1))
-            return NoPlanError(
-                "no posture takes hold: the handle is out of the arm's reach, "
-                f"the hand comes within {gap:.2g} m of it{more}",
-                largest=0.0,
-                posture=None,
-                stopped_by="the end of the arm's reach",
-                helps=helps,
+            free = self.stations.with_rows(np.eye(6)[:3])
+            helps += ("a hand that may turn on the way could do it",) * (
+                self.marches(candidates // 2, free).reached == end
             )
-        largest, stopped_by, posture = 0.0, self._stopped_by(marches), None
         if last >= 1:
-            paths = [clear.q[march, : last + 1] for march in clear.choices(last)[:OTHERS]]
-            ends = [self._largest(path) for path in paths]
-            longest = max(range(len(ends)), key=lambda i: abs(ends[i][0]))
-            largest, posture = ends[longest][0], paths[longest][0] if ends[longest][0] else None
-            stopped_by = ends[longest][1] or stopped_by
+            ways = [clear.q[march, : last + 1] for march in clear.choices(last)[:OTHERS]]
+            largest, why, hold = max(((*self._largest(way), way[0]) for way in ways), key=lambda one: abs(one[0]))
+            stopped_by, posture = why or stopped_by, hold if largest else None
         if pair is not None:
-            stopped_by = f"{pair[0]} and {pair[1]}, which would touch" + (
-                " on the way from the start to where the hand takes hold" if last == end else ""
-            )
-        return NoPlanError(
-            f"no plan for {way_in_words(self.motion.wanted, self.motion.unit)}: "
-            f"{way_in_words(largest, self.motion.unit)} at most, stopped by {stopped_by}{more}",
-            largest=abs(largest),
-            posture=posture,
-            stopped_by=stopped_by,
-            helps=helps,
-        )
+            where = " on the way from the start to where the hand takes hold" if last == end else ""
+            stopped_by = f"{pair[0]} and {pair[1]}, which would touch{where}"
+        wanted, most = (way_in_words(far, self.motion.unit) for far in (self.motion.wanted, largest))
+        more = "".join(f"; {sentence}" for sentence in helps)
+        said = f"no plan for {wanted}: {most} at most, stopped by {stopped_by}{more}"
+        return NoPlanError(said, largest=abs(largest), posture=posture, stopped_by=stopped_by, helps=helps)
 
     def _in_the_way(self, marches: Marches) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
         """The two things that are least in each other's way on the whole way, and what would help."""
-        found: list[tuple[bool, float, tuple[str, str]]] = []
-        choices = marches.choices(marches.reached)
+        choices, found = marches.choices(marches.reached), list[tuple[bool, float, tuple[str, str]]]()
         clear = self.clear.holding(marches.q[choices, 0])
         for march in choices[:LOOKED]:
-            path = marches.q[march, : marches.reached + 1]
-            pairs = [pair for q in path if (pair := clear.touching(q)) is not None]
-            if pairs:
+            if pairs := [pair for q in marches.q[march] if (pair := clear.touching(q)) is not None]:
                 deepest = min(pairs, key=lambda pair: pair.distance)
                 several = len({pair.links[1] for pair in pairs}) > 1
                 found.append((several, CLEARANCE - deepest.distance, deepest.links))
-        if not found:
-            return None, ()
-        several, depth, (link, other) = min(found)
-        moved = f"the {other} {np.ceil(100.0 * depth) / 100.0:.2f} m farther from {link} would leave room there"
-        return (link, other), (moved,) if other in self.clear.around.names and not several else ()
+        several, depth, pair = min(found, default=(True, 0.0, None))
+        if pair is None or several or pair[1] not in self.clear.around.names:
+            return pair, ()
+        return pair, (
+            f"the {pair[1]} {np.ceil(1e2 * depth) / 1e2:.2f} m farther from {pair[0]} would leave room there",
+        )
 
     def _largest(self, path: Postures) -> tuple[float, str]:
         """How much of the way comes true from the beginning of a path, and what stops it before the end of that."""
@@ -697,6 +553,11 @@ class _Problem:
     def _stopped_by(self, marches: Marches) -> str:
         """What keeps the marches that come farthest from going on, in words."""
         last = marches.reached
+        if last < 0:
+            q, station = seeds_of(self.stations, self.positions, 192, self.rng)  # a third of them where it takes hold
+            q, _ = self.stations.onto(q[station == 0], station[station == 0], SEED_STEPS)
+            gap = np.min(np.linalg.norm(self.stations.hand.poses(q)[:, :3, 3] - self.stations.places[0], axis=1))
+            return f"the end of the arm's reach: the hand comes within {gap:.2g} m of where it should take hold"
         if last == len(self.stations) - 1:
             return "limits of the loop in simulation"
         farthest = marches.choices(last)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, final
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.constraint.shown import Unit
 from manip_learn.constraint.skill import Skill, Step, Take, one_way
 from manip_learn.control.controller import ResolvedRateController
@@ -23,9 +22,9 @@ from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import APPROACH_SPEED, FreeDirection, motion
 from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, advice, an, counted, spoken
 from manip_learn.linalg import finite
-from manip_learn.planning.clearance import Clearance, Surroundings
+from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.following import carried, joined, nearest_turn
-from manip_learn.planning.plan import LOOKED_AT, Around, moved_as_shown, moved_to, plan_as_shown
+from manip_learn.planning.plan import LOOKED_AT, Around, Plan, approach, plan
 from manip_learn.planning.stations import Stations
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
@@ -184,53 +183,34 @@ def repeat(
     if not isinstance(skill, Skill):
         raise ConfigurationError(f"call repeat(skill, start): the skill is {an(skill)}; learner.skill_ is one")
     robot = skill.robot
-    if robot is None or not skill.steps:
-        raise TargetError("there is nothing to do again: the recordings show no step with a robot")
-    notes, around = [*skill.constraints[0].notes, *skill.notes], Surroundings()
-    told = [str(doubt) for constraint in skill.constraints for doubt in constraint.provenance.get("warnings") or ()]
-    if doubts := list(dict.fromkeys(told)):  # those of all recordings stand with each constraint
-        said_of = counted(len(doubts), "warning")
-        notes.append(f"learnt with {said_of}, read them before an arm moves: {'; '.join(doubts)}")
+    if robot is None or not any(step.kind == "way" for step in skill.steps):
+        raise TargetError("there is nothing to do again: the recordings show no way with a robot")
     if prefer not in ("shown", "room"):
         raise ConfigurationError(f"prefer is {prefer!r}: it must be 'shown' or 'room'")
-    if prefer == "shown" and not any(step.takes for step in skill.steps):
-        notes.append("no recording is kept with this task: the posture of each way is searched")
     if (transform := moved if fixture_transform is None else fixture_transform) is not None:
         skill = skill.moved(_rigid(transform))
     q, said = robot.checked_posture(start), progress or (lambda _title, _share: None)
-    limits = _limited(limits or Limits(robot), tip_speed, skill, q)
-    asked = _Asked(limits, dt, seed, scene, prefer, said)
-    take: Take | None = None
-    laws, done = list[ResolvedRateController](), list[StepDone]()
-    whole: Rollout | None = None
+    again = _Again(skill, q, _limited(limits or Limits(robot), tip_speed, skill, q), dt, seed, scene)
+    again.notes = [*skill.constraints[0].notes, *skill.notes]
+    told = [str(doubt) for constraint in skill.constraints for doubt in constraint.provenance.get("warnings") or ()]
+    if doubts := list(dict.fromkeys(told)):  # those of all recordings stand with each constraint
+        said_of = counted(len(doubts), "warning")
+        again.notes.append(f"learnt with {said_of}, read them before an arm moves: {'; '.join(doubts)}")
+    if prefer == "shown" and not any(step.takes for step in skill.steps):
+        again.notes.append("no recording is kept with this task: the posture of each way is searched")
     for number, step in enumerate(skill.steps):
         name = _name(number, step, skill)
-        asked = asked._replace(said=lambda title, share, k=number: said(title, (k + share) / len(skill.steps)))
-        asked.said(name, 0.0)
-        parts: list[_Part] = []
-        if step.kind == "reach" and step.gripper is not None:
-            parts = [_grip(step, name, q, asked, 0.0 if whole is None else whole.manipulability[-1])]
-            q = parts[-1].rollout.q[-1]
+        said(name, number / len(skill.steps))
         if step.kind == "way":
-            ways, around, take = _way(step, name, q, asked)
-            parts += ways
-        elif step.place is not None:  # to a way its plan goes
-            parts += _retreat(laws[-1], step, name, q, around, take, asked)
-        for part in parts:
-            laws.append(part.law)
-            done += part.done
-            notes += [note for note in part.notes if note not in notes]
-            whole = part.rollout if whole is None else whole.followed_by(part.rollout)
-            q = whole.q[-1]
-    if whole is None:
-        raise TargetError("there is nothing to do again: the skill has no way")
+            followed = replace(step, takes=step.takes if prefer == "shown" else ())
+            again.way(followed, name, lambda title, share, k=number: said(title, (k + share) / len(skill.steps)))
+        else:
+            if step.gripper is not None:
+                again.grip(step, name, 0.0 if again.whole is None else again.whole.manipulability[-1])
+            if step.place is not None:  # to a way its plan goes
+                again.retreat(np.asarray(step.place), name)
     said("done", 1.0)
-    guides = (*(way["constraint"] for way in whole.ways), whole.constraint)
-    whole = replace(whole, constraint=guides[0], target=None)  # not those of its last part
-    tip = batch_kinematics(robot, skill.constraints[0].features.frame)  # type: ignore[attr-defined]  # a plan has looked
-    far = np.linalg.norm(np.diff(tip.pose(whole.q)[:, :3, 3], axis=0), axis=1)
-    numbers = float(np.sum(far)), float(np.max(far / np.diff(whole.time)))
-    return Repetition(skill, whole, tuple(done), LawSequence(*laws), *numbers, tuple(notes))
+    return again.repetition()
 
 
 def _limited(limits: Limits, tip_speed: TipSpeed, skill: Skill, q: Float[np.ndarray, " n"]) -> Limits:
@@ -275,73 +255,118 @@ def _name(number: int, step: Step, skill: Skill) -> str:
     return f"{what} {len(ways)}" if sum(s.kind == "way" for s in skill.steps) > 1 else what
 
 
-class _Part(NamedTuple):
-    """A law, its rollout, and what became of the steps that end with it."""
+class _Again:
+    """What has been done of a skill, see `repeat`."""
 
-    law: ResolvedRateController
-    rollout: Rollout
-    done: tuple[StepDone, ...] = ()
-    notes: tuple[str, ...] = ()
+    def __init__(self, skill: Skill, q: Float[np.ndarray, " n"], limits: Limits, dt: float, seed: int, scene: Around):
+        self.skill, self.q, self.limits, self.dt, self.seed, self.scene = skill, q, limits, dt, seed, scene
+        self.laws, self.done, self.notes = list[ResolvedRateController](), list[StepDone](), list[str]()
+        self.whole: Rollout | None = None
+        self.plan: Plan | None = None  # of the last way
+
+    def add(self, law: ResolvedRateController, rollout: Rollout, *done: StepDone) -> None:
+        """A part of the motion, and what became of the steps that end with it."""
+        self.laws.append(law)
+        self.done += done
+        self.whole = rollout if self.whole is None else self.whole.followed_by(rollout)
+        self.q = self.whole.q[-1]
+
+    def grip(self, step: Step, name: str, mu: float) -> None:
+        """The gripper closes or opens; the arm stands meanwhile, and joints of fingers go where they went."""
+        robot, fingers = self.limits.robot, dict(step.fingers)
+        positions = robot.positions(self.q)
+        goal = np.array([fingers.get(joint, x) for joint, x in zip(robot.joint_names, positions, strict=True)])
+        task = JointMotion(self.limits, [positions, goal], gripper=step.gripper)
+        law = ResolvedRateController(every_joint(robot), task, limits=self.limits, dt=self.dt)
+        rollout = simulate(robot, law, self.q, task.duration, self.dt)
+        phases = ((f"{name}: {step.gripper}", 0.0, float(rollout.time[-1])),)
+        self.add(law, replace(rollout, phases=phases, manipulability=np.full(len(rollout), mu)))
+
+    def way(self, step: Step, name: str, said: Progress) -> None:
+        """Take hold and go along what was learnt, as it was shown in this step."""
+        constraint, shared = step.as_shown, dict[str, Any](limits=self.limits, scene=self.scene, dt=self.dt)
+        if constraint is None or constraint.robot is None:
+            raise TargetError(f"step {name!r}: no constraint to go along")
+        try:
+            shown = motion(constraint)
+            self.plan = found = plan(constraint, shown, self.q, self.seed, takes=step.takes, progress=said, **shared)
+        except NoPlanError as refusal:
+            raise NoPlanError(f"step {name!r}: {refusal}", **vars(refusal)) from refusal
+        robot, frame = found.robot, constraint.features.frame.name  # type: ignore[attr-defined]  # a plan has looked
+        held, came, off = found.approach.q[-1], found.outcome, None
+        grasp, end = robot.pose(held, frame), robot.position(found.way.q[-1], frame)
+        far = float(np.linalg.norm(grasp[:3, 3] - robot.position(self.q, frame)))
+        if constraint.shown is not None and len(constraint.shown.grasps):
+            seen = constraint.features.twist.pose(held)[:3, 3]  # perhaps from another frame
+            off = float(np.min(np.linalg.norm(constraint.shown.grasps[:, :3, 3] - seen, axis=1)))
+        fast, title = _fastest(found.approach, robot), f"take hold for {name}"
+        numbers = abs(came.wanted), abs(came.done), came.unit, came.deviation, found.margin
+        to_hold, along = found.controller.laws
+        reach = StepDone("reach", far, far, "m", 0.0, None, None, fast, grasp[:3, 3], title, grasp, off)
+        self.add(to_hold, _named(found.approach, name), reach)
+        way = _named(found.way, name)
+        if step.gripper is not None:
+            self.grip(step, name, float(way.manipulability[0]))
+            fingers, q = [robot.joint_index(joint) for joint in step.fingers], way.q.copy()
+            q[:, fingers] = self.q[fingers]
+            way = replace(way, q=q)
+        self.add(along, way, StepDone("way", *numbers, came.stopped_by, came.fastest[1], end, name, grasp, off))
+        self.notes += [note for note in found.notes if note not in self.notes]
+
+    def retreat(self, place: Float[np.ndarray, " 3"], name: str) -> None:
+        """The hand goes where the recordings ended: as it was shown, else straight, else around what is in the way."""
+        if self.plan is None:
+            return
+        last, limits, found = self.plan.controller.laws[-1], self.limits, self.plan
+        features: Any = last.constraint.features  # a place is known of a frame's rows
+        robot, take, knots = limits.robot, found.take, None
+        hand, here = FrameJacobian(robot, features.frame.name), robot.positions(self.q)
+        far = float(np.linalg.norm(place - hand.pose(self.q)[:3, 3]))
+        if far <= 1e-3:  # [m]: it is there
+            return
+        clear = Clearance(robot, True, found.around, here, () if take is None else [*take.q[::LOOKED_AT]])
+
+        def brought(x: np.ndarray) -> np.ndarray:
+            """Return a posture with the hand, turned as it is, where the recordings ended."""
+            over = np.eye(4)
+            over[:3, 3] = place - hand.pose(robot.configuration(x))[:3, 3]
+            return carried(hand, x[None], over)[0]
+
+        if take is not None and features.relative_to is None:
+            moving = [robot.moves(joint, hand.frame) for joint in robot.joint_names]
+            after = nearest_turn(robot, carried(hand, np.where(moving, take.after, here), take.moved), here)
+            knots = joined(after, here, brought(after[-1]))
+        end, stopped, rows = brought(here), None, last.task.rows(last.constraint)  # of the way that is left
+        moved = approach(end, self.q, rows, limits, clear, self.seed, self.dt, knots)
+        if moved is None:  # the hand stays where it has let go
+            between = " and ".join(clear.in_line(here, end) or ("the arm", "something"))
+            stopped, moved = (
+                f"{between}, which would touch",
+                approach(here, self.q, rows, limits, clear, self.seed, self.dt),
+            )
+        if moved is None:
+            raise NoPlanError(f"step {name!r}: the arm touches something where the last way ends")
+        rollout = replace(moved.rollout, phases=((name, 0.0, float(moved.rollout.time[-1])),), ways=())
+        end = hand.pose(rollout.q[-1])[:3, 3]
+        off, fast = float(np.linalg.norm(end - place)), _fastest(rollout, robot)
+        self.add(
+            moved.law, rollout, StepDone("reach", far, max(0.0, far - off), "m", off, None, stopped, fast, end, name)
+        )
+
+    def repetition(self) -> Repetition:
+        """The whole motion."""
+        whole, robot = self.whole, self.limits.robot
+        assert whole is not None  # a skill has a way
+        whole = replace(whole, constraint=whole.ways[0]["constraint"], target=None)  # not those of its last part
+        tip = batch_kinematics(robot, self.skill.constraints[0].features.frame)  # type: ignore[attr-defined]  # as above
+        far = np.linalg.norm(np.diff(tip.pose(whole.q)[:, :3, 3], axis=0), axis=1)
+        numbers = float(np.sum(far)), float(np.max(far / np.diff(whole.time)))
+        return Repetition(self.skill, whole, tuple(self.done), LawSequence(*self.laws), *numbers, tuple(self.notes))
 
 
-class _Asked(NamedTuple):
-    """What holds for every step, as of `repeat`."""
-
-    limits: Limits
-    dt: float
-    seed: int
-    scene: Around
-    prefer: str
-    said: Progress
-
-
-def _grip(step: Step, name: str, q: Float[np.ndarray, " n"], asked: _Asked, mu: float) -> _Part:
-    """The gripper closes or opens; the arm stands meanwhile, and joints of fingers go where they went."""
-    limits, dt, *_ = asked
-    robot = limits.robot
-    positions, fingers = robot.positions(q), dict(step.fingers)
-    goal = np.array([fingers.get(joint, x) for joint, x in zip(robot.joint_names, positions, strict=True)])
-    task = JointMotion(limits, [positions, goal], gripper=step.gripper)
-    law = ResolvedRateController(every_joint(robot), task, limits=limits, dt=dt)
-    rollout = simulate(robot, law, q, task.duration, dt)
-    rollout = replace(rollout, manipulability=np.full(len(rollout), mu))
-    return _Part(law, replace(rollout, phases=((f"{name}: {step.gripper}", 0.0, float(rollout.time[-1])),)))
-
-
-def _way(
-    step: Step, name: str, q: Float[np.ndarray, " n"], asked: _Asked
-) -> tuple[list[_Part], Surroundings, Take | None]:
-    """Take hold and go along what was learnt, as it was shown in this step; what stands around, and who showed it."""
-    constraint = step.as_shown
-    if constraint is None or constraint.robot is None:
-        raise TargetError(f"step {name!r}: no constraint to go along")
-    limits, dt, seed, scene, prefer, said = asked
-    takes, shown = step.takes if prefer == "shown" else (), motion(constraint)
-    try:
-        found = plan_as_shown(constraint, shown, q, takes, seed, limits=limits, scene=scene, dt=dt, progress=said)
-    except NoPlanError as refusal:
-        same = {what: getattr(refusal, what) for what in ("largest", "posture", "stopped_by", "helps")}
-        raise NoPlanError(f"step {name!r}: {refusal}", **same) from refusal
-    robot, frame = found.robot, constraint.features.frame.name  # type: ignore[attr-defined]  # a plan has looked
-    hold, end = (robot.position(x, frame) for x in (found.approach.q[-1], found.way.q[-1]))
-    far, came = float(np.linalg.norm(hold - robot.position(q, frame))), found.outcome
-    fast = float(np.max(np.abs(found.approach.u) / robot.velocity_limit))
-    grasp, off = robot.pose(found.approach.q[-1], frame), None
-    if constraint.shown is not None and len(constraint.shown.grasps):
-        seen = constraint.features.twist.pose(found.approach.q[-1])[:3, 3]  # perhaps from another frame
-        off = float(np.min(np.linalg.norm(constraint.shown.grasps[:, :3, 3] - seen, axis=1)))
-    reach = StepDone("reach", far, far, "m", 0.0, None, None, fast, hold, f"take hold for {name}", grasp, off)
-    numbers = abs(came.wanted), abs(came.done), came.unit, came.deviation, found.margin
-    way = StepDone("way", *numbers, came.stopped_by, came.fastest[1], end, name, grasp, off)
-    to_hold, along = found.controller.laws
-    approach, motion_along, grips = _named(found.approach, name), _named(found.way, name), []
-    if step.gripper is not None:
-        grips = [_grip(step, name, approach.q[-1], asked, float(motion_along.manipulability[0]))]
-        q, fingers = motion_along.q.copy(), [robot.joint_index(joint) for joint in step.fingers]
-        q[:, fingers] = grips[0].rollout.q[-1, fingers]
-        motion_along = replace(motion_along, q=q)
-    parts = [_Part(to_hold, approach, (reach,), found.notes), *grips, _Part(along, motion_along, (way,))]
-    return parts, found.around, found.take
+def _fastest(rollout: Rollout, robot: Robot) -> float:
+    """The largest share of a joint's velocity limit that a motion takes."""
+    return float(np.max(np.abs(rollout.u) / robot.velocity_limit))
 
 
 def _named(rollout: Rollout, name: str) -> Rollout:
@@ -349,56 +374,6 @@ def _named(rollout: Rollout, name: str) -> Rollout:
     phases = tuple((f"{name}: {part}", start, end) for part, start, end in rollout.phases)
     ways = tuple({**way, "name": name, "constraint": rollout.constraint} for way in rollout.ways)
     return replace(rollout, phases=phases, ways=ways)
-
-
-def _retreat(
-    last: ResolvedRateController,
-    step: Step,
-    name: str,
-    q: Float[np.ndarray, " n"],
-    around: Surroundings,
-    take: Take | None,
-    asked: _Asked,
-) -> list[_Part]:
-    """The hand goes where the recordings ended: as it was shown, else straight, else around what is in the way."""
-    limits, dt, seed = asked[:3]
-    features: Any = last.constraint.features  # a place is known of a frame's rows
-    robot, frame = limits.robot, features.frame.name
-    hand, here, place = FrameJacobian(robot, frame), robot.positions(q), np.asarray(step.place)
-    far = float(np.linalg.norm(place - hand.pose(q)[:3, 3]))
-    if far <= 1e-3:  # [m]: it is there
-        return []
-    clear, knots, end = Clearance(robot, True, around, here, () if take is None else [*take.q[::LOOKED_AT]]), None, here
-
-    def brought(x: np.ndarray) -> np.ndarray:
-        """Return a posture with the hand, turned as it is, where the recordings ended."""
-        over = np.eye(4)
-        over[:3, 3] = place - hand.pose(robot.configuration(x))[:3, 3]
-        return carried(hand, x[None], over)[0]
-
-    if take is not None and features.relative_to is None:
-        moving = [robot.moves(joint, hand.frame) for joint in robot.joint_names]
-        after = carried(hand, np.where(moving, take.after, here), take.moved)
-        after = nearest_turn(robot, after, here)
-        knots = joined(after, here, brought(after[-1]))
-    moved = moved_as_shown(knots, q, limits, clear, dt)
-    if moved is None:
-        end = brought(here)
-        moved = moved_to(end, q, limits, clear, seed, dt) if clear(end) else None
-    stopped = None
-    if moved is None:  # the hand stays where it has let go
-        between = " and ".join(clear.in_line(here, end) or ("the arm", "something"))
-        stopped, moved = f"{between}, which would touch", moved_to(here, q, limits, clear, seed, dt)
-    if moved is None:
-        raise NoPlanError(f"step {name!r}: the arm touches something where the last way ends")
-    law, rollout = moved
-    end, fastest = hand.pose(rollout.q[-1])[:3, 3], float(np.max(np.abs(rollout.u) / robot.velocity_limit))
-    off = float(np.linalg.norm(end - place))
-    mu = manipulability_batch(last.task.rows(last.constraint), rollout.q).mu  # of the way that is left
-    rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=(), manipulability=mu)
-    return [
-        _Part(law, rollout, (StepDone("reach", far, max(0.0, far - off), "m", off, None, stopped, fastest, end, name),))
-    ]
 
 
 def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:

@@ -1,9 +1,8 @@
 """The search for a way: postures at its stations, carried along all of it.
 
-1. Seeds: inverse kinematics from random postures, and steps along the self-motion from the start, at three stations.
-2. Marches: each seed is carried along the way in both directions. Some let the spare joints rest, some pull them to the
-   middle of their ranges, some up the manipulability. The march whose least margin is largest is the way; of those that
-   come within `TIE` of it, the one with the largest mean log mu.
+1. Seeds: the start, and inverse kinematics from random postures, at three stations.
+2. Marches: each seed is carried along the way in both directions, its spare joints at rest. The march whose least
+   margin is largest is the way; of those within `TIE` of it, the one with the largest mean log mu.
 3. Band: that march is relaxed as a whole, up the slope of its least margins and towards straight joint motion.
 
 Marches that go over into each other on the way, as the nodes of a graph, gain nothing: of 80 drawers the same 51 were
@@ -18,17 +17,12 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.manipulability import manipulability_batch
-from manip_learn.control.policies import ASCENT_GAIN
+from manip_learn.control.follow_motion import ARRIVED
 from manip_learn.planning.stations import Postures, Stations, node_margins, rooms
 
 SEED_STEPS, MARCH_STEPS = 40, 4  # of Newton's method: from anywhere, and from a station to the next
-SELF_MOTION = 0.25  # [rad or m] of the largest joint's step along the self-motion: a circle of it has 25 such steps
-SHARE = 0.125  # of the seeds: those along the self-motion of the start
-PULL = 0.3  # share of the joints' speeds that spare joints may use while the way is marched along
 APART = 0.3  # [rad or m] of the joint that differs most: nearer postures are one and the same choice
 TIE = 0.01  # margins nearer to each other than a hundredth of the limits are alike: the manipulability decides
 JUMP = 0.5  # [rad or m] of a joint from one station to the next: a longer step is another branch of the kinematics
@@ -46,22 +40,17 @@ class Marches:
 
     Attributes:
         stations: The way.
+        start: shape (nv,), the posture before it.
         q: shape (P, L, nv), postures; not finite where a march did not come so far.
         least: shape (P, L), margin of each posture; -inf where there is none.
         log_mu: shape (P, L), log of the manipulability of each posture.
     """
 
     stations: Stations
+    start: Float[np.ndarray, " nv"]
     q: Float[np.ndarray, "P L nv"]
     least: Float[np.ndarray, "P L"]
     log_mu: Float[np.ndarray, "P L"]
-
-    @property
-    def as_shown(self) -> Marches:
-        """Those that take hold with the hand turned as in the recordings."""
-        here = np.flatnonzero(np.isfinite(self.least[:, 0]))
-        some = here[self.stations.takes_hold_as_shown(self.q[here, 0])]
-        return Marches(self.stations, self.q[some], self.least[some], self.log_mu[some])
 
     def where(self, clear: Callable[[Float[np.ndarray, " nv"]], bool]) -> Marches:
         """These marches from the first station up to the last at which their postures are clear."""
@@ -86,12 +75,21 @@ class Marches:
         """The last station to which a march leads from the first; -1 where no posture takes hold."""
         return int(np.isfinite(self.along).any(axis=0).sum()) - 1
 
+    def stand(self, some: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        """Which of some marches take hold where the arm stands."""
+        return np.max(np.abs(self.q[some, 0] - self.start), axis=1, initial=0.0) < ARRIVED
+
     def choices(self, last: int) -> Int[np.ndarray, " k"]:
-        """Numbers of the marches that lead from the first station to that one, the best first, each apart."""
+        """Numbers of the marches that lead from the first station to that one, the best first, each apart.
+
+        Those that take hold as shown come first, and that of the start before others that leave as much.
+        """
         margins = self.along[:, last]
         some = np.flatnonzero(np.isfinite(margins))
         behind = np.floor((margins[some].max(initial=-np.inf) - margins[some]) / TIE)
-        order = some[np.lexsort((-self.log_mu[some, : last + 1].mean(axis=1), behind))]
+        stand, log_mu = self.stand(some), self.log_mu[some, : last + 1].mean(axis=1)
+        otherwise = ~(stand | self.stations.takes_hold_as_shown(self.q[some, 0]))
+        order = some[np.lexsort((-log_mu, ~stand, behind, otherwise))]
         out: list[int] = []
         for march in order.tolist():
             if not out or np.min(np.max(np.abs(self.q[out, 0] - self.q[march, 0]), axis=1)) > APART:
@@ -99,99 +97,57 @@ class Marches:
         return np.array(out, dtype=int)
 
 
-def marches_of(
-    stations: Stations,
-    rows: Constraint,
-    start: Float[np.ndarray, " nv"],
-    number: int,
-    rng: np.random.Generator,
-) -> Marches:
+def marches_of(stations: Stations, start: Float[np.ndarray, " nv"], number: int, rng: np.random.Generator) -> Marches:
     """Seeds, and their marches along the whole way.
 
     Args:
         stations: The way.
-        rows: The rows held and driven, whose manipulability some marches climb.
         start: Joint positions before the motion.
         number: Of seeds.
         rng: Random numbers.
     """
     q, station = seeds_of(stations, start, number, rng)
-    if stations.grip is not None:  # seeds where the hand takes hold: first those turned as in the recordings
-        some = np.flatnonzero(station == 0)
-        q[some], _ = stations.posed().onto(q[some], station[some], SEED_STEPS, grasp=stations.grips(len(some), rng))
+    if stations.grip is not None:  # seeds where the hand takes hold: first turned as in the recordings
+        some = np.flatnonzero(station == 0)[1:]
+        q[some], _ = stations.with_rows(np.eye(6), stations.grip[0]).onto(q[some], station[some], SEED_STEPS)
     q, there = stations.onto(q, station, SEED_STEPS)
     q, station = q[there], station[there]
     # without those that inverse kinematics found twice, to a thousandth of a radian or a metre
     first = np.sort(np.unique(np.column_stack([np.round(q, 3), station]), axis=0, return_index=True)[1])
     q, station = q[first], station[first]
     P, L, nv = len(q), len(stations), q.shape[1]
-    table, kind = np.full((P, L, nv), np.nan), np.arange(P) % 3
+    table = np.full((P, L, nv), np.nan)
     for k in np.unique(station):
         here = np.flatnonzero(station == k)
         table[here, k] = q[here]
         for sense in (1, -1):
-            march(stations, rows, table, here, kind, int(k), sense)
+            march(stations, table, here, int(k), sense)
     p, k = np.nonzero(np.isfinite(table[:, :, 0]))
-    nodes = node_margins(stations, table[p, k], k)
     least, log_mu = np.full((P, L), -np.inf), np.full((P, L), -np.inf)
-    least[p, k], log_mu[p, k] = nodes.least, nodes.log_mu
-    return Marches(stations, table, least, log_mu)
+    weakest, room, log_mu[p, k] = node_margins(stations, table[p, k], k)
+    least[p, k] = np.minimum(weakest, room)
+    return Marches(stations, start, table, least, log_mu)
 
 
 def seeds_of(
     stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator
 ) -> tuple[Postures, Int[np.ndarray, " n"]]:
-    """The start, postures along its self-motion, and random ones; the station of each."""
-    low, high = stations.span
-    random = np.where(stations.moving, rng.uniform(low, high, (number, len(start))), start)
-    station = np.array([0, len(stations) // 2, len(stations) - 1])[np.arange(number) % 3]
-    walked = max(1, round(SHARE * number))
-    # in a row along a direction that leaves the hand where it is, half of them one way, half the other
-    A = stations.matrices(start[None], np.zeros(1, dtype=int))[0]
-    direction = rng.normal(size=len(start)) * stations.moving
-    direction -= np.linalg.pinv(A) @ (A @ direction)
-    size, half = np.max(np.abs(direction)), walked // 2
-    step = SELF_MOTION * direction / size if size > 1e-9 else np.zeros_like(start)
-    places = np.concatenate([np.arange(1, half + 1), -np.arange(walked - half)])[:, None]
-    random[1:walked], station[:walked] = (start + places * step)[1:], 0
+    """The start, and random postures; the station of each."""
+    random = np.where(stations.moving, rng.uniform(*stations.span, (number, len(start))), start)
     random[0] = start
-    return random, station
+    return random, np.array([0, len(stations) // 2, len(stations) - 1])[np.arange(number) % 3]
 
 
 def march(
-    stations: Stations,
-    rows: Constraint,
-    table: Float[np.ndarray, "P L nv"],
-    some: Int[np.ndarray, " n"],
-    kind: Int[np.ndarray, " P"],
-    k: int,
-    sense: int,
+    stations: Stations, table: Float[np.ndarray, "P L nv"], some: Int[np.ndarray, " n"], k: int, sense: int
 ) -> None:
     """Carry some marches from station k to the end of the way in one sense, as far as each of them comes."""
     while 0 <= k + sense < len(stations) and len(some):
-        q = table[some, k]
-        time = abs(stations.time[k + sense] - stations.time[k])
-        pull = _pulls(stations, rows, q, kind[some]) * time
-        k += sense
-        there_q, there = stations.onto(q, np.full(len(some), k), MARCH_STEPS, pull)
+        q, k = table[some, k], k + sense
+        there_q, there = stations.onto(q, np.full(len(some), k), MARCH_STEPS)
         there &= np.max(np.abs(there_q - q), axis=1) <= JUMP
         some = some[there]
         table[some, k] = there_q[there]
-
-
-def _pulls(stations: Stations, rows: Constraint, q: Postures, kind: Int[np.ndarray, " n"]) -> Postures:
-    """Where the spare joints are drawn to: nowhere, to the middle of their ranges, or up mu [rad/s or m/s]."""
-    out, most = np.zeros_like(q), PULL * stations.limits.velocity
-    low, high = stations.limits.robot.position_lower, stations.limits.robot.position_upper
-    middle, climbs = kind == 1, kind == 2
-    if middle.any():
-        with np.errstate(invalid="ignore"):
-            off = np.where(np.isfinite(high - low), (2.0 * q[middle] - low - high) / (high - low), 0.0)
-        out[middle] = -most * off**3 * stations.moving
-    if climbs.any():
-        slope = ASCENT_GAIN * manipulability_batch(rows, q[climbs]).log_gradient
-        out[climbs] = slope * np.minimum(1.0, np.min(most / np.maximum(np.abs(slope), 1e-12), axis=1))[:, None]
-    return out
 
 
 def relaxed(stations: Stations, q: Postures, *, pinned: bool = False) -> Postures:
@@ -230,7 +186,7 @@ def soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures, float
     limits = stations.limits
     low, high = limits.robot.position_lower, limits.robot.position_upper
     W, U = stations.rows[: len(q)], limits.velocity
-    J, H = stations.hand.derivative(q)
+    J, H = stations.hand.batch_with_derivative(q)
     scale = 1.0 / stations.needs[: len(q)]
     left, sigmas, right = np.linalg.svd((W @ J) * U * scale[:, :, None], full_matrices=False)
     u, v, sigma = left[:, :, -1] * scale, right[:, -1] * U, sigmas[:, -1]

@@ -17,7 +17,6 @@ the way takes longer than it was asked to.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
@@ -26,7 +25,6 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.control.limits import Limits
 from manip_learn.control.rollout import Rollout
@@ -51,33 +49,6 @@ Postures = Float[np.ndarray, "n nv"]
 
 
 @final
-@dataclass(frozen=True)
-class _Hand:
-    """Poses and Jacobians of a frame at many postures, in the base frame or as another frame sees it.
-
-    Attributes:
-        pose: (n, nv) -> (n, 4, 4).
-        jacobian: (n, nv) -> (n, 6, nv).
-        derivative: (n, nv) -> the Jacobians and their derivatives (n, 6, nv, nv).
-    """
-
-    pose: Callable[[Postures], Float[np.ndarray, "n 4 4"]]
-    jacobian: Callable[[Postures], Float[np.ndarray, "n 6 nv"]]
-    derivative: Callable[[Postures], tuple[Float[np.ndarray, "n 6 nv"], Float[np.ndarray, "n 6 nv nv"]]]
-
-    @staticmethod
-    def of(features: FeatureMap) -> _Hand:
-        """The frame of some features.
-
-        Raises:
-            FeatureError: They have none.
-        """
-        if (twist := features.twist) is None:
-            raise FeatureError(f"a way is planned for the rows of a frame, not for {features!r}")
-        return _Hand(twist.poses, twist.batch, twist.batch_with_derivative)
-
-
-@final
 @dataclass(frozen=True, eq=False)
 class Stations:
     """Where a hand should be at each of L instants of a way, and along which rows that counts.
@@ -91,9 +62,10 @@ class Stations:
         rows: shape (L, s, 6), weights of the hand's twist (v, w) in the rows held and driven.
         needs: shape (L, s), speed that the way needs along each row [m/s or rad/s].
         grasp: shape (3, 3), orientation of the hand at the start, which counts where the rows hold orientations.
+        hand: The hand's place and how it turns, see `FeatureMap.twist`.
         moving: shape (nv,), joints that move the hand; others, as those of fingers, stay where they are.
         grip: shape (3, 3), orientation in which recordings took hold, and how far from it they did [rad]; None if the
-            rows hold orientations, or nothing was shown.
+            rows hold orientations, or nothing was shown: the hand may take hold as it likes.
     """
 
     limits: Limits
@@ -104,7 +76,7 @@ class Stations:
     rows: Float[np.ndarray, "L s 6"]
     needs: Float[np.ndarray, "L s"]
     grasp: Float[np.ndarray, "3 3"]
-    hand: _Hand
+    hand: Any
     moving: Bool[np.ndarray, " nv"]
     grip: tuple[Float[np.ndarray, "3 3"], float] | None = None
 
@@ -121,11 +93,12 @@ class Stations:
             FeatureError: The rows are not those of a frame.
         """
         features: Any = motion.constraint.features
-        hand = _Hand.of(features)
+        if (hand := features.twist) is None:
+            raise FeatureError(f"a way is planned for the rows of a frame, not for {features!r}")
         time, distance, ends = motion.table(start, PERIOD, FEWEST, MOST)
         goals = np.array(ends)
         if goals.ndim == 2:  # a motion of the hand's place: what it does not say is as at the start
-            here, places = hand.pose(limits.robot.positions(start)[None]), goals
+            here, places = hand.poses(limits.robot.positions(start)[None]), goals
             goals = np.repeat(here, len(places), axis=0)
             goals[:, [AXES.index(name) for name in features.row_names], 3] = places
         turns = goals[:, :3, :3] @ goals[0, :3, :3].T
@@ -136,8 +109,6 @@ class Stations:
         frames = [f for f in (features.frame, relative) if f is not None]  # type: ignore[attr-defined]  # a hand has one
         moving = np.array([any(robot.moves(name, f) for f in frames) for name in robot.joint_names])
         grip = None if np.any(np.abs(rows[:, :, 3:]) > 1e-9) else motion.grip_shown
-        if grip is not None:
-            grip = grip[0], max(grip[1], BY_EYE)
         return Stations(limits, time, distance, places, turns, rows, needs, goals[0, :3, :3].copy(), hand, moving, grip)
 
     def __len__(self) -> int:
@@ -160,45 +131,24 @@ class Stations:
         low, high = robot.position_lower, robot.position_upper
         return np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
 
-    def free_to_turn(self) -> Stations:
-        """These places for a hand that may turn."""
-        return self._with_rows(np.eye(6)[:3])
-
-    def posed(self) -> Stations:
-        """These places for a hand that turns with the way only."""
-        return self._with_rows(np.eye(6))
-
-    def _with_rows(self, rows: Float[np.ndarray, "s 6"]) -> Stations:
+    def with_rows(self, rows: Float[np.ndarray, "s 6"], grasp: Float[np.ndarray, "3 3"] | None = None) -> Stations:
+        """Return these places for other rows of the hand's twist, and another orientation of the hand at the start."""
         table = np.repeat(rows[None], len(self), axis=0)
         needs = _needs(self.time, self.places, self.turns, table)
-        return replace(self, rows=table, needs=needs, grip=None)
+        return replace(self, rows=table, needs=needs, grip=None, grasp=self.grasp if grasp is None else grasp)
 
     def takes_hold_as_shown(self, q: Postures) -> Bool[np.ndarray, " n"]:
         """Which postures at the first station have the hand turned as in the recordings."""
         if self.grip is None:
             return np.ones(len(q), dtype=bool)
-        return angles_between(self.grip[0], self.hand.pose(q)[:, :3, :3]) <= self.grip[1]
-
-    def grips(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3 3"]:
-        """Orientations as the recordings took hold, the typical one first."""
-        typical, within = self.grip or (self.grasp, 0.0)
-        turns = rng.normal(size=(n, 3))
-        turns *= (within * rng.uniform(0.0, 1.0, n) / np.linalg.norm(turns, axis=1))[:, None]
-        turns[:1] = 0.0
-        return Rotation.from_rotvec(turns).as_matrix() @ typical
+        orientation, turned = self.grip
+        return angles_between(orientation, self.hand.poses(q)[:, :3, :3]) <= max(turned, BY_EYE)
 
     def matrices(self, q: Postures, station: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s nv"]:
         """A(q) of the rows held and driven."""
-        return self.rows[station] @ self.hand.jacobian(q)
+        return self.rows[station] @ self.hand.batch(q)
 
-    def onto(
-        self,
-        q: Postures,
-        station: Int[np.ndarray, " n"],
-        steps: int,
-        pull: Postures | None = None,
-        grasp: Float[np.ndarray, "n 3 3"] | None = None,
-    ) -> tuple[Postures, Bool[np.ndarray, " n"]]:
+    def onto(self, q: Postures, station: Int[np.ndarray, " n"], steps: int) -> tuple[Postures, Bool[np.ndarray, " n"]]:
         """Postures brought onto their stations, within the joint limits, by Newton's method.
 
         A joint that stands at a limit and would go beyond it leaves the motion to the others.
@@ -207,57 +157,46 @@ class Stations:
             q: Where they begin.
             station: Number of each one's station.
             steps: Of Newton's method, at most.
-            pull: How far the spare joints go towards something else, in the first step [rad or m].
-            grasp: Orientation of each one's hand at the start of the way; by default that of the stations.
 
         Returns:
             The postures, and which of them are there.
         """
-        low, high = self.limits.robot.position_lower, self.limits.robot.position_upper
-        grasp = np.broadcast_to(self.grasp, (len(q), 3, 3)) if grasp is None else grasp
-        q = np.clip(q if pull is None else q + pull, low, high)
-        there = np.zeros(len(q), dtype=bool)
-        todo = np.arange(len(q))
-        for step in range(steps + 1):
-            k = station[todo]
-            error = np.einsum("nsk,nk->ns", self.rows[k], self._twist_to(self.hand.pose(q[todo]), k, grasp[todo]))
-            far = np.sqrt(np.sum(error * error, axis=1))
-            there[todo] = far < ON
-            if step == steps or np.all(there[todo]):
-                break
-            late = far >= ON
-            todo = todo[late]
-            q[todo] = _stepped(q[todo], self.matrices(q[todo], k[late]), error[late], far[late], (low, high))
-        return q, there
-
-    def _twist_to(
-        self, pose: Float[np.ndarray, "n 4 4"], station: Int[np.ndarray, " n"], grasp: Float[np.ndarray, "n 3 3"]
-    ) -> Float[np.ndarray, "n 6"]:
-        """From each pose to its station: (p* - p, log(R* R^T))."""
-        out = np.zeros((len(pose), 6))
-        out[:, :3] = self.places[station] - pose[:, :3, 3]
-        if self.holds_orientation:
-            wanted = self.turns[station] @ grasp @ pose[:, :3, :3].transpose(0, 2, 1)
-            out[:, 3:] = Rotation.from_matrix(wanted).as_rotvec()
-        return out
+        turns = self.turns[station] @ self.grasp if self.holds_orientation else None
+        return onto_poses(self.hand, self.limits.robot, q, self.places[station], turns, self.rows[station], steps)
 
 
-def _stepped(
-    q: Postures, A: Float[np.ndarray, "n s nv"], error: Float[np.ndarray, "n s"], far: np.ndarray, span: tuple
-) -> Postures:
-    """One Newton step, then once more without the joints that it would drive beyond a limit."""
-    low, high = span
-    step = _least_step(A, error, far)
-    out = q + step
-    blocked = (out < low) | (out > high)
-    if blocked.any():
-        some = blocked.any(axis=1)
-        edge = np.clip(out[some], low, high)
-        taken = np.where(blocked[some], edge - q[some], 0.0)
-        left = error[some] - np.einsum("nsj,nj->ns", A[some], taken)
-        rest = _least_step(A[some] * ~blocked[some][:, None], left, far[some])
-        out[some] = np.clip(q[some] + taken + np.where(blocked[some], 0.0, rest), low, high)
-    return out
+def onto_poses(
+    hand: Any,
+    robot: Robot,
+    q: Postures,
+    places: Float[np.ndarray, "n 3"],
+    turns: Float[np.ndarray, "n 3 3"] | None,
+    rows: Float[np.ndarray, "n s 6"],
+    steps: int,
+) -> tuple[Postures, Bool[np.ndarray, " n"]]:
+    """Bring each posture's hand to a place [m] and an orientation, as far as rows of its twist say; return also which
+    of them are there. `Stations.onto` has the method.
+    """
+    low, high = robot.position_lower, robot.position_upper
+    q, there, todo = np.clip(q, low, high), np.zeros(len(q), dtype=bool), np.arange(len(q))
+    for step in range(steps + 1):
+        pose, twist = hand.poses(q[todo]), np.zeros((len(todo), 6))
+        twist[:, :3] = places[todo] - pose[:, :3, 3]
+        if turns is not None:
+            twist[:, 3:] = Rotation.from_matrix(turns[todo] @ pose[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
+        error = np.einsum("nsk,nk->ns", rows[todo], twist)
+        far = np.sqrt(np.sum(error * error, axis=1))
+        there[todo], late = far < ON, far >= ON
+        if step == steps or not late.any():
+            break
+        todo, error, far = todo[late], error[late], far[late]
+        A, x = rows[todo] @ hand.batch(q[todo]), q[todo]
+        out = x + _least_step(A, error, far)
+        blocked = (out < low) | (out > high)  # these go to their limits, the others do the rest
+        edge = np.where(blocked, np.clip(out, low, high) - x, 0.0)
+        rest = _least_step(A * ~blocked[:, None], error - np.einsum("nsj,nj->ns", A, edge), far)
+        q[todo] = np.clip(x + edge + rest, low, high)
+    return q, there
 
 
 def _least_step(
@@ -285,26 +224,6 @@ def _needs(
     rate = float(np.max(angle / period))
     linear, angular = max(speed, LEVER * rate), max(rate, speed / LEVER)
     return np.linalg.norm(rows * np.repeat([linear, angular], 3), axis=2)
-
-
-@final
-class NodeMargins(NamedTuple):
-    """Of postures at stations.
-
-    Attributes:
-        weakest: shape (n,), sigma / (sigma + 1): 0 at a singularity.
-        room: shape (n,), left of the range of the joint that is nearest to a limit, as a share of half of it.
-        log_mu: shape (n,), log of the manipulability of the rows held and driven.
-    """
-
-    weakest: Float[np.ndarray, " n"]
-    room: Float[np.ndarray, " n"]
-    log_mu: Float[np.ndarray, " n"]
-
-    @property
-    def least(self) -> Float[np.ndarray, " n"]:
-        """The smaller of the two margins."""
-        return np.minimum(self.weakest, self.room)
 
 
 @final
@@ -352,15 +271,18 @@ class Margins(NamedTuple):
         )
 
 
-def node_margins(stations: Stations, q: Postures, station: np.ndarray) -> NodeMargins:
-    """Margins of postures, each at its station."""
+def node_margins(
+    stations: Stations, q: Postures, station: np.ndarray
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Return of postures at stations the margin of the weakest direction, that of the joint nearest to a limit, and the
+    log of the manipulability of the rows held and driven.
+    """
     A = stations.matrices(q, station)
     weighted = A * stations.limits.velocity / stations.needs[station][:, :, None]
     squares = np.linalg.eigvalsh(weighted @ weighted.transpose(0, 2, 1))[:, 0]
     sigma = np.sqrt(np.maximum(squares, 0.0))
     log_mu = 0.5 * np.linalg.slogdet(A @ A.transpose(0, 2, 1))[1]
-    room = np.min(rooms(stations, q), axis=1)
-    return NodeMargins(sigma / (sigma + 1.0), room, np.maximum(log_mu, LEAST_LOG))
+    return sigma / (sigma + 1.0), np.min(rooms(stations, q), axis=1), np.maximum(log_mu, LEAST_LOG)
 
 
 def rooms(stations: Stations, q: Postures) -> Postures:
@@ -395,21 +317,12 @@ def margin_of(motion: FreeDirection, rollout: Rollout, begins: float | None, rob
 def margins_of(stations: Stations, q: Postures) -> Margins:
     """Of a whole way: one posture a station."""
     k, names = np.arange(len(q)), stations.limits.robot.joint_names
-    nodes, left = node_margins(stations, q, k), rooms(stations, q)
+    (weakest, _, log_mu), left = node_margins(stations, q, k), rooms(stations, q)
     shares = np.abs(np.diff(q, axis=0)) / np.diff(stations.time[: len(q)])[:, None] / stations.limits.velocity
     fastest = shares.max(axis=0, initial=0.0)
-    weak, (tight, joint) = int(np.argmin(nodes.weakest)), np.unravel_index(np.argmin(left), left.shape)
-    values = float(nodes.weakest[weak]), float(left[tight, joint]), float(1.0 - fastest.max())
-    A = stations.matrices(q, k)
-    return Margins(
-        margin=min(values),
-        singular_value=float(np.min(np.linalg.svd(A, compute_uv=False)[:, -1])),
-        weakest=values[0],
-        weakest_at=float(stations.distance[weak]),
-        room=values[1],
-        room_joint=names[int(joint)],
-        room_at=float(stations.distance[int(tight)]),
-        speed=values[2],
-        speed_joint=names[int(np.argmax(fastest))],
-        mean_manipulability=float(np.mean(np.exp(nodes.log_mu))),
-    )
+    weak, (tight, joint) = int(np.argmin(weakest)), np.unravel_index(np.argmin(left), left.shape)
+    values = float(weakest[weak]), float(left[tight, joint]), float(1.0 - fastest.max())
+    least = float(np.min(np.linalg.svd(stations.matrices(q, k), compute_uv=False)[:, -1]))
+    at_weakest, at_tight = (float(stations.distance[x]) for x in (weak, tight))
+    tightest, quickest, mu = names[int(joint)], names[int(np.argmax(fastest))], float(np.mean(np.exp(log_mu)))
+    return Margins(min(values), least, values[0], at_weakest, values[1], tightest, at_tight, values[2], quickest, mu)
