@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, final
 
 import numpy as np
@@ -29,7 +29,6 @@ ONE_PLACE = 5e-3  # [m] within which a hand is where contacts began
 HELD = 20.0  # weight of the posture of hold in them beside each other: it is kept
 ROUGH = 5  # degree of the polynomials that smooth a joint's path along a way
 PARTS = 4  # of the motion by which fixtures have moved, each within reach of Newton's method
-TOO_SLOW = -1.0  # margin of speed of a way that takes twice its time: another way of going is tried first
 JOINS = 0.6  # share of a shown approach by which it is joined: what is left is gone as it was shown
 KNOTS = 24  # of an approach
 LEAST_APPROACH = 0.05  # [rad or m] that a joint goes in a recording that shows an approach: a cut one shows none
@@ -45,15 +44,18 @@ class Candidate:
         motion: What the hand does, from where it takes hold.
         stations: Its stations.
         path: shape (L, nv), joint positions there [rad or m].
-        margins: What these leave.
         take: The recording that is followed; None if none is.
     """
 
     motion: FreeDirection
     stations: Stations
     path: Way
-    margins: Margins
     take: Take | None = None
+
+    @cached_property
+    def margins(self) -> Margins:
+        """What it leaves."""
+        return margins_of(self.stations, self.path)
 
 
 def grasps_of(takes: Sequence[Take], shown: Shown, features: Any) -> list[Float[np.ndarray, "4 4"]]:
@@ -109,21 +111,15 @@ def followed(
     """
     others = list[Candidate]()
     for take, own, at, ways in _tries(motion, takes, stations, positions):
-        for way in ways:
-            if (path := way()) is None:
-                continue
-            margins = margins_of(at, path)
-            if margins.margin < ENOUGH:
-                better = relaxed(at, path, pinned=True)
-                if (left := margins_of(at, better)).margin > margins.margin:
-                    path, margins = better, left
-            found = Candidate(own, at, path, margins, take)
-            if margins.margin >= ENOUGH:
+        for path in (path for way in ways if (path := way()) is not None):
+            found = Candidate(own, at, path, take)
+            if found.margins.margin < ENOUGH:
+                better = replace(found, path=relaxed(at, path, pinned=True))
+                found = max(found, better, key=lambda one: one.margins.margin)
+            if found.margins.margin >= ENOUGH:
                 yield found
                 break
             others.append(found)
-            if margins.speed > TOO_SLOW:
-                break
     yield from sorted(others, key=lambda one: -one.margins.margin)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -47,11 +46,9 @@ APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of ho
 AGAIN = 4  # times the seeds before a plan is refused
 _TRIED = 8  # choices that are simulated, best margin first
 VAIN = 3  # searches for an approach that find none, half a second each: then straight ones only
-OTHERS = 4  # choices of which a refusal looks how far they come
 SPARE = 1.1  # times the time that the fastest joint needs: its speed also takes deviations back
 LESS = 0.9  # of a way that did not come true is tried next
 LEAST_SHARE = 0.01  # of the whole way: less is no part of it
-LOOKED = 20  # of marches in whose way something is, for what would help
 LOOKED_AT = 6  # every such posture of a recording is looked at beside what stands around
 _SEEN = 60  # postures of an approach of which a plan says how near they come to what stands around
 Around = Scene | Literal["assumed"] | None
@@ -107,7 +104,7 @@ class Plan:
         moved = "take hold as it stands" if far < ARRIVED else f"take hold after {self.approach.time[-1]:.1f} s"
         return (
             f"{moved}, then {way_in_words(self.outcome.done, self.outcome.unit)} in {self.outcome.seconds:.3g} s; "
-            f"margin {self.margin:.0%}: {self.margins.limited_by(self.outcome.unit)}"
+            f"margin {self.margin:.0%}: {self.margins.limited_by}"
         )
 
     def __repr__(self) -> str:
@@ -117,7 +114,7 @@ class Plan:
         """The JSON answer: lengths in m, angles in rad, of the way in degrees."""
         return {
             "margin": self.margin,
-            "limited_by": self.margins.limited_by(self.outcome.unit),
+            "limited_by": self.margins.limited_by,
             "least_singular_value": self.margins.singular_value,
             "hold": self.q_grasp.tolist(),
             "approach_seconds": float(self.approach.time[-1]),
@@ -257,8 +254,8 @@ class PathPolicy(NullSpacePolicy):
         knots: Joint positions [rad or m], one row per knot.
         gain: Rate at which differences from the path are made up [1/s].
         robot: Whose joints they are.
-        moving: shape (nv,), joints that follow the path; None for all.
-        motion: The way along which the path leads: its times count from where that begins; None from the first call on.
+        moving: shape (nv,), joints that follow the path.
+        motion: The way along which the path leads: its times count from where that begins.
     """
 
     def __init__(
@@ -267,16 +264,12 @@ class PathPolicy(NullSpacePolicy):
         knots: Float[np.ndarray, "K nv"],
         gain: float,
         robot: Robot,
-        moving: Bool[np.ndarray, " nv"] | None = None,
-        motion: FreeDirection | None = None,
+        moving: Bool[np.ndarray, " nv"],
+        motion: FreeDirection,
     ):
-        self._motion = motion
-        self.time = np.array(time, dtype=np.float64)
-        self.knots = np.array(knots, dtype=np.float64)
-        self.gain = float(gain)
-        self._robot, self._moving = robot, True if moving is None else moving
-        self._spline = CubicSpline(self.time, self.knots, bc_type="natural")
-        self._rate = self._spline.derivative()
+        self.time, self.gain, self._motion = np.array(time, dtype=np.float64), float(gain), motion
+        self._robot, self._moving = robot, moving
+        self._spline = CubicSpline(self.time, knots, bc_type="natural")
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
         """Velocity along the path and towards it [rad/s or m/s].
@@ -284,13 +277,11 @@ class PathPolicy(NullSpacePolicy):
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        first, end = float(self.time[0]), float(self.time[-1])
-        if self._motion is not None:
-            begins = self._motion.way_begins
-            t = first if begins is None else t - begins
+        first, end, begins = float(self.time[0]), float(self.time[-1]), self._motion.way_begins
+        t = first if begins is None else t - begins
         goal = self._spline(min(max(t, first), end))
         error = self._robot.difference(np.asarray(q, dtype=np.float64), goal) * self._moving
-        return self.gain * error + (self._rate(t) if first < t < end else 0.0)
+        return self.gain * error + (self._spline(t, 1) if first < t < end else 0.0)
 
     def __repr__(self) -> str:
         return f"PathPolicy({len(self.time)} knots over {self.time[-1] - self.time[0]:g} s, gain={self.gain:g})"
@@ -334,14 +325,12 @@ class _Problem:
         self.vain = 0  # searches for an approach that found none
         self.missing: MissingExtraError | None = None  # what would look for a way around it
         self.unreached: tuple[str, str] | None = None  # what stands between the start and a posture of hold
-        unsuited = next((b for b in robot.blocks if b.kind in ("floating", "planar", "other")), None)
-        if unsuited is not None:
+        if unsuited := [b for b in robot.blocks if b.kind in ("floating", "planar", "other")]:
             raise FeatureError(
-                f"joint {unsuited.name!r} is {unsuited.kind}: a way is planned for revolute, continuous and prismatic "
-                "joints only; load the robot with a fixed base"
+                f"joint {unsuited[0].name!r} is {unsuited[0].kind}: a way is planned for revolute, continuous and "
+                "prismatic joints only; load the robot with a fixed base"
             )
-        endless = np.flatnonzero(~np.isfinite(self.limits.velocity))
-        if len(endless):
+        if len(endless := np.flatnonzero(~np.isfinite(self.limits.velocity))):
             raise ConfigurationError(
                 f"joint {robot.joint_names[endless[0]]!r} has no velocity limit, in units of which margins are counted"
                 ": state it in the robot's description, or pass limits=Limits(robot, velocity=...)"
@@ -355,9 +344,8 @@ class _Problem:
         around = Surroundings()
         if scene is not None:
             if not isinstance(scene, Scene) and scene != "assumed":
-                raise ConfigurationError(
-                    f"a scene is a Scene, None for nothing, or left out to be assumed, not {an(scene)}"
-                )
+                wanted = "a scene is a Scene, None for nothing, or left out to be assumed"
+                raise ConfigurationError(f"{wanted}, not {an(scene)}")
             features: Any = self.rows.features
             around = Surroundings.of(None if scene == "assumed" else scene, robot, features.frame)
         shown = [np.array(x, dtype=np.float64) for x in constraint.provenance.get("postures", ()) if len(x) == robot.nv]
@@ -435,7 +423,7 @@ class _Problem:
             better = relaxed(self.stations, path, pinned=stands)
             if as_shown(better[:1])[0] >= as_shown(path[:1])[0] and clear.of_way(better):
                 path = better
-            yield Candidate(self.motion, self.stations, path, margins_of(self.stations, path))
+            yield Candidate(self.motion, self.stations, path)
 
     def _tried(self, one: Candidate, clear: Clearance, compared: int) -> Plan | None:
         """The plan of a candidate whose postures are clear; None where it cannot be reached or does not come true."""
@@ -494,20 +482,21 @@ class _Problem:
 
     def refusal(self, marches: Marches, candidates: int) -> NoPlanError:
         """How much of the way can be done, what stops it, and what would help, from all marches compared."""
-        clear = marches.where(self.clear.holding(marches.q[np.isfinite(marches.least[:, 0]), 0]))
+        holding = self.clear.holding(marches.q[np.isfinite(marches.least[:, 0]), 0])
+        clear = marches.where(holding)
         end, last, largest, posture = len(self.stations) - 1, clear.reached, 0.0, None
         stopped_by, pair, helps = self._stopped_by(marches), self.unreached if last == end else None, tuple[str, ...]()
         if last < marches.reached == end:
-            pair, helps = self._in_the_way(marches)
+            pair, helps = self._in_the_way(marches.q[marches.choices(end)[0]], holding)
         if self.stations.holds_orientation:
             free = self.stations.with_rows(np.eye(6)[:3])
             helps += ("a hand that may turn on the way could do it",) * (
                 self.marches(candidates // 2, free).reached == end
             )
         if last >= 1:
-            ways = [clear.q[march, : last + 1] for march in clear.choices(last)[:OTHERS]]
-            largest, why, hold = max(((*self._largest(way), way[0]) for way in ways), key=lambda one: abs(one[0]))
-            stopped_by, posture = why or stopped_by, hold if largest else None
+            path = clear.q[clear.choices(last)[0], : last + 1]
+            largest, why = self._largest(path)
+            stopped_by, posture = why or stopped_by, path[0] if largest else None
         if pair is not None:
             where = " on the way from the start to where the hand takes hold" if last == end else ""
             stopped_by = f"{pair[0]} and {pair[1]}, which would touch{where}"
@@ -516,21 +505,14 @@ class _Problem:
         said = f"no plan for {wanted}: {most} at most, stopped by {stopped_by}{more}"
         return NoPlanError(said, largest=abs(largest), posture=posture, stopped_by=stopped_by, helps=helps)
 
-    def _in_the_way(self, marches: Marches) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
-        """The two things that are least in each other's way on the whole way, and what would help."""
-        choices, found = marches.choices(marches.reached), list[tuple[bool, float, tuple[str, str]]]()
-        clear = self.clear.holding(marches.q[choices, 0])
-        for march in choices[:LOOKED]:
-            if pairs := [pair for q in marches.q[march] if (pair := clear.touching(q)) is not None]:
-                deepest = min(pairs, key=lambda pair: pair.distance)
-                several = len({pair.links[1] for pair in pairs}) > 1
-                found.append((several, CLEARANCE - deepest.distance, deepest.links))
-        several, depth, pair = min(found, default=(True, 0.0, None))
-        if pair is None or several or pair[1] not in self.clear.around.names:
-            return pair, ()
-        return pair, (
-            f"the {pair[1]} {np.ceil(1e2 * depth) / 1e2:.2f} m farther from {pair[0]} would leave room there",
-        )
+    def _in_the_way(self, path: Postures, clear: Clearance) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
+        """The two things that are most in each other's way on a path, and what would help."""
+        pairs = [pair for q in path if (pair := clear.touching(q)) is not None]
+        deepest = min(pairs, key=lambda pair: pair.distance, default=None)
+        if deepest is None or deepest.links[1] not in clear.around.names or len({pair.links[1] for pair in pairs}) > 1:
+            return None if deepest is None else deepest.links, ()
+        (link, thing), depth = deepest.links, np.ceil(1e2 * (CLEARANCE - deepest.distance)) / 1e2
+        return deepest.links, (f"the {thing} {depth:.2f} m farther from {link} would leave room there",)
 
     def _largest(self, path: Postures) -> tuple[float, str]:
         """How much of the way comes true from the beginning of a path, and what stops it before the end of that."""
@@ -560,12 +542,10 @@ class _Problem:
             return f"the end of the arm's reach: the hand comes within {gap:.2g} m of where it should take hold"
         if last == len(self.stations) - 1:
             return "limits of the loop in simulation"
-        farthest = marches.choices(last)
-        ends = marches.q[farthest, last]
-        limits = Counter(filter(None, (joint_at_limit(self.robot, q) for q in ends)))
-        if 2 * sum(limits.values()) > len(ends):
-            return limits.most_common(1)[0][0]
-        A = self.stations.matrices(ends[:1], np.array([last]))[0]
+        q = marches.q[marches.choices(last)[:1], last]
+        if (joint := joint_at_limit(self.robot, q[0])) is not None:
+            return joint
+        A = self.stations.matrices(q, np.array([last]))[0]
         left, sigma, _ = np.linalg.svd(A, full_matrices=False)
         x, y, z, rx, ry, rz = left[:, -1] @ self.stations.rows[last]
         moves = np.hypot(np.hypot(x, y), z) >= np.hypot(np.hypot(rx, ry), rz)

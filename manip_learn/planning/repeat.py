@@ -221,21 +221,18 @@ def _limited(limits: Limits, tip_speed: TipSpeed, skill: Skill, q: Float[np.ndar
     """
     if tip_speed is None:
         return limits
-    speed = APPROACH_SPEED if tip_speed == "shown" else tip_speed
-    if not (isinstance(speed, int | float) and 0.0 < speed < np.inf):
+    speed = np.inf if tip_speed == "shown" else tip_speed
+    if not isinstance(speed, int | float) or not speed > 0.0 or tip_speed == np.inf:
         wanted = f"a positive number of metres per second such as {APPROACH_SPEED}"
-        words = spoken("'shown', or None for no limit", "shown, or none for no limit")
-        name = advice("{}", "tip_speed", "--tip-speed")
-        raise ConfigurationError(f"{name} is {tip_speed!r}: it must be {wanted}, {words}")
+        words, name = spoken("'shown', or None", "shown, or none"), advice("{}", "tip_speed", "--tip-speed")
+        raise ConfigurationError(f"{name} is {tip_speed!r}: it must be {wanted}, {words} for no limit")
     frames = [f for constraint in skill.constraints if (f := getattr(constraint.features, "frame", None)) is not None]
     takes = [take for step in skill.steps for take in step.takes]
     ways = [motion(way) for step in skill.steps if step.kind == "way" and (way := step.as_shown) is not None]
     shown = [_ROOM * Stations.of(way, q, limits).tip_speed for way in ways if isinstance(way, FreeDirection)]
-    shown += [LEAST_SPEED, *(_tip_speed(limits.robot, frames[0], take) for take in takes)]
-    if tip_speed == "shown":
-        speed = max(shown) if takes else max(speed, *shown)
-    elif takes:
-        speed = min(speed, max(shown))
+    shown += [_tip_speed(limits.robot, frames[0], take) for take in takes]
+    most = max([*shown, LEAST_SPEED if takes else APPROACH_SPEED])
+    speed = min(speed, most) if takes or tip_speed == "shown" else speed
     return limits.with_tip_speed(speed, [frame.name for frame in frames])
 
 

@@ -55,6 +55,7 @@ class Stations:
 
     Attributes:
         limits: Of the joints.
+        unit: Of distances, `"m"` or `"rad"`.
         time: shape (L,), since the way began [s].
         distance: shape (L,), along the way [m or rad].
         places: shape (L, 3), where the hand's origin should be [m].
@@ -69,6 +70,7 @@ class Stations:
     """
 
     limits: Limits
+    unit: Unit
     time: Float[np.ndarray, " L"]
     distance: Float[np.ndarray, " L"]
     places: Float[np.ndarray, "L 3"]
@@ -109,7 +111,8 @@ class Stations:
         frames = [f for f in (features.frame, relative) if f is not None]  # type: ignore[attr-defined]  # a hand has one
         moving = np.array([any(robot.moves(name, f) for f in frames) for name in robot.joint_names])
         grip = None if np.any(np.abs(rows[:, :, 3:]) > 1e-9) else motion.grip_shown
-        return Stations(limits, time, distance, places, turns, rows, needs, goals[0, :3, :3].copy(), hand, moving, grip)
+        at, unit = (time, distance, places, turns, rows), motion.unit
+        return Stations(limits, unit, *at, needs, goals[0, :3, :3].copy(), hand, moving, grip)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -228,47 +231,23 @@ def _needs(
 
 @final
 class Margins(NamedTuple):
-    """What is least along a way, and where.
+    """What is least along a way.
 
     Attributes:
         margin: The least of the three.
         singular_value: Least singular value of the rows held and driven [m or 1].
         weakest: sigma / (sigma + 1), the least.
-        weakest_at: Where on the way [m or rad].
         room: Least share of half a joint's range that is left.
-        room_joint: Name of that joint.
-        room_at: Where on the way [m or rad].
         speed: Least share of a joint's velocity limit that is left.
-        speed_joint: Name of that joint.
-        mean_manipulability: Of the rows held and driven.
+        limited_by: Which of them is least, of what joint and where, in words.
     """
 
     margin: float
     singular_value: float
     weakest: float
-    weakest_at: float
     room: float
-    room_joint: str
-    room_at: float
     speed: float
-    speed_joint: str
-    mean_manipulability: float
-
-    def limited_by(self, unit: Unit) -> str:
-        """What is least, in words."""
-
-        def where(place: float) -> str:
-            return f"{abs(place):.2f} m" if unit == "m" else f"{np.degrees(abs(place)):.0f} degrees"
-
-        if self.margin == self.room:
-            return f"joint {self.room_joint!r} has {self.room:.0%} of half its range left, {where(self.room_at)} along"
-        if self.margin == self.speed:
-            return f"joint {self.speed_joint!r} has {self.speed:.0%} of its speed left"
-        sigma = self.weakest / max(1.0 - self.weakest, np.finfo(np.float64).tiny)
-        return (
-            f"the weakest direction has {sigma:.2g} times the speed that the way needs, {where(self.weakest_at)} "
-            f"along (least singular value {self.singular_value:.2g})"
-        )
+    limited_by: str
 
 
 def node_margins(
@@ -317,12 +296,18 @@ def margin_of(motion: FreeDirection, rollout: Rollout, begins: float | None, rob
 def margins_of(stations: Stations, q: Postures) -> Margins:
     """Of a whole way: one posture a station."""
     k, names = np.arange(len(q)), stations.limits.robot.joint_names
-    (weakest, _, log_mu), left = node_margins(stations, q, k), rooms(stations, q)
+    weakest, left = node_margins(stations, q, k)[0], rooms(stations, q)
     shares = np.abs(np.diff(q, axis=0)) / np.diff(stations.time[: len(q)])[:, None] / stations.limits.velocity
     fastest = shares.max(axis=0, initial=0.0)
     weak, (tight, joint) = int(np.argmin(weakest)), np.unravel_index(np.argmin(left), left.shape)
     values = float(weakest[weak]), float(left[tight, joint]), float(1.0 - fastest.max())
     least = float(np.min(np.linalg.svd(stations.matrices(q, k), compute_uv=False)[:, -1]))
-    at_weakest, at_tight = (float(stations.distance[x]) for x in (weak, tight))
-    tightest, quickest, mu = names[int(joint)], names[int(np.argmax(fastest))], float(np.mean(np.exp(log_mu)))
-    return Margins(min(values), least, values[0], at_weakest, values[1], tightest, at_tight, values[2], quickest, mu)
+    ways = (abs(float(stations.distance[x])) for x in (weak, tight))
+    at_weakest, at_tight = (f"{x:.2f} m" if stations.unit == "m" else f"{np.degrees(x):.0f} degrees" for x in ways)
+    words = (
+        f"the weakest direction has {values[0] / max(1.0 - values[0], 1e-300):.2g} times the speed that the way needs, "
+        f"{at_weakest} along (least singular value {least:.2g})",
+        f"joint {names[int(joint)]!r} has {values[1]:.0%} of half its range left, {at_tight} along",
+        f"joint {names[int(np.argmax(fastest))]!r} has {values[2]:.0%} of its speed left",
+    )
+    return Margins(min(values), least, *values, words[int(np.argmin(values))])
