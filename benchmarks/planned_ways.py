@@ -26,8 +26,8 @@ from table_file import put
 import manip_learn as ml
 from manip_learn.control.way import WayDone, simulate_way
 from manip_learn.planning.clearance import links_of
-from manip_learn.planning.search import marches_of
 from manip_learn.planning.stations import Stations
+from manip_learn.planning.ways import marches_of
 
 TIPS = {"sawyer": "right_hand", "panda": "panda_hand_tcp", "xarm7": "link_eef", "ur5": "tool0", "ur10": "tool0"}
 LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}

@@ -35,8 +35,8 @@ from manip_learn.control.way import simulate_way
 from manip_learn.planning.clearance import Clearance, Surroundings, hand_of, links_of
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.plan import FOLLOWING, SPARE, PathPolicy
-from manip_learn.planning.search import marches_of
 from manip_learn.planning.stations import Stations
+from manip_learn.planning.ways import marches_of
 
 TIPS = FLANGES | {"sawyer": "right_gripper_tip"}  # whose shapes have a gripper: its flange is behind that
 KINDS = ("drawer", "door", "wipe", "drawer", "door", "wipe", "drawer", "door", "wipe", "drawer")

@@ -13,8 +13,8 @@ import manip_learn as ml
 from manip_learn.commands.demo import SCENES
 from manip_learn.control.limits import Limits
 from manip_learn.planning.clearance import Clearance, Surroundings, links_of
-from manip_learn.planning.search import soft_margin
 from manip_learn.planning.stations import Stations, margins_of
+from manip_learn.planning.ways import soft_margin
 from manip_learn.robot.collision import SelfCollision, collision_shapes
 
 PANDA_TIP = "panda_hand_tcp"

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, final
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -28,11 +28,10 @@ from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
+from manip_learn.planning import ways
 from manip_learn.planning.clearance import Clearance, Surroundings
-from manip_learn.planning.following import ENOUGH, Candidate, carried, followed, joined, nearest_turn
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
-from manip_learn.planning.search import SEED_STEPS, Marches, marches_of, relaxed, seeds_of
 from manip_learn.planning.stations import FEWEST, MOST, PERIOD, Margins, Postures, Stations, margins_of
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.postures import unwound
@@ -189,13 +188,7 @@ def plan(
     return replace(found, notes=(*found.notes, note)) if takes else found
 
 
-@final
-class Approach(NamedTuple):
-    """The motion of the joints to a posture: how it goes in words, its law, and what it does."""
-
-    how: str
-    law: ResolvedRateController
-    rollout: Rollout
+Approach = tuple[str, ResolvedRateController, Rollout]  # how the joints go to a posture in words, by what law, and so
 
 
 def approach(
@@ -234,7 +227,7 @@ def approach(
         if not len(arrived):
             return None
         rollout = rollout.until(float(rollout.time[arrived[0]]))
-        return Approach(how, law, replace(rollout, manipulability=manipulability_batch(rows, rollout.q).mu))
+        return how, law, replace(rollout, manipulability=manipulability_batch(rows, rollout.q).mu)
 
     inside = shown is not None and np.all((shown >= limits.lower) & (shown <= limits.upper))
     if shown is not None and inside and clear.of_way(shown) and (found := through("as shown", shown, True)):
@@ -372,13 +365,13 @@ class _Problem:
         for name, (depth, take) in deepest.items():
             yield f"{take} passes {1e3 * depth:.0f} mm inside {name!r}: the scene does not stand where it was shown"
 
-    def marches(self, candidates: int, stations: Stations | None = None) -> Marches:
+    def marches(self, candidates: int, stations: Stations | None = None) -> ways.Marches:
         """Postures along the way."""
-        return marches_of(stations or self.stations, self.positions, candidates, self.rng)
+        return ways.marches_of(stations or self.stations, self.positions, candidates, self.rng)
 
     def followed(self, said: Progress) -> Plan | None:
-        """The way as the first recording that comes true shows it, see `planning.following`; None if none does."""
-        tried = followed(self.motion, self.takes, self.stations, self.positions)
+        """The way as the first recording that comes true shows it, see `planning.ways`; None if none does."""
+        tried = ways.followed(self.motion, self.takes, self.stations, self.positions)
         for compared, one in enumerate(tried):
             name = "the arm as it stands" if one.take is None else one.take.name
             said(f"following {name}", 0.2 + 0.6 * compared / (len(self.takes) + 1))
@@ -413,45 +406,48 @@ class _Problem:
         said("looking for what would help", 0.9)
         raise self.refusal(marches, candidates)
 
-    def _relaxed(self, marches: Marches, choices: Int[np.ndarray, " k"], clear: Clearance) -> Iterator[Candidate]:
+    def _relaxed(
+        self, marches: ways.Marches, choices: Int[np.ndarray, " k"], clear: Clearance
+    ) -> Iterator[ways.Candidate]:
         """Marches in whose way nothing is, relaxed where that is clear, too, and the hand turned as it was."""
         as_shown = self.stations.takes_hold_as_shown
         for march, stands in zip(choices.tolist(), marches.stand(choices).tolist(), strict=True):
             path = marches.q[march]
             if not clear.of_way(path):
                 continue
-            better = relaxed(self.stations, path, pinned=stands)
+            better = ways.relaxed(self.stations, path, pinned=stands)
             if as_shown(better[:1])[0] >= as_shown(path[:1])[0] and clear.of_way(better):
                 path = better
-            yield Candidate(self.motion, self.stations, path)
+            yield ways.Candidate(self.motion, self.stations, path)
 
-    def _tried(self, one: Candidate, clear: Clearance, compared: int) -> Plan | None:
+    def _tried(self, one: ways.Candidate, clear: Clearance, compared: int) -> Plan | None:
         """The plan of a candidate whose postures are clear; None where it cannot be reached or does not come true."""
         motion, stations, take, notes = one.motion, one.stations, one.take, self.notes
-        path, turned = one.path, nearest_turn(self.robot, one.path, self.positions)
-        if margins_of(stations, turned).margin >= min(ENOUGH, one.margins.margin):
+        path, turned = one.path, ways.nearest_turn(self.robot, one.path, self.positions)
+        if margins_of(stations, turned).margin >= min(ways.ENOUGH, one.margins.margin):
             path = turned  # the short way there
-        if (to_hold := self._approach(path[0], take, clear)) is None:
+        if (approach := self._approach(path[0], take, clear)) is None:
             return None
+        how, to_hold, came = approach
         if one.margins.speed < 0.0:
             motion, slower = _slower(motion, SPARE * (1.0 - one.margins.speed), "the joints are too slow for it")
-            ways, stations = np.abs(stations.distance), Stations.of(motion, self.start, self.limits)
-            path = np.column_stack([np.interp(np.abs(stations.distance), ways, x) for x in path.T])
+            before, stations = np.abs(stations.distance), Stations.of(motion, self.start, self.limits)
+            path = np.column_stack([np.interp(np.abs(stations.distance), before, x) for x in path.T])
             notes = (*notes, slower)
         law = self._law(motion, stations.time, path)
-        way, outcome = simulate_way(self.robot, law, to_hold.rollout.q[-1], self.dt)
+        way, outcome = simulate_way(self.robot, law, came.q[-1], self.dt)
         begins, end = outcome.begins, float(way.time[-1])
         if not outcome.is_done or outcome.strays or begins is None or not clear.of_way(unwound(self.robot, way.q)):
             return None
         if take is not None:
-            notes = (*notes, f"follows {take.name}, the approach {to_hold.how}")
-        margins, came = margins_of(stations, path), to_hold.rollout
+            notes = (*notes, f"follows {take.name}, the approach {how}")
+        margins = margins_of(stations, path)
         came = replace(came, phases=(("approach", 0.0, float(came.time[-1])),))
         done = ({**outcome.to_dict(), "margin": margins.margin},)
         way = replace(way, phases=(*((("hold", 0.0, begins),) if begins else ()), ("way", begins, end)), ways=done)
         seen = np.concatenate([run.q[:: len(run) // _SEEN + 1] for run in (came, way)])
         way = replace(way, around=self.clear.plain(map(self.robot.positions, seen)))
-        numbers = margins.margin, margins, outcome, LawSequence(to_hold.law, law), compared, notes
+        numbers = margins.margin, margins, outcome, LawSequence(to_hold, law), compared, notes
         return Plan(self.robot, path[0], came, way, *numbers, self.clear.around, take)
 
     def _approach(self, hold: Float[np.ndarray, " nv"], take: Take | None, clear: Clearance) -> Approach | None:
@@ -459,8 +455,8 @@ class _Problem:
         knots = None
         if take is not None:
             before = np.where(self.stations.moving, take.before, self.positions)
-            before = carried(self.constraint.features, before, take.moved)
-            knots = joined(nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
+            before = ways.carried(self.constraint.features, before, take.moved)
+            knots = ways.joined(ways.nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
         if knots is None and self.vain >= VAIN and not clear.of_line(self.positions, hold):
             return None
         found = None
@@ -480,7 +476,7 @@ class _Problem:
 
     # ---- where there is no plan -----------------------------------------------------------------------------------
 
-    def refusal(self, marches: Marches, candidates: int) -> NoPlanError:
+    def refusal(self, marches: ways.Marches, candidates: int) -> NoPlanError:
         """How much of the way can be done, what stops it, and what would help, from all marches compared."""
         holding = self.clear.holding(marches.q[np.isfinite(marches.least[:, 0]), 0])
         clear = marches.where(holding)
@@ -532,13 +528,11 @@ class _Problem:
             distance = LESS * (outcome.done if 0.0 < outcome.done / distance < 1.0 and not outcome.strays else distance)
         return 0.0, stopped_by
 
-    def _stopped_by(self, marches: Marches) -> str:
+    def _stopped_by(self, marches: ways.Marches) -> str:
         """What keeps the marches that come farthest from going on, in words."""
         last = marches.reached
         if last < 0:
-            q, station = seeds_of(self.stations, self.positions, 192, self.rng)  # a third of them where it takes hold
-            q, _ = self.stations.onto(q[station == 0], station[station == 0], SEED_STEPS)
-            gap = np.min(np.linalg.norm(self.stations.hand.poses(q)[:, :3, 3] - self.stations.places[0], axis=1))
+            gap = ways.out_of_reach(self.stations, self.positions, self.rng)
             return f"the end of the arm's reach: the hand comes within {gap:.2g} m of where it should take hold"
         if last == len(self.stations) - 1:
             return "limits of the loop in simulation"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, final
 
 import numpy as np
@@ -23,9 +24,9 @@ from manip_learn.control.tasks.motion import APPROACH_SPEED, FreeDirection, moti
 from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, advice, an, counted, spoken
 from manip_learn.linalg import finite
 from manip_learn.planning.clearance import Clearance
-from manip_learn.planning.following import carried, joined, nearest_turn
 from manip_learn.planning.plan import LOOKED_AT, Around, Plan, approach, plan
 from manip_learn.planning.stations import Stations
+from manip_learn.planning.ways import carried, joined, nearest_turn
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.joints import Frame
@@ -333,22 +334,18 @@ class _Again:
             moving = [robot.moves(joint, hand.frame) for joint in robot.joint_names]
             after = nearest_turn(robot, carried(hand, np.where(moving, take.after, here), take.moved), here)
             knots = joined(after, here, brought(after[-1]))
-        end, stopped, rows = brought(here), None, last.task.rows(last.constraint)  # of the way that is left
-        moved = approach(end, self.q, rows, limits, clear, self.seed, self.dt, knots)
-        if moved is None:  # the hand stays where it has let go
-            between = " and ".join(clear.in_line(here, end) or ("the arm", "something"))
-            stopped, moved = (
-                f"{between}, which would touch",
-                approach(here, self.q, rows, limits, clear, self.seed, self.dt),
-            )
+        rows, end, stopped = last.task.rows(last.constraint), brought(here), None  # those of the way that is left
+        to = partial(approach, start=self.q, rows=rows, limits=limits, clear=clear, seed=self.seed, dt=self.dt)
+        if (moved := to(end, shown=knots)) is None:  # the hand stays where it has let go
+            stopped = " and ".join(clear.in_line(here, end) or ("the arm", "something")) + ", which would touch"
+            moved = to(here)
         if moved is None:
             raise NoPlanError(f"step {name!r}: the arm touches something where the last way ends")
-        rollout = replace(moved.rollout, phases=((name, 0.0, float(moved.rollout.time[-1])),), ways=())
-        end = hand.pose(rollout.q[-1])[:3, 3]
-        off, fast = float(np.linalg.norm(end - place)), _fastest(rollout, robot)
-        self.add(
-            moved.law, rollout, StepDone("reach", far, max(0.0, far - off), "m", off, None, stopped, fast, end, name)
-        )
+        _, law, rollout = moved
+        end, fast = hand.pose(rollout.q[-1])[:3, 3], _fastest(rollout, robot)
+        off = float(np.linalg.norm(end - place))
+        done = StepDone("reach", far, max(0.0, far - off), "m", off, None, stopped, fast, end, name)
+        self.add(law, replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=()), done)
 
     def repetition(self) -> Repetition:
         """The whole motion."""
