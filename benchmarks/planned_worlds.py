@@ -28,6 +28,7 @@ import numpy as np
 import pinocchio as pin
 from planned_ways import FARTHEST, LOCKED, LOWEST, NARROWEST, NEAR, SPEED, WAY, say
 from planned_ways import TIPS as FLANGES
+from scipy.interpolate import CubicSpline
 
 import manip_learn as ml
 from manip_learn.control.limits import Limits
@@ -389,7 +390,8 @@ def exhaustive(one: World, scene: ml.Scene | str | None, seed: int) -> dict[str,
             continue
         counts["reached"] += 1
         task = motion.with_distance(motion.wanted)
-        policy = PathPolicy(stations.time, path, FOLLOWING, robot, stations.moving, task)
+        spline = CubicSpline(stations.time, path, bc_type="natural")
+        policy = PathPolicy(spline, FOLLOWING, robot, stations.moving, task)
         law = ml.ResolvedRateController(one.constraint, task, policy, limits=limits, dt=0.01)
         outcome = simulate_way(robot, law, robot.configuration(path[0]), 0.01)[1]
         if outcome.is_done and not outcome.strays:

@@ -38,6 +38,7 @@ _ROUNDED = 1e-3  # [m] deeper in what it holds than where it takes hold a hand m
 _NEAR = 0.3  # [m] up to which a plan says how near it comes to what stands around: farther away nobody asks
 MOST_TRIANGLES = 10_000  # of all that stands around, in a rollout: 0.3 MB of text
 Posture = Float[np.ndarray, " nv"]
+Links = SelfCollision | bool  # the pairs that must not touch: True for those of the robot's shapes, False for none
 
 
 @final
@@ -76,8 +77,7 @@ class Surroundings:
 
     def lowered(self, depth: float) -> Surroundings:
         """Return the same with a floor that lies lower [m]."""
-        down = np.zeros((4, 4))
-        down[2, 3] = depth
+        down = depth * np.outer(np.eye(4)[2], np.eye(4)[3])
         moved = (replace(o, placement=o.placement - down) if o.name == FLOOR else o for o in self.obstacles)
         return replace(self, obstacles=tuple(moved))
 
@@ -128,22 +128,13 @@ class Clearance:
         notes: What was left out, in sentences.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        links: SelfCollision | bool,
-        around: Surroundings,
-        start: Posture,
-        shown: Sequence[Posture] = (),
-    ):
+    def __init__(self, robot: Robot, links: Links, around: Surroundings, start: Posture, shown: Sequence[Posture] = ()):
         found, shapes = links_of(robot) if isinstance(links, bool) else (links, "collision")
         own = links is not False and shapes != "links"
         self._robot, self._start, self.notes = robot, start, list[str]()
         if links is True and not own:
-            self.notes.append(
-                "the robot has no shapes: self-collision was not looked at"
-                + (", capsules along its links keep clear of what stands around" if around.obstacles else "")
-            )
+            capsules = ", capsules along its links keep clear of what stands around" if around.obstacles else ""
+            self.notes.append(f"the robot has no shapes: self-collision was not looked at{capsules}")
         if lost := missing_meshes(robot):
             files = listed(uri.rpartition("/")[2] for uri in lost)
             self.notes.append(f"the robot's shapes {files} are not found: capsules along the links stand for them")

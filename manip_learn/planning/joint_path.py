@@ -36,6 +36,7 @@ GROWN = (1.0, 0.4, 2.0)  # times the clearance: less where start or goal has no 
 _ROUNDING = 1e-9  # [rad or m] beyond limits: start and goal may stand at them
 COPIES = 8  # that are kept, of a few megabytes each
 _TURN = 2.0 * np.pi  # [rad] one turn, and the room to both sides of a joint that turns without end
+Joints = Bool[np.ndarray, " nv"]
 _LOCK, _LOG = threading.Lock(), logging.getLogger(__name__)  # a copy is for one thread at a time
 
 
@@ -72,25 +73,19 @@ def joint_path(
         for grown, number in product(GROWN, np.random.SeedSequence(seed).generate_state(SEEDS)):
             try:
                 with _LOCK:
-                    knots = _searched(limits, clear, grown, free, start - turns, goal - turns, int(number) >> 1)
+                    knots = _searched(limits, clear, grown, free, (start - turns, goal - turns), int(number) >> 1)
             except (RuntimeError, ValueError) as error:  # all that RoboPlan raises
                 why = str(error)
                 break
             path = [start, *(knots[1:-1] + turns), goal]
-            if len(knots) and all(map(clear, path)) and all(map(clear.of_line, path[:-1], path[1:])):
+            if len(knots) and clear.of_way(path):
                 return path
     _LOG.info("no path round what is in the way: %s", why)
     return None
 
 
 def _searched(
-    limits: Limits,
-    clear: Clearance,
-    grown: float,
-    free: Bool[np.ndarray, " nv"],
-    start: Posture,
-    goal: Posture,
-    seed: int,
+    limits: Limits, clear: Clearance, grown: float, free: Joints, ends: tuple[Posture, Posture], seed: int
 ) -> Float[np.ndarray, "k nv"]:
     """RoboPlan's path in a copy whose links are larger; empty where start or goal touch something in it."""
     try:
@@ -101,15 +96,15 @@ def _searched(
         raise MissingExtraError("a path round what is in the way", "plan") from error
     scene = _copied(clear.links, clear.pairs, limits, grown * clear.least)
     names = np.array([joint_name(block.index) for block in limits.robot.blocks])
-    place = np.argsort(scene.getJointPositionIndices(names.tolist()))
-    if scene.hasCollisions(start[place]) or scene.hasCollisions(goal[place]):
+    place, start = np.argsort(scene.getJointPositionIndices(names.tolist())), ends[0]
+    if any(scene.hasCollisions(q[place]) for q in ends):
         return np.empty((0, len(start)))
     scene.setJointPositions(start[place])  # of the joints that stand still
     scene.addGroup("free", names[free].tolist())
     options = rrt.RRTOptions("free", NODES, REACH, COARSE, max_planning_time=SECONDS, rrt_connect=True)
     planner = rrt.RRT(scene, options)
     planner.setRngSeed(seed)
-    found = planner.plan(*(core.JointConfiguration(names[free].tolist(), q[free]) for q in (start, goal)))
+    found = planner.plan(*(core.JointConfiguration(names[free].tolist(), q[free]) for q in ends))
     found = core.PathShortcutter(scene, core.PathShortcuttingOptions("free", COARSE, seed=seed)).shortcut(found)
     knots = np.tile(start, (len(found.positions), 1))
     knots[:, free] = found.positions

@@ -29,13 +29,12 @@ from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
 from manip_learn.planning import ways
-from manip_learn.planning.clearance import Clearance, Surroundings
+from manip_learn.planning.clearance import Clearance, Links, Surroundings
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
-from manip_learn.planning.stations import FEWEST, MOST, PERIOD, Margins, Postures, Stations, margins_of
+from manip_learn.planning.stations import Margins, Postures, Stations, margins_of
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.postures import unwound
-from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
 
 _CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than 0.01 (benchmarks/planned_ways.py)
@@ -46,8 +45,7 @@ AGAIN = 4  # times the seeds before a plan is refused
 _TRIED = 8  # choices that are simulated, best margin first
 VAIN = 3  # searches for an approach that find none, half a second each: then straight ones only
 SPARE = 1.1  # times the time that the fastest joint needs: its speed also takes deviations back
-LESS = 0.9  # of a way that did not come true is tried next
-LEAST_SHARE = 0.01  # of the whole way: less is no part of it
+REACHED = 0.95  # of the way to the last station that a clear posture reaches, which a plan for no more comes to
 LOOKED_AT = 6  # every such posture of a recording is looked at beside what stands around
 _SEEN = 60  # postures of an approach of which a plan says how near they come to what stands around
 Around = Scene | Literal["assumed"] | None
@@ -131,7 +129,7 @@ def plan(
     *,
     candidates: int = _CANDIDATES,
     limits: Limits | None = None,
-    collision: SelfCollision | bool = True,
+    collision: Links = True,
     scene: Around = "assumed",
     dt: float = 0.01,
     progress: Progress | None = None,
@@ -239,30 +237,23 @@ def approach(
 
 
 @final
+@dataclass(frozen=True, eq=False, repr=False)
 class PathPolicy(NullSpacePolicy):
-    """pi = dq*/dt + gain (q*(t) - q), q* a cubic spline through knots, at rest before the first and behind the last.
+    """pi = dq*/dt + gain (q*(t) - q), q* a cubic spline, at rest before its first knot and behind the last.
 
-    Args:
-        time: Times of the knots, rising [s].
-        knots: Joint positions [rad or m], one row per knot.
-        gain: Rate at which differences from the path are made up [1/s].
+    Attributes:
+        path: The spline, by the time since the way began [s].
+        gain: Rate at which differences from it are made up [1/s].
         robot: Whose joints they are.
         moving: shape (nv,), joints that follow the path.
-        motion: The way along which the path leads: its times count from where that begins.
+        motion: The way along which the path leads.
     """
 
-    def __init__(
-        self,
-        time: Float[np.ndarray, " K"],
-        knots: Float[np.ndarray, "K nv"],
-        gain: float,
-        robot: Robot,
-        moving: Bool[np.ndarray, " nv"],
-        motion: FreeDirection,
-    ):
-        self.time, self.gain, self._motion = np.array(time, dtype=np.float64), float(gain), motion
-        self._robot, self._moving = robot, moving
-        self._spline = CubicSpline(self.time, knots, bc_type="natural")
+    path: CubicSpline
+    gain: float
+    robot: Robot
+    moving: Bool[np.ndarray, " nv"]
+    motion: FreeDirection
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
         """Velocity along the path and towards it [rad/s or m/s].
@@ -270,14 +261,13 @@ class PathPolicy(NullSpacePolicy):
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        first, end, begins = float(self.time[0]), float(self.time[-1]), self._motion.way_begins
+        first, end, begins = float(self.path.x[0]), float(self.path.x[-1]), self.motion.way_begins
         t = first if begins is None else t - begins
-        goal = self._spline(min(max(t, first), end))
-        error = self._robot.difference(np.asarray(q, dtype=np.float64), goal) * self._moving
-        return self.gain * error + (self._spline(t, 1) if first < t < end else 0.0)
+        error = self.robot.difference(np.asarray(q, dtype=np.float64), self.path(min(max(t, first), end))) * self.moving
+        return self.gain * error + (self.path(t, 1) if first < t < end else 0.0)
 
     def __repr__(self) -> str:
-        return f"PathPolicy({len(self.time)} knots over {self.time[-1] - self.time[0]:g} s, gain={self.gain:g})"
+        return f"PathPolicy({len(self.path.x)} knots over {np.ptp(self.path.x):g} s, gain={self.gain:g})"
 
 
 def _slower(motion: FreeDirection, times: float, why: str) -> tuple[FreeDirection, str]:
@@ -287,21 +277,22 @@ def _slower(motion: FreeDirection, times: float, why: str) -> tuple[FreeDirectio
 
 
 @final
+@dataclass(eq=False)
 class _Problem:
-    """One call of `plan`."""
+    """One call of `plan`, whose arguments it has."""
 
-    def __init__(
-        self,
-        constraint: Constraint,
-        motion: FreeDirection,
-        start: ArrayLike,
-        seed: int,
-        limits: Limits | None,
-        collision: SelfCollision | bool,
-        scene: Around,
-        dt: float,
-        takes: Sequence[Take] = (),
-    ):
+    constraint: Constraint
+    motion: FreeDirection
+    start: Any
+    seed: int
+    limits: Any
+    collision: Links
+    scene: Around
+    dt: float
+    takes: Sequence[Take]
+
+    def __post_init__(self) -> None:
+        constraint, motion, takes = self.constraint, self.motion, self.takes
         if not isinstance(motion, FreeDirection):
             raise ConfigurationError(
                 f"call plan(constraint, motion, start): the motion is {an(motion)}; "
@@ -311,10 +302,8 @@ class _Problem:
         robot = constraint.robot
         if robot is None:
             raise FeatureError("a way is planned for a robot: the features have none")
-        self.robot, self.constraint, self.motion = robot, constraint, motion.with_distance(motion.wanted)
-        self.start = robot.checked_posture(start)
-        self.limits, self.dt = limits or Limits(robot), dt
-        self.takes, self.seed, self.rng = takes, seed, np.random.default_rng(seed)
+        self.robot, self.motion, self.rng = robot, motion.with_distance(motion.wanted), np.random.default_rng(self.seed)
+        self.start, self.limits = robot.checked_posture(self.start), self.limits or Limits(robot)
         self.vain = 0  # searches for an approach that found none
         self.missing: MissingExtraError | None = None  # what would look for a way around it
         self.unreached: tuple[str, str] | None = None  # what stands between the start and a posture of hold
@@ -335,7 +324,7 @@ class _Problem:
             self.motion, slower = _slower(self.motion, times, f"{tip.speed:.3g} m/s at the tip")
             self.stations, self.notes = Stations.of(self.motion, self.start, self.limits), (slower,)
         around = Surroundings()
-        if scene is not None:
+        if (scene := self.scene) is not None:
             if not isinstance(scene, Scene) and scene != "assumed":
                 wanted = "a scene is a Scene, None for nothing, or left out to be assumed"
                 raise ConfigurationError(f"{wanted}, not {an(scene)}")
@@ -343,7 +332,7 @@ class _Problem:
             around = Surroundings.of(None if scene == "assumed" else scene, robot, features.frame)
         shown = [np.array(x, dtype=np.float64) for x in constraint.provenance.get("postures", ()) if len(x) == robot.nv]
         passed = [q for take in takes for q in take.q[::LOOKED_AT]]
-        self.clear = Clearance(robot, collision, around, self.positions, [*shown, *passed])
+        self.clear = Clearance(robot, self.collision, around, self.positions, [*shown, *passed])
         self.notes = (*self.clear.notes, *self._contradicted(around), *self.notes)
 
         check_inside(robot, self.positions)
@@ -471,7 +460,8 @@ class _Problem:
     def _law(self, motion: FreeDirection, time: Float[np.ndarray, " k"], path: Postures) -> ResolvedRateController:
         """What does a motion with its spare joints along postures at times since the way began [s]."""
         task = motion.with_distance(motion.wanted)  # which remembers its own start
-        policy = PathPolicy(time, path, FOLLOWING, self.robot, self.stations.moving, task)
+        spline = CubicSpline(time, path, bc_type="natural")
+        policy = PathPolicy(spline, FOLLOWING, self.robot, self.stations.moving, task)
         return ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
 
     # ---- where there is no plan -----------------------------------------------------------------------------------
@@ -484,15 +474,11 @@ class _Problem:
         stopped_by, pair, helps = self._stopped_by(marches), self.unreached if last == end else None, tuple[str, ...]()
         if last < marches.reached == end:
             pair, helps = self._in_the_way(marches.q[marches.choices(end)[0]], holding)
-        if self.stations.holds_orientation:
-            free = self.stations.with_rows(np.eye(6)[:3])
-            helps += ("a hand that may turn on the way could do it",) * (
-                self.marches(candidates // 2, free).reached == end
-            )
-        if last >= 1:
-            path = clear.q[clear.choices(last)[0], : last + 1]
-            largest, why = self._largest(path)
-            stopped_by, posture = why or stopped_by, path[0] if largest else None
+        free = self.stations.with_rows(np.eye(6)[:3])
+        if self.stations.holds_orientation and self.marches(candidates // 2, free).reached == end:
+            helps += ("a hand that may turn on the way could do it",)
+        if last >= 1 and not (last == end and pair):
+            largest, posture = REACHED * float(self.stations.distance[last]), clear.q[clear.choices(last)[0], 0]
         if pair is not None:
             where = " on the way from the start to where the hand takes hold" if last == end else ""
             stopped_by = f"{pair[0]} and {pair[1]}, which would touch{where}"
@@ -509,24 +495,6 @@ class _Problem:
             return None if deepest is None else deepest.links, ()
         (link, thing), depth = deepest.links, np.ceil(1e2 * (CLEARANCE - deepest.distance)) / 1e2
         return deepest.links, (f"the {thing} {depth:.2f} m farther from {link} would leave room there",)
-
-    def _largest(self, path: Postures) -> tuple[float, str]:
-        """How much of the way comes true from the beginning of a path, and what stops it before the end of that."""
-        stopped_by, distance = "", float(self.stations.distance[len(path) - 1])
-        times = max(1.0, SPARE * (1.0 - margins_of(self.stations, path).speed))
-        while abs(distance) >= LEAST_SHARE * abs(self.motion.wanted):
-            task = self.motion.with_distance(distance).slowed(times)
-            time, there, _ = task.table(self.start, PERIOD, FEWEST, MOST)
-            done = np.abs(self.stations.distance[: len(path)])
-            knots = np.array([np.interp(np.abs(there), done, column) for column in path.T]).T
-            law = self._law(task, time, knots)
-            outcome = simulate_way(self.robot, law, self.robot.configuration(path[0]), self.dt)[1]
-            if outcome.is_done and not outcome.strays:
-                return distance, stopped_by
-            if outcome.stopped_by is not None:
-                stopped_by = outcome.stopped_by
-            distance = LESS * (outcome.done if 0.0 < outcome.done / distance < 1.0 and not outcome.strays else distance)
-        return 0.0, stopped_by
 
     def _stopped_by(self, marches: ways.Marches) -> str:
         """What keeps the marches that come farthest from going on, in words."""

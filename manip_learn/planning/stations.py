@@ -18,6 +18,7 @@ the way takes longer than it was asked to.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -61,7 +62,6 @@ class Stations:
         places: shape (L, 3), where the hand's origin should be [m].
         turns: shape (L, 3, 3), how the hand should have turned since the way began, in the base frame.
         rows: shape (L, s, 6), weights of the hand's twist (v, w) in the rows held and driven.
-        needs: shape (L, s), speed that the way needs along each row [m/s or rad/s].
         grasp: shape (3, 3), orientation of the hand at the start, which counts where the rows hold orientations.
         hand: The hand's place and how it turns, see `FeatureMap.twist`.
         moving: shape (nv,), joints that move the hand; others, as those of fingers, stay where they are.
@@ -76,7 +76,6 @@ class Stations:
     places: Float[np.ndarray, "L 3"]
     turns: Float[np.ndarray, "L 3 3"]
     rows: Float[np.ndarray, "L s 6"]
-    needs: Float[np.ndarray, "L s"]
     grasp: Float[np.ndarray, "3 3"]
     hand: Any
     moving: Bool[np.ndarray, " nv"]
@@ -105,14 +104,13 @@ class Stations:
             goals[:, [AXES.index(name) for name in features.row_names], 3] = places
         turns = goals[:, :3, :3] @ goals[0, :3, :3].T
         rows = motion.constraint.selection @ features.weights_at(goals)
-        needs = _needs(time, goals[:, :3, 3], turns, rows)
         places = goals[:, :3, 3].copy()
         robot, relative = limits.robot, getattr(features, "relative_to", None)
         frames = [f for f in (features.frame, relative) if f is not None]  # type: ignore[attr-defined]  # a hand has one
         moving = np.array([any(robot.moves(name, f) for f in frames) for name in robot.joint_names])
         grip = None if np.any(np.abs(rows[:, :, 3:]) > 1e-9) else motion.grip_shown
         at, unit = (time, distance, places, turns, rows), motion.unit
-        return Stations(limits, unit, *at, needs, goals[0, :3, :3].copy(), hand, moving, grip)
+        return Stations(limits, unit, *at, goals[0, :3, :3].copy(), hand, moving, grip)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -122,23 +120,23 @@ class Stations:
         """Largest speed of the hand's origin on the way [m/s]."""
         return float(np.max(np.linalg.norm(np.diff(self.places, axis=0), axis=1) / np.diff(self.time)))
 
+    @cached_property
+    def needs(self) -> Float[np.ndarray, "L s"]:
+        """Largest speed along each row of a hand that moves, or turns, as fast as the way does [m/s or rad/s]."""
+        angles = Rotation.from_matrix(self.turns[1:] @ self.turns[:-1].transpose(0, 2, 1)).magnitude()
+        speed, rate = self.tip_speed, float(np.max(angles / np.diff(self.time)))
+        linear, angular = max(speed, LEVER * rate), max(rate, speed / LEVER)
+        return np.linalg.norm(self.rows * np.repeat([linear, angular], 3), axis=2)
+
     @property
     def holds_orientation(self) -> bool:
         """Whether a row weighs a rotation of the hand."""
         return bool(np.any(np.abs(self.rows[:, :, 3:]) > 1e-9))
 
-    @property
-    def span(self) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
-        """Lowest and highest positions of the joints; of a joint without limits a turn about zero [rad or m]."""
-        robot = self.limits.robot
-        low, high = robot.position_lower, robot.position_upper
-        return np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
-
     def with_rows(self, rows: Float[np.ndarray, "s 6"], grasp: Float[np.ndarray, "3 3"] | None = None) -> Stations:
         """Return these places for other rows of the hand's twist, and another orientation of the hand at the start."""
         table = np.repeat(rows[None], len(self), axis=0)
-        needs = _needs(self.time, self.places, self.turns, table)
-        return replace(self, rows=table, needs=needs, grip=None, grasp=self.grasp if grasp is None else grasp)
+        return replace(self, rows=table, grip=None, grasp=self.grasp if grasp is None else grasp)
 
     def takes_hold_as_shown(self, q: Postures) -> Bool[np.ndarray, " n"]:
         """Which postures at the first station have the hand turned as in the recordings."""
@@ -207,26 +205,10 @@ def _least_step(
 ) -> Postures:
     """A^T (A A^T + d^2)^-1 e, with d in proportion to the error, no joint farther than `LONGEST_STEP`."""
     gram = A @ A.transpose(0, 2, 1)
-    s = gram.shape[1]
-    gram[:, range(s), range(s)] += (DAMPING * np.minimum(far, 1.0))[:, None] ** 2 + 1e-12
+    gram += ((DAMPING * np.minimum(far, 1.0)) ** 2 + 1e-12)[:, None, None] * np.eye(A.shape[1])
     step = np.einsum("nsj,ns->nj", A, np.linalg.solve(gram, error[:, :, None])[:, :, 0])
     size = np.max(np.abs(step), axis=1, keepdims=True)
     return step * np.minimum(1.0, LONGEST_STEP / np.maximum(size, LONGEST_STEP))
-
-
-def _needs(
-    time: Float[np.ndarray, " L"],
-    places: Float[np.ndarray, "L 3"],
-    turns: Float[np.ndarray, "L 3 3"],
-    rows: Float[np.ndarray, "L s 6"],
-) -> Float[np.ndarray, "L s"]:
-    """The largest speed along each row that a hand has which moves, or turns, as fast as the way does."""
-    period = np.diff(time)
-    speed = float(np.max(np.linalg.norm(np.diff(places, axis=0), axis=1) / period))
-    angle = Rotation.from_matrix(turns[1:] @ turns[:-1].transpose(0, 2, 1)).magnitude()
-    rate = float(np.max(angle / period))
-    linear, angular = max(speed, LEVER * rate), max(rate, speed / LEVER)
-    return np.linalg.norm(rows * np.repeat([linear, angular], 3), axis=2)
 
 
 @final

@@ -320,7 +320,9 @@ def seeds_of(
     stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator
 ) -> tuple[Postures, Int[np.ndarray, " n"]]:
     """The start, and random postures; the station of each."""
-    random = np.where(stations.moving, rng.uniform(*stations.span, (number, len(start))), start)
+    robot = stations.limits.robot  # a joint without limits is within a turn
+    span = np.nan_to_num(robot.position_lower, neginf=-np.pi), np.nan_to_num(robot.position_upper, posinf=np.pi)
+    random = np.where(stations.moving, rng.uniform(*span, (number, len(start))), start)
     random[0] = start
     return random, np.array([0, len(stations) // 2, len(stations) - 1])[np.arange(number) % 3]
 
