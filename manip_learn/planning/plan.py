@@ -402,7 +402,7 @@ class _Problem:
         as_shown = self.stations.takes_hold_as_shown
         for march, stands in zip(choices.tolist(), marches.stand(choices).tolist(), strict=True):
             path = marches.q[march]
-            if not clear.of_way(path):
+            if not clear.of_way(path) or (self.vain >= VAIN and not clear.of_line(self.positions, path[0])):
                 continue
             better = ways.relaxed(self.stations, path, pinned=stands)
             if as_shown(better[:1])[0] >= as_shown(path[:1])[0] and clear.of_way(better):
@@ -446,8 +446,6 @@ class _Problem:
             before = np.where(self.stations.moving, take.before, self.positions)
             before = ways.carried(self.constraint.features, before, take.moved)
             knots = ways.joined(ways.nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
-        if knots is None and self.vain >= VAIN and not clear.of_line(self.positions, hold):
-            return None
         found = None
         try:
             found = approach(hold, self.start, self.rows, self.limits, clear, self.seed, self.dt, knots)
