@@ -188,7 +188,7 @@ def in_physics(starts: int, seed: int) -> str:
             physics = ArmPhysics(
                 name, plan.hold, rail, STIFFNESS, np.random.default_rng(number), start=one.robot.positions(one.start)
             )
-            contact = ml.Contact(held=FORCE, driven=FORCE, latency=0.003, stiffness=STIFFNESS)
+            contact = ml.Contact(max_lateral_force=FORCE, max_axial_force=FORCE, latency=0.003, stiffness=STIFFNESS)
             loop = ml.ServoLoop(plan.controller, PERIOD, contact=contact)
             loop.reset(one.start)
             force, sequence = [], loop.controller

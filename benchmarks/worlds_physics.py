@@ -183,7 +183,7 @@ def executed(one: World, plan: ml.Plan, with_boxes: bool, with_leaf: bool) -> di
     """How far from its end what is held stays [mm], and what touched how deep [mm]."""
     physics = WorldPhysics(one, with_boxes, with_leaf, np.random.default_rng(0))
     stiffness, force = SERVOS.get(one.arm, SERVO)
-    contact = ml.Contact(held=force, driven=force, latency=0.003, stiffness=stiffness)
+    contact = ml.Contact(max_lateral_force=force, max_axial_force=force, latency=0.003, stiffness=stiffness)
     loop = ml.ServoLoop(plan.controller, PERIOD, contact=contact)
     loop.reset(one.start)
     held, sequence, status = False, loop.controller, ""

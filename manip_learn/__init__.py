@@ -112,7 +112,7 @@ _NAMES = {
 }
 # names that are gone, and what to use instead: of 0.1 until 0.3, of 0.2 until 0.4
 _REMOVED = {
-    "following_error_limit": "give ServoLoop contact=Contact(held=..., stiffness=...): forces on the hand stop the arm",
+    "following_error_limit": "give ServoLoop contact=Contact(stiffness=...): forces on the hand stop the arm",
     "GraspCone": "leave it out: a loose grip turns freely, a firm one is held as it was shown",
     "SelfCollisionAvoidance": "Limits(robot, clear_of=SelfCollision(robot)) keeps the links apart",
     "PenalisedManipulabilityAscent": "task.ascent() climbs the room that is left, of joint ranges too",

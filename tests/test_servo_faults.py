@@ -275,14 +275,17 @@ def test_wrong_settings_are_refused(robot_of: RobotOf) -> None:
     with pytest.raises(ConfigurationError, match="stale after 0.1 s and the period is 0.2 s"):
         ml.ServoLoop(law, dt=0.2)
     for name, values in {
-        "held": [0.0, np.inf, "much"],
-        "driven": [-1.0],
+        "max_lateral_force": [0.0, np.inf, "much"],
+        "max_axial_force": [-1.0],
         "latency": [-0.1, "never"],
         "resolution": [np.nan],
     }.items():
         for value in values:
             with pytest.raises(ConfigurationError, match=name):
                 ml.Contact(**{name: value})
+    assert ml.Contact(held=9.0, driven=4.0) == ml.Contact(9.0, 4.0) and ml.Contact(9.0).held == 9.0  # until 0.4
+    with pytest.raises(TypeError, match="'held' beside 'max_lateral_force'"):
+        ml.Contact(5.0, held=9.0)
     for value in (0.0, [1.0]):
         with pytest.raises(ConfigurationError, match="stiffness"):
             ml.ServoLoop(law, contact=ml.Contact(stiffness=value))

@@ -105,7 +105,7 @@ def test_friction_hides_forces_and_says_which() -> None:
     loop = way()
     gone(loop, Servos(width=0.003), 1.5)
     (note,) = [note for note in loop.notes if "cannot be kept" in note]
-    assert note.startswith("held=15 N cannot be kept")
+    assert note.startswith("max_lateral_force=15 N cannot be kept")
     loop = way(resolution=0.0)
     gone(loop, Servos(width=0.003), 1.5)
     assert not [note for note in loop.notes if "cannot be kept" in note]

@@ -58,8 +58,11 @@ def is_number(value: Any) -> bool:
     return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)
 
 
+_FORMER = {"held": "max_lateral_force", "driven": "max_axial_force"}  # names of arguments, until 0.4
+
+
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Contact:
     """What a `ServoLoop` makes of the distance between where an arm is and where it was sent: forces on the hand.
 
@@ -70,39 +73,64 @@ class Contact:
     What is no force is measured in the first half second in which the arm moves, and told in `ServoLoop.notes`: by how
     much it follows late, the noise of its encoders, and the friction and the play of its joints.
 
-    Attributes:
-        held: Force on the hand across what is driven, at which the arm is stopped [N], beside a fifth of the force
-            along it, by which directions and joints may be other than they are taken for. A tenth of what ISO/TS 15066
-            lets a robot press a hand with: the force goes on rising while the arm brakes.
-        driven: The same along rows that the task drives (`Task.driven_rows`) [N]; "auto" takes 1.5 times what it took
-            when it was taught, where efforts were recorded (`Shown.force`), `held` at the least, and else 60 N. What
-            has been moving and stops is blocked already at `held` more than it took.
-        latency: Time by which the arm follows late at the most [s]; "auto" measures it, up to 0.2 s.
-        resolution: Force that cannot be told from friction, play and noise [N]; "auto" measures it. The arm is stopped
-            at no less.
+    Args:
+        max_lateral_force: Largest force on the hand across the driven rows [N], beyond a fifth of the force along them,
+            by which directions and joints may be other than they are taken for. A tenth of what ISO/TS 15066 lets a
+            robot press a hand with: the force goes on rising while the arm brakes.
+        max_axial_force: The same along the rows that the task drives (`Task.driven_rows`) [N]; "auto" takes 1.5 times
+            the force while it was taught, where efforts were recorded (`Shown.force`), `max_lateral_force` at the
+            least, and else 60 N. What was moving and stops is blocked already at `max_lateral_force` more than it took.
+        latency: Longest delay of the arm [s]; "auto" measures it, up to 0.2 s.
+        resolution: Force that cannot be told from friction, backlash and noise [N]; "auto" measures it. The arm is
+            stopped at no less.
         stiffness: shape (nv,) or a number, of the arm's position servos [N m/rad or N/m]. None, not known: the limits
             are then distances, those of servos of 2,000, as a warning says.
+        **renamed: Former names of arguments, valid until 0.4: `held`, `driven`.
 
     Raises:
         ConfigurationError: A number that is not positive.
+        TypeError: An argument that does not exist, or one under both of its names.
     """
 
-    held: float = 15.0
-    driven: float | Literal["auto"] = "auto"
-    latency: float | Literal["auto"] = "auto"
-    resolution: float | Literal["auto"] = "auto"
-    stiffness: ArrayLike | None = None
+    max_lateral_force: float
+    max_axial_force: float | Literal["auto"]
+    latency: float | Literal["auto"]
+    resolution: float | Literal["auto"]
+    stiffness: ArrayLike | None
 
-    def __post_init__(self) -> None:
-        """Refuse numbers that are none."""
-        for name in ("held", "driven", "latency", "resolution"):
-            value: Any = getattr(self, name)
+    def __init__(
+        self,
+        max_lateral_force: float = 15.0,
+        max_axial_force: float | Literal["auto"] = "auto",
+        latency: float | Literal["auto"] = "auto",
+        resolution: float | Literal["auto"] = "auto",
+        stiffness: ArrayLike | None = None,
+        **renamed: Any,
+    ):
+        given: dict[str, Any] = {"max_lateral_force": max_lateral_force, "max_axial_force": max_axial_force}
+        given |= {"latency": latency, "resolution": resolution, "stiffness": stiffness}
+        for name, value in renamed.items():
+            if (known := _FORMER.get(name)) is None or given[known] not in (15.0, "auto"):
+                raise TypeError(f"Contact has no argument {name!r}" + (f" beside {known!r}" if known else ""))
+            given[known] = value
+        for name, value in given.items():
             measured = name in ("latency", "resolution")
-            if name != "held" and isinstance(value, str) and value == "auto":
-                continue
-            if not (is_number(value) and 0.0 <= float(value) < math.inf and (value or measured)):
-                unit, auto = "seconds" if name == "latency" else "newtons", "" if name == "held" else ' or "auto"'
-                raise ConfigurationError(f"{name} must be a positive number of {unit}{auto}, got {value!r}")
+            if name != "stiffness" and not (name != "max_lateral_force" and isinstance(value, str) and value == "auto"):
+                if not (is_number(value) and 0.0 <= float(value) < math.inf and (value or measured)):
+                    unit = "seconds" if name == "latency" else "newtons"
+                    auto = "" if name == "max_lateral_force" else ' or "auto"'
+                    raise ConfigurationError(f"{name} must be a positive number of {unit}{auto}, got {value!r}")
+            object.__setattr__(self, name, value)
+
+    @property
+    def held(self) -> float:
+        """Former name of `max_lateral_force`, valid until 0.4."""
+        return self.max_lateral_force
+
+    @property
+    def driven(self) -> float | Literal["auto"]:
+        """Former name of `max_axial_force`, valid until 0.4."""
+        return self.max_axial_force
 
 
 # shares of the commanded speed above which an arm is not slow, below which the first motion says so, and below which it
@@ -152,7 +180,7 @@ class FollowingError:
         frame: str | None = None,
     ):
         self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
-        self._driven = _DRIVEN if isinstance(contact.driven, str) else float(contact.driven)
+        self._driven = _DRIVEN if isinstance(contact.max_axial_force, str) else float(contact.max_axial_force)
         told = STIFFNESS if contact.stiffness is None else contact.stiffness
         self._stiffness = per_joint("stiffness", told, robot.joint_names)
         # links that are slower on servos softer than they are taken for give way by more: ten times at 200 N m/rad
@@ -160,10 +188,10 @@ class FollowingError:
         self._frame, rng = robot.frame(frame or default_tip(robot)), np.random.default_rng(0)
         # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
         rows = [robot.jacobian(robot.random_configuration(rng), self._frame)[:3] for _ in range(_POSTURES)]
-        self.limit = contact.held * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
+        self.limit = contact.max_lateral_force * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
         latency = None if isinstance(contact.latency, str) else float(contact.latency)
         self.servos = Servos(dt, latency, HIDDEN / self._stiffness)
-        self._damping = (RESOLUTION / contact.held) ** 2 * np.eye(3)
+        self._damping = (RESOLUTION / contact.max_lateral_force) ** 2 * np.eye(3)
         self.forget()
 
     def forget(self) -> None:
@@ -179,8 +207,8 @@ class FollowingError:
             self.notes.append(
                 f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
                 f"{self._robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of "
-                f"{STIFFNESS:g} N m/rad that is {self.contact.held:g} N on the hand, on servos ten times as stiff ten "
-                "times as much: give Contact(stiffness=...)"
+                f"{STIFFNESS:g} N m/rad that is {self.contact.max_lateral_force:g} N on the hand, on servos ten times "
+                "as stiff ten times as much: give Contact(stiffness=...)"
             )
         self._found = np.zeros((2, math.ceil(LOOK_BACK / self._dt) + 1, nv))  # excesses and distances of the periods
         self._row, self._rows = 0, 0
@@ -230,7 +258,7 @@ class FollowingError:
 
         What the largest force makes of the limits, friction, and what was commanded within the delay.
         """
-        largest = max(1.0, self._driven / self.contact.held) * self.limit
+        largest = max(1.0, self._driven / self.contact.max_lateral_force) * self.limit
         return largest + self.servos.moved_lately + self.servos.width
 
     def left(self, q: Float[np.ndarray, " n"]) -> float:
@@ -336,7 +364,7 @@ class FollowingError:
             self._carried += min(1.0, dt / CARRYING) * (force - self._carried)
         else:
             self._going = max(0.0, self._going - dt)
-        held, most = max(contact.held, self.resolution), max(self._driven, self.resolution)
+        held, most = max(contact.max_lateral_force, self.resolution), max(self._driven, self.resolution)
         if np.any(np.abs(beside) > self.limit):
             j = int((np.abs(beside) / self.limit).argmax())
             load = abs(float(beside[j] * self._stiffness[j]))
@@ -360,12 +388,13 @@ class FollowingError:
             side = min(side, float(np.linalg.norm(np.linalg.solve(yields, off))))
         if side > held + LEAKS * way:
             self.tripped = (
-                f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.held): what was learnt lies "
-                "elsewhere, or something is in the way"
+                f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.max_lateral_force): what was "
+                "learnt lies elsewhere, or something is in the way"
             )
         elif way > most:
             self.tripped = (
-                f"{way:.0f} N along what is driven, of {most:.0f} allowed (Contact.driven): it is locked, or allow more"
+                f"{way:.0f} N along what is driven, of {most:.0f} allowed (Contact.max_axial_force): it is locked, or "
+                "allow more"
             )
         elif STOPPED < taken < 1.0 / STOPPED and self._going > BRIEFLY and way > self._carried + held:
             self.tripped = (
@@ -403,7 +432,7 @@ class FollowingError:
         # what was sent from one new reading to the next is no friction
         dry = np.maximum(servos.width - np.abs(servos.gone(round(servos.every - 1.0))), 0.0) * servos.seen
         noise, width, friction = (float(np.linalg.norm(G * x)) for x in (servos.noise, servos.width * servos.seen, dry))
-        periods = max(1.0, 0.5 * (QUIET * noise / (_NOISY * contact.held)) ** 2)
+        periods = max(1.0, 0.5 * (QUIET * noise / (_NOISY * contact.max_lateral_force)) ** 2)
         servos.smooth(periods)
         least = max(_KNOWN * width, QUIET * noise / math.sqrt(2.0 * periods))
         if isinstance(contact.resolution, str):
@@ -417,15 +446,15 @@ class FollowingError:
         if servos.every >= 2.0:
             cause, ms = "readings that come late", 1e3 * self._dt
             self.notes.append(f"readings change every {servos.every * ms:.0f} ms, the loop runs at {ms:g} ms")
-        if friction > contact.held and not slow:
+        if friction > contact.max_lateral_force and not slow:
             self.notes.append(
                 f"friction and play of the joints take up to {friction:.0f} N on the hand: forces from {least:.0f} N "
                 "on are seen"
             )
-        if self.resolution > contact.held:
+        if self.resolution > contact.max_lateral_force:
             self.notes.append(
-                f"held={contact.held:g} N cannot be kept: from {cause}, {self.resolution:.0f} N can be told, and at "
-                "that the arm is stopped"
+                f"max_lateral_force={contact.max_lateral_force:g} N cannot be kept: from {cause}, "
+                f"{self.resolution:.0f} N can be told, and at that the arm is stopped"
             )
         for note in self.notes[before:]:
             _LOGGER.warning(note)

@@ -50,7 +50,7 @@ MILLI = 0.1  # within which a time is a thousand times another, decades
 # arguments that are gone, and what to give instead
 _REMOVED = {
     **dict.fromkeys(("latency", "stiffness"), ": give contact=Contact({}={!r})"),
-    "following_error_limit": ": give contact=Contact(held=..., stiffness=...), forces on the hand stop the arm",
+    "following_error_limit": ": give contact=Contact(stiffness=...), forces on the hand stop the arm",
     "correction_time": ": load the robot with its payload, robot.with_payload(...)",
 }
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
@@ -289,8 +289,8 @@ class ServoLoop:
         elif isinstance(controller, ResolvedRateController | LawSequence):
             self.controller = controller.with_limits(self.limits)
         self.contact = contact = contact or Contact()
-        if contact.driven == "auto" and (force := taught_force(controller)) is not None:
-            self.contact = replace(contact, driven=max(contact.held, BEYOND_TAUGHT * force))
+        if contact.max_axial_force == "auto" and (force := taught_force(controller)) is not None:
+            self.contact = replace(contact, max_axial_force=max(contact.max_lateral_force, BEYOND_TAUGHT * force))
         # an arm that presses brakes and lets go as hard as it can, however gently it was to move
         self._hard = self.limits.with_rates(np.maximum(self.limits.acceleration, Limits(own).acceleration), None)
         self._following = FollowingError(own, self.contact, self.dt, self._hard.acceleration, held_frame(controller))

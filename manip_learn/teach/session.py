@@ -488,7 +488,7 @@ class TeachingSession:
 
         The servos are those of `MuJoCoDriver`.
         """
-        contact = Contact(held=YIELDS, driven=YIELDS, stiffness=STIFFNESS)
+        contact = Contact(max_lateral_force=YIELDS, max_axial_force=YIELDS, stiffness=STIFFNESS)
         return ServoLoop(controller, dt=PERIOD, acceleration_limit=GENTLY, contact=contact)
 
     @property
