@@ -141,54 +141,50 @@ class Return(NamedTuple):
 
 
 @final
-class MovingAverage:
-    """Mean of the newest velocities.
+class VelocityAverage(NamedTuple):
+    """Mean of the velocities of the last `time` seconds, which limits jerk.
 
     Velocities are joined by straight lines, so that with changes of at most a dt in every dt, however long that is, the
     mean over a time T changes by at most a dt, and its rate by at most 2 a dt / T: a jerk of 2 a / T.
 
-    Args:
-        limits: Limits, with jerk or without.
-        dt: Period [s].
-
     Attributes:
         time: T, a whole number of periods [s].
-        averages: Whether that is more than one.
-
-    Raises:
-        ConfigurationError: A jerk limit without acceleration limits, or so small that it needs `_LONGEST` or more.
+        ages: shape (k,), how long ago each knot was, from `time` down to 0 [s].
+        knots: shape (k, nv), velocities there [rad/s or m/s].
+        mean: shape (nv,) [rad/s or m/s].
     """
 
-    def __init__(self, limits: Limits, dt: float):
+    time: float
+    ages: Float[np.ndarray, " k"]
+    knots: Float[np.ndarray, "k nv"]
+    mean: Float[np.ndarray, " nv"]
+
+    @staticmethod
+    def at_rest(limits: Limits, dt: float) -> VelocityAverage | None:
+        """Return the average that keeps the jerk limits in periods of dt [s], from rest; None without such limits.
+
+        Raises:
+            ConfigurationError: A jerk limit without acceleration limits, or so small that it needs `_LONGEST` or more.
+        """
         needed = 0.0 if limits.jerk is None else float(np.max(2.0 * limits.acceleration / limits.jerk))
         if not needed <= _LONGEST:
             raise ConfigurationError(
                 f"the jerk limits need an average over {needed:g} s, 2 acceleration / jerk: "
                 f"lower the acceleration limits, or raise the jerk limits, to {_LONGEST:g} s or less"
             )
-        length = max(1, math.ceil(needed / dt - 1e-9))
-        self.time, self.averages = length * dt, length > 1
-        self._rest = np.zeros(limits.robot.nv)
-        self.forget()
+        time, rest = dt * max(1, math.ceil(needed / dt - 1e-9)), np.zeros((2, limits.robot.nv))
+        return VelocityAverage(time, np.array([time, 0.0]), rest, rest[0]) if time > dt else None
 
-    def forget(self) -> None:
-        """Begin anew, from rest."""
-        # velocities at the start and the end of straight stretches, and how long these are, oldest first
-        self._newest = deque([(self._rest, self._rest, self.time)])
-
-    def of(self, velocity: Float[np.ndarray, " nv"], dt: float) -> Float[np.ndarray, " nv"]:
-        """The mean, with this velocity as the newest, reached in dt [s]; always an array of its own."""
-        if not self.averages:
-            return velocity.copy()
-        newest, dt = self._newest, min(dt, self.time)
-        left = dt
-        while left > 0.0:
-            first, last, length = newest.popleft()
-            if length - left > 1e-9 * dt:
-                newest.appendleft((first + (last - first) * (left / length), last, length - left))
-            left -= length
-        newest.append((newest[-1][1] if newest else self._rest, velocity.copy(), dt))
-        return sum((length * (first + last) for first, last, length in newest), self._rest) / (2.0 * self.time)
+    def add(self, velocity: Float[np.ndarray, " nv"], dt: float) -> VelocityAverage:
+        """Return the average with another velocity, which is reached in dt [s]."""
+        T = self.time
+        ages, knots = np.append(self.ages + min(dt, T), 0.0), np.vstack((self.knots, velocity))
+        k = int(np.count_nonzero(ages >= T)) - 1  # the newest knot that is at least as old as T
+        share = (ages[k] - T) / (ages[k] - ages[k + 1])
+        oldest = knots[k] + share * (knots[k + 1] - knots[k])
+        ages, knots = np.append(T, ages[k + 1 :]), np.vstack((oldest, knots[k + 1 :]))
+        mean = (ages[:-1] - ages[1:]).dot(knots[:-1] + knots[1:]) / (2.0 * T)
+        return VelocityAverage(T, ages, knots, mean)
 
 
 @final
@@ -281,10 +277,10 @@ class ServoLoop:
         else:
             self.limits = law.limits.with_rates(acceleration_limit, jerk_limit)
         self.acceleration_limit, self.jerk_limit = self.limits.acceleration, self.limits.jerk
-        self._average = MovingAverage(self.limits, self.dt)
+        self._average = VelocityAverage.at_rest(self.limits, self.dt)
         self.controller = controller
         if isinstance(controller, FollowMotion):  # a motion that is known ahead makes up for the lag of the average
-            lag = 0.5 * self._average.time if self._average.averages else 0.0
+            lag = 0.0 if self._average is None else 0.5 * self._average.time
             self.controller = controller.with_limits(self.limits, lag)
         elif isinstance(controller, ResolvedRateController | LawSequence):
             self.controller = controller.with_limits(self.limits)
@@ -321,7 +317,7 @@ class ServoLoop:
         # where the controller is, and where the arm is sent: the same but for the average
         self._reference = self._output = None if q is None else np.array(self.robot.checked_posture(q))
         self._velocity, self._sent = np.zeros(nv), np.zeros(nv)
-        self._average.forget()
+        self._average = VelocityAverage.at_rest(self.limits, self.dt)
         self._following.forget()
         self._relief: np.ndarray | None = None  # posture to go to after a following error
         self.measured, self.stopped_by = None, None
@@ -739,9 +735,10 @@ class ServoLoop:
         # arrays of the loop's own: what the caller does to those of the command is his
         before, sent = self._velocity, self._sent
         self._last, self._velocity, error = command, command.velocity.copy(), self._following.largest
-        self._sent = self._velocity.copy() if self._following.tripped else self._average.of(self._velocity, held)
-        moved = self._velocity
-        if self._average.averages and not self._following.tripped:
+        self._sent = moved = self._velocity
+        if self._average is not None and not self._following.tripped:
+            self._average = self._average.add(self._velocity, held)
+            self._sent = self._average.mean
             # joined by straight lines, as in the average; what holding the mean adds to its own line is not lost
             moved = 0.5 * (before + moved + self._sent - sent)
             late = self._period.longest
@@ -764,7 +761,7 @@ class ServoLoop:
         self._following.moved(self._output, time, self._sent)
         self._ahead += time
         if velocity.any() or self._sent.any():
-            together = self._output is self._reference and not self._average.averages
+            together = self._output is self._reference and self._average is None
             self._reference = self.robot.integrate(self._reference, time * velocity)
             self._output = self._reference if together else self.robot.integrate(self._output, time * self._sent)
 
