@@ -137,8 +137,8 @@ def test_a_controller_of_the_users_own_is_stopped(robot_of: RobotOf) -> None:
     robot = arm_of("planar3", robot_of)
     q, _, _ = crossing(robot, "planar3", "ball")
     scene = standing("ball", robot.position(robot.integrate(q, np.array([0.6, 0.0, 0.0])), "tip"))
-    pairs, loop = pairs_of(robot, scene), ml.ServoLoop(Constantly(robot, np.array([0.5, 0.0, 0.0])), 0.005)
-    loop.limits = ml.Limits(robot, clear_of=pairs)
+    pairs, own = pairs_of(robot, scene), Constantly(robot, np.array([0.5, 0.0, 0.0]))
+    loop = ml.ServoLoop(own, 0.005, limits=ml.Limits(robot, clear_of=pairs))
     least = math.inf
     for k in range(500):
         command = loop.update(q if k == 0 else loop.position, 0.005 * k)

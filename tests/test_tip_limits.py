@@ -61,8 +61,7 @@ def test_a_controller_of_the_users_own_is_slowed_down(robot_of: RobotOf) -> None
     """Its velocity is scaled as a whole."""
     robot = robot_of("sawyer")
     own = Constantly(robot, np.full(7, 0.5))
-    loop = ml.ServoLoop(own, DT)
-    loop.limits = ml.Limits(robot, tip_speed=0.1)
+    loop = ml.ServoLoop(own, DT, limits=ml.Limits(robot, tip_speed=0.1))
     q = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
     for k in range(300):
         u = loop.update(q, k * DT).velocity

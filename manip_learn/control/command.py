@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from enum import StrEnum
-from typing import NamedTuple, Protocol, final
+from typing import Any, NamedTuple, Protocol, final
 
 import numpy as np
 from jaxtyping import Float
@@ -146,3 +147,68 @@ class Controller(Protocol):
     def __call__(self, q: Float[np.ndarray, " n"], t: float = 0.0, dt: float | None = None) -> Command:
         """The command at posture q and time t [s], held for dt [s]."""
         ...
+
+
+class LimitedController(ABC):
+    """A controller as a `ServoLoop` runs it: within limits, on from the velocity of the step before.
+
+    Attributes:
+        robot: The robot.
+        limits: Limits that its commands keep; None for none.
+        laws: The `ResolvedRateController`s that it runs one after the other; none of a motion of the joints themselves.
+        law: That in force; None if there is none.
+        constraint: Rows that it keeps, with those that its task drives; None if there are none.
+        waits: Whether its clock stands while the arm does.
+        notes: What is to be said of its motion, in sentences.
+    """
+
+    robot: Any
+    limits: Any
+    laws: tuple[Any, ...] = ()
+    law: Any = None
+    constraint: Any = None
+    notes: tuple[str, ...] = ()
+
+    @abstractmethod
+    def __call__(
+        self, q: Any, t: float = 0.0, dt: float | None = None, previous: Any = None, slide: float = 0.0
+    ) -> Command:
+        """Return the command at posture q and time t [s], for dt [s], after the velocity `previous`."""
+
+    @abstractmethod
+    def with_limits(self, limits: Any, lag: float = 0.0) -> LimitedController:
+        """Return this controller with other limits, for a loop whose output lags by a time [s]."""
+
+    @property
+    def waits(self) -> bool:
+        """Whether its clock stands while the arm does."""
+        return self.law is not None and self.law.task.waits
+
+    @property
+    def start(self) -> Float[np.ndarray, " nv"] | None:
+        """Joint positions at which its motion begins [rad or m]; None if it begins anywhere."""
+        return self.laws[0].task.start if self.laws else None
+
+    @property
+    def frame(self) -> str | None:
+        """Name of the frame that its rows hold; None if they hold none."""
+        frame = None if self.constraint is None else getattr(self.constraint.features, "frame", None)
+        return None if frame is None else frame.name
+
+    @property
+    def taught_force(self) -> float | None:
+        """Largest force that its ways took when they were taught [N]; None if one is not known."""
+        forces = [law.learnt.shown.force for law in self.laws if law.learnt.shown is not None]
+        return max(forces) if forces and None not in forces else None
+
+    def driven_motions(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "k nv"]:
+        """Return the motions of the joints along which the task drives the arm; none if that is not known."""
+        law = self.law
+        if law is None:
+            return np.zeros((0, self.robot.nv))
+        return law.task.driven_rows(law.constraint).dot(np.linalg.pinv(law.constraint(q)).T)
+
+    def reset(self) -> None:
+        """Forget the past: the next call is the first one again."""
+        for law in self.laws:
+            law.task.reset()

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command
+from manip_learn.control.command import Command, Controller, LimitedController, Status
 from manip_learn.control.engine import native_law
 from manip_learn.control.law import Law
 from manip_learn.control.limits import Limits
@@ -26,7 +26,7 @@ from manip_learn.robot.robot import Robot
 
 
 @final
-class ResolvedRateController:
+class ResolvedRateController(LimitedController):
     """u = A^+ b + N pi, equation (2) of Manavalan and Howard, "Learning Singularity Avoidance", with limits.
 
     The mathematics stands with `law.Law`: what holds the hand comes first, then the direction of the task, then its
@@ -174,11 +174,21 @@ class ResolvedRateController:
             constraint, task, policy, self.inverse, limits=limits, robot=self.robot, **settings
         )
 
-    def with_limits(self, limits: Limits) -> ResolvedRateController:
-        """This controller with other limits."""
+    @property
+    def law(self) -> ResolvedRateController:
+        """Itself."""
+        return self
+
+    @property
+    def laws(self) -> tuple[ResolvedRateController, ...]:
+        """Itself alone."""
+        return (self,)
+
+    def with_limits(self, limits: Limits, lag: float = 0.0) -> ResolvedRateController:
+        """This controller with other limits; nothing makes up for a lag."""
         other = copy.copy(self)
         other.limits = other._limits_of(limits)
-        other.__dict__.pop("native", None)
+        vars(other).pop("native", None)
         return other
 
     def _limits_of(self, limits: bool | Limits) -> Limits | None:
@@ -193,3 +203,45 @@ class ResolvedRateController:
             f"ResolvedRateController({self.constraint!r}, task={self.task!r}, null_policy={self.null_policy!r}, "
             f"inverse={self.inverse!r})"
         )
+
+
+@final
+class BoundedController(LimitedController):
+    """A user's own controller within limits.
+
+    Args:
+        controller: `(q, t, dt) -> Command`; its velocity counts. It may write into what it is given, and give the same
+            array every time.
+        limits: The limits.
+    """
+
+    def __init__(self, controller: Controller, limits: Limits):
+        self.controller, self.limits, self.robot = controller, limits, limits.robot
+
+    def __call__(
+        self, q: ArrayLike, t: float = 0.0, dt: float | None = None, previous: Any = None, slide: float = 0.0
+    ) -> Command:
+        """The controller's command, slowed down to the limits.
+
+        Raises:
+            ConfigurationError: No dt, or a velocity that is not one finite number per joint.
+        """
+        if dt is None:
+            raise ConfigurationError("a controller within limits needs the period: run it in ServoLoop(..., dt)")
+        limits, q = self.limits, np.array(q, dtype=np.float64)
+        command = self.controller(q.copy(), t, dt)
+        wish = np.array(command.velocity, dtype=np.float64)
+        if wish.shape != limits.velocity.shape or not np.all(np.isfinite(wish)):
+            raise ConfigurationError(f"the controller's velocity is not {self.robot.nv} finite numbers: {wish}")
+        if limits.tip is not None:
+            wish = limits.tip.slowed(limits.tip.at(q, dt, limits.acceleration, None), wish)
+        bounds = limits.bounds(q, dt, previous)
+        if bounds.admit(wish):
+            return command._replace(velocity=wish)
+        status = Status.OUTSIDE_LIMITS if bounds.outside > 0.0 else Status.ACCELERATION_LIMITED
+        velocity = wish if previous is None else limits.towards(wish, previous, bounds, dt)
+        return command._replace(velocity=velocity, status=status, outside=bounds.outside)
+
+    def with_limits(self, limits: Limits, lag: float = 0.0) -> BoundedController:
+        """This controller with other limits; nothing makes up for a lag."""
+        return BoundedController(self.controller, limits)

@@ -14,7 +14,6 @@ from scipy.optimize import linear_sum_assignment
 
 from manip_learn.control.command import Command, Status
 from manip_learn.control.cycle import Clock, ComputerClock, GivenUp, OrderlyEnd, quiet_collector
-from manip_learn.control.law_sequence import start_of
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop, in_milliseconds
 from manip_learn.control.simulation import rollout_of
@@ -361,7 +360,7 @@ class _FirstReadings:
     """
 
     def __init__(self, loop: ServoLoop):
-        own, self._robot = start_of(loop.controller), loop.robot
+        own, self._robot = loop.begins, loop.robot
         self._start, self._within = (loop.position, np.maximum(_AWAY, loop.yields)) if own is None else (own, _AWAY)
         self.agree, self.number, self.place = False, 0, np.zeros(0)
 

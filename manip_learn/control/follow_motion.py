@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
-from manip_learn.control.command import Command, Status, slowed_by
+from manip_learn.control.command import Command, LimitedController, Status, slowed_by
 from manip_learn.control.law import nearest_within
 from manip_learn.control.limits import RETURN_SPEED, Limits, stopping_speed
 from manip_learn.control.rollout import Rollout
@@ -23,7 +23,7 @@ ARRIVED = 1e-3
 
 
 @final
-class FollowMotion:
+class FollowMotion(LimitedController):
     """A controller that follows a joint motion as closely as the limits let it; for a `ServoLoop`.
 
     Between samples the motion is a monotone cubic (F. N. Fritsch and R. E. Carlson, 1980), which adds no overshoot. A
@@ -78,12 +78,26 @@ class FollowMotion:
                 f"by {steps[k, j]:.3g} {robot.joint_units[j]} at {self._knots.time[k]:.3g} s: it catches up as fast as "
                 "its limits let it"
             )
-        self.jumps = tuple(sentences)
+        self.jumps = self.notes = tuple(sentences)
         self.reset()
 
-    def with_limits(self, limits: Limits, ahead: float = 0.0) -> FollowMotion:
-        """This motion within other limits."""
-        return FollowMotion(self.robot, self.motion, limits, ahead=ahead)
+    @property
+    def waits(self) -> bool:
+        """True: its clock stands while the arm does."""
+        return True
+
+    @property
+    def start(self) -> Float[np.ndarray, " nv"]:
+        """Joint positions at which the motion begins [rad or m]."""
+        return self.at(0.0)
+
+    def driven_motions(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "nv nv"]:
+        """Return the motions of the joints that are driven: all."""
+        return np.eye(self.robot.nv)
+
+    def with_limits(self, limits: Limits, lag: float = 0.0) -> FollowMotion:
+        """This motion within other limits; what is known ahead makes up for a lag [s]."""
+        return FollowMotion(self.robot, self.motion, limits, ahead=lag)
 
     def reset(self) -> None:
         """Forget the past: the next call begins with the first posture again."""

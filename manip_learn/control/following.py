@@ -313,10 +313,7 @@ class FollowingError:
         return f"{words}; {self.tripped}" if self.tripped else words
 
     def compare(
-        self,
-        commanded: Float[np.ndarray, " n"],
-        measured: Float[np.ndarray, " n"],
-        driven: Directions | None = None,
+        self, commanded: Float[np.ndarray, " n"], measured: Float[np.ndarray, " n"], driven: Directions | None = None
     ) -> None:
         """Compare two postures, the newest commanded and the newest measured one.
 

@@ -1,4 +1,4 @@
-"""Laws one after the other, an approach of all joints and then the way; and what a loop takes from a controller."""
+"""Laws one after the other, an approach of all joints and then the way."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.other_features import CustomFeatures
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.constraint.skill import Gripping
-from manip_learn.control.command import Command, Controller
+from manip_learn.control.command import Command, LimitedController
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.follow_motion import ARRIVED, FollowMotion
+from manip_learn.control.follow_motion import ARRIVED
 from manip_learn.control.limits import Limits
-from manip_learn.control.tasks import FreeDirection, Task
+from manip_learn.control.tasks import Task
 from manip_learn.control.tasks.motion_profile import MotionProfile
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
@@ -61,6 +61,8 @@ class JointMotion(Task):
     Raises:
         ConfigurationError: Postures that are not finite or of another size.
     """
+
+    is_approach = True
 
     slides = False
     waits = True
@@ -116,6 +118,11 @@ class JointMotion(Task):
         goal, rate = self.at(t - self._begun)
         return rate + self.gain * self._robot.difference(q, goal)
 
+    def is_over(self, q: ArrayLike, t: float) -> bool:
+        """Whether it has arrived at posture q at time t [s]; after a second more, with what encoder noise leaves."""
+        late, off = t - self.duration, self._robot.difference(np.asarray(q, dtype=np.float64), self._last)
+        return late >= 0.0 and (late >= _SETTLING or float(np.linalg.norm(off)) < ARRIVED)
+
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """How far the joints are from the last posture [rad or m]."""
         return float(np.linalg.norm(self._robot.difference(q, self._last)))
@@ -148,7 +155,7 @@ def _smooth(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> t
 
 
 @final
-class LawSequence:
+class LawSequence(LimitedController):
     """Laws one after the other: motions of all joints to a posture, and ways along what a constraint leaves free.
 
     It begins with the first call; a call at or before that time after later ones is a new run. A motion of the joints
@@ -173,38 +180,34 @@ class LawSequence:
         """Forget the start: the next call is the first one again."""
         self.number, self.began = 0, None
         self._begun, self._latest = math.inf, -math.inf
-        for law in self.laws:
-            law.task.reset()
+        super().reset()
 
     @property
     def gripper(self) -> Gripping | None:
         """What a gripper was last told, `"close"` or `"open"`; None before that."""
         tasks = (law.task for law in reversed(self.laws[: self.number + 1]))
-        return next((task.gripper for task in tasks if isinstance(task, JointMotion) and task.gripper), None)
+        return next((task.gripper for task in tasks if task.gripper), None)
 
     @property
     def limits(self) -> Limits | None:
         """Those of the law in force."""
-        return self.current.limits
+        return self.law.limits
 
     @property
-    def current(self) -> ResolvedRateController:
+    def law(self) -> ResolvedRateController:
         """The law that is in force."""
         return self.laws[self.number]
+
+    @property
+    def constraint(self) -> Constraint:
+        """The rows of `way`."""
+        return self.way.constraint
 
     @property
     def way(self) -> ResolvedRateController:
         """The law in force, of a motion of the joints the one that it leads to."""
         ahead = self.laws[self.number :]
-        return next((law for law in ahead if not isinstance(law.task, JointMotion)), ahead[-1])
-
-    def _is_over(self, q: ArrayLike, since: float) -> bool:
-        """Whether the law in force has done its part, at a time since it took over [s]."""
-        task = self.current.task
-        if isinstance(task, JointMotion):
-            late = since - task.duration
-            return late >= 0.0 and (late >= _SETTLING or self.current.task_error(q) < ARRIVED)
-        return isinstance(task, FreeDirection) and task.is_over(q, since)
+        return next((law for law in ahead if not law.task.is_approach), ahead[-1])
 
     def __call__(
         self,
@@ -223,9 +226,9 @@ class LawSequence:
         self._begun, self._latest = min(self._begun, t), t
         if self.began is None:
             self.began = t
-        if self.number + 1 < len(self.laws) and self._is_over(q, t - self.began):
+        if self.number + 1 < len(self.laws) and self.law.task.is_over(q, t - self.began):
             self.number, self.began = self.number + 1, t
-        law = self.current
+        law = self.law
         command = law(q, t - self.began, dt, previous, slide)
         if law is self.way:
             return command
@@ -233,51 +236,11 @@ class LawSequence:
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the goal of the law in force [m or rad]."""
-        return self.current.task_error(q, t - (self.began or 0.0))
+        return self.law.task_error(q, t - (self.began or 0.0))
 
-    def with_limits(self, limits: Limits) -> LawSequence:
-        """These laws with other limits."""
+    def with_limits(self, limits: Limits, lag: float = 0.0) -> LawSequence:
+        """These laws with other limits; nothing makes up for a lag."""
         return LawSequence(*(law.with_limits(limits) for law in self.laws))
 
     def __repr__(self) -> str:
         return f"LawSequence({', '.join(repr(law.task) for law in self.laws)})"
-
-
-def law_of(controller: Controller) -> ResolvedRateController | None:
-    """The law in force of a controller of the library; None for a controller of another kind."""
-    law = controller.current if isinstance(controller, LawSequence) else controller
-    return law if isinstance(law, ResolvedRateController) else None
-
-
-def task_of(controller: Controller) -> Task | None:
-    """The task of a controller of the library; None for a controller of another kind."""
-    law = law_of(controller)
-    return None if law is None else law.task
-
-
-def start_of(controller: Controller) -> Float[np.ndarray, " nv"] | None:
-    """Return the posture [rad or m] at which a controller's own motion starts; None if it starts anywhere."""
-    if isinstance(controller, FollowMotion):
-        return controller.at(0.0)
-    first = controller.laws[0] if isinstance(controller, LawSequence) else law_of(controller)
-    return first.task.start if first is not None and isinstance(first.task, JointMotion) else None
-
-
-def constraint_of(controller: Controller) -> Constraint | None:
-    """The constraint of a controller of the library, with the rows that its task drives; None for another kind."""
-    law = controller.way if isinstance(controller, LawSequence) else law_of(controller)
-    return None if law is None else law.constraint
-
-
-def taught_force(controller: Controller) -> float | None:
-    """The largest force that the ways of a controller took when they were taught [N]; None where one is not known."""
-    laws = controller.laws if isinstance(controller, LawSequence) else (law_of(controller),)
-    forces = [law.learnt.shown.force for law in laws if law is not None and law.learnt.shown is not None]
-    known = [force for force in forces if force is not None]
-    return max(known) if known and len(known) == len(forces) else None
-
-
-def held_frame(controller: Controller) -> str | None:
-    """The frame that a controller's constraint holds; None where it has none."""
-    frame = getattr(getattr(constraint_of(controller), "features", None), "frame", None)
-    return None if frame is None else frame.name

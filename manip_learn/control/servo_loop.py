@@ -13,12 +13,10 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller, Status
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.follow_motion import FollowMotion
+from manip_learn.control.command import Command, Controller, LimitedController, Status
+from manip_learn.control.controller import BoundedController
 from manip_learn.control.following import LEFT, Contact, FollowingError, is_number, other_turns
 from manip_learn.control.law import next_slide
-from manip_learn.control.law_sequence import LawSequence, constraint_of, held_frame, law_of, task_of, taught_force
 from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError
@@ -219,8 +217,10 @@ class ServoLoop:
         stale_after: Time without a new state after which the arm brakes [s].
         contact: Which forces on the hand stop the arm, and what is known of its servos (`Contact`).
         robot: Whose limits count; the controller's own by default.
+        limits: Limits of a controller of your own; by default those of the controller, or of the robot.
 
     Attributes:
+        limits: The limits in force.
         acceleration_limit: shape (nv,) [rad/s2 or m/s2], in force.
         jerk_limit: shape (nv,) [rad/s3 or m/s3], in force, or None.
         dt: [s].
@@ -256,6 +256,7 @@ class ServoLoop:
         *,
         contact: Contact | None = None,
         robot: Robot | None = None,
+        limits: Limits | None = None,
         **removed: Any,
     ):
         for name, value in removed.items():
@@ -271,25 +272,19 @@ class ServoLoop:
         if not isinstance(own, Robot):
             raise ConfigurationError("the controller has no robot whose limits count: ServoLoop(..., robot=robot)")
         self.robot, self.dt, self.stale_after = own, float(dt), float(stale_after)
-        law = controller if isinstance(controller, FollowMotion) else law_of(controller)
-        if law is None or law.limits is None:
-            self.limits = Limits(own, acceleration=acceleration_limit, jerk=jerk_limit)
-        else:
-            self.limits = law.limits.with_rates(acceleration_limit, jerk_limit)
-        self.acceleration_limit, self.jerk_limit = self.limits.acceleration, self.limits.jerk
-        self._average = VelocityAverage.at_rest(self.limits, self.dt)
-        self.controller = controller
-        if isinstance(controller, FollowMotion):  # a motion that is known ahead makes up for the lag of the average
-            lag = 0.0 if self._average is None else 0.5 * self._average.time
-            self.controller = controller.with_limits(self.limits, lag)
-        elif isinstance(controller, ResolvedRateController | LawSequence):
-            self.controller = controller.with_limits(self.limits)
+        within = controller if isinstance(controller, LimitedController) else BoundedController(controller, Limits(own))
+        given: Limits = limits or within.limits or Limits(own)
+        self.limits = limits = given.with_rates(acceleration_limit, jerk_limit)
+        self.acceleration_limit, self.jerk_limit = limits.acceleration, limits.jerk
+        average = VelocityAverage.at_rest(limits, self.dt)
+        self._within = within.with_limits(limits, 0.0 if average is None else 0.5 * average.time)
+        self.controller = self._within if within is controller else controller
         self.contact = contact = contact or Contact()
-        if contact.max_axial_force == "auto" and (force := taught_force(controller)) is not None:
+        if contact.max_axial_force == "auto" and (force := self._within.taught_force) is not None:
             self.contact = replace(contact, max_axial_force=max(contact.max_lateral_force, BEYOND_TAUGHT * force))
         # an arm that presses brakes and lets go as hard as it can, however gently it was to move
         self._hard = self.limits.with_rates(np.maximum(self.limits.acceleration, Limits(own).acceleration), None)
-        self._following = FollowingError(own, self.contact, self.dt, self._hard.acceleration, held_frame(controller))
+        self._following = FollowingError(own, self.contact, self.dt, self._hard.acceleration, self._within.frame)
         self._impossible = farthest_positions(self.robot)
         self._period = Period(self.dt)
         self._slowed = 1.0, self.limits  # a share of the acceleration, and the limits with it
@@ -335,10 +330,7 @@ class ServoLoop:
         self._stopping = self.lets_go = self._hangs = False
         self._slide = 0.0
         self._last: Command | None = None
-        if isinstance(self.controller, LawSequence | FollowMotion):
-            self.controller.reset()
-        elif (task := task_of(self.controller)) is not None:
-            task.reset()
+        self._within.reset()
 
     def stop(self) -> None:
         """Brake and stand until `start` is called."""
@@ -366,7 +358,7 @@ class ServoLoop:
             ConfigurationError: The task is another one.
             TargetError: The target does not fit the constraint.
         """
-        task = task_of(self.controller)
+        task = None if self._within.law is None else self._within.law.task
         if type(task) is not PointAttractor:
             raise ConfigurationError(f"only a PointAttractor has a target that can be set, the task is {task!r}")
         self._exchange(PointAttractor(target, task.gain, task.max_speed, driven=task.driven), None)
@@ -382,7 +374,7 @@ class ServoLoop:
 
     def _exchange(self, task: Task | None, constraint: Constraint | None) -> None:
         """Go on with another task or another constraint from the posture and the velocity of now."""
-        law = law_of(self.controller)
+        law = self._within.law
         if law is None:
             kind = type(self.controller).__name__
             raise ConfigurationError(f"only a ResolvedRateController takes another task, not {kind}")
@@ -392,8 +384,13 @@ class ServoLoop:
         if self._reference is not None:
             law(self._reference, 0.0, self.dt)  # what does not fit is refused while the old law is still there
             law.task.reset()
-        self.controller = law.with_limits(self.limits)
+        self.controller = self._within = law.with_limits(self.limits)
         self._slide = self._behind = 0.0
+
+    @property
+    def begins(self) -> Float[np.ndarray, " nv"] | None:
+        """Joint positions at which the motion of the controller begins [rad or m]; None if it begins anywhere."""
+        return self._within.start
 
     @property
     def yields(self) -> Float[np.ndarray, " nv"]:
@@ -403,8 +400,7 @@ class ServoLoop:
     @property
     def notes(self) -> tuple[str, ...]:
         """What is known of the arm and of the motion, in sentences: how late it follows, which forces are seen."""
-        jumps = self.controller.jumps if isinstance(self.controller, FollowMotion) else ()
-        return (*self._following.notes, *jumps)
+        return (*self._following.notes, *self._within.notes)
 
     @property
     def position(self) -> Float[np.ndarray, " n"] | None:
@@ -469,7 +465,7 @@ class ServoLoop:
             self._reference = self._output = sent
             return self._braked(Status.FOLLOWING_ERROR, period)
         if self.silent == 0.0:  # a state that is not new says nothing of the commands since
-            self._following.compare(self._output, measured, self._driven)
+            self._following.compare(self._output, measured, self._within.driven_motions)
         if self._following.tripped:
             # the average would go on pressing for its own length
             self._reference, self._velocity = self._output, self._sent
@@ -570,9 +566,7 @@ class ServoLoop:
 
     def _clock(self, time: float) -> float:
         """Time for the controller: that of the state, less that for which a task that waits for the arm has waited."""
-        task = task_of(self.controller)
-        stands = isinstance(self.controller, FollowMotion) or (task is not None and task.waits)
-        return time - self._behind if stands else time
+        return time - self._behind if self._within.waits else time
 
     def _bounds(self, q: np.ndarray, held: float) -> Bounds:
         """Bounds on the velocity that follows; where periods vary, a joint can stop however late the calls are.
@@ -608,26 +602,11 @@ class ServoLoop:
 
     def _within_limits(self, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits."""
-        if isinstance(self.controller, ResolvedRateController | LawSequence | FollowMotion):
-            command = self.controller(q, time, held, self._velocity, self._slide)
-            self._slide = next_slide(self._slide, command, held)
-            if self._period.longest == self._period.usual or (bounds := self._bounds(q, held)).admit(command.velocity):
-                return command
-            return _held_back(command, np.clip(command.velocity, bounds.low, bounds.high))
-        # the user's own controller may write into what it is given, and give the same array every time
-        command = self.controller(q.copy(), time, held)
-        wish = np.array(command.velocity, dtype=np.float64)
-        if wish.shape != self._velocity.shape or not np.all(np.isfinite(wish)):
-            raise ConfigurationError(f"the controller's velocity is not {self.robot.nv} finite numbers: {wish}")
-        if self.limits.tip is not None:
-            tips = self.limits.tip.at(q, held, self.limits.acceleration, None)
-            wish = self.limits.tip.slowed(tips, wish)
-        bounds = self._bounds(q, held)
-        if bounds.admit(wish):
-            return command._replace(velocity=wish)
-        status = Status.OUTSIDE_LIMITS if bounds.outside > 0.0 else Status.ACCELERATION_LIMITED
-        velocity = self.limits.towards(wish, self._velocity, bounds, held)
-        return command._replace(velocity=velocity, status=status, outside=bounds.outside)
+        command = self._within(q, time, held, self._velocity, self._slide)
+        self._slide = next_slide(self._slide, command, held)
+        if self._period.longest == self._period.usual or (bounds := self._bounds(q, held)).admit(command.velocity):
+            return command
+        return _held_back(command, np.clip(command.velocity, bounds.low, bounds.high))
 
     def _braked(self, status: Status, held: float | None = None) -> Command:
         """The arm brakes along the motion it was in, as hard as the acceleration limits allow in a time [s]."""
@@ -689,7 +668,7 @@ class ServoLoop:
 
     def _name_cause(self, measured: np.ndarray) -> None:
         """Say what stopped the arm."""
-        words = self._following.sentence(constraint_of(self.controller), measured) + self._payload
+        words = self._following.sentence(self._within.constraint, measured) + self._payload
         self.stopped_by = f"{self._jumped[0]}; {words}" if self._time - self._jumped[1] <= self.stale_after else words
 
     def _let_go(self, commanded: np.ndarray) -> np.ndarray:
@@ -708,15 +687,6 @@ class ServoLoop:
         gone = self.robot.difference(place, commanded) - servos.gone(round(servos.delay / self.dt))
         came, square = self.robot.difference(pressed, measured), float(gone.dot(gone))
         return following.sinks and square > _SHOWS * _SHOWS and float(came.dot(gone)) > _FOLLOWS * square
-
-    def _driven(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "k nv"]:
-        """Motions of the joints along which the task drives the arm; a motion of the joints themselves drives all."""
-        law, nv = law_of(self.controller), self.robot.nv
-        if isinstance(self.controller, FollowMotion):
-            return np.eye(nv)
-        if law is None or self._last is None:
-            return np.zeros((0, nv))
-        return law.task.driven_rows(law.constraint).dot(np.linalg.pinv(law.constraint(q)).T)
 
     def _beside_the_law(self, u: np.ndarray, status: Status, held: float) -> Command:
         last, zero = self._last, np.zeros(self.robot.nv)

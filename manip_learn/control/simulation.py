@@ -10,9 +10,8 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller
+from manip_learn.control.command import Command, Controller, LimitedController
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.law_sequence import constraint_of, held_frame, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.errors import ConfigurationError, advice, an
@@ -144,8 +143,7 @@ def _loop_of(
     if isinstance(controller, ServoLoop):
         controller.reset(start)
         return controller.update
-    law = law_of(controller)
-    if law is not None and law.limits is not None:
+    if isinstance(controller, LimitedController) and controller.limits is not None:
         return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
     return lambda q, t: controller(q, t, dt)
 
@@ -186,7 +184,7 @@ def rollout_of(
 def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
     """Return what guided a rollout: the frame, the target and the constraint, as far as they are known."""
     law = controller.controller if isinstance(controller, ServoLoop) else controller
-    task, constraint = task_of(law), constraint_of(law)
-    if task is None or constraint is None:
+    if not isinstance(law, LimitedController) or law.law is None:
         return {}
-    return {"frame": held_frame(law) or "", "target": task.goal(), "constraint": written_constraint(constraint)}
+    written = written_constraint(law.constraint)
+    return {"frame": law.frame or "", "target": law.law.task.goal(), "constraint": written}

@@ -33,6 +33,9 @@ class Task(ABC):
     damping: float = 0.05
     # whether b is the mean one of the time for which it is held: `velocity_and_jacobian` then gets that as well [s]
     sampled: bool = False
+    start: Float[np.ndarray, " nv"] | None = None  # joint positions at which it begins; None if it begins anywhere
+    is_approach: bool = False  # whether it only leads to the way of another task
+    gripper: str | None = None  # what a gripper is told meanwhile, `"close"` or `"open"`
 
     @abstractmethod
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
@@ -41,6 +44,10 @@ class Task(ABC):
     @abstractmethod
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Distance to the goal along the constraint's rows (Euclidean norm)."""
+
+    def is_over(self, q: ArrayLike, t: float) -> bool:
+        """Whether another task may go on from posture q at time t [s]; never, unless the task says otherwise."""
+        return False
 
     def reset(self) -> None:  # noqa: B027  most tasks remember nothing
         """Forget the past, before another motion."""
