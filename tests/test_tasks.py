@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import FrozenInstanceError
+
 import numpy as np
 import pytest
 
@@ -122,5 +124,5 @@ def test_all_rows_are_driven_on_demand(constraint, robot_of):
             PointAttractor(target, driven="all").rows(of)
     with pytest.raises(TargetError, match="'held' or 'all'"):
         PointAttractor(np.zeros(3), driven="free")  # type: ignore[arg-type]
-    with pytest.raises(TargetError, match="the gain of a task cannot be changed"):
-        PointAttractor(np.zeros(3)).gain = 2.0
+    with pytest.raises(FrozenInstanceError, match="gain"):  # a loop may be running it
+        PointAttractor(np.zeros(3)).gain = 2.0  # type: ignore[misc]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Literal, final
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -105,6 +106,7 @@ class Hold(Task):
 
 
 @final
+@dataclass(frozen=True, eq=False, repr=False)
 class PointAttractor(Task):
     """b = gain * Lambda (r* - r(q)), the reaching task of the paper's section on simulated experiments.
 
@@ -130,33 +132,24 @@ class PointAttractor(Task):
         0.005
     """
 
-    def __init__(
-        self,
-        target: ArrayLike,
-        gain: float = 1.0,
-        max_speed: float | None = None,
-        *,
-        driven: Literal["held", "all"] = "held",
-    ):
-        if driven not in ("held", "all"):
-            raise TargetError(f"driven must be 'held' or 'all', not {driven!r}")
+    target: Any
+    gain: float = 1.0
+    max_speed: float | None = None
+    driven: Literal["held", "all"] = field(default="held", kw_only=True)
+    _all: ClassVar[Constraint | None] = None  # the rows of all features, once they were asked for
+
+    def __post_init__(self) -> None:
+        """Check the target, and keep it as numbers that cannot be changed: a loop may be running it."""
+        if self.driven not in ("held", "all"):
+            raise TargetError(f"driven must be 'held' or 'all', not {self.driven!r}")
         try:
-            numbers = np.array(target, dtype=np.float64)
+            numbers = np.array(self.target, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise TargetError(f"the target must be numbers, got {target!r}") from error
+            raise TargetError(f"the target must be numbers, got {self.target!r}") from error
         if numbers.ndim not in (1, 2) or not np.all(np.isfinite(numbers)):
             raise TargetError(f"the target must be finite numbers, got {numbers.tolist()}")
         numbers.setflags(write=False)
-        self.target, self.gain, self.max_speed, self._all = numbers, float(gain), max_speed, None
-        self.driven: Literal["held", "all"] = driven
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if name in vars(self) and not name.startswith("_"):
-            raise TargetError(
-                f"the {name} of a task cannot be changed, a loop may be running it: make another task, "
-                "loop.set_task(...) or loop.set_target(...)"
-            )
-        super().__setattr__(name, value)
+        object.__setattr__(self, "target", numbers)
 
     def _fits(self, features: FeatureMap) -> bool:
         """Whether the target is a pose, or a number for each row of the features."""
@@ -176,9 +169,10 @@ class PointAttractor(Task):
                 f"the target must have {len(names)} numbers ({', '.join(names)}), got shape {self.target.shape}: "
                 + advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")
             )
-        if self._all is None or self._all.features is not constraint.features:
-            self._all = Constraint(np.eye(len(names)), constraint.features, constraint.provenance)
-        return self._all  # the same one at each call, so that a policy that climbs it shares the controller's work
+        if (every := self._all) is None or every.features is not constraint.features:
+            every = Constraint(np.eye(len(names)), constraint.features, constraint.provenance)
+            object.__setattr__(self, "_all", every)
+        return every  # the same one at each call, so that a policy that climbs it shares the controller's work
 
     def displacement(self, constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " s"]:
         """Lambda (r* - r(q)).
