@@ -113,8 +113,8 @@ class ArmPhysics:
         self._closed = -math.inf  # when the gripper began to close [s]
         first, names = grasp if start is None else start, [model.joint(i).name for i in range(len(grasp))]
         self._driver = MuJoCoDriver(
-            model, names, first, period=PERIOD, stiffness=stiffness, friction=friction, play=play, delay=latency,
-            step=step, feedforward=False, hand=self._pulled, noise=noise, rng=rng,
+            model, names, first, period=PERIOD, stiffness=stiffness, friction=friction, backlash=play, latency=latency,
+            encoder_resolution=step, feedforward=False, hand=self._pulled, noise=noise, rng=rng,
         )  # fmt: skip
         self._data = self._driver.data
         mujoco.mj_setConst(model, self._data)

@@ -93,6 +93,18 @@ def named(noun: str, names: Iterable[str]) -> str:
     return f"{noun if len(words) == 1 else _plural(noun)} {listed(words)}"
 
 
+def under_new_names(who: str, former: Mapping[str, str], renamed: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arguments that were given under former names by those that they have now; until 0.4.
+
+    Raises:
+        TypeError: There is no such argument.
+    """
+    for name in renamed:
+        if name not in former:
+            raise TypeError(f"{who} got an unexpected keyword argument {name!r}")
+    return {former[name]: value for name, value in renamed.items()}
+
+
 def an(given: object) -> str:
     """A value by its kind: `"a Robot"`, `"an ndarray of shape (7,)"`; `"None"`; a class as `"the class Robot"`."""
     if given is None:

@@ -75,8 +75,8 @@ def test_shown_by_hand_recorded_learnt_and_done(scene, tmp_path: Path):
     names = [scene.joint(i).name for i in range(7)]
     person, rng = Person(scene, 3), np.random.default_rng(4)
     driver = MuJoCoDriver(
-        scene, names, GRASP, period=0.01, hand=person, noise=1e-4, rng=rng, friction=0.5, play=1e-3, delay=0.02,
-        step=1e-4, feedforward=False,
+        scene, names, GRASP, period=0.01, hand=person, noise=1e-4, rng=rng, friction=0.5, backlash=1e-3, latency=0.02,
+        encoder_resolution=1e-4, feedforward=False,
     )  # fmt: skip
     driver.data.eq_active[0] = 1
     robot = ml.load_robot("panda", locked=FINGERS)
@@ -125,6 +125,10 @@ def test_servos_follow_and_carry_the_weight():
         MuJoCoDriver(model, ("a", "elbow"), [0.0, 0.0])
     with pytest.raises(ConfigurationError, match="multiple of the model's time step of 2 ms, got 3 ms"):
         MuJoCoDriver(model, ("a", "b"), [0.0, 0.0], period=0.003)
+    with pytest.raises(ConfigurationError, match="latency must be a multiple .* got 3 ms"):
+        MuJoCoDriver(model, ("a", "b"), [0.0, 0.0], delay=0.003)  # a former name, until 0.4
+    with pytest.raises(TypeError, match="'lag'"):
+        MuJoCoDriver(model, ("a", "b"), [0.0, 0.0], lag=0.003)
 
 
 def test_released_joints_yield_and_held_ones_stay():

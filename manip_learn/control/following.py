@@ -16,7 +16,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.control.limits import per_joint
 from manip_learn.control.servos import HIDDEN, Servos
-from manip_learn.errors import ConfigurationError, counted
+from manip_learn.errors import ConfigurationError, counted, under_new_names
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
@@ -89,7 +89,7 @@ class Contact:
 
     Raises:
         ConfigurationError: A number that is not positive.
-        TypeError: An argument that does not exist, or one under both of its names.
+        TypeError: An argument that does not exist.
     """
 
     max_lateral_force: float
@@ -109,10 +109,7 @@ class Contact:
     ):
         given: dict[str, Any] = {"max_lateral_force": max_lateral_force, "max_axial_force": max_axial_force}
         given |= {"latency": latency, "resolution": resolution, "stiffness": stiffness}
-        for name, value in renamed.items():
-            if (known := _FORMER.get(name)) is None or given[known] not in (15.0, "auto"):
-                raise TypeError(f"Contact has no argument {name!r}" + (f" beside {known!r}" if known else ""))
-            given[known] = value
+        given |= under_new_names("Contact()", _FORMER, renamed)
         for name, value in given.items():
             measured = name in ("latency", "resolution")
             if name != "stiffness" and not (name != "max_lateral_force" and isinstance(value, str) and value == "auto"):

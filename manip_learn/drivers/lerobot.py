@@ -150,9 +150,7 @@ class LeRobotDriver:
             )
         return assigned
 
-    def read(
-        self,
-    ) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"] | None, Float[np.ndarray, " nv"] | None]:
+    def read(self) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"] | None, Float[np.ndarray, " nv"] | None]:
         """Joint positions [rad or m], and velocities [rad/s] and efforts [N m] of arms that measure them.
 
         Raises:

@@ -13,10 +13,12 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.control.following import STIFFNESS
-from manip_learn.errors import ConfigurationError, MissingExtraError
+from manip_learn.errors import ConfigurationError, MissingExtraError, under_new_names
 
 STICKS = (0.9999, 0.99999, 0.001, 0.5, 2.0)  # MuJoCo's solimp of dry friction: by its default joints creep under it
 STABLE = 3.0  # time steps in a radian of a servo's own oscillation at the least: an explicit spring needs half of that
+
+_FORMER = {"play": "backlash", "delay": "latency", "step": "encoder_resolution"}  # names of arguments, until 0.4
 
 
 @final
@@ -29,8 +31,8 @@ class MuJoCoDriver:
     at 2 ms, that of a common drive). After `release` the joints are free but for friction, and `hand` may push them;
     `hold` has the servos hold the arm where it is then.
 
-    By default the servos are ideal. `friction`, `play`, `delay`, `step`, `noise` and `feedforward=False` make them as
-    those of real arms are.
+    By default the servos are ideal. `friction`, `backlash`, `latency`, `encoder_resolution`, `noise` and
+    `feedforward=False` make them as those of real arms are.
 
     Args:
         model: A `mujoco.MjModel`; the driver keeps it and changes it.
@@ -40,15 +42,16 @@ class MuJoCoDriver:
         stiffness: shape (n,) or a number, of the servos [N m/rad or N/m].
         friction: shape (n,) or a number: dry friction beside the model's own, which the drives know nothing of [N m or
             N].
-        play: shape (n,) or a number: how far a joint turns to and fro without its motor, which exerts nothing
+        backlash: shape (n,) or a number: how far a joint turns to and fro without its motor, which exerts nothing
             meanwhile but what carries the weight [rad or m].
-        delay: From a command to the reading that shows it, a multiple of the period; half on each way [s].
-        step: shape (n,) or a number, of the encoders [rad or m].
+        latency: From a command to the reading that shows it, a multiple of the period; half on each way [s].
+        encoder_resolution: shape (n,) or a number, step of the encoders [rad or m].
         feedforward: Whether the drives add what inertia, dampers and the model's own friction will take.
         hand: Called before each step of the physics with model and data: what else acts on the arm, e.g. a person's
             hand that adds to `data.qfrc_applied`.
         noise: Standard deviation of the encoders [rad or m].
         rng: Source of that noise; needed where there is some.
+        **renamed: Former names of arguments, valid until 0.4: `play`, `delay`, `step`.
 
     Attributes:
         model: The model.
@@ -56,7 +59,7 @@ class MuJoCoDriver:
 
     Raises:
         ConfigurationError: A joint that the model lacks, or that is not a hinge or a slide, a period that is no
-            multiple of the time step, or a delay that is none of the period.
+            multiple of the time step, or a latency that is none of the period.
         MissingExtraError: MuJoCo is not installed.
     """
 
@@ -71,14 +74,17 @@ class MuJoCoDriver:
         period: float | None = None,
         stiffness: ArrayLike = STIFFNESS,
         friction: ArrayLike = 0.0,
-        play: ArrayLike = 0.0,
-        delay: float = 0.0,
-        step: ArrayLike = 0.0,
+        backlash: ArrayLike = 0.0,
+        latency: float = 0.0,
+        encoder_resolution: ArrayLike = 0.0,
         feedforward: bool = True,
         hand: Callable[[Any, Any], object] | None = None,
         noise: float = 0.0,
         rng: np.random.Generator | None = None,
+        **renamed: Any,
     ):
+        now = {"backlash": backlash, "latency": latency, "encoder_resolution": encoder_resolution}
+        now |= under_new_names("MuJoCoDriver()", _FORMER, renamed)
         try:
             import mujoco
         except ImportError as error:
@@ -104,13 +110,15 @@ class MuJoCoDriver:
         )
         model.actuator_gainprm[on_joints] = model.actuator_biasprm[on_joints] = 0.0
         self.data.qpos[self._q] = self._goal = np.array(q, dtype=np.float64)
-        n, periods = len(joints), round(delay / self.period)
-        if periods < 0 or abs(periods * self.period - delay) > 1e-9:
+        n, periods = len(joints), round(now["latency"] / self.period)
+        if periods < 0 or abs(periods * self.period - now["latency"]) > 1e-9:
             raise ConfigurationError(
-                f"the delay must be a multiple of the period of {1e3 * self.period:g} ms, got {1e3 * delay:g} ms"
+                f"the latency must be a multiple of the period of {1e3 * self.period:g} ms, "
+                f"got {1e3 * now['latency']:g} ms"
             )
-        self._stiffness, self._friction, self._play, self._encoder_step = (
-            np.array(np.broadcast_to(np.asarray(x, dtype=np.float64), (n,))) for x in (stiffness, friction, play, step)
+        numbers = (stiffness, friction, now["backlash"], now["encoder_resolution"])
+        self._stiffness, self._friction, self._backlash, self._resolution = (
+            np.array(np.broadcast_to(np.asarray(x, dtype=np.float64), (n,))) for x in numbers
         )
         least = self._stiffness * (STABLE * model.opt.timestep) ** 2
         model.dof_armature[self._u] = np.maximum(model.dof_armature[self._u], least)
@@ -135,7 +143,7 @@ class MuJoCoDriver:
         q = self.data.qpos[self._q]
         if self._rng is not None:
             q = q + self._rng.normal(0.0, self._noise, len(q))
-        step = self._encoder_step
+        step = self._resolution
         q = np.where(step > 0.0, step * np.round(q / np.where(step > 0.0, step, 1.0)), q)
         return q, self.data.qvel[self._u].copy(), self._effort.copy()
 
@@ -188,9 +196,9 @@ class MuJoCoDriver:
         self._effort = data.qfrc_bias[joints] - data.qfrc_gravcomp[joints]
         if self._holds:
             away = goal - data.qpos[self._q]
-            held = np.maximum(np.abs(away) - 0.5 * self._play, 0.0)
+            held = np.maximum(np.abs(away) - 0.5 * self._backlash, 0.0)
             spring = self._stiffness * np.copysign(held, away) + self._damping * (rate - data.qvel[joints])
-            self._effort = data.qfrc_bias[joints] + np.where((held > 0.0) | (self._play == 0.0), spring, 0.0)
+            self._effort = data.qfrc_bias[joints] + np.where((held > 0.0) | (self._backlash == 0.0), spring, 0.0)
             if self._feedforward:
                 self._effort += self._known_friction * np.sign(rate) - data.qfrc_passive[joints] + self._ahead
         data.qfrc_applied[:] = 0.0
