@@ -38,12 +38,12 @@ KERNELS ?= Haswell Zen Prescott Nehalem Sandybridge
 OTHER_KERNEL ?= Prescott
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types check kernels fast lowest package dist parts lerobot docs links bench fuzz proofs mutants vulnerabilities format \
+.PHONY: help demo test lint types check kernels fast lowest package dist wheels parts lerobot docs links bench fuzz proofs mutants vulnerabilities format \
 	clean distclean
 
 help:
 	@sed -n '1,4s/^# \{0,1\}//p' Makefile
-	@echo "Also: make lint, types, kernels, fast, format, docs, links, lowest, package, dist, parts, lerobot, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
+	@echo "Also: make lint, types, kernels, fast, format, docs, links, lowest, package, dist, wheels, parts, lerobot, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
 
 # ---- installing -------------------------------------------------------------------------------------------------
 
@@ -155,6 +155,12 @@ dist: $(VENV)/dev
 		$(BIN)/python -m build --outdir $$out . && $(BIN)/python -m build --outdir $$out fast || exit 1; done
 	for file in dist/*; do cmp "$$file" "build/again/$$(basename "$$file")" || exit 1; done
 	cd dist && sha256sum * >SHA256SUMS && cat SHA256SUMS
+
+# a wheel of the compiled law for this machine, and the tests of the law with it; release.yml builds those of others
+wheels: $(VENV)/dev
+	rm -rf wheelhouse && $(BIN)/python -m build --wheel --outdir wheelhouse fast
+	$(PIP) install --quiet --force-reinstall --no-deps wheelhouse/*.whl && touch $(VENV)/fast
+	$(BIN)/python -P fast/try_it.py && $(PYTEST) --benchmark-disable tests/test_native_engine.py
 
 # every package that an installation without extras brings, as CycloneDX
 parts: $(VENV)/made
