@@ -63,7 +63,7 @@ def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.nd
     At an exact singularity mu is a cone, |M step| to first order: what comes back there is its steepest ascent, the
     leading right singular vector of M times its singular value. (Both signs climb; the one whose largest entry is
     positive is chosen.) Where the rank drops by two or more mu grows with a higher power of the step, and the gradient
-    is zero; `escape_direction` leads out there.
+    is zero; `ManipulabilityAscent` leads out there.
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
@@ -174,18 +174,6 @@ def smallest_gradient(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], 
 def products_of_others(sigma: Sequence[float]) -> list[float]:
     """Return prod_{j != i} sigma_j for each i, without a division."""
     return [math.prod((*sigma[:i], *sigma[i + 1 :]), start=1.0) for i in range(len(sigma))]
-
-
-def escape_direction(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp) -> Float[np.ndarray, " nv"]:
-    """Unit vector out of a singularity where the rank is short by two or more, where mu has no gradient.
-
-    With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step; its Frobenius norm grows
-    fastest along the direction that comes back (zero if it grows along none). A step along it finds directions again.
-    """
-    U, sigma, Vt = decomposition
-    rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
-    rate, direction = _steepest(U[:, rank:].T, Vt[rank:], vjp)
-    return direction if rate > 0.0 else np.zeros_like(direction)
 
 
 def _steepest(

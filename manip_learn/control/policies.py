@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIs
 
 from manip_learn.constraint.constraint import Constraint, Vjp
 from manip_learn.constraint.features.frame_jacobian import PoseRows
-from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from, row_inverse, svd
+from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_from, row_inverse, svd
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, an
 from manip_learn.linalg import unit
 from manip_learn.robot.limit_potential import has_range, ranges, room_of
@@ -275,7 +275,7 @@ class ManipulabilityAscent(SampledPolicy):
         if not self.logarithmic:
             return gradient * self.gain
         if 1 < shape[0] <= shape[1] and sigma[-2] <= SINGULAR_RATIO * sigma[0]:
-            return escape_direction(decomposition, vjp) * (self.gain / SINGULAR_RATIO)
+            return steepest_ascent(decomposition, vjp) * (self.gain / SINGULAR_RATIO)
         return self.bounded(gradient / max(mu, floor, 1e-300), smallest, dt)
 
     @property
