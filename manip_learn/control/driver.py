@@ -15,8 +15,9 @@ from scipy.optimize import linear_sum_assignment
 from manip_learn.control.command import Command, Status
 from manip_learn.control.cycle import Clock, ComputerClock, GivenUp, OrderlyEnd, quiet_collector
 from manip_learn.control.rollout import Rollout
-from manip_learn.control.servo_loop import ServoLoop, in_milliseconds
+from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import rollout_of
+from manip_learn.control.timing import in_milliseconds
 from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import finite
 from manip_learn.recordings.checks import far_outside

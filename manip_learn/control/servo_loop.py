@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import deque
 from dataclasses import replace
 from typing import Any, NamedTuple, final
 
@@ -15,23 +14,16 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Controller, LimitedController, Status
 from manip_learn.control.controller import BoundedController
-from manip_learn.control.following import LEFT, Contact, FollowingError, is_number, other_turns
+from manip_learn.control.following import LEFT, Contact, FollowingError
 from manip_learn.control.law import next_slide
 from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
+from manip_learn.control.reading import Readings
 from manip_learn.control.tasks import PointAttractor, Task
+from manip_learn.control.timing import Timing, VelocityAverage, in_milliseconds, time_of
 from manip_learn.errors import ConfigurationError
-from manip_learn.linalg import finite
-from manip_learn.recordings.checks import far_outside
 from manip_learn.robot.robot import Robot
 
 _LOGGER = logging.getLogger("manip_learn")
-# calls whose periods are compared, and how many of them are enough at the start
-_COMPARED, _ENOUGH = 100, 3
-# largest over smallest period of calls that count as regular, and over dt of a period that is not dt
-REGULAR = 1.25
-_ROUNDING = 1e-6  # share of a period
-JITTER = 0.01  # share of the period by which calls may be early or late without being told from regular ones
-_LONGEST = 5.0  # [s] an average over more delays the arm by seconds: the limits are meant otherwise
 UNLOADING_RATE = 25.0  # [1/s] rate at which an arm that was blocked lets go: from 60 N to 3 N in 0.12 s
 RELOOK, _NEAR = 0.01, 5e-4  # [s] beside its delay after which an arm that lets go is looked at again, [rad or m]
 _SETTLED = 0.05  # [s] after which an arm that was let go stands
@@ -40,11 +32,7 @@ RENEWALS = 10  # times that an arm goes on letting go where more is left
 _SHOWS, _FOLLOWS = 2e-3, 0.9
 # [rad/s or m/s] speed below which it does not fall on the way, and [rad or m] distance at which it has arrived
 _SLOWEST, _ARRIVED = 1e-3, 1e-9
-LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
-# [rad or m] that a reading may be off beside twice what a joint can move meanwhile
-TWICE, _JUMP = 2.0, 0.05
 BEYOND_TAUGHT = 1.5  # times the force that a way took when it was taught: it may stick more another time
-MILLI = 0.1  # within which a time is a thousand times another, decades
 # arguments that are gone, and what to give instead
 _REMOVED = {
     **dict.fromkeys(("latency", "stiffness"), ": give contact=Contact({}={!r})"),
@@ -52,51 +40,6 @@ _REMOVED = {
     "correction_time": ": load the robot with its payload, robot.with_payload(...)",
 }
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
-
-
-def in_milliseconds(time: float, seconds: float) -> bool:
-    """Whether a time seems to count milliseconds, by how many seconds it was."""
-    return time > 0.0 and abs(math.log10(time / seconds) - 3.0) < MILLI
-
-
-@final
-class Period:
-    """For how long commands count: the period, or that of a caller who is regular but slower.
-
-    Args:
-        dt: The period that was agreed [s].
-
-    Attributes:
-        usual: Period for which commands count, where none comes earlier [s].
-        longest: Longest time from one state to the next of late, where that is longer; else `usual` [s].
-    """
-
-    def __init__(self, dt: float):
-        self.dt, self._said = dt, False
-        self.usual, self.longest = dt, dt
-        self._seen: deque[float] = deque(maxlen=_COMPARED)
-
-    def step(self, since: float) -> float:
-        """The time for which the next command counts, at most that since the last one."""
-        self._seen.append(since)
-        dt = self.dt
-        if dt * (1.0 - _ROUNDING) <= since <= REGULAR * dt and self.longest == self.usual == dt:
-            return dt
-        shortest, longest = min(self._seen), max(self._seen)
-        regular = len(self._seen) >= _ENOUGH and longest <= REGULAR * shortest
-        if regular and not shortest <= dt * REGULAR:
-            dt = shortest
-        mean = sum(self._seen) / len(self._seen)
-        told = self._said or not (regular or len(self._seen) == _COMPARED)
-        if not (told or self.dt / REGULAR <= mean <= REGULAR * self.dt):
-            self._said = True
-            _LOGGER.warning(
-                "the servo loop was made for a period of %.4g ms and is called every %.4g ms in the mean (%.4g to "
-                "%.4g): give it that as dt",
-                *(1e3 * x for x in (self.dt, mean, shortest, longest)),
-            )
-        self.usual, self.longest = dt, longest if longest > REGULAR * dt else dt
-        return dt if since >= dt * (1.0 - _ROUNDING) else since
 
 
 @final
@@ -139,53 +82,6 @@ class Return(NamedTuple):
 
 
 @final
-class VelocityAverage(NamedTuple):
-    """Mean of the velocities of the last `time` seconds, which limits jerk.
-
-    Velocities are joined by straight lines, so that with changes of at most a dt in every dt, however long that is, the
-    mean over a time T changes by at most a dt, and its rate by at most 2 a dt / T: a jerk of 2 a / T.
-
-    Attributes:
-        time: T, a whole number of periods [s].
-        ages: shape (k,), how long ago each knot was, from `time` down to 0 [s].
-        knots: shape (k, nv), velocities there [rad/s or m/s].
-        mean: shape (nv,) [rad/s or m/s].
-    """
-
-    time: float
-    ages: Float[np.ndarray, " k"]
-    knots: Float[np.ndarray, "k nv"]
-    mean: Float[np.ndarray, " nv"]
-
-    @staticmethod
-    def at_rest(limits: Limits, dt: float) -> VelocityAverage | None:
-        """Return the average that keeps the jerk limits in periods of dt [s], from rest; None without such limits.
-
-        Raises:
-            ConfigurationError: A jerk limit without acceleration limits, or so small that it needs `_LONGEST` or more.
-        """
-        needed = 0.0 if limits.jerk is None else float(np.max(2.0 * limits.acceleration / limits.jerk))
-        if not needed <= _LONGEST:
-            raise ConfigurationError(
-                f"the jerk limits need an average over {needed:g} s, 2 acceleration / jerk: "
-                f"lower the acceleration limits, or raise the jerk limits, to {_LONGEST:g} s or less"
-            )
-        time, rest = dt * max(1, math.ceil(needed / dt - 1e-9)), np.zeros((2, limits.robot.nv))
-        return VelocityAverage(time, np.array([time, 0.0]), rest, rest[0]) if time > dt else None
-
-    def add(self, velocity: Float[np.ndarray, " nv"], dt: float) -> VelocityAverage:
-        """Return the average with another velocity, which is reached in dt [s]."""
-        T = self.time
-        ages, knots = np.append(self.ages + min(dt, T), 0.0), np.vstack((self.knots, velocity))
-        k = int(np.count_nonzero(ages >= T)) - 1  # the newest knot that is at least as old as T
-        share = (ages[k] - T) / (ages[k] - ages[k + 1])
-        oldest = knots[k] + share * (knots[k + 1] - knots[k])
-        ages, knots = np.append(T, ages[k + 1 :]), np.vstack((oldest, knots[k + 1 :]))
-        mean = (ages[:-1] - ages[1:]).dot(knots[:-1] + knots[1:]) / (2.0 * T)
-        return VelocityAverage(T, ages, knots, mean)
-
-
-@final
 class ServoLoop:
     """A controller as a real-time program calls it, once per period, e.g. at 1 kHz.
 
@@ -225,7 +121,6 @@ class ServoLoop:
         jerk_limit: shape (nv,) [rad/s3 or m/s3], in force, or None.
         dt: [s].
         measured: shape (n,), the newest measured posture that was one; None before the first.
-        silent: Time in which no state has come that was one and new [s].
         lets_go: Whether the arm is letting go of what blocked it.
         stopped_by: What last stopped the arm, in words; None where nothing has.
 
@@ -262,7 +157,7 @@ class ServoLoop:
         for name, value in removed.items():
             raise TypeError(f"ServoLoop has no argument {name!r}{_REMOVED.get(name, '').format(name, value)}")
         for name, value in (("dt", dt), ("stale_after", stale_after)):
-            if not (is_number(value) and 0.0 < value < math.inf):
+            if not 0.0 < time_of(value) < math.inf:
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
         if not dt < stale_after:
             raise ConfigurationError(
@@ -285,8 +180,8 @@ class ServoLoop:
         # an arm that presses brakes and lets go as hard as it can, however gently it was to move
         self._hard = self.limits.with_rates(np.maximum(self.limits.acceleration, Limits(own).acceleration), None)
         self._following = FollowingError(own, self.contact, self.dt, self._hard.acceleration, self._within.frame)
-        self._impossible = farthest_positions(self.robot)
-        self._period = Period(self.dt)
+        self._readings = Readings(own, farthest_positions(own))
+        self._timing = Timing.begin(self.dt, self.stale_after)
         self._slowed = 1.0, self.limits  # a share of the acceleration, and the limits with it
         self._return: Return | None = None
         self.reset()
@@ -319,12 +214,7 @@ class ServoLoop:
         # for how long readings have come that no joint can have moved to, and what was said of the last one: from
         # `stale_after` on they are believed
         self._refused, self._jumped = 0.0, ("", -math.inf)
-        self._time = -math.inf  # of the newest state
-        self._earlier = math.nan  # of a state that was refused, being older than the newest
-        self._since = 0.0  # from the state before to the newest [s]
-        self._ahead = 0.0  # time by which the commanded posture has moved on since the newest state
-        self._behind = 0.0  # time by which the clock of a task that waits for the arm is behind
-        self.silent = 0.0
+        self._timing = self._timing.again()
         self._runs_on = False  # whether the arm goes on between late calls, as a velocity servo does
         self._alone = self._output is None  # a posture starts from the first reading, and no other has been near it
         self._stopping = self.lets_go = self._hangs = False
@@ -385,7 +275,12 @@ class ServoLoop:
             law(self._reference, 0.0, self.dt)  # what does not fit is refused while the old law is still there
             law.task.reset()
         self.controller = self._within = law.with_limits(self.limits)
-        self._slide = self._behind = 0.0
+        self._slide, self._timing = 0.0, self._timing._replace(waited=0.0)
+
+    @property
+    def silent(self) -> float:
+        """Time in which no state has come that was one and new [s]."""
+        return self._timing.silent
 
     @property
     def begins(self) -> Float[np.ndarray, " nv"] | None:
@@ -433,51 +328,53 @@ class ServoLoop:
         Raises:
             ManipLearnError: What the controller raises.
         """
-        measured = self._posture(q)
-        time = float(t) if is_number(t) and abs(t) < LONGEST_TIME else math.nan
-        if measured is not None and time < self._time and self._earlier < time <= self._earlier + self.stale_after:
-            self._time = -math.inf  # two states in order: the clock was set back, or one stamp was wrong
-        if measured is None or not time >= self._time:
-            self._earlier = time if measured is not None and time < self._time else math.nan
-            self.silent += self.dt
-            self.stopped_by = f"no time: {t!r:.40}" if measured is not None else f"no posture: {q!r:.200}"
-            if measured is None and (x := finite(q, self.robot.nv)) is not None and (far := far_outside(self.robot, x)):
-                self.stopped_by += f"; {far}"
+        measured, time, timing = self._readings.posture(q), time_of(t), self._timing
+        timing = timing if measured is None else timing.ordered(time)
+        if measured is None or not time >= timing.time:
+            self._timing = timing.without(math.nan if measured is None else time)
+            self.stopped_by = self._readings.refusal(q) if measured is None else f"no time: {t!r:.40}"
             return self._braked(Status.INVALID_INPUT)
-        if self._refused <= self.stale_after and (jump := self._jump(measured, time)):
+        jump = self._readings.jump(self.measured, measured, max(self.dt, time - timing.time))
+        if jump and self._refused <= self.stale_after:
             if self._alone:  # a first reading that the second one is not near: nothing starts from it
                 stopping = self._stopping
                 self.reset()
-                self._stopping, self._time = stopping, time
+                self._stopping, timing = stopping, self._timing._replace(time=time)
                 self.measured = self._reference = self._output = measured
+            self._timing = timing.without(timing.older)
             self._refused += self.dt
-            self.silent += self.dt
             self.stopped_by, self._jumped = jump, (jump, time)
             return self._braked(Status.INVALID_INPUT)
         self._refused, self._alone = 0.0, self._alone and self.measured is None
         self.measured = measured
-        held = self._accept_time(time, measured)
-        period = self.dt if held is None else held
+        stood = self._last is None or self._last.status in STANDING
+        self._timing, told = timing.accept(time, stood), timing.warning
+        timing = self._timing
+        if timing.warning != told:
+            _LOGGER.warning(timing.warning)
+        if timing.late and not timing.is_stale:
+            self._catch_up(measured, stood)
+        period = timing.held
         if self._reference is None or self._output is None:
             self._reference = self._output = measured
         if self._return is not None:
             sent, self._return = self._return.posture, self._return.step(measured, period)
             self._reference = self._output = sent
             return self._braked(Status.FOLLOWING_ERROR, period)
-        if self.silent == 0.0:  # a state that is not new says nothing of the commands since
+        if timing.silent == 0.0:  # a state that is not new says nothing of the commands since
             self._following.compare(self._output, measured, self._within.driven_motions)
         if self._following.tripped:
             # the average would go on pressing for its own length
             self._reference, self._velocity = self._output, self._sent
             return self._unloading(self._output, measured, period)
-        if held is None or self.silent > self.stale_after:
+        if timing.is_stale:
             self.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
-            if in_milliseconds(self._since, self.dt):
-                self.stopped_by += f"; the time went on by {self._since:g}, in milliseconds? It is to be in seconds"
+            if in_milliseconds(timing.since, self.dt):
+                self.stopped_by += f"; the time went on by {timing.since:g}, in milliseconds? It is to be in seconds"
             return self._braked(Status.STALE, period)
         if self._stopping:
             return self._braked(Status.STOPPED, period)
-        if self.silent > 0.0 and self._last is not None:
+        if timing.silent > 0.0 and self._last is not None:
             last = self._last  # goes on, as long as that stays within the limits
             if last.status in STANDING:
                 return self._braked(last.status)
@@ -486,101 +383,43 @@ class ServoLoop:
                 return self._sent_on(last._replace(velocity=self._velocity))
             slower = np.clip(self._velocity, bounds.low, bounds.high)
             return self._sent_on(last._replace(velocity=slower, status=Status.POSITION_LIMITED))
-        return self._sent_on(self._command(self._reference, self._clock(time), held), held)
+        return self._sent_on(self._command(self._reference, self._clock(time), period), period)
 
-    def _jump(self, measured: np.ndarray, time: float) -> str:
-        """How a joint has moved since the last reading that none can move so fast, in words; empty where it has not."""
-        if self.measured is None:
-            return ""
-        away = measured - self.measured
-        if away.dot(away) < _JUMP * _JUMP:
-            return ""
-        step, since = self.robot.difference(self.measured, measured), max(self.dt, time - self._time)
-        fastest = TWICE * self.robot.velocity_limit * since + _JUMP
-        if np.all(np.abs(step) <= fastest):
-            return ""
-        j = int((np.abs(step) / fastest).argmax())
-        name, unit = self.robot.joint_names[j], self.robot.joint_units[j]
-        words = f"joint {name} was read {step[j]:+.3g} {unit} from where it was {1e3 * since:.3g} ms before"
-        if np.all(np.abs(np.sort(self.measured) - np.sort(measured)) <= np.sort(fastest)):
-            return f"{words}: the joints come in another order"
-        return words + other_turns(float(step[j]), unit)
+    def _catch_up(self, measured: Float[np.ndarray, " n"], stood: bool) -> None:
+        """Take the motion that the arm made because a call was late, or did not because it was early.
 
-    def _posture(self, q: Any) -> Float[np.ndarray, " n"] | None:
-        """The posture as an array of its own; None if it is none."""
-        if type(q) is not np.ndarray or q.dtype.char != "d":
-            try:
-                q = np.asarray(q)
-            except (TypeError, ValueError, OverflowError):
-                return None
-            if q.dtype.kind not in "fiu":
-                return None
-            q = q.astype(np.float64)
-        if q.ndim != 1:
-            return None
-        try:
-            q = self.robot.checked_posture(q)
-            if not np.all(np.abs(q) < self._impossible):
-                return None
-            # (cos, sin) of any length but 0
-            return np.array(q) if q.shape[0] == self.robot.nv else np.array(self.robot.configuration(q))
-        except ConfigurationError:
-            return None
-
-    def _accept_time(self, time: float, measured: np.ndarray) -> float | None:
-        """Take the time of a state; returns the time for which the next command counts, None after a gap [s].
-
-        That is the period, and less if the state comes earlier: what a late call has left out is not made up for.
+        A velocity servo goes on moving until the next command comes, a position servo stands where it was sent: the
+        share of the motion that the last velocity makes in this time which the arm has made tells them apart.
         """
-        since, ahead = time - self._time, self._ahead
-        self._since = since if math.isfinite(since) else 0.0
-        if since <= 0.0:
-            self.silent += self.dt
-            return self.dt
-        self._time, self.silent, self._ahead = time, 0.0, 0.0
-        if math.isinf(since):
-            return self.dt
-        stood = self._last is None or self._last.status in STANDING
-        late = since - ahead
-        if since > self.stale_after:
-            self._behind += since if stood else late
-            return None
-        moved = 0.0
-        if abs(late) > JITTER * self.dt:  # periods of another length than the one for which the command counted
-            # an early call takes back no more than it goes on by: the posture never moves against the velocity
-            followed, square = 0.0, float(self._sent.dot(self._sent))
-            if self._output is not None and square > 0.0 and not self._following.tripped:
-                # the share of the motion that the last velocity makes in this time which the arm has made: a velocity
-                # servo goes on moving until the next command comes, a position servo stands where it was sent
-                away = self.robot.difference(self._output, measured)
-                followed = min(1.0, max(0.0, float(away.dot(self._sent)) / (late * square)))
-            self._runs_on = self._runs_on or (late > 0.0 and followed > 0.5)
-            moved = max(late, -since) * followed
-            self._advance(moved, self._sent)
-            self._ahead = 0.0
-        if stood:
-            self._behind += since
-        elif abs(late) > JITTER * self.dt:
-            self._behind += late - moved
-        return self._period.step(since)
+        timing, followed, square = self._timing, 0.0, float(self._sent.dot(self._sent))
+        if self._output is not None and square > 0.0 and not self._following.tripped:
+            away = self.robot.difference(self._output, measured)
+            followed = min(1.0, max(0.0, float(away.dot(self._sent)) / (timing.late * square)))
+        self._runs_on = self._runs_on or (timing.late > 0.0 and followed > 0.5)
+        # an early call takes back no more than it goes on by: the posture never moves against the velocity
+        moved = max(timing.late, -timing.since) * followed
+        self._advance(moved, self._sent)
+        waited = timing.waited - (0.0 if stood else moved)
+        self._timing = self._timing._replace(commanded=0.0, waited=waited)
 
     def _clock(self, time: float) -> float:
         """Time for the controller: that of the state, less that for which a task that waits for the arm has waited."""
-        return time - self._behind if self._within.waits else time
+        return time - self._timing.waited if self._within.waits else time
 
     def _bounds(self, q: np.ndarray, held: float) -> Bounds:
         """Bounds on the velocity that follows; where periods vary, a joint can stop however late the calls are.
 
         In a call that is late by a time T, a velocity servo brakes by a dt only: the deceleration is a dt / T.
         """
-        late = self._period.longest
-        if late == self._period.usual:
+        if self._timing.is_regular:
             return self.limits.bounds(q, held, self._velocity)
-        return bound_changes(self._careful(q, late), self._velocity, self.limits.acceleration.tolist(), held)
+        return bound_changes(
+            self._careful(q, self._timing.longest), self._velocity, self.limits.acceleration.tolist(), held
+        )
 
     def _careful(self, q: np.ndarray, late: float) -> Bounds:
         """Bounds from which a joint stops however late the calls are, without those of its acceleration."""
-        share = self._period.usual / late
+        share = self._timing.usual / late
         if share != self._slowed[0]:
             self._slowed = share, self.limits.with_rates(share * self.limits.acceleration, None)
         return self._slowed[1].bounds(q, late, None)
@@ -604,7 +443,7 @@ class ServoLoop:
         """The controller's command, within the limits."""
         command = self._within(q, time, held, self._velocity, self._slide)
         self._slide = next_slide(self._slide, command, held)
-        if self._period.longest == self._period.usual or (bounds := self._bounds(q, held)).admit(command.velocity):
+        if self._timing.is_regular or (bounds := self._bounds(q, held)).admit(command.velocity):
             return command
         return _held_back(command, np.clip(command.velocity, bounds.low, bounds.high))
 
@@ -669,7 +508,9 @@ class ServoLoop:
     def _name_cause(self, measured: np.ndarray) -> None:
         """Say what stopped the arm."""
         words = self._following.sentence(self._within.constraint, measured) + self._payload
-        self.stopped_by = f"{self._jumped[0]}; {words}" if self._time - self._jumped[1] <= self.stale_after else words
+        self.stopped_by = (
+            f"{self._jumped[0]}; {words}" if self._timing.time - self._jumped[1] <= self.stale_after else words
+        )
 
     def _let_go(self, commanded: np.ndarray) -> np.ndarray:
         """A posture at which the arm presses less, not far from where it pressed."""
@@ -711,8 +552,8 @@ class ServoLoop:
             self._sent = self._average.mean
             # joined by straight lines, as in the average; what holding the mean adds to its own line is not lost
             moved = 0.5 * (before + moved + self._sent - sent)
-            late = self._period.longest
-            if self._runs_on and late > self._period.usual and self._output is not None:
+            late = self._timing.longest
+            if self._runs_on and late > self._timing.usual and self._output is not None:
                 # the mean comes to rest in as many calls, however long these last: it gives way to position limits
                 accelerations = self.limits.acceleration.tolist()
                 bounds = bound_changes(self._careful(self._output, late), sent, accelerations, held)
@@ -729,7 +570,7 @@ class ServoLoop:
         if self._reference is None or self._output is None:
             return
         self._following.moved(self._output, time, self._sent)
-        self._ahead += time
+        self._timing = self._timing._replace(commanded=self._timing.commanded + time)
         if velocity.any() or self._sent.any():
             together = self._output is self._reference and self._average is None
             self._reference = self.robot.integrate(self._reference, time * velocity)

@@ -1,0 +1,202 @@
+"""Time between readings: for how long a command counts, and the average that limits jerk."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.control.limits import Limits
+from manip_learn.errors import ConfigurationError
+
+LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
+LONGEST_AVERAGE = 5.0  # [s] a longer one delays the arm by seconds: the limits are meant otherwise
+# largest over smallest period of calls that count as regular, and over dt of a period that is not dt
+REGULAR = 1.25
+JITTER = 0.01  # share of a period by which a call may be early or late and still be in time
+WINDOW, ENOUGH = 100, 3  # periods that are compared, and how many suffice at the start
+_ROUNDING = 1e-6  # share of a period
+_MILLI = 0.1  # [decades] within which a ratio is a thousand
+
+
+def time_of(t: Any) -> float:
+    """Return a time stamp as a number, or NaN.
+
+    Args:
+        t: Anything. Booleans, text, arrays and durations are not times.
+
+    Returns:
+        The time [s].
+    """
+    kinds = (int, float, np.integer, np.floating)
+    is_number = isinstance(t, kinds) and not isinstance(t, bool | np.timedelta64)
+    return float(t) if is_number and abs(t) < LONGEST_TIME else math.nan
+
+
+def in_milliseconds(time: float, seconds: float) -> bool:
+    """Return whether `time` seems to count milliseconds where `seconds` [s] have passed."""
+    return time > 0.0 and abs(math.log10(time / seconds) - 3.0) < _MILLI
+
+
+@final
+class Timing(NamedTuple):
+    """Time as the readings of one arm have told it so far.
+
+    Attributes:
+        dt: Agreed period [s].
+        stale_after: Time without a new reading after which it is stale [s].
+        time: Stamp of the newest reading [s]; -inf before the first.
+        older: Stamp of a reading that was refused for being older than the newest [s]; NaN if there is none.
+        since: Time from the reading before to the newest [s]; 0 if the newest reading was not new.
+        silent: Time since the newest reading, in agreed periods [s].
+        commanded: Time for which commands have moved the commanded posture since the newest reading [s].
+        late: Time by which the newest reading came after the end of that motion [s]; negative if it came early, 0 if it
+            came in time.
+        held: Time for which the next command counts [s].
+        waited: Time by which the clock of a task that waits for the arm is behind [s].
+        usual: Period of the calls: the agreed one, or that of a caller who is regular but slower [s].
+        longest: Longest period of late, where calls are irregular; else `usual` [s].
+        recent: The newest periods, oldest first [s].
+        warning: What is wrong with the caller's period, in words; empty if nothing is.
+    """
+
+    dt: float
+    stale_after: float
+    time: float = -math.inf
+    older: float = math.nan
+    since: float = 0.0
+    silent: float = 0.0
+    commanded: float = 0.0
+    late: float = 0.0
+    held: float = 0.0
+    waited: float = 0.0
+    usual: float = 0.0
+    longest: float = 0.0
+    recent: tuple[float, ...] = ()
+    warning: str = ""
+
+    @classmethod
+    def begin(cls, dt: float, stale_after: float) -> Timing:
+        """Return the timing before the first reading, for a period and a limit of staleness [s]."""
+        return cls(dt, stale_after, held=dt, usual=dt, longest=dt)
+
+    def again(self) -> Timing:
+        """Return the timing before the first reading of another motion: how often the caller calls is known."""
+        known = {"usual": self.usual, "longest": self.longest, "recent": self.recent, "warning": self.warning}
+        return Timing.begin(self.dt, self.stale_after)._replace(**known)
+
+    @property
+    def is_stale(self) -> bool:
+        """True if the newest reading is too old, or came after too long a gap."""
+        return self.since > self.stale_after or self.silent > self.stale_after
+
+    @property
+    def is_regular(self) -> bool:
+        """True if calls come one usual period apart."""
+        return self.longest == self.usual
+
+    def ordered(self, time: float) -> Timing:
+        """Return this timing with its clock set back, if two readings in order say that it was.
+
+        Args:
+            time: Stamp of a reading [s].
+        """
+        is_next = time < self.time and self.older < time <= self.older + self.stale_after
+        return self._replace(time=-math.inf) if is_next else self
+
+    def without(self, older: float) -> Timing:
+        """Return the timing after a period without a usable reading.
+
+        Args:
+            older: Stamp of the reading if it is refused for its time, else NaN [s].
+        """
+        silent = self.silent + self.dt
+        return self._replace(older=older, silent=silent, since=0.0, late=0.0, held=self.dt)
+
+    def accept(self, time: float, stands: bool) -> Timing:
+        """Return the timing after a usable reading.
+
+        Args:
+            time: Its stamp, not earlier than the newest [s].
+            stands: True if the arm stood: a task that waits for the arm has then waited all the time.
+        """
+        since, dt = time - self.time, self.dt
+        if since <= 0.0:
+            return self.without(self.older)
+        if math.isinf(since):  # the first, or the first of a clock that was set back
+            return self._replace(time=time, older=math.nan, since=0.0, silent=0.0, commanded=0.0, late=0.0, held=dt)
+        late = since - self.commanded
+        late = late if abs(late) > JITTER * dt else 0.0
+        is_gap, waited = since > self.stale_after, self.waited + (since if stands else late)
+        held, usual, longest, recent, warning = dt, self.usual, self.longest, self.recent, self.warning
+        if not is_gap:
+            recent = (*recent[1 - WINDOW :], since)
+            is_in_time = dt * (1.0 - _ROUNDING) <= since <= REGULAR * dt
+            if not (is_in_time and longest == usual == dt):
+                held, usual, longest, warning = self._period(since, recent)
+        return Timing(
+            dt, self.stale_after, time, math.nan, since, 0.0, 0.0, late, held, waited, usual, longest, recent, warning
+        )
+
+    def _period(self, since: float, recent: tuple[float, ...]) -> tuple[float, float, float, str]:
+        """Return `held`, `usual`, `longest` and `warning` after a period `since` [s], the last of the `recent` ones."""
+        dt, warning = self.dt, self.warning
+        shortest, longest, mean = min(recent), max(recent), sum(recent) / len(recent)
+        is_regular = len(recent) >= ENOUGH and longest <= REGULAR * shortest
+        usual = shortest if is_regular and shortest > REGULAR * dt else dt
+        if not warning and (is_regular or len(recent) == WINDOW) and not dt / REGULAR <= mean <= REGULAR * dt:
+            warning = (
+                f"the servo loop was made for a period of {1e3 * dt:.4g} ms and is called every {1e3 * mean:.4g} ms in "
+                f"the mean ({1e3 * shortest:.4g} to {1e3 * longest:.4g}): give it that as dt"
+            )
+        held = usual if since >= usual * (1.0 - _ROUNDING) else since
+        return held, usual, longest if longest > REGULAR * usual else usual, warning
+
+
+@final
+class VelocityAverage(NamedTuple):
+    """Mean of the velocities of the last `time` seconds, which limits jerk.
+
+    Velocities are joined by straight lines, so that with changes of at most a dt in every dt, however long that is, the
+    mean over a time T changes by at most a dt, and its rate by at most 2 a dt / T: a jerk of 2 a / T.
+
+    Attributes:
+        time: T, a whole number of periods [s].
+        ages: shape (k,), how long ago each knot was, from `time` down to 0 [s].
+        knots: shape (k, nv), velocities there [rad/s or m/s].
+        mean: shape (nv,) [rad/s or m/s].
+    """
+
+    time: float
+    ages: Float[np.ndarray, " k"]
+    knots: Float[np.ndarray, "k nv"]
+    mean: Float[np.ndarray, " nv"]
+
+    @staticmethod
+    def at_rest(limits: Limits, dt: float) -> VelocityAverage | None:
+        """Return the average that keeps the jerk limits in periods of dt [s], from rest; None without such limits.
+
+        Raises:
+            ConfigurationError: A jerk limit without acceleration limits, or one that needs `LONGEST_AVERAGE` or more.
+        """
+        needed = 0.0 if limits.jerk is None else float(np.max(2.0 * limits.acceleration / limits.jerk))
+        if not needed <= LONGEST_AVERAGE:
+            raise ConfigurationError(
+                f"the jerk limits need an average over {needed:g} s, 2 acceleration / jerk: "
+                f"lower the acceleration limits, or raise the jerk limits, to {LONGEST_AVERAGE:g} s or less"
+            )
+        time, rest = dt * max(1, math.ceil(needed / dt - 1e-9)), np.zeros((2, limits.robot.nv))
+        return VelocityAverage(time, np.array([time, 0.0]), rest, rest[0]) if time > dt else None
+
+    def add(self, velocity: Float[np.ndarray, " nv"], dt: float) -> VelocityAverage:
+        """Return the average with another velocity, which is reached in dt [s]."""
+        T = self.time
+        ages, knots = np.append(self.ages + min(dt, T), 0.0), np.vstack((self.knots, velocity))
+        k = int(np.count_nonzero(ages >= T)) - 1  # the newest knot that is at least as old as T
+        share = (ages[k] - T) / (ages[k] - ages[k + 1])
+        oldest = knots[k] + share * (knots[k + 1] - knots[k])
+        ages, knots = np.append(T, ages[k + 1 :]), np.vstack((oldest, knots[k + 1 :]))
+        mean = (ages[:-1] - ages[1:]).dot(knots[:-1] + knots[1:]) / (2.0 * T)
+        return VelocityAverage(T, ages, knots, mean)
