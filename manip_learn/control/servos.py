@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import final
 
@@ -30,6 +31,40 @@ _QUIET = 5.0  # times the median step between readings above which a step is tha
 _STOPS = 0.7  # share of its speed before below which an arm is about to stand
 _ON_PATH = 0.2  # share of the distance by which an arm is late that it may be off the path that was sent
 _DRAWS = 20.0  # variance of the third difference of independent noise, over its own: 1 + 9 + 9 + 1
+
+
+@final
+class History:
+    """Rows of the periods that are over; none is ever changed, and what is added shares the memory of what was before.
+
+    Args:
+        size: Number of rows that are kept, zeros at first.
+        width: Numbers in each.
+    """
+
+    def __init__(self, size: int, width: int):
+        self._size, self._end, self._claimed = size, size, [size]
+        self._table = np.zeros((4 * size, width))
+
+    def add(self, row: Float[np.ndarray, " n"]) -> History:
+        """Return the rows with another one."""
+        other = copy.copy(self)
+        if self._claimed[0] != self._end or self._end == len(self._table):  # it went on otherwise from here, or is full
+            other._table = np.empty_like(self._table)
+            other._table[: self._size] = self.newest(self._size)
+            other._end, other._claimed = self._size, [0]
+        other._table[other._end] = row
+        other._end += 1
+        other._claimed[0] = other._end
+        return other
+
+    def back(self, k: int) -> Float[np.ndarray, " n"]:
+        """Return the row k before the newest."""
+        return self._table[self._end - 1 - k]
+
+    def newest(self, k: int) -> Float[np.ndarray, "k n"]:
+        """Return the newest k rows, oldest first."""
+        return self._table[self._end - k : self._end]
 
 
 @final
@@ -85,9 +120,9 @@ class Servos:
         nv = len(self._hidden)
         self.late, self.noise, self.is_known = None, np.full(nv, ENCODER), False
         self.width = self._hidden.copy()
-        # ways of the commanded posture since the beginning, one row a period, twice so that the newest are in one piece
-        self._ways, self._row, self._since = np.zeros((2 * self._size, nv)), 0, 0.0
-        self.way, self._read, self._reads = np.zeros(nv), np.zeros(nv), np.zeros_like(self._ways)  # likewise
+        # way of the commanded posture since the beginning, and what was read; of the periods that are over, too
+        self.way, self._read, self._since, self._over = np.zeros(nv), np.zeros(nv), 0.0, 0
+        self._ways, self._reads = History(self._size, nv), History(self._size, nv)
         self._window = 0, self._longest
         self._at = 0  # periods by which the arm seems to be late now
         self._excess = np.zeros(nv)
@@ -97,65 +132,76 @@ class Servos:
         # x as friction would have it, the sense in which a joint went when it was measured, and its least lag then
         self._place, self._sense, self._least = np.zeros(nv), np.zeros(nv), np.zeros(nv)
         self.at_rest, self._rests = np.zeros(nv), 0  # where the arm is at rest, the mean of so many readings
-        self._past, self._square = [], np.full(nv, ENCODER**2)
-        self._samples: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self._past, self._square = tuple[np.ndarray, ...](), np.full(nv, ENCODER**2)
+        self._samples: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...] = ()
         self.moving, self._counted = 0.0, 0
         # periods since a reading was another than the one before, and the largest step between two that are the same
         self._same, self._quiet, self.every = 0, -1.0, 1.0
-        self._steps: list[float] = []  # from reading to reading, in the first motion
+        self._steps: tuple[float, ...] = ()  # from reading to reading, in the first motion
 
     def moved(self, step: Float[np.ndarray, " nv"], time: float, moves: bool) -> bool:
         """Take note of a step of the commanded posture [rad or m] and how long it took [s]; whether a period is over.
 
         A call that came early takes a part of the step before back, which the arm may have made.
         """
-        self.way = self.way + step
+        before, self.way = self.way, self.way + step
         self._since += time
         over = self._since > 0.99 * self._dt or time < 0.0
         if over:
-            self._since, self._row = 0.0, (self._row + 1) % self._size
+            self._since, self._over = 0.0, self._over + 1
+            self._ways, self._reads = self._ways.add(before), self._reads.add(self._read)
             if moves:
                 self.moving += self._dt
                 self._counted += 1
-        self._ways[self._row] = self._ways[self._row + self._size] = self.way
-        self._reads[self._row] = self._reads[self._row + self._size] = self._read
         return over
+
+    def copied(self) -> Servos:
+        """Return a copy; nothing that it is made of is changed in place."""
+        return copy.copy(self)
+
+    def _sent(self, k: int) -> Float[np.ndarray, " nv"]:
+        """Return the way of the commanded posture k periods ago."""
+        return self._ways.back(k - 1) if k else self.way
+
+    def _path(self, least: int, most: int) -> Float[np.ndarray, "k nv"]:
+        """Return the ways of `least` to `most` periods ago."""
+        rows = self._ways.newest(most)[::-1]
+        return rows[least - 1 :] if least else np.concatenate((self.way[None], rows))
 
     @property
     def has_looked(self) -> bool:
         """Whether this period is one in which what changes slowly is looked at, all of it in the same."""
-        return self._row % self._often == 1 % self._often
+        return self._over % self._often == 1 % self._often
 
     def gone(self, periods: int) -> Float[np.ndarray, " nv"]:
         """How far the commanded posture has moved in the last periods [rad or m]."""
-        return self.way - self._ways[self._row + self._size - min(periods, self._size - 1)]
+        return self.way - self._sent(min(periods, self._size - 1))
 
     @property
     def moved_lately(self) -> Float[np.ndarray, " nv"]:
         """How far the commanded posture has moved within the longest delay that there may be."""
-        newest = self._row + self._size
-        return np.abs(self._ways[newest - self._window[1] : newest + 1] - self.way).max(axis=0)
+        return np.abs(self._ways.newest(self._window[1]) - self.way).max(axis=0, initial=0.0)
 
     def excess(self, distance: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """How far the arm is from where the servos may have brought it, by how far it is from where it was sent."""
-        y, newest, (least, most) = self.way + distance, self._row + self._size, self._window
+        y, (least, most) = self.way + distance, self._window
         self._count(y)
-        self._read = self._reads[self._row] = self._reads[newest] = y
+        self._read = y
         if not self.is_known:
-            sent = self._ways[newest - most : newest - least + 1][::-1]  # newest first
+            sent = self._path(least, most)
             # a joint that was not seen to move is behind by no more than it was sent
             high = np.where(self.seen, self.width, np.minimum(np.abs(sent).max(axis=0), self.width))
             raw = y - sent
-            high = high + np.abs(self.way - self._ways[newest - self._pace]) * (self._own / self._pace) + _ROUNDING
+            high = high + np.abs(self.way - self._sent(self._pace)) * (self._own / self._pace) + _ROUNDING
             low = -high
             away = raw - np.minimum(np.maximum(raw, low), high)
             nearest = int(np.einsum("ij,ij->i", away, away).argmin())
             raw, excess, self._at = raw[nearest], away[nearest], least + nearest
             self._look(y, sent[nearest])
         else:
-            c = self._ways[newest - self._at]
+            c = self._sent(self._at)
             raw = y - c
-            if self._row % self._often == 0:
+            if self._over % self._often == 0:
                 self._look_again(y, c)
             low, high, path, square = self._bounds
             excess = raw - np.minimum(np.maximum(raw, low), high)
@@ -180,7 +226,7 @@ class Servos:
         step = float(np.linalg.norm(y - self._read))
         self._same = self._same + 1 if step <= self._quiet else 0
         if not self.is_known:
-            self._steps.append(step)
+            self._steps = (*self._steps, step)
 
     def _find_readings(self) -> None:
         """Find how often readings are new: then steps are far larger than between, and make up the motion."""
@@ -189,7 +235,7 @@ class Servos:
         new = np.flatnonzero(steps > self._quiet)
         if len(new) > 2 and float(steps[new].sum()) > 0.5 * float(np.linalg.norm(self._read - self.at_rest)):
             self.every = float(new[-1] - new[0]) / (len(new) - 1)
-        self._steps.clear()
+        self._steps = ()
 
     @property
     def sees(self) -> Bool[np.ndarray, " nv"]:
@@ -198,8 +244,8 @@ class Servos:
 
     def _look_again(self, y: np.ndarray, c: np.ndarray) -> None:
         """Between which distances there is no force, and the path within which the delay is known."""
-        newest, (least, most) = self._row + self._size, self._window
-        path = self._ways[newest - least] - self._ways[newest - most]
+        least, most = self._window
+        path = self._sent(least) - self._sent(most)
         own = np.abs(path) * self._share + _ROUNDING  # each joint follows at a pace of its own
         self._place = np.minimum(np.maximum(self._place, c - self.width), c + self.width)
         # a joint that goes on as it did when friction was measured is behind by as much
@@ -207,7 +253,7 @@ class Servos:
         low, high = goes * self._nearer[0] - self.width, self.width - goes * self._nearer[1]
         if not self._all_seen:
             self._look(y, c)
-            reach = np.minimum(np.abs(c) + np.abs(c - self._ways[newest - self._at - self._often]), self.width)
+            reach = np.minimum(np.abs(c) + np.abs(c - self._sent(self._at + self._often)), self.width)
             low, high = np.where(self.seen, low, -reach), np.where(self.seen, high, reach)
         self._bounds = low - own, high + own, path, float(path.dot(path))
 
@@ -222,8 +268,7 @@ class Servos:
                 change = y - past[0] + 3.0 * (past[1] - past[2])
                 self._square = self._square + 0.02 * (change * change / _DRAWS - self._square)
                 self.noise = np.sqrt(self._square)
-                del past[0]
-            past.append(y)
+            self._past = (*past[-2:], y)
         gone = (y - self.at_rest) * np.sign(c)
         new = ~self.seen & (gone > NOISES * self.noise + _STILL) & (np.abs(c) > _STILL)
         if new.any():
@@ -238,7 +283,8 @@ class Servos:
             return
         if self._counted >= self._stride and self.seen.any():
             self._counted = 0
-            self._samples.append((y - self.at_rest, self._ways[self._row + self._size - self._lags], self.seen))
+            sent = self._path(0, self._longest)[self._lags]
+            self._samples = (*self._samples, (y - self.at_rest, sent, self.seen))
             if len(self._samples) >= SOONEST and len(self._samples) % 4 == 0:
                 self._fit()
 
@@ -265,6 +311,8 @@ class Servos:
         pace = self._own / float(self._lags[at + 1] - self._lags[at])
         between = (1.0 - share) * sent[:, at] + share * sent[:, at + 1]
         moves = (step[:, at] != 0.0) & seen
+        self.friction, self.width = self.friction.copy(), self.width.copy()
+        self._sense, self._least = self._sense.copy(), self._least.copy()
         for j in np.flatnonzero(moves.sum(axis=0) >= _FEWEST).tolist():
             rows = moves[:, j]
             own = np.abs(sent[:, at, j] - sent[:, at + 1, j]) * pace
@@ -281,14 +329,13 @@ class Servos:
         lag = float(np.interp(place, np.arange(len(self._lags)), self._lags))  # periods
         self.is_known, around = True, math.ceil(AROUND * lag) + 1
         self._find_readings()
-        self._samples.clear()
-        self._past.clear()
+        self._samples, self._past = (), ()
         self._at, self.late = round(lag), lag * self._dt
         self._window = max(0, self._at - around), min(self._window[1], self._at + around)
         self._share = self._own / (self._window[1] - self._window[0])
         nearer = self.width + self._least
         self._nearer = np.where(self._sense < 0.0, nearer, 0.0), np.where(self._sense > 0.0, nearer, 0.0)
-        self._place = self._ways[self._row + self._size - self._at].copy()
+        self._place = self._sent(self._at)
         self._bounds = -self.width, self.width, np.zeros_like(self.width), 0.0
 
     def smooth(self, periods: float) -> None:
@@ -303,12 +350,13 @@ class Servos:
             no joint moves any more.
         """
         late, off = self._behind(0)
-        newest, later = self._row + self._size, int(late - (self._window[1] if self.is_known else self._at))
-        away = self._reads[newest] - self.at_rest - self._ways[newest - self._at]
+        later = int(late - (self._window[1] if self.is_known else self._at))
+        away = self._read - self.at_rest - self._sent(self._at)
         if later < _FEW or off > _ON_PATH * _ON_PATH * float(away.dot(away)):
             return math.nan, False
         # for so long an arm that stands has stood, and an arm that is slow has been slow all along
-        reads, few, half = self._reads[newest - later : newest + 1], 1 + later // 4, later // 2
+        reads = np.concatenate((self._reads.newest(later), self._read[None]))
+        few, half = 1 + later // 4, later // 2
         moved = np.abs(np.mean(reads[-few:], axis=0) - np.mean(reads[:few], axis=0))
         stands = bool(np.all(moved < NOISES * self.noise / math.sqrt(few)))
         before, then = self._behind(half)[0], self._behind(later)[0]
@@ -318,8 +366,8 @@ class Servos:
 
     def _behind(self, ago: int) -> tuple[float, float]:
         """Periods by which a reading is behind the path that was sent, and its squared distance from that path."""
-        newest = self._row + self._size - ago
-        away = self._ways[newest + ago - self._size + 1 : newest + 1][::-1] - (self._reads[newest] - self.at_rest)
+        read = self._reads.back(ago - 1) if ago else self._read
+        away = self._path(ago, self._size - 1) - (read - self.at_rest)
         square = np.einsum("ij,ij->i", away, away)
         return _lowest(square, int(square.argmin()))
 
