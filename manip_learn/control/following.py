@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +20,6 @@ from manip_learn.errors import ConfigurationError, counted, under_new_names
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
-_LOGGER = logging.getLogger("manip_learn")
 STIFFNESS = 2000.0  # [N m/rad or N/m] of a stiff position servo of an arm that works beside people
 # [kg] weight that the hand may carry without the drives' knowing, and [s] of motion after which it is known
 PAYLOAD, WEIGHED = 2.0, 0.25
@@ -188,6 +187,7 @@ class FollowingError:
         self.limit = contact.max_lateral_force * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
         latency = None if isinstance(contact.latency, str) else float(contact.latency)
         self.servos = Servos(dt, latency, HIDDEN / self._stiffness)
+        self._look = math.ceil(LOOK_BACK / dt)  # periods
         self._damping = (RESOLUTION / contact.max_lateral_force) ** 2 * np.eye(3)
         self.forget()
 
@@ -198,17 +198,17 @@ class FollowingError:
         self.force, self.tripped = np.zeros(3), ""
         self.distance, self.load, self.sinks = np.zeros(nv), np.zeros(nv), False
         self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
-        self.notes: list[str] = []
+        self.notes: tuple[str, ...] = ()
         if self.contact.stiffness is None:
             joint = int(np.argmax(self.limit))
-            self.notes.append(
+            self.notes = (
                 f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
                 f"{self._robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of "
                 f"{STIFFNESS:g} N m/rad that is {self.contact.max_lateral_force:g} N on the hand, on servos ten times "
-                "as stiff ten times as much: give Contact(stiffness=...)"
+                "as stiff ten times as much: give Contact(stiffness=...)",
             )
-        self._found = np.zeros((2, math.ceil(LOOK_BACK / self._dt) + 1, nv))  # excesses and distances of the periods
-        self._row, self._rows = 0, 0
+        # excess and distance of this period, and of those before, newest first
+        self._now, self._found = (np.zeros(nv), np.zeros(nv)), tuple[tuple[np.ndarray, np.ndarray], ...]()
         self._change, self._lasted = np.zeros(nv), 0.0  # of the velocity since that of inertia was looked at
         self._velocity = np.zeros(nv)
         self._least, self._most = np.zeros(nv), np.zeros(nv)  # by which servos lately gave way to inertia
@@ -217,12 +217,18 @@ class FollowingError:
         self._pushed = np.zeros(nv)  # how far the force on the hand pushes the joints [rad or m]
         self._going, self._carried = 0.0, 0.0  # for how long the hand has been moving [s], and what that takes [N]
 
+    def copied(self) -> FollowingError:
+        """Return a copy; nothing that it is made of is changed in place."""
+        other = copy.copy(self)
+        other.servos = self.servos.copied()
+        return other
+
     def moved(self, q: Float[np.ndarray, " n"], time: float, velocity: Float[np.ndarray, " nv"]) -> None:
         """Take note of a step of the commanded posture: the posture before it, how long it took [s], its velocity."""
         step = velocity - self._velocity
         over = self.servos.moved(time * velocity, time, bool(velocity.dot(velocity) > 0.0))
         if over:
-            self._row, self._rows = (self._row + 1) % self._found.shape[1], self._rows + 1
+            self._found = (self._now, *self._found[: self._look - 1])
         self._velocity = velocity
         if time <= 0.0:
             return
@@ -319,7 +325,7 @@ class FollowingError:
         self.distance = self._robot.difference(commanded, measured)
         was_known, excess = self.servos.is_known, self.servos.excess(self.distance)
         excess = excess - np.minimum(np.maximum(excess, self._inertia[0]), self._inertia[1])
-        self._found[:, self._row] = excess, self.distance
+        self._now = excess, self.distance
         if self.servos.is_known and not was_known:
             self._tell(measured)
         self.force = NONE
@@ -341,9 +347,9 @@ class FollowingError:
         contact, dt = self.contact, self._dt
         J = self._robot.jacobian(measured, self._frame)[:3]
         C = J / self._stiffness
-        look = math.ceil(LOOK_BACK / dt)
-        ago = min(self._rows, look)
-        rise, gains = excess - self._found[0, self._row - ago], self.distance - self._found[1, self._row - ago]
+        look, ago = self._look, len(self._found)
+        before = self._found[-1] if ago else self._now
+        rise, gains = excess - before[0], self.distance - before[1]
         taken = self._taken(J, self.servos.gone(ago), gains)
         # it rises until what is measured is seen, and, ever more slowly, until the arm stands
         ahead = self.servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
@@ -420,7 +426,7 @@ class FollowingError:
 
     def _tell(self, q: np.ndarray) -> None:
         """Say what the first motion has shown of the servos, and how small a force can still be seen."""
-        servos, contact, before = self.servos, self.contact, len(self.notes)
+        servos, contact, notes = self.servos, self.contact, list[str]()
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
         G = np.linalg.solve(C.dot(C.T) + self._damping, C)  # of the force by the distances
         # what was sent from one new reading to the next is no friction
@@ -434,24 +440,23 @@ class FollowingError:
         share, cause = servos.pace()[0], "friction, play and noise"
         if slow := _CREEPS < share < _SURELY:
             cause = "an arm that is slower than it is sent"
-            self.notes.append(_slow(share))
+            notes.append(_slow(share))
         elif servos.late is not None and servos.late > LOOK_BACK:
-            self.notes.append(f"the arm follows {1e3 * servos.late:.0f} ms late")
+            notes.append(f"the arm follows {1e3 * servos.late:.0f} ms late")
         if servos.every >= 2.0:
             cause, ms = "readings that come late", 1e3 * self._dt
-            self.notes.append(f"readings change every {servos.every * ms:.0f} ms, the loop runs at {ms:g} ms")
+            notes.append(f"readings change every {servos.every * ms:.0f} ms, the loop runs at {ms:g} ms")
         if friction > contact.max_lateral_force and not slow:
-            self.notes.append(
+            notes.append(
                 f"friction and play of the joints take up to {friction:.0f} N on the hand: forces from {least:.0f} N "
                 "on are seen"
             )
         if self.resolution > contact.max_lateral_force:
-            self.notes.append(
+            notes.append(
                 f"max_lateral_force={contact.max_lateral_force:g} N cannot be kept: from {cause}, "
                 f"{self.resolution:.0f} N can be told, and at that the arm is stopped"
             )
-        for note in self.notes[before:]:
-            _LOGGER.warning(note)
+        self.notes = (*self.notes, *notes)
 
 
 def other_turns(step: float, unit: str) -> str:

@@ -362,7 +362,10 @@ class ServoLoop:
             self._reference = self._output = sent
             return self._braked(Status.FOLLOWING_ERROR, period)
         if timing.silent == 0.0:  # a state that is not new says nothing of the commands since
+            known = len(self._following.notes)
             self._following.compare(self._output, measured, self._within.driven_motions)
+            for note in self._following.notes[known:]:
+                _LOGGER.warning(note)
         if self._following.tripped:
             # the average would go on pressing for its own length
             self._reference, self._velocity = self._output, self._sent

@@ -4,7 +4,7 @@ A grasp, a posture and an approach that a person has shown can be had, and peopl
 recordings, those whose grasp is nearest to the start come first; the first with enough margin is followed, else that
 with the most. The search has more margin to offer:
 
-1. Seeds: the start, and inverse kinematics from random postures, at three stations.
+1. Seeds: inverse kinematics from the start, from beside it, and from random postures at three stations.
 2. Marches: each seed is carried along the way in both directions, its spare joints at rest. The march whose least
    margin is largest is the way; of those within `TIE` of it, the one with the largest mean log mu.
 3. Band: that march is relaxed as a whole, up the slope of its least margins and towards straight joint motion.
@@ -33,6 +33,7 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
 SEED_STEPS, MARCH_STEPS = 40, 4  # of Newton's method: from anywhere, and from a station to the next
+BESIDE = 0.5  # [rad or m] from the start of an eighth of the seeds, their standard deviation
 APART = 0.3  # [rad or m] of the joint that differs most: nearer postures are one and the same choice
 TIE = 0.01  # margins nearer to each other than a hundredth of the limits are alike: the manipulability decides
 JUMP = 0.5  # [rad or m] of a joint from one station to the next: a longer step is another branch of the kinematics
@@ -319,12 +320,14 @@ def marches_of(stations: Stations, start: Float[np.ndarray, " nv"], number: int,
 def seeds_of(
     stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator
 ) -> tuple[Postures, Int[np.ndarray, " n"]]:
-    """The start, and random postures; the station of each."""
+    """The start, postures beside it, to which it comes where it is shut in, and random ones; the station of each."""
     robot = stations.limits.robot  # a joint without limits is within a turn
     span = np.nan_to_num(robot.position_lower, neginf=-np.pi), np.nan_to_num(robot.position_upper, posinf=np.pi)
     random = np.where(stations.moving, rng.uniform(*span, (number, len(start))), start)
-    random[0] = start
-    return random, np.array([0, len(stations) // 2, len(stations) - 1])[np.arange(number) % 3]
+    station, near = np.array([0, len(stations) // 2, len(stations) - 1])[np.arange(number) % 3], max(1, number // 8)
+    random[:near] = start + stations.moving * rng.normal(0.0, BESIDE, (near, len(start)))
+    random[0], station[:near] = start, 0
+    return random, station
 
 
 def out_of_reach(stations: Stations, start: Float[np.ndarray, " nv"], rng: np.random.Generator) -> float:
