@@ -109,28 +109,6 @@ def test_fingers_stand_still(roboplan):
             break
 
 
-def test_what_may_touch_may_touch(roboplan, sawyer: ml.Robot):
-    """A hand that holds a handle goes on from inside it, round the box."""
-    start, goal, _ = next(blocked(sawyer, 4, around(sawyer)))
-    place = sawyer.pose(start, "right_gripper_tip")[:3, 3]
-    handle = ml.Scene(spheres=[ml.Sphere(0.02, place, "handle")], handled=("handle",))
-    carrier = sawyer.frame("right_gripper_tip").parent_joint
-    hand = frozenset(name for name in sawyer.frame_names if sawyer.frame(name).parent_joint == carrier)
-    links, limits = links_of(sawyer)[0], Limits(sawyer)
-    for may, found in ((hand, True), (frozenset(), False)):
-        stands = Surroundings((*around(sawyer), *handle.obstacles(sawyer)), handled=frozenset({"handle"}), hand=may)
-        clear = Clearance(sawyer, links, stands, start)
-        assert (joint_path(sawyer, start, goal, limits, clear, 0) is not None) == found
-
-
-def test_the_same_seed_gives_the_same_path(roboplan, sawyer: ml.Robot):
-    """And another seed another one."""
-    start, goal, stands = next(blocked(sawyer, 6, (around(sawyer)[0],)))
-    path, same, other = (joint_path(sawyer, start, goal, Limits(sawyer), stands, seed) for seed in (0, 0, 1))
-    assert path is not None and same is not None and np.array_equal(path, same)
-    assert other is not None and not np.array_equal(path, other)
-
-
 def test_what_cannot_be_is_said(roboplan, caplog):
     """Walls that part the plane of a planar arm, a goal inside one, a base that floats."""
     caplog.set_level(logging.INFO)

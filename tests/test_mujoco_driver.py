@@ -127,8 +127,6 @@ def test_servos_follow_and_carry_the_weight():
         MuJoCoDriver(model, ("a", "b"), [0.0, 0.0], period=0.003)
     with pytest.raises(ConfigurationError, match="latency must be a multiple .* got 3 ms"):
         MuJoCoDriver(model, ("a", "b"), [0.0, 0.0], delay=0.003)  # a former name, until 0.4
-    with pytest.raises(TypeError, match="'lag'"):
-        MuJoCoDriver(model, ("a", "b"), [0.0, 0.0], lag=0.003)
 
 
 def test_released_joints_yield_and_held_ones_stay():

@@ -248,9 +248,6 @@ def test_the_force_that_a_way_took_limits_the_next():
     again = ml.Shown.from_dict(json.loads(json.dumps(constraint.shown.to_dict())))
     assert again is not None and again.force == force
     assert allowed(constraint) == pytest.approx(60.0, rel=0.02)
-    assert (
-        allowed(constraint, ml.Contact(max_lateral_force=80.0)) == 80.0
-        and allowed(constraint, ml.Contact(max_axial_force=20.0)) == 20.0
-    )
+    assert allowed(constraint, ml.Contact(80.0)) == 80.0 and allowed(constraint, ml.Contact(15.0, 20.0)) == 20.0
     for unknown, said in (forces(0.0, friction=0.5), forces(40.0, weight=0.1)):
         assert said is None and allowed(unknown) == "auto"

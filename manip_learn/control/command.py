@@ -9,6 +9,9 @@ from typing import Any, NamedTuple, Protocol, final
 import numpy as np
 from jaxtyping import Float
 
+Vector = Float[np.ndarray, " nv"]  # one number a joint: a velocity, or a displacement [rad or m]
+Posture = Float[np.ndarray, " n"]  # a configuration or joint positions [rad or m]
+
 
 @final
 class Status(StrEnum):
@@ -75,16 +78,16 @@ class Command(NamedTuple):
         following_error: Largest distance between commanded and measured joint positions [rad or m] (`ServoLoop`).
     """
 
-    velocity: Float[np.ndarray, " nv"]
+    velocity: Vector
     status: Status
     manipulability: float
     task_velocity: Float[np.ndarray, " s"]
-    task_part: Float[np.ndarray, " nv"]
-    null_part: Float[np.ndarray, " nv"]
+    task_part: Vector
+    null_part: Vector
     task_scale: float
     null_scale: float
     smallest_singular_value: float
-    escape_part: Float[np.ndarray, " nv"] | None = None
+    escape_part: Vector | None = None
     progress: float = 1.0
     outside: float = 0.0
     limiting_joint: int = -1
@@ -144,7 +147,7 @@ def status_of(
 class Controller(Protocol):
     """Anything that `simulate` can run: a `ResolvedRateController`, or a class of your own."""
 
-    def __call__(self, q: Float[np.ndarray, " n"], t: float = 0.0, dt: float | None = None) -> Command:
+    def __call__(self, q: Posture, t: float = 0.0, dt: float | None = None) -> Command:
         """The command at posture q and time t [s], held for dt [s]."""
         ...
 
@@ -185,7 +188,7 @@ class LimitedController(ABC):
         return self.law is not None and self.law.task.waits
 
     @property
-    def start(self) -> Float[np.ndarray, " nv"] | None:
+    def start(self) -> Vector | None:
         """Joint positions at which its motion begins [rad or m]; None if it begins anywhere."""
         return self.laws[0].task.start if self.laws else None
 
@@ -201,7 +204,7 @@ class LimitedController(ABC):
         forces = [law.learnt.shown.force for law in self.laws if law.learnt.shown is not None]
         return max(forces) if forces and None not in forces else None
 
-    def driven_motions(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "k nv"]:
+    def driven_motions(self, q: Posture) -> Float[np.ndarray, "k nv"]:
         """Return the motions of the joints along which the task drives the arm; none if that is not known."""
         law = self.law
         if law is None:

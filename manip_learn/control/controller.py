@@ -9,11 +9,10 @@ from functools import cached_property
 from typing import Any, Literal, final
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller, LimitedController, Status
+from manip_learn.control.command import Command, Controller, LimitedController, Status, Vector
 from manip_learn.control.engine import native_law
 from manip_learn.control.law import Law
 from manip_learn.control.limits import Limits
@@ -105,12 +104,7 @@ class ResolvedRateController(LimitedController):
         self._law = Law(constraint, self.task, self.null_policy, *settings)
 
     def __call__(
-        self,
-        q: ArrayLike,
-        t: float = 0.0,
-        dt: float | None = None,
-        previous: Float[np.ndarray, " nv"] | None = None,
-        slide: float = 0.0,
+        self, q: ArrayLike, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
     ) -> Command:
         """The command at posture q and time t.
 

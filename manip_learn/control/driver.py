@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol, final
 
 import numpy as np
-from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
-from manip_learn.control.command import Command, Status
+from manip_learn.control.command import Command, Posture, Status, Vector
 from manip_learn.control.cycle import Clock, ComputerClock, GivenUp, OrderlyEnd, quiet_collector
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop
@@ -60,14 +59,14 @@ class Driver(Protocol):
 
     period: float
 
-    def read(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"] | None, Float[np.ndarray, " n"] | None]:
+    def read(self) -> tuple[Posture, Posture | None, Posture | None]:
         """The newest measured joint positions [rad or m], velocities and efforts, or None where there are none.
 
         Each is an array in the order of the joints, or a mapping from joint names.
         """
         ...
 
-    def command(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " n"]) -> object:
+    def command(self, q: Posture, u: Posture) -> object:
         """Go to joint positions at the end of the period [rad or m], or at these velocities [rad/s or m/s]."""
         ...
 
@@ -424,7 +423,7 @@ class _Witness:
             "most: it was in motion or is pushed, or the driver reads other joints, units or senses than it commands"
         )
 
-    def note(self, q: Any, sent: Float[np.ndarray, " n"] | None) -> None:
+    def note(self, q: Any, sent: Posture | None) -> None:
         """Take note of a reading and of the posture that was sent after it [rad or m]."""
         n = self._robot.nv
         x = finite(q, n) if self._cycles % self._every == 0 else None
@@ -505,7 +504,7 @@ class _Joints:
             self.rest = x
         return x[self._places]
 
-    def sent(self, values: Float[np.ndarray, " nv"], others: np.ndarray | float) -> Float[np.ndarray, " n"]:
+    def sent(self, values: Vector, others: np.ndarray | float) -> Posture:
         """Numbers of the robot's joints in the driver's order, and those of its other joints."""
         if self._places is None or self._theirs is None:
             return values.copy()

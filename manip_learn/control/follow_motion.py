@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
-from manip_learn.control.command import Command, LimitedController, Status, slowed_by
+from manip_learn.control.command import Command, LimitedController, Posture, Status, Vector, slowed_by
 from manip_learn.control.law import nearest_within
 from manip_learn.control.limits import RETURN_SPEED, Limits, stopping_speed
 from manip_learn.control.rollout import Rollout
@@ -87,11 +87,11 @@ class FollowMotion(LimitedController):
         return True
 
     @property
-    def start(self) -> Float[np.ndarray, " nv"]:
+    def start(self) -> Vector:
         """Joint positions at which the motion begins [rad or m]."""
         return self.at(0.0)
 
-    def driven_motions(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "nv nv"]:
+    def driven_motions(self, q: Posture) -> Float[np.ndarray, "nv nv"]:
         """Return the motions of the joints that are driven: all."""
         return np.eye(self.robot.nv)
 
@@ -103,17 +103,12 @@ class FollowMotion(LimitedController):
         """Forget the past: the next call begins with the first posture again."""
         self._clock, self._since, self._rate, self.delay = -math.inf, math.nan, 1.0, 0.0
 
-    def at(self, s: float) -> Float[np.ndarray, " nv"]:
+    def at(self, s: float) -> Vector:
         """Where the motion is s [s] after its first sample, joint positions [rad or m]."""
         return self._knots.at(s, 0.0)[0]
 
     def __call__(
-        self,
-        q: Float[np.ndarray, " n"],
-        t: float = 0.0,
-        dt: float | None = None,
-        previous: Float[np.ndarray, " nv"] | None = None,
-        slide: float = 0.0,
+        self, q: Posture, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
     ) -> Command:
         """The velocity for the next dt.
 
@@ -142,7 +137,7 @@ class FollowMotion(LimitedController):
         fastest = self.limits.velocity * (1.0 if started else RETURN_SPEED)
         return self._within(q, np.clip(wish, -fastest, fastest), dt, previous)
 
-    def _wish(self, q: np.ndarray, dt: float) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
+    def _wish(self, q: np.ndarray, dt: float) -> tuple[Vector, Vector]:
         """Velocity of the motion, with that which closes the distance to it in the shortest time, and without."""
         goal, rate = self._knots.at(max(self._clock, 0.0), (self.ahead + dt) * self._rate)
         rate = rate * self._rate
@@ -194,7 +189,7 @@ class _Knots(NamedTuple):
     last: Int[np.ndarray, "T nv"]
     jumps: Bool[np.ndarray, "T nv"]
 
-    def at(self, s: float, ahead: float) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
+    def at(self, s: float, ahead: float) -> tuple[Vector, Vector]:
         """Where the motion that is going on at time s is a little later, and its velocity.
 
         A jump in between is not foreseen: the joint goes on along its tangent.
@@ -215,7 +210,7 @@ class _Knots(NamedTuple):
         return np.where(tangent, x0 + m0 * (s + ahead - begin), x), np.where(tangent, m0, m)
 
 
-def _knots_of(robot: Robot, motion: Trajectory | Rollout, fastest: Float[np.ndarray, " nv"]) -> _Knots:
+def _knots_of(robot: Robot, motion: Trajectory | Rollout, fastest: Vector) -> _Knots:
     time = np.array(motion.time, dtype=np.float64)
     q, names = np.array(motion.q, dtype=np.float64), tuple(motion.joint_names)
     if names and names != tuple(robot.joint_names):

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
+from manip_learn.control.command import Posture, Vector
 from manip_learn.control.limits import per_joint
 from manip_learn.control.servos import HIDDEN, Servos
 from manip_learn.errors import ConfigurationError, counted, under_new_names
@@ -132,7 +133,7 @@ class Contact:
 # shares of the commanded speed above which an arm is not slow, below which the first motion says so, and below which it
 # may stand
 _SLOW, _SURELY, _CREEPS = 0.95, 0.75, 0.15
-Directions = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, "k nv"]]
+Directions = Callable[[Posture], Float[np.ndarray, "k nv"]]
 
 
 @final
@@ -167,14 +168,7 @@ class FollowingError:
         ConfigurationError: A stiffness that is not positive or has the wrong size.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        contact: Contact,
-        dt: float,
-        acceleration: Float[np.ndarray, " nv"],
-        frame: str | None = None,
-    ):
+    def __init__(self, robot: Robot, contact: Contact, dt: float, acceleration: Vector, frame: str | None = None):
         self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
         self._driven = _DRIVEN if isinstance(contact.max_axial_force, str) else float(contact.max_axial_force)
         told = STIFFNESS if contact.stiffness is None else contact.stiffness
@@ -223,7 +217,7 @@ class FollowingError:
         other.servos = self.servos.copied()
         return other
 
-    def moved(self, q: Float[np.ndarray, " n"], time: float, velocity: Float[np.ndarray, " nv"]) -> None:
+    def moved(self, q: Posture, time: float, velocity: Vector) -> None:
         """Take note of a step of the commanded posture: the posture before it, how long it took [s], its velocity."""
         step = velocity - self._velocity
         over = self.servos.moved(time * velocity, time, bool(velocity.dot(velocity) > 0.0))
@@ -247,7 +241,7 @@ class FollowingError:
         """Largest distance of a joint in the newest comparison, beyond what being late explains [rad or m]."""
         return float(np.abs(self.servos.raw).max(initial=0.0))
 
-    def relief(self) -> Float[np.ndarray, " nv"]:
+    def relief(self) -> Vector:
         """Way to a commanded posture at which the servos no longer press, shape (nv,) [rad or m].
 
         To where the arm was measured, less its load (a weight presses nothing), and on in the sense of the force by
@@ -256,7 +250,7 @@ class FollowingError:
         held = self.servos.friction * self._pushed / (np.abs(self._pushed) + RESOLUTION)
         return self.distance - self.load + held
 
-    def farthest(self) -> Float[np.ndarray, " nv"]:
+    def farthest(self) -> Vector:
         """By how much it makes sense to let go, shape (nv,) [rad or m]: the measurement may be wrong.
 
         What the largest force makes of the limits, friction, and what was commanded within the delay.
@@ -264,7 +258,7 @@ class FollowingError:
         largest = max(1.0, self._driven / self.contact.max_lateral_force) * self.limit
         return largest + self.servos.moved_lately + self.servos.width
 
-    def left(self, q: Float[np.ndarray, " n"]) -> float:
+    def left(self, q: Posture) -> float:
         """Force on the hand that is left in a measured posture, beyond what friction holds [N]."""
         off = self.distance - self.load
         away = np.sign(off) * np.maximum(np.abs(off) - self.servos.friction, 0.0)
@@ -273,7 +267,7 @@ class FollowingError:
         self._pushed = f.dot(C)
         return float(np.linalg.norm(f))
 
-    def carry(self, off: Float[np.ndarray, " nv"], q: Float[np.ndarray, " n"]) -> str:
+    def carry(self, off: Vector, q: Posture) -> str:
         """Take distances [rad or m] at a posture as the arm's load if a weight explains them.
 
         Returns:
@@ -294,7 +288,7 @@ class FollowingError:
             f"robot.with_payload({mass}, {self._frame.name!r})"
         )
 
-    def sentence(self, constraint: Constraint | None, q: Float[np.ndarray, " n"]) -> str:
+    def sentence(self, constraint: Constraint | None, q: Posture) -> str:
         """What was blocked and by how much: the row of the constraint, if it is known, the joint, and what to do."""
         j = int(np.abs(self.distance).argmax())
         unit = self._robot.joint_units[j]
@@ -315,9 +309,7 @@ class FollowingError:
             words += "; no joint moves any more: look at brakes, control mode and emergency stop"
         return f"{words}; {self.tripped}" if self.tripped else words
 
-    def compare(
-        self, commanded: Float[np.ndarray, " n"], measured: Float[np.ndarray, " n"], driven: Directions | None = None
-    ) -> None:
+    def compare(self, commanded: Posture, measured: Posture, driven: Directions | None = None) -> None:
         """Compare two postures, the newest commanded and the newest measured one.
 
         `driven` gives the motions of the joints that the task drives, at a posture.
@@ -413,7 +405,7 @@ class FollowingError:
             return math.nan
         return -float(J.dot(gains).dot(step)) / gone
 
-    def _force_of(self, excess: np.ndarray, C: np.ndarray) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " nv"]]:
+    def _force_of(self, excess: np.ndarray, C: np.ndarray) -> tuple[Float[np.ndarray, " 3"], Vector]:
         """The force on the hand that explains distances, less a weight, and what is left of them."""
         seen = C * self.servos.sees
         f = np.linalg.solve(seen.dot(C.T) + self._damping, seen.dot(excess))

@@ -15,7 +15,7 @@ from scipy.linalg.lapack import dgeqrf, dposv, dtrtrs  # pyright: ignore[reportA
 
 from manip_learn.constraint.constraint import Constraint, Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, row_inverse, smallest_gradient, svd
-from manip_learn.control.command import ACCELERATION, SCALED_BELOW, Command, Status, status_of
+from manip_learn.control.command import ACCELERATION, SCALED_BELOW, Command, Posture, Status, Vector, status_of
 from manip_learn.control.limits import FINE, Barrier, Bounds, Limits, approach_bound
 from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullSpacePolicy, SampledPolicy
 from manip_learn.control.tasks import Task
@@ -75,9 +75,9 @@ class Desired(NamedTuple):
 
     A: Float[np.ndarray, "s nv"]
     b: Float[np.ndarray, " s"]
-    task: Float[np.ndarray, " nv"]
-    null: Float[np.ndarray, " nv"]
-    escape: Float[np.ndarray, " nv"] | None
+    task: Vector
+    null: Vector
+    escape: Vector | None
     mu: float
     smallest: float
     basis: Float[np.ndarray, "s nv"]
@@ -98,17 +98,17 @@ class Desired(NamedTuple):
         return self.smallest <= SINGULAR_RATIO * float(np.abs(self.A).max())
 
     @property
-    def velocity(self) -> Float[np.ndarray, " nv"]:
+    def velocity(self) -> Vector:
         """u*, the sum of its parts [rad/s or m/s]."""
         regular = self.task + self.null
         return regular if self.escape is None else regular + self.escape
 
-    def progress(self, u: Float[np.ndarray, " nv"]) -> float:
+    def progress(self, u: Vector) -> float:
         """Velocity along b over the velocity asked for, b^T (A u + c) / |b|^2; 1 where nothing is asked for."""
         square = float(self.b.dot(self.b))
         return float(self.b.dot(self.A.dot(u) + self.bend)) / square if square > AT_GOAL * AT_GOAL else 1.0
 
-    def as_wished(self, u: Float[np.ndarray, " nv"], outside: float) -> Command:
+    def as_wished(self, u: Vector, outside: float) -> Command:
         """The command u* where no bound changes it; the farthest joint is so far beyond its limit [rad or m]."""
         progress = 1.0 if self.escape is None else self.progress(u)
         status = status_of(progress, outside, self.is_lost, self.is_damped)
@@ -116,9 +116,7 @@ class Desired(NamedTuple):
             *(u, status, self.mu, self.b, self.task, self.null, 1.0, 1.0, self.smallest, self.escape, progress, outside)
         )
 
-    def within(
-        self, bounds: Bounds, wish: Float[np.ndarray, " nv"], u: Float[np.ndarray, " nv"], cause: int
-    ) -> Command:
+    def within(self, bounds: Bounds, wish: Vector, u: Vector, cause: int) -> Command:
         """The command where bounds change the law.
 
         u is what is left of `wish`, `cause` the limit that counts where no joint is at a bound, -1 for a singularity.
@@ -279,7 +277,7 @@ class Law:
         b, E = self.task.velocity_and_jacobian(self.constraint, q, t, *sampled)
         return _checked(b, self.constraint.n_constraints, "the task's velocity b"), E
 
-    def policy_velocity(self, q: np.ndarray, t: float, dt: float) -> Float[np.ndarray, " nv"]:
+    def policy_velocity(self, q: np.ndarray, t: float, dt: float) -> Vector:
         """w for the time dt [s] that begins at t [rad/s or m/s].
 
         Raises:
@@ -378,13 +376,7 @@ class Law:
     # ---- within bounds ----------------------------------------------------------------------------------------------
 
     def command(
-        self,
-        q: np.ndarray,
-        t: float,
-        dt: float,
-        limits: Limits | None,
-        previous: Float[np.ndarray, " nv"] | None,
-        slide: float,
+        self, q: np.ndarray, t: float, dt: float, limits: Limits | None, previous: Vector | None, slide: float
     ) -> Command:
         """The command at a posture; arguments and errors as for `ResolvedRateController`."""
         law = self.desired(q, t, dt, limits)
@@ -449,9 +441,7 @@ class Law:
                 W = W + np.outer(d, d.dot(A)) * (1.0 / speed - 1.0 / across)
         return W
 
-    def _approach(
-        self, q: np.ndarray, dt: float, law: Desired, u: np.ndarray, limits: Limits
-    ) -> Float[np.ndarray, " nv"] | None:
+    def _approach(self, q: np.ndarray, dt: float, law: Desired, u: np.ndarray, limits: Limits) -> Vector | None:
         """Gradient of the smallest singular value, where u could approach the singularity too fast; None elsewhere."""
         if self.inverse != "damped" or law.A.shape[0] > law.A.shape[1] or law.smallest <= SINGULAR_RATIO:
             return None
@@ -464,7 +454,7 @@ class Law:
 
 def _slowed_drive(
     law: Desired, D: Float[np.ndarray, "d s"], limits: Limits, barrier: Barrier | None
-) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
+) -> tuple[Vector, Vector]:
     """The rest of u*, and its part that drives the task, slowed down to velocity limits and a singularity's approach.
 
     Motion in the null space makes no room for more. D are the rows that are driven.
@@ -495,12 +485,7 @@ def _may_leave(A: Float[np.ndarray, "s nv"], square: float, limits: Limits) -> b
 
 
 def _braking_share(
-    constraint: Constraint,
-    q: Float[np.ndarray, " n"],
-    D: Float[np.ndarray, "d s"],
-    wish: Float[np.ndarray, " nv"],
-    previous: Float[np.ndarray, " nv"],
-    limits: Limits,
+    constraint: Constraint, q: Posture, D: Float[np.ndarray, "d s"], wish: Vector, previous: Vector, limits: Limits
 ) -> float:
     """The share of its speed at which the task is driven, so that the joints can brake with the hand on what holds it.
 
@@ -525,9 +510,7 @@ def _braking_share(
     return share
 
 
-def nearest_within(
-    wish: Float[np.ndarray, " nv"], W: Float[np.ndarray, "s nv"], bounds: Bounds, barrier: Barrier | None
-) -> Float[np.ndarray, " nv"]:
+def nearest_within(wish: Vector, W: Float[np.ndarray, "s nv"], bounds: Bounds, barrier: Barrier | None) -> Vector:
     """argmin |W (u - wish)|^2 + |u - wish|^2 within the bounds, and with G u >= least where the bounds allow that.
 
     With R^T R = 1 + W^T W it is solved for z = R (u - wish): the metric itself, whose condition is the square of that

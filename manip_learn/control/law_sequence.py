@@ -15,7 +15,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.other_features import CustomFeatures
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.constraint.skill import Gripping
-from manip_learn.control.command import Command, LimitedController
+from manip_learn.control.command import Command, LimitedController, Posture, Vector
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import ARRIVED
 from manip_learn.control.limits import Limits
@@ -101,7 +101,7 @@ class JointMotion(Task):
         """Forget the start: the next call is the first one again."""
         self._begun, self._latest = math.inf, -math.inf
 
-    def at(self, t: float) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
+    def at(self, t: float) -> tuple[Vector, Vector]:
         """Where the joints should be t [s] after the start, and how fast [rad or m, rad/s or m/s]."""
         leg = int(np.searchsorted(self._ends, t))
         if leg >= len(self._ends):
@@ -110,7 +110,7 @@ class JointMotion(Task):
         share, rate = profile.at(t - float(self._ends[leg]) + profile.duration)
         return self._paths[leg](share), rate * self._paths[leg](share, 1)
 
-    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " nv"]:
+    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Vector:
         """b of every joint."""
         if t <= self._begun < self._latest:
             self.reset()
@@ -127,7 +127,7 @@ class JointMotion(Task):
         """How far the joints are from the last posture [rad or m]."""
         return float(np.linalg.norm(self._robot.difference(q, self._last)))
 
-    def goal(self) -> Float[np.ndarray, " nv"]:
+    def goal(self) -> Vector:
         """The last posture."""
         return self._last.copy()
 
@@ -139,7 +139,7 @@ def _smooth(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> t
     """Return a path through postures, by the share of it, and the time that it takes at full speed [s]."""
     robot, tip = limits.robot, limits.tip
 
-    def needed(q: np.ndarray, rates: np.ndarray) -> Float[np.ndarray, " n"]:
+    def needed(q: np.ndarray, rates: np.ndarray) -> Posture:
         """Return the time that each joint motion takes at a posture, at full speed."""
         times = np.max(np.abs(rates) / (share * limits.velocity), axis=1)
         if tip is None:
@@ -210,12 +210,7 @@ class LawSequence(LimitedController):
         return next((law for law in ahead if not law.task.is_approach), ahead[-1])
 
     def __call__(
-        self,
-        q: ArrayLike,
-        t: float = 0.0,
-        dt: float | None = None,
-        previous: Float[np.ndarray, " nv"] | None = None,
-        slide: float = 0.0,
+        self, q: ArrayLike, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
     ) -> Command:
         """The command at posture q; arguments and errors as for `ResolvedRateController`.
 

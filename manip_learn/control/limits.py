@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.control.command import ACCELERATION, POSITION, VELOCITY
+from manip_learn.control.command import ACCELERATION, POSITION, VELOCITY, Posture, Vector
 from manip_learn.control.keeping_clear import CLEARANCE, Barrier, KeptClear, Standing
 from manip_learn.errors import ConfigurationError, TargetError
 from manip_learn.robot.collision import SelfCollision
@@ -42,9 +42,7 @@ _MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to fou
 _TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
 
 
-def approach_rate(
-    distance: float, slope: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
-) -> float:
+def approach_rate(distance: float, slope: Vector, acceleration: Vector, dt: float) -> float:
     """Largest rate at which a distance may fall, so that the joints can stop where it is 0; negative beyond that.
 
         rate = min(kappa x, sqrt(2 a x)),   a = BRAKING_SHARE |g| min_j (a_j / |n_j|),   n = g / |g|
@@ -59,9 +57,7 @@ def approach_rate(
     return min(min(APPROACH_RATE, 0.5 / dt) * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
 
 
-def approach_bound(
-    smallest: float, slope: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
-) -> float:
+def approach_bound(smallest: float, slope: Vector, acceleration: Vector, dt: float) -> float:
     """Largest rate at which the smallest singular value may fall, so that the arm can stop at the singularity.
 
     That of `approach_rate`, and |grad sigma| CROSSING_SPEED. A task whose target is out of reach presses the arm
@@ -88,7 +84,7 @@ class Tips(NamedTuple):
     jacobians: list[Float[np.ndarray, "3 nv"]]
     G: Float[np.ndarray, "w nv"]
     least: Float[np.ndarray, " w"]
-    clear: Callable[[Float[np.ndarray, " nv"]], Barrier | None] | None = None
+    clear: Callable[[Vector], Barrier | None] | None = None
 
 
 @final
@@ -147,13 +143,7 @@ class TipLimits:
         self.walls = rows / np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
         self.clear, self._robot = clear, robot
 
-    def at(
-        self,
-        q: Float[np.ndarray, " n"],
-        dt: float,
-        acceleration: Float[np.ndarray, " nv"],
-        previous: Float[np.ndarray, " nv"] | None,
-    ) -> Tips:
+    def at(self, q: Posture, dt: float, acceleration: Vector, previous: Vector | None) -> Tips:
         """The frames at a posture."""
         jacobians = [self._robot.jacobian(q, frame)[:3] for frame in self.frames]
         clear = self.clear_at(q, dt, acceleration, previous)
@@ -169,12 +159,8 @@ class TipLimits:
         return Tips(jacobians, -G, least, clear)
 
     def clear_at(
-        self,
-        q: Float[np.ndarray, " n"],
-        dt: float,
-        acceleration: Float[np.ndarray, " nv"],
-        previous: Float[np.ndarray, " nv"] | None,
-    ) -> Callable[[Float[np.ndarray, " nv"]], Barrier | None] | None:
+        self, q: Posture, dt: float, acceleration: Vector, previous: Vector | None
+    ) -> Callable[[Vector], Barrier | None] | None:
         """`Tips.clear`: pairs stay clear in the next step, and where the arm stops when it brakes along u from then on.
 
         Braking takes BRAKING_SHARE of the acceleration, and ends exponentially as everywhere. Arguments as for `at`.
@@ -186,7 +172,7 @@ class TipLimits:
         reach = math.inf if previous is None else dt * acceleration
         before = still if previous is None else previous
 
-        def rows(u: Float[np.ndarray, " nv"]) -> Barrier | None:
+        def rows(u: Vector) -> Barrier | None:
             u = np.clip(u, before - reach, before + reach)
             times, slope = 0.5 / BRAKING_SHARE * np.abs(u) / acceleration, still.copy()
             slowest = int(np.argmax(times))
@@ -196,7 +182,7 @@ class TipLimits:
 
         return rows
 
-    def rows(self, tips: Tips, u: Float[np.ndarray, " nv"], slack: float = 0.0) -> tuple[Barrier, int] | None:
+    def rows(self, tips: Tips, u: Vector, slack: float = 0.0) -> tuple[Barrier, int] | None:
         """What the velocity u breaks, and its cause: walls, pairs that come near, tangents where a frame is too fast.
 
         None where it breaks nothing.
@@ -224,11 +210,11 @@ class TipLimits:
         """
         return 0.98 * self.speed
 
-    def fastest(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " nv"]) -> float:
+    def fastest(self, q: Posture, u: Vector) -> float:
         """Return the speed of the fastest frame at posture q and velocity u [m/s]."""
         return max((math.hypot(*self._robot.jacobian(q, frame)[:3].dot(u)) for frame in self.frames), default=0.0)
 
-    def slowed(self, tips: Tips, u: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+    def slowed(self, tips: Tips, u: Vector) -> Vector:
         """A velocity, slowed down as a whole to what is allowed; at rest where that is none."""
         fastest = max((float(np.linalg.norm(J.dot(u))) for J in tips.jacobians), default=0.0)
         rates, shares = tips.G.dot(u), [min(1.0, self.speed / max(fastest, 1e-300))]
@@ -236,12 +222,8 @@ class TipLimits:
         return u * max(0.0, min(shares))
 
     def bounded(
-        self,
-        tips: Tips,
-        wish: Float[np.ndarray, " nv"],
-        barrier: Barrier | None,
-        solve: Callable[[Barrier | None], Float[np.ndarray, " nv"]],
-    ) -> Float[np.ndarray, " nv"]:
+        self, tips: Tips, wish: Vector, barrier: Barrier | None, solve: Callable[[Barrier | None], Vector]
+    ) -> Vector:
         """The solution of the program with the rows that it needs."""
         u, found = wish, None
         for _ in range(_MOST_ROWS):
@@ -303,9 +285,7 @@ class _Approach(NamedTuple):
         return min(speed, distance / together) if together > 0.0 and distance > 0.0 else speed
 
 
-def stopping_speed(
-    distance: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
-) -> Float[np.ndarray, " nv"]:
+def stopping_speed(distance: Vector, acceleration: Vector, dt: float) -> Vector:
     """The speed now with which a joint covers a distance to rest in the fewest steps of dt.
 
     At unit acceleration the steps x, x - 1, x - 2, ... > 0 [dt^2] are as long together as the way that is left.
@@ -315,13 +295,13 @@ def stopping_speed(
     return acceleration * dt * (left + 0.5 * n * (n + 1.0)) / (n + 1.0)
 
 
-def farthest_positions(robot: Robot) -> Float[np.ndarray, " nv"] | float:
+def farthest_positions(robot: Robot) -> Vector | float:
     """Positions that no joint is at, however its encoder counts: a turn beyond the farther limit [rad or m]."""
     farthest = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper)) + _TURN
     return farthest if robot.nq == robot.nv and bool(np.all(np.isfinite(farthest))) else LARGEST_POSITION
 
 
-def check_inside(robot: Robot, positions: Float[np.ndarray, " nv"]) -> None:
+def check_inside(robot: Robot, positions: Vector) -> None:
     """Refuse a start outside the position limits.
 
     Raises:
@@ -355,23 +335,23 @@ class Bounds(NamedTuple):
     high_cause: list[int]
     outside: float
 
-    def admit(self, velocity: Float[np.ndarray, " nv"]) -> bool:
+    def admit(self, velocity: Vector) -> bool:
         """Whether a velocity is within the bounds."""
         u = velocity.tolist()
         return all(map(le, self.low, u)) and all(map(le, u, self.high))
 
-    def excess(self, velocity: Float[np.ndarray, " nv"]) -> float:
+    def excess(self, velocity: Vector) -> float:
         """By how much a velocity exceeds the bounds [rad/s or m/s]; negative within them."""
         u = velocity.tolist()
         return max(max(map(sub, u, self.high)), max(map(sub, self.low, u)))
 
-    def nearest(self, velocity: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+    def nearest(self, velocity: Vector) -> Vector:
         """The velocity within the bounds that is nearest to one, each joint by itself; itself if it is within."""
         if self.admit(velocity):
             return velocity
         return np.array(list(map(min, map(max, velocity.tolist(), self.low), self.high)))
 
-    def binding(self, velocity: Float[np.ndarray, " nv"], desired: Float[np.ndarray, " nv"]) -> tuple[int, int]:
+    def binding(self, velocity: Vector, desired: Vector) -> tuple[int, int]:
         """The joint at a bound whose desired velocity exceeds it most, and the limit that sets it; (-1, -1) if none."""
         joint, cause, most, u = -1, -1, FINE, velocity.tolist()
         for j, (wish, low, high) in enumerate(zip(desired.tolist(), self.low, self.high, strict=True)):
@@ -499,7 +479,7 @@ class Limits:
         self.weakest = float(self.acceleration.min())
         self._latest = _Approaches(0.0, [], [], [], 0.0)
 
-    def far(self, q: Float[np.ndarray, " n"], dt: float, velocity: Float[np.ndarray, " nv"]) -> bool:
+    def far(self, q: Posture, dt: float, velocity: Vector) -> bool:
         """Whether no joint is near a position limit, or faster than its velocity limit: `bounds` then admit it."""
         approaches = self._approaches(dt)
         x = (q if q.shape[0] == self.robot.nv else self.robot.positions(q)).tolist()
@@ -518,7 +498,7 @@ class Limits:
         )
         return found
 
-    def bounds(self, q: Float[np.ndarray, " n"], dt: float, previous: Float[np.ndarray, " nv"] | None) -> Bounds:
+    def bounds(self, q: Posture, dt: float, previous: Vector | None) -> Bounds:
         """Bounds on the velocity of the next dt.
 
         The posture is checked already. Without a velocity that was commanded in the step before [rad/s or m/s] no
@@ -546,13 +526,11 @@ class Limits:
             bound_changes(bounds, previous, accelerations, dt)
         return bounds
 
-    def stopping_time(self, velocity: Float[np.ndarray, " nv"]) -> float:
+    def stopping_time(self, velocity: Vector) -> float:
         """T = max_j |u_j| / a_j, in which all joints can stop from a velocity u [s]."""
         return max(map(truediv, map(abs, velocity.tolist()), self._columns[3]))
 
-    def towards(
-        self, wish: Float[np.ndarray, " nv"], previous: Float[np.ndarray, " nv"], bounds: Bounds, dt: float
-    ) -> Float[np.ndarray, " nv"]:
+    def towards(self, wish: Vector, previous: Vector, bounds: Bounds, dt: float) -> Vector:
         """The velocity within `bounds` that leads to `wish`, or to what the velocity limits leave of its direction.
 
         On the straight way from `previous`, as far as the acceleration limits go; then each joint is kept from
@@ -609,20 +587,19 @@ class Limits:
         rate = min(APPROACH_RATE, 0.5 / dt) * smallest
         return square * size >= min(2.0 * BRAKING_SHARE * self.weakest * math.sqrt(size) * smallest, rate * rate)
 
-    def freer_sense(self, q: Float[np.ndarray, " n"], direction: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+    def freer_sense(self, q: Posture, direction: Vector) -> Vector:
         """A direction, or its opposite where position limits leave that more room."""
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
-        d = direction.tolist()
-        fastest = max(map(abs, d), default=0.0)
-        ahead = behind = math.inf
-        for y, speed, lower, upper in zip(x.tolist(), d, *self._columns[:2], strict=True):
-            if abs(speed) > 1e-3 * fastest:
-                up, down = (upper - y) / abs(speed), (y - lower) / abs(speed)
-                ahead, behind = min(ahead, up if speed > 0.0 else down), min(behind, down if speed > 0.0 else up)
+        fastest = float(np.max(np.abs(direction), initial=0.0))
+        moves = np.abs(direction) > 1e-3 * fastest
+        up, down, d = (self.upper - x)[moves], (x - self.lower)[moves], direction[moves]
+        ahead, behind = (
+            np.min(np.where(d > 0.0, *ways) / np.abs(d), initial=np.inf) for ways in ((up, down), (down, up))
+        )
         return direction if fastest == 0.0 or ahead >= min(behind, ROOM_TO_LEAVE / fastest) else -direction
 
 
-def bound_changes(bounds: Bounds, previous: Float[np.ndarray, " nv"], accelerations: list[float], dt: float) -> Bounds:
+def bound_changes(bounds: Bounds, previous: Vector, accelerations: list[float], dt: float) -> Bounds:
     """Bounds narrowed in place to what acceleration limits allow in dt [s] after a velocity."""
     low, high = bounds.low, bounds.high
     for j, (u, a) in enumerate(zip(previous.tolist(), accelerations, strict=True)):
@@ -636,7 +613,7 @@ def bound_changes(bounds: Bounds, previous: Float[np.ndarray, " nv"], accelerati
     return bounds
 
 
-def per_joint(what: str, values: ArrayLike, names: tuple[str, ...]) -> Float[np.ndarray, " nv"]:
+def per_joint(what: str, values: ArrayLike, names: tuple[str, ...]) -> Vector:
     """Return one positive number for each joint.
 
     Args:

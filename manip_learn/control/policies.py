@@ -17,6 +17,7 @@ from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIs
 from manip_learn.constraint.constraint import Constraint, Vjp
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_from, row_inverse, svd
+from manip_learn.control.command import Vector
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, an
 from manip_learn.linalg import unit
 from manip_learn.robot.limit_potential import has_range, ranges, room_of
@@ -44,7 +45,7 @@ class NullSpacePolicy(ABC):
     """
 
     @abstractmethod
-    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
         """Desired joint velocity [rad/s or m/s] at posture q and time t [s]."""
 
 
@@ -52,7 +53,7 @@ class SampledPolicy(NullSpacePolicy):
     """A policy that takes into account for how long its velocity is held, so that explicit steps can follow it."""
 
     @abstractmethod
-    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
         """Desired joint velocity [rad/s or m/s] at posture q and time t [s], held for dt [s]."""
 
 
@@ -68,7 +69,7 @@ class ZeroPolicy(NullSpacePolicy):
         self._zero = np.zeros(nv)
         self._zero.setflags(write=False)
 
-    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
         """Zeros, shape (nv,)."""
         return self._zero
 
@@ -109,7 +110,7 @@ class JointAttractor(NullSpacePolicy):
         self.gain = float(gain)
         self.robot = robot
 
-    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
         """gain * (rest - q) [rad/s or m/s].
 
         Raises:
@@ -161,7 +162,7 @@ class JointLimitAvoidance(NullSpacePolicy):
         self._longest = np.where(limited, np.minimum(self.max_speed, 0.5 * LARGEST_RATE * width), 1.0)
         self.numbers = self._strength, self._middle, self._per_half, self._longest  # for the compiled law
 
-    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
         """Velocity towards the middle of the ranges [rad/s or m/s].
 
         Raises:
@@ -233,7 +234,7 @@ class ManipulabilityAscent(SampledPolicy):
         self.logarithmic = bool(logarithmic)
         self.max_speed = None if max_speed is None or not logarithmic else float(max_speed)
 
-    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
         """Ascent velocity, finite everywhere.
 
         Args:
@@ -246,16 +247,14 @@ class ManipulabilityAscent(SampledPolicy):
         """
         return self.from_rows(*self.constraint.value_and_vjp(q), dt)
 
-    def from_rows(self, A: Float[np.ndarray, "s nv"], vjp: Vjp, dt: float) -> Float[np.ndarray, " nv"]:
+    def from_rows(self, A: Float[np.ndarray, "s nv"], vjp: Vjp, dt: float) -> Vector:
         """Ascent velocity from the rows A at a posture and their derivative."""
         inverse = row_inverse(A)
         if inverse is not None:
             return self.from_inverse(*inverse, vjp, dt)
         return self.from_decomposition(A.shape, svd(A), vjp, dt)
 
-    def from_inverse(
-        self, X: Float[np.ndarray, "s nv"], mu: float, smallest: float, vjp: Vjp, dt: float
-    ) -> Float[np.ndarray, " nv"]:
+    def from_inverse(self, X: Float[np.ndarray, "s nv"], mu: float, smallest: float, vjp: Vjp, dt: float) -> Vector:
         """Ascent velocity away from singularities: d log mu = A^{+T} : dA, from X = A^{+T} that the controller has."""
         if not self.logarithmic:
             return vjp(X) * (self.gain * mu)
@@ -263,7 +262,7 @@ class ManipulabilityAscent(SampledPolicy):
 
     def from_decomposition(
         self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp, dt: float
-    ) -> Float[np.ndarray, " nv"]:
+    ) -> Vector:
         """Ascent velocity near a singularity too, see `gradient_from`."""
         sigma = decomposition[1]
         smallest = float(sigma[-1])
@@ -283,7 +282,7 @@ class ManipulabilityAscent(SampledPolicy):
         """Speed at a singularity itself [rad/s]; only where the policy is bounded."""
         return SEED_SPEED if self.max_speed is None else min(self.max_speed, SEED_SPEED)
 
-    def bounded(self, slope: Float[np.ndarray, " nv"], smallest: float, dt: float) -> Float[np.ndarray, " nv"]:
+    def bounded(self, slope: Vector, smallest: float, dt: float) -> Vector:
         """gain * grad log mu, shortened to the bound."""
         if self.max_speed is None:
             return slope * self.gain
@@ -334,7 +333,7 @@ class RoomAscent(SampledPolicy):
         self._middle = 0.5 * (robot.position_lower[self._limited] + robot.position_upper[self._limited])
         self.numbers = self._enough, np.flatnonzero(self._limited), self._middle, self._width  # for the compiled law
 
-    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
         """Ascent velocity, finite everywhere; arguments and errors as for `ManipulabilityAscent`."""
         A, vjp = self.constraint.value_and_vjp(q)
         U, sigma, Vt = decomposition = svd(A)
@@ -388,7 +387,7 @@ class KeptOrientation(SampledPolicy):
         self.policy, self._features, self._wanted = policy, features, wanted
         self.rms, self.gain = _positive("rms", rms), _positive("gain", gain)
 
-    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
         """Velocity of the policy, and towards the orientation that was shown [rad/s].
 
         Raises:
@@ -429,7 +428,7 @@ class WeightedPolicies(SampledPolicy):
         if not all(math.isfinite(w) and w >= 0.0 for w in self.weights):
             raise ConfigurationError(f"weights must be numbers of at least 0, got {list(self.weights)}")
 
-    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
         """Weighted sum of the policies' velocities [rad/s or m/s].
 
         Raises:
@@ -450,7 +449,7 @@ class WeightedPolicies(SampledPolicy):
         return f"WeightedPolicies({terms})"
 
 
-def steepest_ascent(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp) -> Float[np.ndarray, " nv"]:
+def steepest_ascent(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp) -> Vector:
     """Unit vector along which the lost singular values grow fastest, in the null space of A if they grow there.
 
     With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step, with matrix M; mu is a cone
@@ -503,7 +502,7 @@ class PolicyFunction(NullSpacePolicy):
             )
         self._timed = 2 in fits and (1 not in fits or "t" in takes.parameters)
 
-    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
         """The function's answer as an array [rad/s or m/s]."""
         answer = self.function(q, t) if self._timed else self.function(q)
         try:

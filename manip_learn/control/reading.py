@@ -78,6 +78,6 @@ class Readings:
         j = int((np.abs(step) / fastest).argmax())
         name, moved = robot.joint_names[j], f"{step[j]:+.3g} {robot.joint_units[j]}"
         words = f"joint {name} was read {moved} from where it was {1e3 * since:.3g} ms before"
-        if np.all(np.abs(np.sort(before) - np.sort(q)) <= np.sort(fastest)):
+        if np.all(np.abs(np.diff([np.sort(robot.positions(x)) for x in (before, q)], axis=0)) <= np.sort(fastest)):
             return f"{words}: the joints come in another order"
         return words + other_turns(float(step[j]), robot.joint_units[j])

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller, LimitedController, Status
+from manip_learn.control.command import Command, Controller, LimitedController, Posture, Status, Vector
 from manip_learn.control.controller import BoundedController
 from manip_learn.control.following import LEFT, Contact, FollowingError
 from manip_learn.control.law import next_slide
@@ -55,12 +54,12 @@ class Return(NamedTuple):
     """
 
     limits: Limits
-    posture: Float[np.ndarray, " n"]
-    load: Float[np.ndarray, " nv"]
-    goal: Float[np.ndarray, " n"] | None = None
+    posture: Posture
+    load: Vector
+    goal: Posture | None = None
     speed: float = 0.0
 
-    def step(self, measured: Float[np.ndarray, " n"], dt: float) -> Return | None:
+    def step(self, measured: Posture, dt: float) -> Return | None:
         """One period farther; None where the way ends.
 
         All joints move along the straight way, faster by at most an acceleration for dt, and as fast as lets them stop
@@ -79,6 +78,381 @@ class Return(NamedTuple):
         speed = min(self.speed + dt, stopping, fastest, far / dt)
         posture = limits.robot.integrate(self.posture, dt * speed * direction)
         return self._replace(posture=posture, goal=goal, speed=speed)
+
+
+@final
+@dataclass(eq=False)
+class State:
+    """All that a loop remembers from one period to the next; it is not changed any more once a step has returned it.
+
+    Attributes:
+        following: Servos, and the force on the hand.
+        timing: Time.
+        average: Average that keeps the jerk limits; None without them.
+        velocity: shape (nv,), of the controller's posture [rad/s or m/s].
+        sent: shape (nv,), of the posture that is sent.
+        reference: Posture of the controller; None before the first reading.
+        output: Posture that is sent: `reference` but for the average.
+        measured: Newest posture that was read; None before the first.
+        last: Newest command; None before the first.
+        stopped_by: What last stopped the arm, in words; None where nothing has.
+        is_stopped: Whether `ServoLoop.stop` was called, and not yet `start`.
+        lets_go: Whether the arm lets go of what blocked it.
+        slide: By how much the law gives up the direction of its task, 0 to 1.
+        alone: Whether it began with the first reading, and no other has been near that.
+        refused: For how long readings have come that no joint can have moved to [s]; after `stale_after` they count.
+        jumped: What was said of the newest of them, and its time [s].
+        runs_on: Whether the arm goes on between late calls, as a velocity servo does.
+        way_back: How the posture that is sent goes back to where the arm is, after a following error.
+        relief: Posture to which an arm goes that lets go; None before it is blocked.
+        pressed: Commanded and measured posture when it was blocked, and by how much it may let go.
+        renewed: How often it has gone on letting go.
+        rested: Time since it was last looked at [s].
+        moved: shape (nv,), velocity with which it was going, until it turns back.
+        payload: Words on a weight that it seems to carry.
+        hangs: Whether a weight pulls it, and nothing blocks it.
+    """
+
+    following: FollowingError
+    timing: Timing
+    average: VelocityAverage | None
+    velocity: Vector
+    sent: Vector
+    reference: Posture | None = None
+    output: Posture | None = None
+    measured: Posture | None = None
+    last: Command | None = None
+    stopped_by: str | None = None
+    is_stopped: bool = False
+    lets_go: bool = False
+    slide: float = 0.0
+    alone: bool = False
+    refused: float = 0.0
+    jumped: tuple[str, float] = ("", -math.inf)
+    runs_on: bool = False
+    way_back: Return | None = None
+    relief: Posture | None = None
+    pressed: tuple[Any, Any, Any] = (None, None, None)
+    renewed: int = 0
+    rested: float = 0.0
+    moved: Any = None
+    payload: str = ""
+    hangs: bool = False
+
+    def copied(self) -> State:
+        """Return a copy for the next period; nothing that it is made of is changed in place."""
+        other = object.__new__(State)
+        vars(other).update(vars(self))
+        other.following = self.following.copied()
+        return other
+
+    @property
+    def position(self) -> Posture | None:
+        """The posture that is sent; None before the first reading."""
+        return self.output if self.way_back is None else self.way_back.posture
+
+
+@final
+class LoopRules:
+    """How the state of a loop follows from the one before and a reading.
+
+    Args:
+        controller: The controller, within `limits`.
+        limits: Limits of velocity, acceleration, jerk and position.
+        contact: Which forces on the hand stop the arm.
+        dt: Period [s].
+        stale_after: Time without a new reading after which the arm brakes [s].
+    """
+
+    def __init__(self, controller: LimitedController, limits: Limits, contact: Contact, dt: float, stale_after: float):
+        self.controller, self.limits, self.contact, self.dt, self.stale_after = (
+            controller,
+            limits,
+            contact,
+            dt,
+            stale_after,
+        )
+        self.robot: Robot = limits.robot
+        # an arm that presses brakes and lets go as hard as it can, however gently it was to move
+        hardest = np.maximum(limits.acceleration, Limits(self.robot).acceleration)
+        self.hardest = limits.with_rates(hardest, None)
+        self.readings = Readings(self.robot, farthest_positions(self.robot))
+        self._unknown = FollowingError(self.robot, contact, dt, self.hardest.acceleration, controller.frame)
+        self._slowed = 1.0, limits  # a share of the acceleration, and the limits with it
+
+    def begin(self, before: State | None = None, posture: Posture | None = None) -> State:
+        """Return the state of an arm that stands, before its first reading.
+
+        Args:
+            before: State of the motion before: how often the loop is called is known.
+            posture: Commanded posture; None takes the first that is read.
+        """
+        rest, average = np.zeros(self.robot.nv), VelocityAverage.at_rest(self.limits, self.dt)
+        timing = Timing.begin(self.dt, self.stale_after) if before is None else before.timing.again()
+        return State(self._unknown.copied(), timing, average, rest, rest, posture, posture, alone=posture is None)
+
+    def step(self, state: State, q: Any, t: Any) -> tuple[State, Command]:
+        """Return the state and the command of the next period; the state that was given stays as it is.
+
+        Args:
+            state: The state before.
+            q: Measured posture.
+            t: Time at which it was measured [s].
+
+        Raises:
+            ManipLearnError: What the controller raises.
+        """
+        after = state.copied()
+        return after, self.advance(after, q, t)
+
+    def advance(self, s: State, q: Any, t: Any) -> Command:
+        """Return the command of the next period, and change the state, which is a copy, to that after it."""
+        measured, time, timing = self.readings.posture(q), time_of(t), s.timing
+        timing = timing if measured is None else timing.ordered(time)
+        if measured is None or not time >= timing.time:
+            s.timing = timing.without(math.nan if measured is None else time)
+            s.stopped_by = self.readings.refusal(q) if measured is None else f"no time: {t!r:.40}"
+            return self.brake(s, Status.INVALID_INPUT)
+        jump = self.readings.jump(s.measured, measured, max(self.dt, time - timing.time))
+        if jump and s.refused <= self.stale_after:
+            if s.alone:  # a first reading that the second one is not near: nothing starts from it
+                self.controller.reset()
+                kept = {"is_stopped": s.is_stopped, "way_back": s.way_back, "measured": measured, "alone": True}
+                vars(s).update(vars(self.begin(s, measured)) | kept)
+                timing = s.timing._replace(time=time)
+            s.timing = timing.without(timing.older)
+            s.refused += self.dt
+            s.stopped_by, s.jumped = jump, (jump, time)
+            return self.brake(s, Status.INVALID_INPUT)
+        s.refused, s.alone = 0.0, s.alone and s.measured is None
+        s.measured = measured
+        stood = s.last is None or s.last.status in STANDING
+        s.timing = timing = timing.accept(time, stood)
+        if timing.late and not timing.is_stale:
+            self._catch_up(s, measured, stood)
+        period = timing.held
+        if s.reference is None or s.output is None:
+            s.reference = s.output = measured
+        if s.way_back is not None:
+            sent, s.way_back = s.way_back.posture, s.way_back.step(measured, period)
+            s.reference = s.output = sent
+            return self.brake(s, Status.FOLLOWING_ERROR, period)
+        if timing.silent == 0.0:  # a state that is not new says nothing of the commands since
+            s.following.compare(s.output, measured, self.controller.driven_motions)
+        if s.following.tripped:
+            # the average would go on pressing for its own length
+            s.reference, s.velocity = s.output, s.sent
+            return self._unloading(s, s.output, measured, period)
+        if timing.is_stale:
+            s.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
+            if in_milliseconds(timing.since, self.dt):
+                s.stopped_by += f"; the time went on by {timing.since:g}, in milliseconds? It is to be in seconds"
+            return self.brake(s, Status.STALE, period)
+        if s.is_stopped:
+            return self.brake(s, Status.STOPPED, period)
+        if timing.silent > 0.0 and s.last is not None:
+            last = s.last  # goes on, as long as that stays within the limits
+            if last.status in STANDING:
+                return self.brake(s, last.status)
+            bounds = self._bounds(s, s.reference, self.dt)
+            if bounds.admit(s.velocity):
+                return self._sent_on(s, last._replace(velocity=s.velocity))
+            slower = np.clip(s.velocity, bounds.low, bounds.high)
+            return self._sent_on(s, last._replace(velocity=slower, status=Status.POSITION_LIMITED))
+        return self._sent_on(s, self._command(s, s.reference, self.clock(s, time), period), period)
+
+    def _catch_up(self, s: State, measured: Posture, stood: bool) -> None:
+        """Take the motion that the arm made because a call was late, or did not because it was early.
+
+        A velocity servo goes on moving until the next command comes, a position servo stands where it was sent: the
+        share of the motion that the last velocity makes in this time which the arm has made tells them apart.
+        """
+        timing, followed, square = s.timing, 0.0, float(s.sent.dot(s.sent))
+        if s.output is not None and square > 0.0 and not s.following.tripped:
+            away = self.robot.difference(s.output, measured)
+            followed = min(1.0, max(0.0, float(away.dot(s.sent)) / (timing.late * square)))
+        s.runs_on = s.runs_on or (timing.late > 0.0 and followed > 0.5)
+        # an early call takes back no more than it goes on by: the posture never moves against the velocity
+        moved = max(timing.late, -timing.since) * followed
+        self._advance(s, moved, s.sent)
+        waited = timing.waited - (0.0 if stood else moved)
+        s.timing = s.timing._replace(commanded=0.0, waited=waited)
+
+    def clock(self, s: State, time: float) -> float:
+        """Time for the controller: that of the state, less that for which a task that waits for the arm has waited."""
+        return time - s.timing.waited if self.controller.waits else time
+
+    def _bounds(self, s: State, q: np.ndarray, held: float) -> Bounds:
+        """Bounds on the velocity that follows; where periods vary, a joint can stop however late the calls are.
+
+        In a call that is late by a time T, a velocity servo brakes by a dt only: the deceleration is a dt / T.
+        """
+        if s.timing.is_regular:
+            return self.limits.bounds(q, held, s.velocity)
+        return bound_changes(self._careful(s, q, s.timing.longest), s.velocity, self.limits.acceleration.tolist(), held)
+
+    def _careful(self, s: State, q: np.ndarray, late: float) -> Bounds:
+        """Bounds from which a joint stops however late the calls are, without those of its acceleration."""
+        share = s.timing.usual / late
+        if share != self._slowed[0]:
+            self._slowed = share, self.limits.with_rates(share * self.limits.acceleration, None)
+        return self._slowed[1].bounds(q, late, None)
+
+    def _command(self, s: State, q: np.ndarray, time: float, held: float) -> Command:
+        """The controller's command, within the limits and clear of what stands around; else the arm brakes.
+
+        Where it would come to rest if it braked was clear one step before.
+        """
+        command, tip = self._within_limits(s, q, time, held), self.limits.tip
+        if tip is None or tip.clear is None:
+            return command
+        clear = tip.clear_at(q, held, self.limits.acceleration, s.velocity)
+        if clear is not None and not tip.clear.was_clear(q, command.velocity) and clear(command.velocity) is not None:
+            command = _held_back(command, self._braking(s, held))._replace(limiting_joint=-1)
+        if command.limiting_joint < 0 and command.status in (Status.POSITION_LIMITED, Status.STALLED):
+            s.stopped_by = tip.clear.words() or s.stopped_by
+        return command
+
+    def _within_limits(self, s: State, q: np.ndarray, time: float, held: float) -> Command:
+        """The controller's command, within the limits."""
+        command = self.controller(q, time, held, s.velocity, s.slide)
+        s.slide = next_slide(s.slide, command, held)
+        if s.timing.is_regular or (bounds := self._bounds(s, q, held)).admit(command.velocity):
+            return command
+        return _held_back(command, np.clip(command.velocity, bounds.low, bounds.high))
+
+    def brake(self, s: State, status: Status, held: float | None = None) -> Command:
+        """The arm brakes along the motion it was in, as hard as the acceleration limits allow in a time [s]."""
+        dt = self.dt if held is None else held
+        return self._beside_the_law(s, self._braking(s, dt), status, dt)
+
+    def _braking(self, s: State, dt: float) -> np.ndarray:
+        """The velocity with which the arm brakes for a time [s]."""
+        u = s.velocity
+        hardest = float(np.max(np.abs(u) / (self.limits.acceleration * dt), initial=0.0))
+        if np.all(np.isfinite(self.limits.acceleration)):
+            u = u * max(0.0, 1.0 - 1.0 / hardest) if hardest > 0.0 else u
+        else:  # a joint that stops at once waits for none that cannot
+            u = np.sign(u) * np.maximum(np.abs(u) - self.limits.acceleration * dt, 0.0)
+        if hardest > 0.0 and s.reference is not None:
+            bounds = self._bounds(s, s.reference, dt)
+            # slower towards a limit, but at rest outside one
+            u = np.clip(u, np.minimum(bounds.low, 0.0), np.maximum(bounds.high, 0.0))
+        return u
+
+    def _unloading(self, s: State, commanded: np.ndarray, measured: np.ndarray, held: float) -> Command:
+        """The arm lets go of what blocks it: it goes to where it was measured when that was found, and on until it has.
+
+        What it was pressed by comes back with the arm, so that the first measurement does not say how far to go.
+        """
+        following = s.following
+        if s.relief is None:
+            s.pressed, s.renewed, s.rested = (commanded, measured, following.farthest()), 0, 0.0
+            s.moved, s.payload = s.velocity, following.carry(following.servos.at_rest, measured)
+            s.relief, s.lets_go = self._let_go(s, commanded), True
+            self._name_cause(s, measured)
+        elif float(s.velocity.dot(s.moved)) > 0.0:  # it brakes, and each reading tells more of the cause
+            self._name_cause(s, measured)
+        elif not s.renewed and self._comes_along(s, commanded, measured):
+            s.relief, s.renewed, s.hangs = commanded, RENEWALS, True
+        else:
+            s.moved = np.zeros_like(s.moved)
+        left = self.robot.difference(commanded, s.relief)
+        farthest = float(np.abs(left).max(initial=0.0))
+        s.rested += held
+        since, arrived = s.rested - following.servos.delay, farthest < _ARRIVED and not s.velocity.any()
+        if arrived and since > _SETTLED:
+            s.lets_go = s.renewed < RENEWALS and following.left(measured) > LEFT
+            if s.hangs:  # the weight has come to rest
+                s.stopped_by = f"{s.stopped_by}{following.carry(following.distance, measured)}"
+                s.hangs = False
+        if arrived and not (s.lets_go and since > _SETTLED):
+            return self.brake(s, Status.FOLLOWING_ERROR, held)
+        s.renewed += arrived
+        # the first measurements were those of an arm in motion; what is near is noise
+        if arrived or (farthest > _NEAR and not s.renewed and since > RELOOK):
+            s.relief, s.rested = self._let_go(s, commanded), 0.0
+            left = self.robot.difference(commanded, s.relief)
+            farthest = float(np.abs(left).max(initial=0.0))
+        wish = left * min(1.0 / held, max(UNLOADING_RATE, _SLOWEST / max(farthest, _ARRIVED)))
+        bounds = self.hardest.bounds(commanded, held, s.velocity)
+        velocity = self.hardest.towards(wish, s.velocity, bounds, held)
+        return self._beside_the_law(s, velocity, Status.FOLLOWING_ERROR, held)
+
+    def _name_cause(self, s: State, measured: np.ndarray) -> None:
+        """Say what stopped the arm."""
+        words = s.following.sentence(self.controller.constraint, measured) + s.payload
+        s.stopped_by = f"{s.jumped[0]}; {words}" if s.timing.time - s.jumped[1] <= self.stale_after else words
+
+    def _let_go(self, s: State, commanded: np.ndarray) -> np.ndarray:
+        """A posture at which the arm presses less, not far from where it pressed."""
+        place, _, most = s.pressed
+        gone = self.robot.difference(place, commanded) + s.following.relief()
+        way = np.clip(gone, -most, most)
+        if np.any(way != gone):  # no force takes an arm so far: what is measured is wrong
+            s.renewed = RENEWALS
+        return np.array(self.robot.integrate(place, way))
+
+    def _comes_along(self, s: State, commanded: np.ndarray, measured: np.ndarray) -> bool:
+        """True if an arm that is pulled down sinks as far as it lets go: a weight pulls it, and nothing blocks it."""
+        place, pressed, _ = s.pressed
+        following, servos = s.following, s.following.servos
+        gone = self.robot.difference(place, commanded) - servos.gone(round(servos.delay / self.dt))
+        came, square = self.robot.difference(pressed, measured), float(gone.dot(gone))
+        return following.sinks and square > _SHOWS * _SHOWS and float(came.dot(gone)) > _FOLLOWS * square
+
+    def _beside_the_law(self, s: State, u: np.ndarray, status: Status, held: float) -> Command:
+        last, zero = s.last, np.zeros(self.robot.nv)
+        mu, b, smallest = 0.0, zero[:0], 0.0
+        if last is not None:
+            mu, b, smallest = last.manipulability, last.task_velocity, last.smallest_singular_value
+        command = Command(
+            velocity=u, status=status, manipulability=mu, task_velocity=b, task_part=u, null_part=zero,
+            task_scale=0.0, null_scale=0.0, smallest_singular_value=smallest, progress=0.0,
+        )  # fmt: skip
+        return self._sent_on(s, command, held)
+
+    def _sent_on(self, s: State, command: Command, held: float | None = None) -> Command:
+        """Average the velocity, and move the commanded posture on by one period."""
+        held = self.dt if held is None else held
+        # arrays of the loop's own: what the caller does to those of the command is his
+        before, sent = s.velocity, s.sent
+        s.last, s.velocity, error = command, command.velocity.copy(), s.following.largest
+        s.sent = moved = s.velocity
+        if s.average is not None and not s.following.tripped:
+            s.average = s.average.add(s.velocity, held)
+            s.sent = s.average.mean
+            # joined by straight lines, as in the average; what holding the mean adds to its own line is not lost
+            moved = 0.5 * (before + moved + s.sent - sent)
+            late = s.timing.longest
+            if s.runs_on and late > s.timing.usual and s.output is not None:
+                # the mean comes to rest in as many calls, however long these last: it gives way to position limits
+                accelerations = self.limits.acceleration.tolist()
+                bounds = bound_changes(self._careful(s, s.output, late), sent, accelerations, held)
+                slower = np.clip(s.sent, bounds.low, bounds.high)
+                moved, s.sent = moved - (s.sent - slower), slower
+        self._advance(s, held, moved)
+        b, task, null = (np.array(part) for part in (command.task_velocity, command.task_part, command.null_part))
+        return command._replace(
+            velocity=s.sent.copy(), task_velocity=b, task_part=task, null_part=null, following_error=error
+        )
+
+    def _advance(self, s: State, time: float, velocity: np.ndarray) -> None:
+        """Move the commanded posture on by a time [s]."""
+        if s.reference is None or s.output is None:
+            return
+        s.following.moved(s.output, time, s.sent)
+        s.timing = s.timing._replace(commanded=s.timing.commanded + time)
+        if velocity.any() or s.sent.any():
+            together = s.output is s.reference and s.average is None
+            s.reference = self.robot.integrate(s.reference, time * velocity)
+            s.output = s.reference if together else self.robot.integrate(s.output, time * s.sent)
+
+
+def _held_back(command: Command, velocity: np.ndarray) -> Command:
+    """A command with another velocity, within a limit of positions; its status says so where it says nothing graver."""
+    status = min(command.status, Status.POSITION_LIMITED, key=tuple(Status).index)
+    return command._replace(velocity=velocity, status=status)
 
 
 @final
@@ -117,12 +491,10 @@ class ServoLoop:
 
     Attributes:
         limits: The limits in force.
+        rules: How its state follows from the one before and a reading.
         acceleration_limit: shape (nv,) [rad/s2 or m/s2], in force.
         jerk_limit: shape (nv,) [rad/s3 or m/s3], in force, or None.
         dt: [s].
-        measured: shape (n,), the newest measured posture that was one; None before the first.
-        lets_go: Whether the arm is letting go of what blocked it.
-        stopped_by: What last stopped the arm, in words; None where nothing has.
 
     Raises:
         ConfigurationError: A setting that is not positive, or a controller that has no robot where none is given.
@@ -172,18 +544,13 @@ class ServoLoop:
         self.limits = limits = given.with_rates(acceleration_limit, jerk_limit)
         self.acceleration_limit, self.jerk_limit = limits.acceleration, limits.jerk
         average = VelocityAverage.at_rest(limits, self.dt)
-        self._within = within.with_limits(limits, 0.0 if average is None else 0.5 * average.time)
-        self.controller = self._within if within is controller else controller
+        bounded = within.with_limits(limits, 0.0 if average is None else 0.5 * average.time)
+        self.controller = bounded if within is controller else controller
         self.contact = contact = contact or Contact()
-        if contact.max_axial_force == "auto" and (force := self._within.taught_force) is not None:
+        if contact.max_axial_force == "auto" and (force := bounded.taught_force) is not None:
             self.contact = replace(contact, max_axial_force=max(contact.max_lateral_force, BEYOND_TAUGHT * force))
-        # an arm that presses brakes and lets go as hard as it can, however gently it was to move
-        self._hard = self.limits.with_rates(np.maximum(self.limits.acceleration, Limits(own).acceleration), None)
-        self._following = FollowingError(own, self.contact, self.dt, self._hard.acceleration, self._within.frame)
-        self._readings = Readings(own, farthest_positions(own))
-        self._timing = Timing.begin(self.dt, self.stale_after)
-        self._slowed = 1.0, self.limits  # a share of the acceleration, and the limits with it
-        self._return: Return | None = None
+        self.rules = LoopRules(bounded, limits, self.contact, self.dt, self.stale_after)
+        self._state = self.rules.begin()
         self.reset()
 
     def reset(self, q: ArrayLike | None = None) -> None:
@@ -199,36 +566,24 @@ class ServoLoop:
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        nv = self.robot.nv
-        # a position servo holds the arm there still
-        if q is not None or self._following.tripped:
-            sent = None if q is not None else self.position
-            self._return = None if sent is None else Return(self.limits, sent, self._following.load)
-        # where the controller is, and where the arm is sent: the same but for the average
-        self._reference = self._output = None if q is None else np.array(self.robot.checked_posture(q))
-        self._velocity, self._sent = np.zeros(nv), np.zeros(nv)
-        self._average = VelocityAverage.at_rest(self.limits, self.dt)
-        self._following.forget()
-        self._relief: np.ndarray | None = None  # posture to go to after a following error
-        self.measured, self.stopped_by = None, None
-        # for how long readings have come that no joint can have moved to, and what was said of the last one: from
-        # `stale_after` on they are believed
-        self._refused, self._jumped = 0.0, ("", -math.inf)
-        self._timing = self._timing.again()
-        self._runs_on = False  # whether the arm goes on between late calls, as a velocity servo does
-        self._alone = self._output is None  # a posture starts from the first reading, and no other has been near it
-        self._stopping = self.lets_go = self._hangs = False
-        self._slide = 0.0
-        self._last: Command | None = None
-        self._within.reset()
+        before = self._state
+        state = self.rules.begin(before, None if q is None else np.array(self.robot.checked_posture(q)))
+        if q is None and before.following.tripped and before.position is not None:  # a position servo holds it there
+            state.way_back = Return(self.limits, before.position, before.following.load)
+        elif q is None:
+            state.way_back = before.way_back
+        self._state = state
+        self.rules.controller.reset()
 
     def stop(self) -> None:
         """Brake and stand until `start` is called."""
-        self._stopping = True
+        self._state = self._state.copied()
+        self._state.is_stopped = True
 
     def start(self) -> None:
         """Move again after `stop`."""
-        self._stopping = False
+        self._state = self._state.copied()
+        self._state.is_stopped = False
 
     def set_task(self, task: Task) -> None:
         """Another task, in motion: the velocity goes over into that of the new task within the acceleration limits.
@@ -248,7 +603,7 @@ class ServoLoop:
             ConfigurationError: The task is another one.
             TargetError: The target does not fit the constraint.
         """
-        task = None if self._within.law is None else self._within.law.task
+        task = None if self.rules.controller.law is None else self.rules.controller.law.task
         if type(task) is not PointAttractor:
             raise ConfigurationError(f"only a PointAttractor has a target that can be set, the task is {task!r}")
         self._exchange(PointAttractor(target, task.gain, task.max_speed, driven=task.driven), None)
@@ -264,47 +619,67 @@ class ServoLoop:
 
     def _exchange(self, task: Task | None, constraint: Constraint | None) -> None:
         """Go on with another task or another constraint from the posture and the velocity of now."""
-        law = self._within.law
+        law, state = self.rules.controller.law, self._state.copied()
         if law is None:
             kind = type(self.controller).__name__
             raise ConfigurationError(f"only a ResolvedRateController takes another task, not {kind}")
         if constraint is not None and constraint.robot is not law.learnt.robot:
             raise ConfigurationError("the constraint belongs to another robot than that of the loop")
         law = law.with_task(law.task if task is None else task, law.learnt if constraint is None else constraint)
-        if self._reference is not None:
-            law(self._reference, 0.0, self.dt)  # what does not fit is refused while the old law is still there
+        if state.reference is not None:
+            law(state.reference, 0.0, self.dt)  # what does not fit is refused while the old law is still there
             law.task.reset()
-        self.controller = self._within = law.with_limits(self.limits)
-        self._slide, self._timing = 0.0, self._timing._replace(waited=0.0)
+        self.controller = self.rules.controller = law.with_limits(self.limits)
+        state.slide, state.timing, self._state = 0.0, state.timing._replace(waited=0.0), state
+
+    @property
+    def state(self) -> State:
+        """All that the loop remembers."""
+        return self._state
+
+    @property
+    def measured(self) -> Posture | None:
+        """The newest measured posture that was one; None before the first."""
+        return self._state.measured
+
+    @property
+    def stopped_by(self) -> str | None:
+        """What last stopped the arm, in words; None where nothing has."""
+        return self._state.stopped_by
+
+    @property
+    def lets_go(self) -> bool:
+        """Whether the arm is letting go of what blocked it."""
+        return self._state.lets_go
 
     @property
     def silent(self) -> float:
         """Time in which no state has come that was one and new [s]."""
-        return self._timing.silent
+        return self._state.timing.silent
 
     @property
-    def begins(self) -> Float[np.ndarray, " nv"] | None:
+    def begins(self) -> Vector | None:
         """Joint positions at which the motion of the controller begins [rad or m]; None if it begins anywhere."""
-        return self._within.start
+        return self.rules.controller.start
 
     @property
-    def yields(self) -> Float[np.ndarray, " nv"]:
+    def yields(self) -> Vector:
         """By how much servos give way to the largest force that is allowed, shape (nv,) [rad or m]."""
-        return self._following.farthest()
+        return self._state.following.farthest()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What is known of the arm and of the motion, in sentences: how late it follows, which forces are seen."""
-        return (*self._following.notes, *self._within.notes)
+        return (*self._state.following.notes, *self.rules.controller.notes)
 
     @property
-    def position(self) -> Float[np.ndarray, " n"] | None:
+    def position(self) -> Posture | None:
         """The commanded posture at the end of the period, for a position servo; None before the first state.
 
         From one call to the next it moves by no more than the velocity limits allow in `dt`, or in the time between
         the calls where that is shorter: after a gap, a position servo goes on from where it stands.
         """
-        sent = self._output if self._return is None else self._return.posture
+        sent = self._state.position
         return None if sent is None else sent.copy()
 
     def update(self, q: Any, t: Any) -> Command:
@@ -320,7 +695,7 @@ class ServoLoop:
         try:
             return self.step(q, t)
         except Exception:  # whatever goes wrong in a task or a policy of the user's own, an arm in motion must brake
-            return self._braked(Status.INVALID_INPUT)
+            return self.rules.brake(self._state, Status.INVALID_INPUT)
 
     def step(self, q: ArrayLike, t: float) -> Command:
         """The command of the next period, as `update` gives it; errors of controller, task and policy are raised.
@@ -328,267 +703,18 @@ class ServoLoop:
         Raises:
             ManipLearnError: What the controller raises.
         """
-        measured, time, timing = self._readings.posture(q), time_of(t), self._timing
-        timing = timing if measured is None else timing.ordered(time)
-        if measured is None or not time >= timing.time:
-            self._timing = timing.without(math.nan if measured is None else time)
-            self.stopped_by = self._readings.refusal(q) if measured is None else f"no time: {t!r:.40}"
-            return self._braked(Status.INVALID_INPUT)
-        jump = self._readings.jump(self.measured, measured, max(self.dt, time - timing.time))
-        if jump and self._refused <= self.stale_after:
-            if self._alone:  # a first reading that the second one is not near: nothing starts from it
-                stopping = self._stopping
-                self.reset()
-                self._stopping, timing = stopping, self._timing._replace(time=time)
-                self.measured = self._reference = self._output = measured
-            self._timing = timing.without(timing.older)
-            self._refused += self.dt
-            self.stopped_by, self._jumped = jump, (jump, time)
-            return self._braked(Status.INVALID_INPUT)
-        self._refused, self._alone = 0.0, self._alone and self.measured is None
-        self.measured = measured
-        stood = self._last is None or self._last.status in STANDING
-        self._timing, told = timing.accept(time, stood), timing.warning
-        timing = self._timing
-        if timing.warning != told:
-            _LOGGER.warning(timing.warning)
-        if timing.late and not timing.is_stale:
-            self._catch_up(measured, stood)
-        period = timing.held
-        if self._reference is None or self._output is None:
-            self._reference = self._output = measured
-        if self._return is not None:
-            sent, self._return = self._return.posture, self._return.step(measured, period)
-            self._reference = self._output = sent
-            return self._braked(Status.FOLLOWING_ERROR, period)
-        if timing.silent == 0.0:  # a state that is not new says nothing of the commands since
-            known = len(self._following.notes)
-            self._following.compare(self._output, measured, self._within.driven_motions)
-            for note in self._following.notes[known:]:
-                _LOGGER.warning(note)
-        if self._following.tripped:
-            # the average would go on pressing for its own length
-            self._reference, self._velocity = self._output, self._sent
-            return self._unloading(self._output, measured, period)
-        if timing.is_stale:
-            self.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
-            if in_milliseconds(timing.since, self.dt):
-                self.stopped_by += f"; the time went on by {timing.since:g}, in milliseconds? It is to be in seconds"
-            return self._braked(Status.STALE, period)
-        if self._stopping:
-            return self._braked(Status.STOPPED, period)
-        if timing.silent > 0.0 and self._last is not None:
-            last = self._last  # goes on, as long as that stays within the limits
-            if last.status in STANDING:
-                return self._braked(last.status)
-            bounds = self._bounds(self._reference, self.dt)
-            if bounds.admit(self._velocity):
-                return self._sent_on(last._replace(velocity=self._velocity))
-            slower = np.clip(self._velocity, bounds.low, bounds.high)
-            return self._sent_on(last._replace(velocity=slower, status=Status.POSITION_LIMITED))
-        return self._sent_on(self._command(self._reference, self._clock(time), period), period)
-
-    def _catch_up(self, measured: Float[np.ndarray, " n"], stood: bool) -> None:
-        """Take the motion that the arm made because a call was late, or did not because it was early.
-
-        A velocity servo goes on moving until the next command comes, a position servo stands where it was sent: the
-        share of the motion that the last velocity makes in this time which the arm has made tells them apart.
-        """
-        timing, followed, square = self._timing, 0.0, float(self._sent.dot(self._sent))
-        if self._output is not None and square > 0.0 and not self._following.tripped:
-            away = self.robot.difference(self._output, measured)
-            followed = min(1.0, max(0.0, float(away.dot(self._sent)) / (timing.late * square)))
-        self._runs_on = self._runs_on or (timing.late > 0.0 and followed > 0.5)
-        # an early call takes back no more than it goes on by: the posture never moves against the velocity
-        moved = max(timing.late, -timing.since) * followed
-        self._advance(moved, self._sent)
-        waited = timing.waited - (0.0 if stood else moved)
-        self._timing = self._timing._replace(commanded=0.0, waited=waited)
-
-    def _clock(self, time: float) -> float:
-        """Time for the controller: that of the state, less that for which a task that waits for the arm has waited."""
-        return time - self._timing.waited if self._within.waits else time
-
-    def _bounds(self, q: np.ndarray, held: float) -> Bounds:
-        """Bounds on the velocity that follows; where periods vary, a joint can stop however late the calls are.
-
-        In a call that is late by a time T, a velocity servo brakes by a dt only: the deceleration is a dt / T.
-        """
-        if self._timing.is_regular:
-            return self.limits.bounds(q, held, self._velocity)
-        return bound_changes(
-            self._careful(q, self._timing.longest), self._velocity, self.limits.acceleration.tolist(), held
-        )
-
-    def _careful(self, q: np.ndarray, late: float) -> Bounds:
-        """Bounds from which a joint stops however late the calls are, without those of its acceleration."""
-        share = self._timing.usual / late
-        if share != self._slowed[0]:
-            self._slowed = share, self.limits.with_rates(share * self.limits.acceleration, None)
-        return self._slowed[1].bounds(q, late, None)
-
-    def _command(self, q: np.ndarray, time: float, held: float) -> Command:
-        """The controller's command, within the limits and clear of what stands around; else the arm brakes.
-
-        Where it would come to rest if it braked was clear one step before.
-        """
-        command, tip = self._within_limits(q, time, held), self.limits.tip
-        if tip is None or tip.clear is None:
-            return command
-        clear = tip.clear_at(q, held, self.limits.acceleration, self._velocity)
-        if clear is not None and not tip.clear.was_clear(q, command.velocity) and clear(command.velocity) is not None:
-            command = _held_back(command, self._braking(held))._replace(limiting_joint=-1)
-        if command.limiting_joint < 0 and command.status in (Status.POSITION_LIMITED, Status.STALLED):
-            self.stopped_by = tip.clear.words() or self.stopped_by
+        before, self._state = self._state, self._state.copied()
+        command = self.rules.advance(self._state, q, t)
+        for note in self._state.following.notes[len(before.following.notes) :]:
+            _LOGGER.warning(note)
+        if (warning := self._state.timing.warning) != before.timing.warning:
+            _LOGGER.warning(warning)
         return command
-
-    def _within_limits(self, q: np.ndarray, time: float, held: float) -> Command:
-        """The controller's command, within the limits."""
-        command = self._within(q, time, held, self._velocity, self._slide)
-        self._slide = next_slide(self._slide, command, held)
-        if self._timing.is_regular or (bounds := self._bounds(q, held)).admit(command.velocity):
-            return command
-        return _held_back(command, np.clip(command.velocity, bounds.low, bounds.high))
-
-    def _braked(self, status: Status, held: float | None = None) -> Command:
-        """The arm brakes along the motion it was in, as hard as the acceleration limits allow in a time [s]."""
-        dt = self.dt if held is None else held
-        return self._beside_the_law(self._braking(dt), status, dt)
-
-    def _braking(self, dt: float) -> np.ndarray:
-        """The velocity with which the arm brakes for a time [s]."""
-        u = self._velocity
-        hardest = float(np.max(np.abs(u) / (self.limits.acceleration * dt), initial=0.0))
-        if np.all(np.isfinite(self.limits.acceleration)):
-            u = u * max(0.0, 1.0 - 1.0 / hardest) if hardest > 0.0 else u
-        else:  # a joint that stops at once waits for none that cannot
-            u = np.sign(u) * np.maximum(np.abs(u) - self.limits.acceleration * dt, 0.0)
-        if hardest > 0.0 and self._reference is not None:
-            bounds = self._bounds(self._reference, dt)
-            # slower towards a limit, but at rest outside one
-            u = np.clip(u, np.minimum(bounds.low, 0.0), np.maximum(bounds.high, 0.0))
-        return u
-
-    def _unloading(self, commanded: np.ndarray, measured: np.ndarray, held: float) -> Command:
-        """The arm lets go of what blocks it: it goes to where it was measured when that was found, and on until it has.
-
-        What it was pressed by comes back with the arm, so that the first measurement does not say how far to go.
-        """
-        following = self._following
-        if self._relief is None:
-            self._pressed, self._renewed, self._rested = (commanded, measured, following.farthest()), 0, 0.0
-            self._moved, self._payload = self._velocity, following.carry(following.servos.at_rest, measured)
-            self._relief, self.lets_go = self._let_go(commanded), True
-            self._name_cause(measured)
-        elif float(self._velocity.dot(self._moved)) > 0.0:  # it brakes, and each reading tells more of the cause
-            self._name_cause(measured)
-        elif not self._renewed and self._comes_along(commanded, measured):
-            self._relief, self._renewed, self._hangs = commanded, RENEWALS, True
-        else:
-            self._moved = np.zeros_like(self._moved)
-        left = self.robot.difference(commanded, self._relief)
-        farthest = float(np.abs(left).max(initial=0.0))
-        self._rested += held
-        since, arrived = self._rested - following.servos.delay, farthest < _ARRIVED and not self._velocity.any()
-        if arrived and since > _SETTLED:
-            self.lets_go = self._renewed < RENEWALS and following.left(measured) > LEFT
-            if self._hangs:  # the weight has come to rest
-                self.stopped_by = f"{self.stopped_by}{following.carry(following.distance, measured)}"
-                self._hangs = False
-        if arrived and not (self.lets_go and since > _SETTLED):
-            return self._braked(Status.FOLLOWING_ERROR, held)
-        self._renewed += arrived
-        # the first measurements were those of an arm in motion; what is near is noise
-        if arrived or (farthest > _NEAR and not self._renewed and since > RELOOK):
-            self._relief, self._rested = self._let_go(commanded), 0.0
-            left = self.robot.difference(commanded, self._relief)
-            farthest = float(np.abs(left).max(initial=0.0))
-        wish = left * min(1.0 / held, max(UNLOADING_RATE, _SLOWEST / max(farthest, _ARRIVED)))
-        bounds = self._hard.bounds(commanded, held, self._velocity)
-        velocity = self._hard.towards(wish, self._velocity, bounds, held)
-        return self._beside_the_law(velocity, Status.FOLLOWING_ERROR, held)
-
-    def _name_cause(self, measured: np.ndarray) -> None:
-        """Say what stopped the arm."""
-        words = self._following.sentence(self._within.constraint, measured) + self._payload
-        self.stopped_by = (
-            f"{self._jumped[0]}; {words}" if self._timing.time - self._jumped[1] <= self.stale_after else words
-        )
-
-    def _let_go(self, commanded: np.ndarray) -> np.ndarray:
-        """A posture at which the arm presses less, not far from where it pressed."""
-        place, _, most = self._pressed
-        gone = self.robot.difference(place, commanded) + self._following.relief()
-        way = np.clip(gone, -most, most)
-        if np.any(way != gone):  # no force takes an arm so far: what is measured is wrong
-            self._renewed = RENEWALS
-        return np.array(self.robot.integrate(place, way))
-
-    def _comes_along(self, commanded: np.ndarray, measured: np.ndarray) -> bool:
-        """True if an arm that is pulled down sinks as far as it lets go: a weight pulls it, and nothing blocks it."""
-        place, pressed, _ = self._pressed
-        following, servos = self._following, self._following.servos
-        gone = self.robot.difference(place, commanded) - servos.gone(round(servos.delay / self.dt))
-        came, square = self.robot.difference(pressed, measured), float(gone.dot(gone))
-        return following.sinks and square > _SHOWS * _SHOWS and float(came.dot(gone)) > _FOLLOWS * square
-
-    def _beside_the_law(self, u: np.ndarray, status: Status, held: float) -> Command:
-        last, zero = self._last, np.zeros(self.robot.nv)
-        mu, b, smallest = 0.0, zero[:0], 0.0
-        if last is not None:
-            mu, b, smallest = last.manipulability, last.task_velocity, last.smallest_singular_value
-        command = Command(
-            velocity=u, status=status, manipulability=mu, task_velocity=b, task_part=u, null_part=zero,
-            task_scale=0.0, null_scale=0.0, smallest_singular_value=smallest, progress=0.0,
-        )  # fmt: skip
-        return self._sent_on(command, held)
-
-    def _sent_on(self, command: Command, held: float | None = None) -> Command:
-        """Average the velocity, and move the commanded posture on by one period."""
-        held = self.dt if held is None else held
-        # arrays of the loop's own: what the caller does to those of the command is his
-        before, sent = self._velocity, self._sent
-        self._last, self._velocity, error = command, command.velocity.copy(), self._following.largest
-        self._sent = moved = self._velocity
-        if self._average is not None and not self._following.tripped:
-            self._average = self._average.add(self._velocity, held)
-            self._sent = self._average.mean
-            # joined by straight lines, as in the average; what holding the mean adds to its own line is not lost
-            moved = 0.5 * (before + moved + self._sent - sent)
-            late = self._timing.longest
-            if self._runs_on and late > self._timing.usual and self._output is not None:
-                # the mean comes to rest in as many calls, however long these last: it gives way to position limits
-                accelerations = self.limits.acceleration.tolist()
-                bounds = bound_changes(self._careful(self._output, late), sent, accelerations, held)
-                slower = np.clip(self._sent, bounds.low, bounds.high)
-                moved, self._sent = moved - (self._sent - slower), slower
-        self._advance(held, moved)
-        b, task, null = (np.array(part) for part in (command.task_velocity, command.task_part, command.null_part))
-        return command._replace(
-            velocity=self._sent.copy(), task_velocity=b, task_part=task, null_part=null, following_error=error
-        )
-
-    def _advance(self, time: float, velocity: np.ndarray) -> None:
-        """Move the commanded posture on by a time [s]."""
-        if self._reference is None or self._output is None:
-            return
-        self._following.moved(self._output, time, self._sent)
-        self._timing = self._timing._replace(commanded=self._timing.commanded + time)
-        if velocity.any() or self._sent.any():
-            together = self._output is self._reference and self._average is None
-            self._reference = self.robot.integrate(self._reference, time * velocity)
-            self._output = self._reference if together else self.robot.integrate(self._output, time * self._sent)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]; NaN if the controller knows none."""
         error = getattr(self.controller, "task_error", None)
-        return math.nan if error is None else float(error(q, self._clock(t)))
+        return math.nan if error is None else float(error(q, self.rules.clock(self._state, t)))
 
     def __repr__(self) -> str:
         return f"ServoLoop({self.controller!r}, dt={self.dt:g})"
-
-
-def _held_back(command: Command, velocity: np.ndarray) -> Command:
-    """A command with another velocity, within a limit of positions; its status says so where it says nothing graver."""
-    status = min(command.status, Status.POSITION_LIMITED, key=tuple(Status).index)
-    return command._replace(velocity=velocity, status=status)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller, LimitedController
+from manip_learn.control.command import Command, Controller, LimitedController, Posture
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
@@ -24,7 +24,7 @@ from manip_learn.robot.robot import Robot
 _STARTS = 256
 
 
-Start = Sequence[float] | Float[np.ndarray, " n"]
+Start = Sequence[float] | Posture
 Starts = Sequence[Sequence[float]]
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.control.command import Vector
 from manip_learn.control.limits import Limits
 from manip_learn.errors import ConfigurationError
 
@@ -172,7 +173,7 @@ class VelocityAverage(NamedTuple):
     time: float
     ages: Float[np.ndarray, " k"]
     knots: Float[np.ndarray, "k nv"]
-    mean: Float[np.ndarray, " nv"]
+    mean: Vector
 
     @staticmethod
     def at_rest(limits: Limits, dt: float) -> VelocityAverage | None:
@@ -190,7 +191,7 @@ class VelocityAverage(NamedTuple):
         time, rest = dt * max(1, math.ceil(needed / dt - 1e-9)), np.zeros((2, limits.robot.nv))
         return VelocityAverage(time, np.array([time, 0.0]), rest, rest[0]) if time > dt else None
 
-    def add(self, velocity: Float[np.ndarray, " nv"], dt: float) -> VelocityAverage:
+    def add(self, velocity: Vector, dt: float) -> VelocityAverage:
         """Return the average with another velocity, which is reached in dt [s]."""
         T = self.time
         ages, knots = np.append(self.ages + min(dt, T), 0.0), np.vstack((self.knots, velocity))

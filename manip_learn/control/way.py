@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.control.command import Status
+from manip_learn.control.command import Posture, Status, Vector
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
@@ -69,17 +69,9 @@ class WayDone:
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer: lengths in m, angles in degrees."""
         size = 1.0 if self.unit == "m" else float(np.degrees(1.0))
-        return {
-            "wanted": size * self.wanted,
-            "done": size * self.done,
-            "unit": "m" if self.unit == "m" else "deg",
-            "deviation": self.deviation,
-            "begins": self.begins,
-            "seconds": self.seconds,
-            "least_manipulability": self.least_manipulability,
-            "fastest_joint": {"name": self.fastest[0], "share_of_limit": self.fastest[1]},
-            "stopped_by": self.stopped_by,
-        }
+        told = {"wanted": size * self.wanted, "done": size * self.done, "unit": "m" if self.unit == "m" else "deg"}
+        told |= {"fastest_joint": {"name": self.fastest[0], "share_of_limit": self.fastest[1]}}
+        return {name: value for name, value in vars(self).items() if name != "fastest"} | told
 
 
 def leads_away(handle: Float[np.ndarray, " 3"], way: Float[np.ndarray, " 3"]) -> bool:
@@ -91,7 +83,7 @@ def leads_away(handle: Float[np.ndarray, " 3"], way: Float[np.ndarray, " 3"]) ->
 def simulate_way(
     robot: Robot,
     controller: ResolvedRateController,
-    q0: Sequence[float] | Float[np.ndarray, " n"],
+    q0: Sequence[float] | Posture,
     dt: float = 0.01,
     duration: float | None = None,
     *,
@@ -175,7 +167,7 @@ def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, "
     )
 
 
-def joint_at_limit(robot: Robot, positions: Float[np.ndarray, " nv"]) -> str | None:
+def joint_at_limit(robot: Robot, positions: Vector) -> str | None:
     """The first joint that stands at a position limit, in words; None if none does."""
     for i, name in enumerate(robot.joint_names):
         for side, limit in (("lower", robot.position_lower[i]), ("upper", robot.position_upper[i])):

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
+from manip_learn.control.command import Vector
 from manip_learn.errors import TargetError, advice
 from manip_learn.linalg import unit
 
@@ -34,7 +35,7 @@ class Task(ABC):
     damping: float = 0.05
     # whether b is the mean one of the time for which it is held: `velocity_and_jacobian` then gets that as well [s]
     sampled: bool = False
-    start: Float[np.ndarray, " nv"] | None = None  # joint positions at which it begins; None if it begins anywhere
+    start: Vector | None = None  # joint positions at which it begins; None if it begins anywhere
     is_approach: bool = False  # whether it only leads to the way of another task
     gripper: str | None = None  # what a gripper is told meanwhile, `"close"` or `"open"`
 
