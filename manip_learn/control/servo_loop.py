@@ -1,4 +1,14 @@
-"""The loop that a real-time program calls: a controller, its state and its periods in time, and what stops it."""
+"""The loop that a real-time program calls: rules, which say what follows, and a state, which is all that it remembers.
+
+::
+
+    goes on --- no posture, no time, too old, `stop` --> brakes, and stands
+       ^ <---------------- the reason is gone ---------------+   |
+       |                                                         |
+       +--- either: blocked --> lets go --- nothing presses --> stands, blocked
+       |                                                         |
+       +------ arrived --- goes back to where the arm is <--- `reset`
+"""
 
 from __future__ import annotations
 
