@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.control.command import Posture, Vector
 from manip_learn.control.limits import per_joint
-from manip_learn.control.servos import HIDDEN, Servos
+from manip_learn.control.servos import HIDDEN, Servos, copied
 from manip_learn.errors import ConfigurationError, counted, under_new_names
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
@@ -213,7 +212,7 @@ class FollowingError:
 
     def copied(self) -> FollowingError:
         """Return a copy; nothing that it is made of is changed in place."""
-        other = copy.copy(self)
+        other = copied(self)
         other.servos = self.servos.copied()
         return other
 

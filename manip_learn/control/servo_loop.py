@@ -27,6 +27,7 @@ from manip_learn.control.following import LEFT, Contact, FollowingError
 from manip_learn.control.law import next_slide
 from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
 from manip_learn.control.reading import Readings
+from manip_learn.control.servos import copied
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.control.timing import Timing, VelocityAverage, in_milliseconds, time_of
 from manip_learn.errors import ConfigurationError
@@ -151,8 +152,7 @@ class State:
 
     def copied(self) -> State:
         """Return a copy for the next period; nothing that it is made of is changed in place."""
-        other = object.__new__(State)
-        vars(other).update(vars(self))
+        other = copied(self)
         other.following = self.following.copied()
         return other
 

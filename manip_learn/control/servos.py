@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -33,6 +32,13 @@ _ON_PATH = 0.2  # share of the distance by which an arm is late that it may be o
 _DRAWS = 20.0  # variance of the third difference of independent noise, over its own: 1 + 9 + 9 + 1
 
 
+def copied(thing: Any) -> Any:
+    """Return a shallow copy of an object without slots, in a tenth of the time of `copy.copy`."""
+    other = object.__new__(type(thing))
+    other.__dict__.update(thing.__dict__)
+    return other
+
+
 @final
 class History:
     """Rows of the periods that are over; none is ever changed, and what is added shares the memory of what was before.
@@ -48,7 +54,7 @@ class History:
 
     def add(self, row: Float[np.ndarray, " n"]) -> History:
         """Return the rows with another one."""
-        other = copy.copy(self)
+        other = copied(self)
         if self._claimed[0] != self._end or self._end == len(self._table):  # it went on otherwise from here, or is full
             other._table = np.empty_like(self._table)
             other._table[: self._size] = self.newest(self._size)
@@ -157,7 +163,7 @@ class Servos:
 
     def copied(self) -> Servos:
         """Return a copy; nothing that it is made of is changed in place."""
-        return copy.copy(self)
+        return copied(self)
 
     def _sent(self, k: int) -> Float[np.ndarray, " nv"]:
         """Return the way of the commanded posture k periods ago."""
