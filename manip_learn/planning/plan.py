@@ -386,10 +386,12 @@ class _Problem:
                 said("simulating the best of them", 0.3 + 0.4 * share)
                 if (found := self._tried(one, clear, len(choices))) is None:
                     continue
-                as_shown = self.stations.takes_hold_as_shown(one.path[:1])[0] or bool(marches.stand(choices[:1])[0])
+                turned = not self.stations.takes_hold_as_shown(one.path[:1])[0] and np.any(
+                    one.path[0] != self.positions
+                )
                 note = "the hand takes hold turned otherwise than shown: so turned it finds no way"
                 said("planned", 1.0)
-                return found if as_shown else replace(found, notes=(*found.notes, note))
+                return replace(found, notes=(*found.notes, note)) if turned else found
         if self.missing is not None:
             raise self.missing
         said("looking for what would help", 0.9)
