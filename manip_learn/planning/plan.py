@@ -386,12 +386,11 @@ class _Problem:
                 said("simulating the best of them", 0.3 + 0.4 * share)
                 if (found := self._tried(one, clear, len(choices))) is None:
                     continue
-                turned = not self.stations.takes_hold_as_shown(one.path[:1])[0] and np.any(
-                    one.path[0] != self.positions
-                )
-                note = "the hand takes hold turned otherwise than shown: so turned it finds no way"
                 said("planned", 1.0)
-                return replace(found, notes=(*found.notes, note)) if turned else found
+                if np.array_equal(one.path[0], self.positions) or self.stations.takes_hold_as_shown(one.path[:1])[0]:
+                    return found
+                note = "the hand takes hold turned otherwise than shown: so turned it finds no way"
+                return replace(found, notes=(*found.notes, note))
         if self.missing is not None:
             raise self.missing
         said("looking for what would help", 0.9)
@@ -448,14 +447,13 @@ class _Problem:
             before = np.where(self.stations.moving, take.before, self.positions)
             before = ways.carried(self.constraint.features, before, take.moved)
             knots = ways.joined(ways.nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
-        found = None
         try:
-            found = approach(hold, self.start, self.rows, self.limits, clear, self.seed, self.dt, knots)
+            if found := approach(hold, self.start, self.rows, self.limits, clear, self.seed, self.dt, knots):
+                return found
         except MissingExtraError as error:  # straight motions to other postures may be clear
             self.missing = error
-        if found is None:
-            self.vain, self.unreached = self.vain + 1, clear.in_line(self.positions, hold)
-        return found
+        self.vain, self.unreached = self.vain + 1, clear.in_line(self.positions, hold)
+        return None
 
     def _law(self, motion: FreeDirection, time: Float[np.ndarray, " k"], path: Postures) -> ResolvedRateController:
         """What does a motion with its spare joints along postures at times since the way began [s]."""
