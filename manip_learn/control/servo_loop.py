@@ -99,6 +99,7 @@ class State:
     Attributes:
         following: Servos, and the force on the hand.
         timing: Time.
+        commanded: Time for which commands have moved the commanded posture since the newest reading [s].
         average: Average that keeps the jerk limits; None without them.
         velocity: shape (nv,), of the controller's posture [rad/s or m/s].
         sent: shape (nv,), of the posture that is sent.
@@ -134,6 +135,7 @@ class State:
     measured: Posture | None = None
     last: Command | None = None
     stopped_by: str | None = None
+    commanded: float = 0.0
     is_stopped: bool = False
     lets_go: bool = False
     slide: float = 0.0
@@ -237,7 +239,8 @@ class LoopRules:
         s.refused, s.alone = 0.0, s.alone and s.measured is None
         s.measured = measured
         stood = s.last is None or s.last.status in STANDING
-        s.timing = timing = timing.accept(time, stood)
+        s.timing = timing = timing.accept(time, stood, s.commanded)
+        s.commanded *= timing.silent > 0.0
         if timing.late and not timing.is_stale:
             self._catch_up(s, measured, stood)
         period = timing.held
@@ -266,9 +269,9 @@ class LoopRules:
                 return self.brake(s, last.status)
             bounds = self._bounds(s, s.reference, self.dt)
             if bounds.admit(s.velocity):
-                return self._sent_on(s, last._replace(velocity=s.velocity))
+                return self._sent_on(s, last._replace(velocity=s.velocity), self.dt)
             slower = np.clip(s.velocity, bounds.low, bounds.high)
-            return self._sent_on(s, last._replace(velocity=slower, status=Status.POSITION_LIMITED))
+            return self._sent_on(s, last._replace(velocity=slower, status=Status.POSITION_LIMITED), self.dt)
         return self._sent_on(s, self._command(s, s.reference, self.clock(s, time), period), period)
 
     def _catch_up(self, s: State, measured: Posture, stood: bool) -> None:
@@ -285,8 +288,8 @@ class LoopRules:
         # an early call takes back no more than it goes on by: the posture never moves against the velocity
         moved = max(timing.late, -timing.since) * followed
         self._advance(s, moved, s.sent)
-        waited = timing.waited - (0.0 if stood else moved)
-        s.timing = s.timing._replace(commanded=0.0, waited=waited)
+        s.commanded = 0.0
+        s.timing = timing._replace(waited=timing.waited - (0.0 if stood else moved))
 
     def clock(self, s: State, time: float) -> float:
         """Time for the controller: that of the state, less that for which a task that waits for the arm has waited."""
@@ -422,9 +425,8 @@ class LoopRules:
         )  # fmt: skip
         return self._sent_on(s, command, held)
 
-    def _sent_on(self, s: State, command: Command, held: float | None = None) -> Command:
+    def _sent_on(self, s: State, command: Command, held: float) -> Command:
         """Average the velocity, and move the commanded posture on by one period."""
-        held = self.dt if held is None else held
         # arrays of the loop's own: what the caller does to those of the command is his
         before, sent = s.velocity, s.sent
         s.last, s.velocity, error = command, command.velocity.copy(), s.following.largest
@@ -452,7 +454,7 @@ class LoopRules:
         if s.reference is None or s.output is None:
             return
         s.following.moved(s.output, time, s.sent)
-        s.timing = s.timing._replace(commanded=s.timing.commanded + time)
+        s.commanded += time
         if velocity.any() or s.sent.any():
             together = s.output is s.reference and s.average is None
             s.reference = self.robot.integrate(s.reference, time * velocity)

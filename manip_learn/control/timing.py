@@ -52,9 +52,8 @@ class Timing(NamedTuple):
         older: Stamp of a reading that was refused for being older than the newest [s]; NaN if there is none.
         since: Time from the reading before to the newest [s]; 0 if the newest reading was not new.
         silent: Time since the newest reading, in agreed periods [s].
-        commanded: Time for which commands have moved the commanded posture since the newest reading [s].
-        late: Time by which the newest reading came after the end of that motion [s]; negative if it came early, 0 if it
-            came in time.
+        late: Time by which the newest reading came after the end of what had been commanded [s]; negative if it came
+            early, 0 if it came in time.
         held: Time for which the next command counts [s].
         waited: Time by which the clock of a task that waits for the arm is behind [s].
         usual: Period of the calls: the agreed one, or that of a caller who is regular but slower [s].
@@ -69,7 +68,6 @@ class Timing(NamedTuple):
     older: float = math.nan
     since: float = 0.0
     silent: float = 0.0
-    commanded: float = 0.0
     late: float = 0.0
     held: float = 0.0
     waited: float = 0.0
@@ -116,19 +114,20 @@ class Timing(NamedTuple):
         silent = self.silent + self.dt
         return self._replace(older=older, silent=silent, since=0.0, late=0.0, held=self.dt)
 
-    def accept(self, time: float, stands: bool) -> Timing:
+    def accept(self, time: float, stands: bool, commanded: float) -> Timing:
         """Return the timing after a usable reading.
 
         Args:
             time: Its stamp, not earlier than the newest [s].
             stands: True if the arm stood: a task that waits for the arm has then waited all the time.
+            commanded: Time for which commands have moved the commanded posture since the newest reading [s].
         """
         since, dt = time - self.time, self.dt
         if since <= 0.0:
             return self.without(self.older)
         if math.isinf(since):  # the first, or the first of a clock that was set back
-            return self._replace(time=time, older=math.nan, since=0.0, silent=0.0, commanded=0.0, late=0.0, held=dt)
-        late = since - self.commanded
+            return self._replace(time=time, older=math.nan, since=0.0, silent=0.0, late=0.0, held=dt)
+        late = since - commanded
         late = late if abs(late) > JITTER * dt else 0.0
         is_gap, waited = since > self.stale_after, self.waited + (since if stands else late)
         held, usual, longest, recent, warning = dt, self.usual, self.longest, self.recent, self.warning
@@ -138,7 +137,7 @@ class Timing(NamedTuple):
             if not (is_in_time and longest == usual == dt):
                 held, usual, longest, warning = self._period(since, recent)
         return Timing(
-            dt, self.stale_after, time, math.nan, since, 0.0, 0.0, late, held, waited, usual, longest, recent, warning
+            dt, self.stale_after, time, math.nan, since, 0.0, late, held, waited, usual, longest, recent, warning
         )
 
     def _period(self, since: float, recent: tuple[float, ...]) -> tuple[float, float, float, str]:
