@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, final
+from typing import Any, Literal, cast, final
 
 import numpy as np
 from jaxtyping import Float
@@ -349,8 +349,7 @@ class _Again:
 
     def repetition(self) -> Repetition:
         """The whole motion."""
-        whole, robot = self.whole, self.limits.robot
-        assert whole is not None  # a skill has a way
+        robot, whole = self.limits.robot, cast("Rollout", self.whole)  # a skill has a way
         whole = replace(whole, constraint=whole.ways[0]["constraint"], target=None)  # not those of its last part
         tip = batch_kinematics(robot, self.skill.constraints[0].features.frame)  # type: ignore[attr-defined]  # as above
         far = np.linalg.norm(np.diff(tip.pose(whole.q)[:, :3, 3], axis=0), axis=1)
