@@ -35,7 +35,7 @@ _DRAWS = 20.0  # variance of the third difference of independent noise, over its
 def copied(thing: Any) -> Any:
     """Return a shallow copy of an object without slots, in a tenth of the time of `copy.copy`."""
     other = object.__new__(type(thing))
-    other.__dict__.update(thing.__dict__)
+    other.__dict__ = thing.__dict__.copy()
     return other
 
 
