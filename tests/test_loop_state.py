@@ -38,6 +38,12 @@ def test_a_kept_state_gives_the_same_command_again(robot_of, name: str, jerk: fl
         *before, _, command = steps[k]
         again = rules.step(*before)[1]
         assert again.velocity.tobytes() == command.velocity.tobytes() and again.status == command.status, k
-    loop.reset(q)
-    before, told = loop.state, loop.update(q, 0.0)  # which is that step, from the state that the loop has
-    assert loop.state is not before and told.velocity.tobytes() == rules.step(before, q, 0.0)[1].velocity.tobytes()
+
+
+def test_a_stop_in_the_midst_of_an_update_is_kept(robot_of) -> None:
+    """As that of a signal, which comes while a command is computed."""
+    law, q = law_of(robot_of("sawyer"), "sawyer"), start_of(robot_of("sawyer"))
+    stops = ml.ResolvedRateController(law.constraint, law.task, lambda _q: loop.stop() or np.zeros(7))
+    loop = ml.ServoLoop(stops, DT)
+    assert loop.update(q, 0.0).status is not ml.Status.STOPPED and loop.update(q, DT).status is ml.Status.STOPPED
+    assert loop.state.is_stopped

@@ -33,11 +33,8 @@ def test_an_assumed_floor_gives_way_and_a_given_one_does_not(panda: ml.Robot):
 
 def test_nothing_is_invented(panda: ml.Robot):
     """Of what is opened nobody knows its front: without a scene there is a floor, with one what it states."""
-    frame = panda.frame(TIP)
-    assert Surroundings.of(None, panda, frame).names == (FLOOR,)
-    assert Surroundings.of(ml.Scene(boxes=[ml.Box((0.1, 0.1, 0.1), (1.0, 0.0, 0.0), "box")]), panda, frame).names == (
-        "box",
-    )
+    box = ml.Scene(boxes=[ml.Box((0.1, 0.1, 0.1), (1.0, 0.0, 0.0), "box")])
+    assert [Surroundings.of(x, panda, panda.frame(TIP)).names for x in (None, box)] == [(FLOOR,), ("box",)]
 
 
 def test_a_hand_goes_no_deeper_than_the_least_deep_that_takes_hold(panda: ml.Robot):

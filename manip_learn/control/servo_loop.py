@@ -177,13 +177,8 @@ class LoopRules:
     """
 
     def __init__(self, controller: LimitedController, limits: Limits, contact: Contact, dt: float, stale_after: float):
-        self.controller, self.limits, self.contact, self.dt, self.stale_after = (
-            controller,
-            limits,
-            contact,
-            dt,
-            stale_after,
-        )
+        self.controller, self.limits, self.contact = controller, limits, contact
+        self.dt, self.stale_after = dt, stale_after
         self.robot: Robot = limits.robot
         # an arm that presses brakes and lets go as hard as it can, however gently it was to move
         hardest = np.maximum(limits.acceleration, Limits(self.robot).acceleration)
@@ -584,18 +579,16 @@ class ServoLoop:
             state.way_back = Return(self.limits, before.position, before.following.load)
         elif q is None:
             state.way_back = before.way_back
-        self._state = state
+        self._state, self._is_stopped = state, False
         self.rules.controller.reset()
 
     def stop(self) -> None:
         """Brake and stand until `start` is called."""
-        self._state = self._state.copied()
-        self._state.is_stopped = True
+        self._is_stopped = True
 
     def start(self) -> None:
         """Move again after `stop`."""
-        self._state = self._state.copied()
-        self._state.is_stopped = False
+        self._is_stopped = False
 
     def set_task(self, task: Task) -> None:
         """Another task, in motion: the velocity goes over into that of the new task within the acceleration limits.
@@ -716,6 +709,7 @@ class ServoLoop:
             ManipLearnError: What the controller raises.
         """
         before, self._state = self._state, self._state.copied()
+        self._state.is_stopped = self._is_stopped  # which a signal may change at any time
         command = self.rules.advance(self._state, q, t)
         for note in self._state.following.notes[len(before.following.notes) :]:
             _LOGGER.warning(note)
