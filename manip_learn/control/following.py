@@ -16,6 +16,7 @@ from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.control.command import Posture, Vector
 from manip_learn.control.limits import per_joint
 from manip_learn.control.servos import HIDDEN, Servos, copied
+from manip_learn.control.timing import is_number
 from manip_learn.errors import ConfigurationError, counted, under_new_names
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
@@ -49,13 +50,6 @@ LEAKS = 0.2
 _KNOWN = 0.7  # share by which friction is known: it depends on load and speed, and presses the hand itself
 _TURN = 0.1  # [rad] by which a full turn may seem to be less or more
 _POSTURES = 200  # for the longest lever of a joint
-
-
-def is_number(value: Any) -> bool:
-    """Return whether a value is a real number; True, text, arrays and durations are none."""
-    kinds = (int, float, np.integer, np.floating)
-    return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)
-
 
 _FORMER = {"held": "max_lateral_force", "driven": "max_axial_force"}  # names of arguments, until 0.4
 

@@ -8,13 +8,13 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.control.command import Posture
 from manip_learn.control.following import other_turns
 from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import finite
 from manip_learn.recordings.checks import far_outside
 from manip_learn.robot.robot import Robot
 
-Posture = Float[np.ndarray, " n"]
 # [rad or m] by which a reading may be off beyond twice what a joint can move meanwhile
 TWICE, JUMP = 2.0, 0.05
 

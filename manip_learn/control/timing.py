@@ -22,6 +22,12 @@ _ROUNDING = 1e-6  # share of a period
 _MILLI = 0.1  # [decades] within which a ratio is a thousand
 
 
+def is_number(value: Any) -> bool:
+    """Return whether a value is a real number; True, text, arrays and durations are none."""
+    kinds = (int, float, np.integer, np.floating)
+    return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)
+
+
 def time_of(t: Any) -> float:
     """Return a time stamp as a number, or NaN.
 
@@ -31,9 +37,7 @@ def time_of(t: Any) -> float:
     Returns:
         The time [s].
     """
-    kinds = (int, float, np.integer, np.floating)
-    is_number = isinstance(t, kinds) and not isinstance(t, bool | np.timedelta64)
-    return float(t) if is_number and abs(t) < LONGEST_TIME else math.nan
+    return float(t) if is_number(t) and abs(t) < LONGEST_TIME else math.nan
 
 
 def in_milliseconds(time: float, seconds: float) -> bool:

@@ -505,11 +505,10 @@ class SelfCollision:
         centres = np.array([geometry_data.oMg[k].translation for k in range(len(self._shapes))])
         first, second = self._pair_table
         apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
-        places = self._places
         if not self.obstacles:
             return data, geometry_data, apart
         # of the ball about a link from the box about an obstacle, negative where its centre is inside
-        links = self._met[0]
+        links, places = self._met[0], self._places
         beyond = np.abs(np.einsum("kj,kji->ki", centres[links] - places[:, :3, 3], places[:, :3, :3])) - self._halves
         outside = np.maximum(beyond, 0.0)
         bound = np.sqrt(np.einsum("ki,ki->k", outside, outside)) + np.minimum(beyond.max(axis=1), 0.0)
