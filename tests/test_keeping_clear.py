@@ -157,4 +157,4 @@ def test_impossible_settings(robot_of: RobotOf) -> None:
         ml.Limits(arm, clear_of=other)
     with pytest.raises(ml.ManipLearnError):
         ml.SelfCollision(robot_of("gantry"))
-    assert ml.Limits(robot_of("gantry"), clear_of=ml.Scene(floor=-3.0)).tip is not None
+    assert ml.Limits(robot_of("gantry"), clear_of=ml.Scene(floor=-3.0)).barriers.clear is not None

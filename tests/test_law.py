@@ -17,7 +17,8 @@ from manip_learn.constraint.features import MechanismRows
 from manip_learn.constraint.manipulability import smallest_gradient
 from manip_learn.control.command import Command
 from manip_learn.control.law import ACROSS, ALONG, nearest_within
-from manip_learn.control.limits import Bounds, approach_bound
+from manip_learn.control.barriers import approach_bound
+from manip_learn.control.limits import Bounds
 from manip_learn.control.policies import (
     JointAttractor,
     JointLimitAvoidance,
@@ -87,7 +88,7 @@ def box_of(n: int, rng: np.random.Generator) -> Bounds:
     """Bounds, some of them equal, some on one side of zero."""
     middle = 0.5 * rng.normal(size=n)
     half = rng.exponential(size=n) * (rng.random(n) < 0.8)
-    return Bounds((middle - half).tolist(), (middle + half).tolist(), [1] * n, [1] * n, 0.0)
+    return Bounds(middle - half, middle + half, np.ones(n, dtype=int), np.ones(n, dtype=int), 0.0)
 
 
 def weighted_rows(n: int, rng: np.random.Generator) -> np.ndarray:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.control.limits import Limits, approach_bound
+from manip_learn.control.barriers import approach_bound
+from manip_learn.control.limits import Limits
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
@@ -130,32 +131,6 @@ def test_wrong_limits_are_refused(robot_of: RobotOf) -> None:
     ):
         with pytest.raises(ConfigurationError, match=words):
             ml.Limits(robot, **settings)
-
-
-def test_admitted_is_what_the_bounds_allow(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """The short answer never says more than the bounds do, at the limits themselves too, nor for a joint outside."""
-    robot, dt = robot_of("sawyer"), 0.01
-    limits, told = Limits(robot), set()
-    low, high = robot.position_lower, robot.position_upper
-    for i in range(400):
-        q = np.where(rng.random(7) < 0.5, low + rng.exponential(0.05, 7), high - rng.exponential(0.05, 7))
-        q = np.clip(q, low, high) if i % 4 else np.where(rng.random(7) < 0.5, low, high)
-        bounds = limits.bounds(q, dt, None)
-        # within them, and now and then one joint a little beyond
-        u = rng.uniform(bounds.low, bounds.high)
-        if i % 3 == 0:
-            j = int(rng.integers(7))
-            u[j] = (bounds.high[j] + 1e-6) if i % 2 else (bounds.low[j] - 1e-6)
-        assert bounds.admit(u) or not limits.far(q, dt, u)
-        told.add((bounds.admit(u), limits.far(q, dt, u)))
-    assert (True, False) in told and (False, False) in told
-    middle = 0.5 * (low + high)
-    for share, far in ((0.99, True), (1.01, False)):
-        u = share * limits.velocity
-        assert limits.far(middle, dt, u) == limits.bounds(middle, dt, None).admit(u) == far
-    outside = middle.copy()
-    outside[2] = high[2] + 2e-9
-    assert limits.bounds(outside, dt, None).outside > 0.0 and not limits.far(outside, dt, np.zeros(7))
 
 
 def test_a_singularity_is_approached_so_slowly_that_the_arm_can_stop() -> None:

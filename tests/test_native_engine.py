@@ -21,13 +21,14 @@ from test_gradients import RobotOf
 import manip_learn as ml
 from manip_learn.constraint.features import CustomFeatures, MechanismRows, RelativeFrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.control.command import SCALED_BELOW, STALLED_BELOW, Command
-from manip_learn.control.law import ACROSS
+from manip_learn.control.command import Command
+from manip_learn.control.law import ACROSS, SCALED_BELOW, STALLED_BELOW
 from manip_learn.control.policies import (
     JointAttractor,
     JointLimitAvoidance,
     ManipulabilityAscent,
     RoomAscent,
+    SampledPolicy,
     WeightedPolicies,
     ZeroPolicy,
 )
@@ -202,7 +203,7 @@ def slack_of(law: ml.ResolvedRateController, state: State, command: Command) -> 
     """By how much two correct roundings may differ [rad/s or m/s]; None where that is without bound."""
     sigma = np.linalg.svd(law.constraint(state.q), compute_uv=False)
     ratio, policy = min(sigma[-1] / sigma[0] if sigma[0] > 0.0 else 0.0, sigma[-1]), law.null_policy
-    w = policy(state.q, 0.0, state.dt) if hasattr(policy, "from_rows") or isinstance(policy, RoomAscent) else 0.0
+    w = policy(state.q, 0.0, state.dt) if isinstance(policy, SampledPolicy) else 0.0
     size = 1.0 + float(np.abs(command.velocity).max()) + float(np.abs(w).max())
     # the gradient that is not bounded is as good as infinite there; a single row of zeros has no scale
     if (ratio < 1e-6 and getattr(policy, "max_speed", 1.0) is None) or (ratio < BESIDE and len(sigma) == 1):
@@ -214,7 +215,7 @@ def slack_of(law: ml.ResolvedRateController, state: State, command: Command) -> 
     A = law.constraint(state.q)
     broken = float(np.linalg.norm(command.task_velocity - A @ command.velocity)) if law.limits is not None else 0.0
     beside += 8.0 * EPS * float(np.abs(A).max()) * broken / ACROSS**2
-    tips = 1e-11 / max(ratio, 1e-14) if law.limits is not None and law.limits.tip is not None else 0.0
+    tips = 1e-11 / max(ratio, 1e-14) if law.limits is not None and law.limits.barriers.frames else 0.0
     return (AGREED + beside + tips) * size
 
 

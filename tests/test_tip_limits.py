@@ -136,9 +136,9 @@ def test_a_speed_for_frames_beside_the_limits_that_there_are(robot_of: RobotOf) 
     own = ml.Limits(robot, tip_speed=0.2, tip_walls=[[0.0, 0.0, 2.0, 1.0]], jerk=50.0, frames="right_l4")
     for speed, least in ((0.1, 0.1), (0.4, 0.2)):
         both = own.with_tip_speed(speed, [TIP])
-        assert both.tip is not None and own.tip is not None and own.tip.speed == 0.2
-        assert both.tip.speed == least and [frame.name for frame in both.tip.frames] == ["right_l4", TIP]
-        np.testing.assert_array_equal(both.tip.walls, own.tip.walls)
+        assert own.barriers.speed == 0.2 and both.barriers.speed == least
+        assert [frame.name for frame in both.barriers.frames] == ["right_l4", TIP]
+        np.testing.assert_array_equal(both.barriers.walls, own.barriers.walls)
         np.testing.assert_array_equal(both.jerk, own.jerk)
     with pytest.raises(ConfigurationError, match="tip_speed"):
         own.with_tip_speed(0.0, [TIP])

@@ -183,13 +183,11 @@ def _policy(policy: policies.NullSpacePolicy, law: Law) -> dict[str, Any] | None
 def _limits(limits: Limits | None) -> dict[str, Any] | None:
     if limits is None:
         return None
-    tip, robot = limits.tip, limits.robot
-    frames = [] if tip is None else [_chain(robot, frame) for frame in tip.frames]
-    walls = [] if tip is None else tip.walls.reshape(-1).tolist()
+    barriers, robot = limits.barriers, limits.robot
+    frames, walls = [_chain(robot, frame) for frame in barriers.frames], barriers.walls.reshape(-1).tolist()
     if None in frames or len(frames) * len(walls) > 4 * MOST_WALLS:
         raise LookupError("limits of a frame that a floating joint carries, or of too many walls")
     names = ("lower", "upper", "velocity", "acceleration")
     numbers = {name: getattr(limits, name).tolist() for name in names}
     farthest = np.broadcast_to(farthest_positions(robot), (robot.nv,)).tolist()
-    speed = np.inf if tip is None else tip.speed
-    return {**numbers, "frames": frames, "walls": walls, "tip_speed": speed, "farthest": farthest}
+    return {**numbers, "frames": frames, "walls": walls, "tip_speed": barriers.speed, "farthest": farthest}

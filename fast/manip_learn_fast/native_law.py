@@ -43,8 +43,7 @@ class NativeLaw:
         described = description(law, limits)
         self._unknown = tuple(described[part] is None for part in ("rows", "task", "policy"))
         self._engine = Engine(described, Command, list(Status))
-        tip = None if limits is None else limits.tip
-        self._clears = None if tip is None or tip.clear is None else tip
+        self._clears = None if limits is None or limits.barriers.clear is None else limits.barriers
         self._whole = not any(self._unknown) and self._clears is None
         self.step: Callable[..., Command | None] = self._engine.step if self._whole else _left_to_python
 

@@ -96,52 +96,11 @@ class Command(NamedTuple):
 
 # which limit a bound comes from
 POSITION, VELOCITY, ACCELERATION = range(3)
-# a task stalls where less than the first share of the velocity asked for is left (a hand that is pressed against a wall
-# keeps 1 to 2 % by creeping along it), and is slowed down where less than the second is (the program leaves 1e-4 of it)
-STALLED_BELOW, SCALED_BELOW = 0.02, 0.999
 
 
 def slowed_by(cause: int) -> Status:
     """The status of a task that a limit slows down, POSITION, VELOCITY or ACCELERATION; -1 is a singularity."""
     return (Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED, Status.DAMPED)[cause]
-
-
-def status_of(
-    progress: float,
-    outside: float,
-    lost: bool,
-    damped: bool,
-    *,
-    changed: bool = False,
-    scale: float = 1.0,
-    cause: int = -1,
-    fits: bool = True,
-) -> Status:
-    """The status of a command.
-
-    Args:
-        progress: Velocity along b over the velocity asked for.
-        outside: Largest distance of a joint beyond its position limits [rad or m].
-        lost: Whether A loses a direction of the task.
-        damped: Whether the task part is damped.
-        changed: Whether bounds change the law.
-        scale: Factor on the task.
-        cause: The limit that is most in the way, POSITION, VELOCITY or ACCELERATION; -1 for the way to a singularity.
-        fits: Whether the task part alone is within the bounds.
-    """
-    if outside > 0.0:
-        return Status.OUTSIDE_LIMITS
-    if lost:
-        return Status.SINGULAR
-    if progress < STALLED_BELOW and (damped or changed) and cause not in (VELOCITY, ACCELERATION):
-        return Status.STALLED
-    if scale < SCALED_BELOW:
-        return slowed_by(cause)
-    if damped:
-        return Status.DAMPED
-    if not changed:
-        return Status.OK
-    return Status.NULL_SCALED if fits else Status.REROUTED
 
 
 class Controller(Protocol):

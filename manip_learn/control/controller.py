@@ -227,8 +227,7 @@ class BoundedController(LimitedController):
         wish = np.array(command.velocity, dtype=np.float64)
         if wish.shape != limits.velocity.shape or not np.all(np.isfinite(wish)):
             raise ConfigurationError(f"the controller's velocity is not {self.robot.nv} finite numbers: {wish}")
-        if limits.tip is not None:
-            wish = limits.tip.slowed(limits.tip.at(q, dt, limits.acceleration, None), wish)
+        wish = limits.barriers.at(q, dt, limits.acceleration, None).slowed(wish)
         bounds = limits.bounds(q, dt, previous)
         if bounds.admit(wish):
             return command._replace(velocity=wish)

@@ -130,8 +130,8 @@ class FollowMotion(LimitedController):
         wish, rate = self._wish(q, dt)
         if started:
             # the clock runs slower for the motion within the limits of the joints, all of the wish within the tip's
-            most, tip = float(np.max(np.abs(rate) / self.limits.velocity, initial=0.0)), self.limits.tip
-            self._rate = 1.0 / max(1.0, most, 0.0 if tip is None else tip.fastest(q, wish) / tip.speed)
+            most, tip = float(np.max(np.abs(rate) / self.limits.velocity, initial=0.0)), self.limits.barriers
+            self._rate = 1.0 / max(1.0, most, tip.fastest(q, wish) / tip.speed)
             if self._rate < 1.0:
                 wish, rate = self._wish(q, dt)
         fastest = self.limits.velocity * (1.0 if started else RETURN_SPEED)
@@ -149,10 +149,10 @@ class FollowMotion(LimitedController):
         limits = self.limits
         bounds = limits.bounds(q, dt, previous)
         u, none = np.clip(wish, bounds.low, bounds.high), np.zeros_like(wish)
-        if limits.tip is not None:
-            tips = limits.tip.at(q, dt, limits.acceleration, previous)
+        barriers = limits.barriers.at(q, dt, limits.acceleration, previous)
+        if barriers.broken(u) is not None:
             W = np.zeros((0, len(wish)))
-            u = limits.tip.bounded(tips, u, None, lambda rows: nearest_within(wish, W, bounds, rows))
+            u = barriers.solution(u, None, lambda rows: nearest_within(wish, W, bounds, rows))
         j, cause = bounds.binding(u, wish)
         status = Status.OK if j < 0 else slowed_by(cause)
         if bounds.outside > 0.0:

@@ -13,11 +13,12 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgeqrf, dposv, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
-from manip_learn.constraint.constraint import Constraint, Vjp
-from manip_learn.constraint.manipulability import SINGULAR_RATIO, row_inverse, smallest_gradient, svd
-from manip_learn.control.command import ACCELERATION, SCALED_BELOW, Command, Posture, Status, Vector, status_of
-from manip_learn.control.limits import FINE, Barrier, Bounds, Limits, approach_bound
-from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullSpacePolicy, SampledPolicy
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.manipulability import LEAST_SINGULAR_RATIO, SINGULAR_RATIO, smallest_gradient, svd
+from manip_learn.control.barriers import Barrier, approach_bound
+from manip_learn.control.command import ACCELERATION, VELOCITY, Command, Posture, Status, Vector, slowed_by
+from manip_learn.control.limits import FINE, Bounds, Limits
+from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullSpacePolicy
 from manip_learn.control.tasks import Task
 from manip_learn.errors import ConfigurationError, TargetError, advice
 from manip_learn.linalg import Inverse, inverse_singular_values, unit
@@ -48,6 +49,9 @@ SLIDING_BELOW, GOING_ON = 0.5, 0.9
 NEARBY = 2e-3  # [m/s or rad/s] a task that asks for less has all but arrived: the policy must not lead the hand off
 
 AT_GOAL = 1e-6  # [m/s or rad/s] a task that asks for less than this has reached its goal
+# a task stalls where less than the first share of the velocity asked for is left (a hand that is pressed against a wall
+# keeps 1 to 2 % by creeping along it), and is slowed down where less than the second is (the program leaves 1e-4 of it)
+STALLED_BELOW, SCALED_BELOW = 0.02, 0.999
 # [m or rad] by which a hand may leave what holds it while the joints brake: half of what counts as straying on a way.
 # With twice as much 3 of 90 near-singular firm grips stray, by up to 3.4 mm, and 2 with this, by 2.1 mm
 _ASIDE = 1e-3
@@ -65,12 +69,12 @@ class Desired(NamedTuple):
         escape: The policy's part along directions that are nearly lost; None away from singularities.
         mu: Manipulability of the constraint.
         smallest: Its smallest singular value.
-        basis: X (s, nv) with X A^T = 1 where A is well conditioned, or an orthonormal basis of its rows.
+        basis: Orthonormal basis of the rows that are not lost (k, nv).
         gain: Y (s, nv), so that A^# b = Y^T b.
         is_damped: Whether a smallest singular value of the constraint below the threshold damps the law.
         damping: lambda of the driven rows; 0 away from singularities.
         bend: c, by which the rows' mean velocity over the step exceeds A u; A u = b - c is wanted.
-        own: Rows of the constraint, where A has those of the error; else None.
+        own: Rows of the constraint.
     """
 
     A: Float[np.ndarray, "s nv"]
@@ -80,12 +84,12 @@ class Desired(NamedTuple):
     escape: Vector | None
     mu: float
     smallest: float
-    basis: Float[np.ndarray, "s nv"]
+    basis: Float[np.ndarray, "k nv"]
     gain: Float[np.ndarray, "s nv"]
     is_damped: bool = False
     damping: float = 0.0
     bend: Float[np.ndarray, " s"] | float = 0.0
-    own: Float[np.ndarray, "s nv"] | None = None
+    own: Any = None
 
     @property
     def is_lost(self) -> bool:
@@ -108,45 +112,65 @@ class Desired(NamedTuple):
         square = float(self.b.dot(self.b))
         return float(self.b.dot(self.A.dot(u) + self.bend)) / square if square > AT_GOAL * AT_GOAL else 1.0
 
+    def status(
+        self, progress: float, outside: float, scale: float = 1.0, *, changed: bool, cause: int = -1, fits: bool = True
+    ) -> Status:
+        """Return the status of a command.
+
+        Args:
+            progress: Velocity along b over the velocity asked for.
+            outside: Largest distance of a joint beyond its position limits [rad or m].
+            scale: Factor on the task.
+            changed: Whether bounds change the law.
+            cause: The limit that is most in the way, POSITION, VELOCITY or ACCELERATION; -1 for a singularity.
+            fits: Whether the task part alone is within the bounds.
+        """
+        if outside > 0.0:
+            return Status.OUTSIDE_LIMITS
+        if self.is_lost:
+            return Status.SINGULAR
+        if progress < STALLED_BELOW and (self.is_damped or changed) and cause not in (VELOCITY, ACCELERATION):
+            return Status.STALLED
+        if scale < SCALED_BELOW:
+            return slowed_by(cause)
+        unchanged = Status.DAMPED if self.is_damped else Status.OK
+        return unchanged if self.is_damped or not changed else Status.NULL_SCALED if fits else Status.REROUTED
+
     def as_wished(self, u: Vector, outside: float) -> Command:
-        """The command u* where no bound changes it; the farthest joint is so far beyond its limit [rad or m]."""
+        """Return the command u* where no bound changes it; the farthest joint is so far beyond its limit [rad or m]."""
         progress = 1.0 if self.escape is None else self.progress(u)
-        status = status_of(progress, outside, self.is_lost, self.is_damped)
-        return Command(
-            *(u, status, self.mu, self.b, self.task, self.null, 1.0, 1.0, self.smallest, self.escape, progress, outside)
-        )
+        parts, status = (self.task, self.null, 1.0, 1.0), self.status(progress, outside, changed=False)
+        return Command(u, status, self.mu, self.b, *parts, self.smallest, self.escape, progress, outside)
 
     def within(self, bounds: Bounds, wish: Vector, u: Vector, cause: int) -> Command:
-        """The command where bounds change the law.
+        """Return the command where bounds change the law.
 
-        u is what is left of `wish`, `cause` the limit that counts where no joint is at a bound, -1 for a singularity.
+        Args:
+            bounds: The bounds.
+            wish: u*.
+            u: What is left of it.
+            cause: The limit that counts where no joint is at a bound, -1 for a singularity.
         """
-        X, escape = self.basis, self.escape
-        null_part = u - (self.A.dot(u).dot(X) if escape is None else X.dot(u).dot(X))  # in the null space of A
+        null_part, escape = u - self.basis.dot(u).dot(self.basis), self.escape
         task_part = u - null_part
         if escape is not None:
-            share = float(u.dot(escape)) / max(float(escape.dot(escape)), 1e-300)
-            escape = escape * min(1.0, max(0.0, share))
+            escape = escape * _share(u, escape)
             task_part = task_part - escape
-        square = float(self.null.dot(self.null))
-        asks = square > AT_GOAL**2  # what rounding leaves of a policy that asks for nothing is not scaled
-        null_scale = min(1.0, max(0.0, float(self.null.dot(null_part)) / square)) if asks else 1.0
+        # what rounding leaves of a policy that asks for nothing is not scaled
+        null_scale = _share(null_part, self.null) if float(self.null.dot(self.null)) > AT_GOAL**2 else 1.0
         progress = self.progress(u)
         before = 1.0 if self.escape is None else self.progress(self.task)
         scale = min(1.0, max(0.0, progress / before)) if before > 0.0 else 1.0
         joint, limit = bounds.binding(u, wish)
-        status = status_of(
-            *(progress, bounds.outside, self.is_lost, self.is_damped),
-            changed=True,
-            scale=scale,
-            cause=cause if joint < 0 else limit,
-            fits=bounds.excess(self.task) <= FINE,
-        )
-        return Command(
-            *(u, status, self.mu, self.b, task_part, null_part, scale, null_scale, self.smallest, escape, progress),
-            outside=bounds.outside,
-            limiting_joint=joint,
-        )
+        cause, fits = cause if joint < 0 else limit, bounds.excess(self.task) <= FINE
+        status = self.status(progress, bounds.outside, scale, changed=True, cause=cause, fits=fits)
+        parts = (task_part, null_part, scale, null_scale)
+        return Command(u, status, self.mu, self.b, *parts, self.smallest, escape, progress, bounds.outside, joint)
+
+
+def _share(part: Vector, whole: Vector) -> float:
+    """Return how much of a velocity is left in another, 0 to 1."""
+    return min(1.0, max(0.0, float(part.dot(whole)) / max(float(whole.dot(whole)), 1e-300)))
 
 
 @final
@@ -206,45 +230,70 @@ class Law:
         self.constraint, self.task, self.null_policy = constraint, task, null_policy
         self.inverse: Inverse = inverse
         self.threshold, self.damping = threshold, damping
-        policy = null_policy
-        self._ascent = policy if isinstance(policy, ManipulabilityAscent) and policy.constraint is constraint else None
-        self._samples = policy if isinstance(policy, SampledPolicy) else None
 
     @property
     def ascends(self) -> bool:
         """Whether the policy climbs the manipulability of these very rows."""
-        return self._ascent is not None
+        policy = self.null_policy
+        return isinstance(policy, ManipulabilityAscent) and policy.constraint is self.constraint
 
     # ---- before bounds ----------------------------------------------------------------------------------------------
 
     def desired(self, q: np.ndarray, t: float, dt: float, limits: Limits | None) -> Desired:
-        """The law at a posture, before bounds.
+        """Return the law at a posture, before bounds.
 
         Raises:
             ConfigurationError: The posture has the wrong size or is not finite, or an exact inverse overflows.
             TargetError: The task's target does not fit the constraint, or a velocity is not finite.
         """
-        ascent, vjp = self._ascent, None
-        if ascent is None:
-            A = self.constraint(q)
-        else:  # one Hessian and one inverse serve the task and the policy
-            A, vjp = self.constraint.value_and_vjp(q)
-        b, E = self.task_velocity(q, t, dt)
-        own = row_inverse(A)
-        if ascent is None or vjp is None:
-            w = self.policy_velocity(q, t, dt)
-        elif own is not None:
-            w = ascent.from_inverse(*own, vjp, dt)
-        else:
-            w = ascent.from_decomposition(A.shape, svd(A), vjp, dt)
-        inverse = own if E is None else row_inverse(E)
+        A = self.constraint(q)
+        (b, E), w = self.task_velocity(q, t, dt), self.policy_velocity(q, t, dt)
         rows = A if E is None else E
-        if own is None or inverse is None or (self.inverse == "damped" and min(own[2], inverse[2]) < self.threshold):
-            law = self._near_singularity(q, A, rows, b, w, dt, limits, vjp)
-        else:
-            X = inverse[0]
-            law = Desired(rows, b, b.dot(X), w - rows.dot(w).dot(X), None, own[1], own[2], X, X)
-        return law if E is None else law._replace(own=A)
+        (s, nv), decomposition = rows.shape, svd(rows)
+        U, sigma, Vt = decomposition
+        own = sigma if E is None else svd(A)[1]
+        mu, smallest, least = (math.prod(own.tolist()), float(own[-1]), float(sigma[-1])) if s <= nv else (0.0,) * 3
+        is_damped, is_regular = (
+            self.inverse == "damped",
+            s <= nv and all(x[-1] > LEAST_SINGULAR_RATIO * x[0] for x in (own, sigma)),
+        )
+        is_regular = is_regular and not (is_damped and min(smallest, least) < self.threshold)
+        if is_regular or not is_damped:
+            gains = inverse_singular_values(sigma, rows.shape, "exact" if is_damped else self.inverse)
+            V = Vt[: len(sigma)]
+            with np.errstate(over="ignore", invalid="ignore"):
+                Y = (U[:, : len(sigma)] * gains).dot(V)
+                task = b.dot(Y)
+            if not isfinite(sum(task.tolist())):
+                raise ConfigurationError(
+                    f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {smallest:.1e}): "
+                    + advice("use {}", "inverse='damped'", "--inverse damped")
+                )
+            V = V[gains > 0.0]
+            escape = None if is_regular else np.zeros(nv)
+            return Desired(rows, b, task, w - V.dot(w).dot(V), escape, mu, smallest, V, Y, own=A)
+        V = Vt[: len(sigma)][sigma > SINGULAR_RATIO * sigma[0]]  # of what is lost, rounding alone says where it was
+        share = max(0.0, 1.0 - (least / self.threshold) ** 2)
+        # w, at SEED_SPEED at least beside a singularity, where policies that climb out of it vanish
+        speed, seed = math.sqrt(w.dot(w)), SEED_SPEED * (1.0 - smallest / (SEED_SHARE * self.threshold))
+        if 0.0 < speed < seed:
+            w = w * (seed / speed)
+        if self.ascends and limits is not None and smallest <= SINGULAR_RATIO:
+            w = limits.freer_sense(q, w)  # mu rises in both directions there: a limit in one is no reason to stay
+        square = self._damping(q, decomposition, b, dt)
+        D = self.task.driven_rows(self.constraint)
+        Lambda2 = share * share * square * (_HELD * _HELD * unit(s) + (1.0 - _HELD * _HELD) * D.T.dot(D))
+        _, Y, failed = dposv(rows.dot(rows.T) + Lambda2, rows)
+        if failed:  # A = 0
+            Y = np.zeros((s, nv))
+        task, free = b.dot(Y), w - rows.dot(w).dot(Y)
+        escape = V.dot(free).dot(V)
+        null, length = free - escape, math.sqrt(escape.dot(escape))
+        fastest = ESCAPE_SPEED * max(0.0, 1.0 - (least / (ESCAPE_WIDTH * self.threshold)) ** 2) ** 2
+        if length > fastest:
+            escape = escape * (fastest / length)
+        damping = share * math.sqrt(square)
+        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, smallest < self.threshold, damping, own=A)
 
     def bend(self, q: np.ndarray, dt: float, A: np.ndarray, u: np.ndarray) -> Float[np.ndarray, " s"]:
         """Return c = (A(q + dt/2 u) - A(q)) u: mean velocity of the rows over a step, beyond A u, in their units."""
@@ -260,7 +309,7 @@ class Law:
         speed = math.sqrt(u.dot(u))
         if speed == 0.0:
             return law
-        c = self.bend(q, dt, law.A if law.own is None else law.own, u)
+        c = self.bend(q, dt, law.own, u)
         size, most = math.sqrt(c.dot(c)), 0.5 * STABLE_SLOPE * law.smallest * speed
         c = c if size <= most else c * (most / size)
         return law._replace(task=law.task - c.dot(law.gain), bend=c)
@@ -283,70 +332,12 @@ class Law:
         Raises:
             TargetError: It has another size, or is not finite.
         """
-        w = self.null_policy(q, t) if self._samples is None else self._samples(q, t, dt)
-        return _checked(w, self.constraint.nv, "the null-space policy's velocity")
-
-    def _near_singularity(
-        self,
-        q: np.ndarray,
-        A: np.ndarray,
-        rows: np.ndarray,
-        b: np.ndarray,
-        w: np.ndarray,
-        dt: float,
-        limits: Limits | None,
-        vjp: Vjp | None,
-    ) -> Desired:
-        """The law where directions are nearly lost, see the class."""
-        (s, nv), (U, sigma, Vt) = rows.shape, svd(rows)
-        own = sigma if rows is A else svd(A)[1]
-        mu, smallest = (math.prod(own.tolist()), float(own[-1])) if s <= nv else (0.0, 0.0)
-        V = Vt[: len(sigma)]
-        if self.inverse != "damped":
-            gains = inverse_singular_values(sigma, rows.shape, self.inverse)
-            with np.errstate(over="ignore", invalid="ignore"):
-                Y = (U[:, : len(sigma)] * gains).dot(V)
-                task = b.dot(Y)
-            if not isfinite(sum(task.tolist())):
-                raise ConfigurationError(
-                    f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {smallest:.1e}): "
-                    + advice("use {}", "inverse='damped'", "--inverse damped")
-                )
-            V = V[gains > 0.0]
-            return Desired(rows, b, task, w - V.dot(w).dot(V), np.zeros(nv), mu, smallest, V, Y)
-        V = V[sigma > SINGULAR_RATIO * sigma[0]]  # of what is lost, rounding alone says where it was
-        least = float(sigma[-1]) if s <= nv else 0.0
-        share = max(0.0, 1.0 - (least / self.threshold) ** 2)
-        # w, at SEED_SPEED at least beside a singularity, where policies that climb out of it vanish
-        speed, seed = math.sqrt(w.dot(w)), SEED_SPEED * (1.0 - smallest / (SEED_SHARE * self.threshold))
-        if 0.0 < speed < seed:
-            w = w * (seed / speed)
-        if self.ascends and limits is not None and smallest <= SINGULAR_RATIO:
-            w = limits.freer_sense(q, w)  # mu rises in both directions there: a limit in one is no reason to stay
-        square = self._damping(q, (U, sigma, Vt), b, dt, vjp)
-        D = self.task.driven_rows(self.constraint)
-        Lambda2 = share * share * square * (_HELD * _HELD * unit(s) + (1.0 - _HELD * _HELD) * D.T.dot(D))
-        _, Y, failed = dposv(rows.dot(rows.T) + Lambda2, rows)
-        if failed:  # A = 0
-            Y = np.zeros((s, nv))
-        task, free = b.dot(Y), w - rows.dot(w).dot(Y)
-        escape = V.dot(free).dot(V)
-        null, length = free - escape, math.sqrt(escape.dot(escape))
-        fastest = ESCAPE_SPEED * max(0.0, 1.0 - (least / (ESCAPE_WIDTH * self.threshold)) ** 2) ** 2
-        if length > fastest:
-            escape = escape * (fastest / length)
-        is_damped = smallest < self.threshold
-        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, is_damped, share * math.sqrt(square))
+        return _checked(self.null_policy.over_step(q, t, dt), self.constraint.nv, "the null-space policy's velocity")
 
     def _damping(
-        self,
-        q: np.ndarray,
-        decomposition: tuple[np.ndarray, np.ndarray, np.ndarray],
-        b: np.ndarray,
-        dt: float,
-        vjp: Vjp | None,
+        self, q: np.ndarray, decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], b: np.ndarray, dt: float
     ) -> float:
-        """lambda^2, larger for a task that presses into a singularity, so that explicit steps of dt can follow.
+        """Return lambda^2, larger for a task that presses into a singularity, so that explicit steps of dt can follow.
 
         At the singularity A^T w / lambda^2, w the part of b along what is nearly lost, has the slope
         |d(A^T w) / dq| / lambda^2 (in the Frobenius norm), STABLE_SLOPE / dt at most. How much it presses is the cosine
@@ -360,7 +351,7 @@ class Law:
         pressed = lost.dot(b.dot(lost))
         if not pressed.any():
             return square
-        rates = self.constraint.value_and_vjp(q)[1] if vjp is None else vjp
+        rates = self.constraint.value_and_vjp(q)[1]
         pressing = 1.0  # at the singularity itself, where nothing says whether the task leads into it or out of it
         if sigma[-1] > SINGULAR_RATIO * sigma[0]:
             slope = smallest_gradient(decomposition, rates)
@@ -378,45 +369,26 @@ class Law:
     def command(
         self, q: np.ndarray, t: float, dt: float, limits: Limits | None, previous: Vector | None, slide: float
     ) -> Command:
-        """The command at a posture; arguments and errors as for `ResolvedRateController`."""
+        """Return the command at a posture; arguments and errors as for `ResolvedRateController`."""
         law = self.desired(q, t, dt, limits)
-        if limits is not None and previous is not None:
-            law = self._straightened(law, q, dt, previous)
-        wish = law.velocity
         if limits is None:
-            return law.as_wished(wish, 0.0)
-        far = previous is None and limits.far(q, dt, wish)
-        slope = self._approach(q, dt, law, wish, limits)
-        fast = previous is not None and _may_leave(law.A, max(wish.dot(wish), previous.dot(previous)), limits)
-        tip = limits.tip
-        if far and slope is None and tip is None:
-            return law.as_wished(wish, 0.0)
-        bounds, barrier = limits.bounds(q, dt, previous), None
-        if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
-            barrier = slope[None], np.array([-bound])
-        tips = None if tip is None else tip.at(q, dt, limits.acceleration, previous)
-        fits = barrier is None or float(slope.dot(wish)) >= barrier[1][0]  # type: ignore[union-attr]
-        cause = -1
-        if tip is not None and tips is not None and (broken := tip.rows(tips, wish)) is not None:
-            fits, cause = False, broken[1]
-        fits = fits and bounds.excess(wish) <= FINE
-        if fits and not fast:
-            return law.as_wished(bounds.nearest(wish), bounds.outside)
-        D = self.task.driven_rows(self.constraint)
+            return law.as_wished(law.velocity, 0.0)
+        if previous is not None:
+            law = self._straightened(law, q, dt, previous)
+        wish, bounds = law.velocity, limits.bounds(q, dt, previous)
+        barriers, barrier = limits.barriers.at(q, dt, limits.acceleration, previous), self._approach(q, dt, law, limits)
+        broken, D = barriers.broken(wish), self.task.driven_rows(self.constraint)
+        fits, cause = broken is None and bounds.excess(wish) <= FINE, -1 if broken is None else broken[1]
+        fits = fits and (barrier is None or float(barrier[0][0].dot(wish)) >= barrier[1][0])
         rest, drive = _slowed_drive(law, D, limits, barrier)
-        if previous is not None and fast and 0 < len(D) < len(law.b):
-            share = _braking_share(self.constraint, q, D, rest + drive, previous, limits)
+        if previous is not None and 0 < len(D) < len(law.b):
+            share = self._braking_share(law, q, D, rest + drive, previous, limits)
             if share < 1.0:
                 fits, cause, drive = False, ACCELERATION if cause < 0 else cause, share * drive
         if fits:
             return law.as_wished(bounds.nearest(wish), bounds.outside)
-        slowed = rest + drive
-        W = self._metric(law, D, dt, slide)
-
-        def nearest(rows: Barrier | None) -> np.ndarray:
-            return nearest_within(slowed, W, bounds, rows)
-
-        u = nearest(barrier) if tip is None or tips is None else tip.bounded(tips, slowed, barrier, nearest)
+        slowed, W = rest + drive, self._metric(law, D, dt, slide)
+        u = barriers.solution(slowed, barrier, lambda rows: nearest_within(slowed, W, bounds, rows))
         return law.within(bounds, wish, u, cause)
 
     def _metric(self, law: Desired, D: np.ndarray, dt: float, slide: float) -> Float[np.ndarray, "s nv"]:
@@ -441,15 +413,43 @@ class Law:
                 W = W + np.outer(d, d.dot(A)) * (1.0 / speed - 1.0 / across)
         return W
 
-    def _approach(self, q: np.ndarray, dt: float, law: Desired, u: np.ndarray, limits: Limits) -> Vector | None:
-        """Gradient of the smallest singular value, where u could approach the singularity too fast; None elsewhere."""
+    def _braking_share(
+        self, law: Desired, q: Posture, D: Float[np.ndarray, "d s"], wish: Vector, previous: Vector, limits: Limits
+    ) -> float:
+        """Return the share of its speed at which the task is driven, so that a hand that brakes stays where it is held.
+
+        All joints that brake together, each as hard as it can beside the slowest, move straight on by T u / 2,
+        T = max_j |u_j| / a_j, while the rows that are held turn away by
+
+            e(u) = |(1 - P) dA[u] u| T^2 / 8,    P the projector on the rows that are driven.
+
+        Where the curve that holds the hand turns faster than the joints can, as while a wrist turns over, the hand
+        would leave it. With the share e(u*), of power 4 in the speed, is at most _ASIDE; and where the motion that
+        there is exceeds it, the task waits in proportion. |dA[u] u| is at most about |A| |u| sum_j |u_j|.
+        """
+        square, size = max(float(u.dot(u)) for u in (law.velocity, previous)), float((law.A * law.A).sum())
+        if math.sqrt(law.A.shape[1] * size) * square * square <= 8.0 * _ASIDE * limits.weakest**2:
+            return 1.0
+        (_, vjp), share = self.constraint.value_and_vjp(q), 1.0
+        for u, power in ((wish, 0.25), (previous, 1.0)):
+            bend = np.array([vjp(np.outer(e, u)) for e in unit(len(law.A))]).dot(u)
+            bend = bend - D.T.dot(D.dot(bend))
+            aside = 0.125 * limits.stopping_time(u) ** 2 * math.sqrt(bend.dot(bend))
+            if aside > _ASIDE:
+                share = min(share, (_ASIDE / aside) ** power)
+        return share
+
+    def _approach(self, q: np.ndarray, dt: float, law: Desired, limits: Limits) -> Barrier | None:
+        """Return the bound on the approach to a singularity, where u* could come near it too fast; None elsewhere."""
         if self.inverse != "damped" or law.A.shape[0] > law.A.shape[1] or law.smallest <= SINGULAR_RATIO:
             return None
-        flat = law.A.reshape(-1)
+        u, flat = law.velocity, law.A.reshape(-1)
         if not limits.may_approach(float(u.dot(u)), float(flat.dot(flat)), law.smallest, dt):
             return None
         A, vjp = self.constraint.value_and_vjp(q)  # the rows of the law may be those of an error
-        return smallest_gradient(svd(A), vjp)
+        slope = smallest_gradient(svd(A), vjp)
+        bound = approach_bound(law.smallest, slope, limits.acceleration, dt)
+        return (slope[None], np.array([-bound])) if bound < math.inf else None
 
 
 def _slowed_drive(
@@ -474,42 +474,6 @@ def _slowed_drive(
     return rest, drive
 
 
-def _may_leave(A: Float[np.ndarray, "s nv"], square: float, limits: Limits) -> bool:
-    """Whether braking from a velocity may lead the hand off what holds it, so that a closer look is due.
-
-    |dA[u] u| is at most about |A| |u| sum_j |u_j|, and `square` is |u|^2.
-    """
-    flat = A.reshape(-1)
-    bend = math.sqrt(A.shape[1] * float(flat.dot(flat))) * square
-    return bend * square > 8.0 * _ASIDE * limits.weakest**2
-
-
-def _braking_share(
-    constraint: Constraint, q: Posture, D: Float[np.ndarray, "d s"], wish: Vector, previous: Vector, limits: Limits
-) -> float:
-    """The share of its speed at which the task is driven, so that the joints can brake with the hand on what holds it.
-
-    All joints that brake together, each as hard as it can beside the slowest, move straight on by T u / 2,
-    T = max_j |u_j| / a_j, while the rows that are held turn away by
-
-        e(u) = |(1 - P) dA[u] u| T^2 / 8,    P the projector on the rows that are driven.
-
-    Where the curve that holds the hand turns faster than the joints can, as while a wrist turns over, the hand would
-    leave it. With the share e(u*), of power 4 in the speed, is at most _ASIDE; and where the motion that there is
-    exceeds it, the task waits in proportion.
-    """
-    _, vjp = constraint.value_and_vjp(q)
-    s, share = constraint.n_constraints, 1.0
-    for u, power in ((wish, 0.25), (previous, 1.0)):
-        bend = np.array([vjp(np.outer(e, u)) for e in unit(s)]).dot(u)
-        bend = bend - D.T.dot(D.dot(bend))
-        time = limits.stopping_time(u)
-        aside = 0.125 * time * time * math.sqrt(bend.dot(bend))
-        if aside > _ASIDE:
-            share = min(share, (_ASIDE / aside) ** power)
-    return share
-
-
 def nearest_within(wish: Vector, W: Float[np.ndarray, "s nv"], bounds: Bounds, barrier: Barrier | None) -> Vector:
     """argmin |W (u - wish)|^2 + |u - wish|^2 within the bounds, and with G u >= least where the bounds allow that.
 
@@ -520,7 +484,7 @@ def nearest_within(wish: Vector, W: Float[np.ndarray, "s nv"], bounds: Bounds, b
     """
     nv = len(wish)
     one, zeros, _ = _constants(nv, nv)
-    lowest, highest = np.array(bounds.low), np.array(bounds.high)
+    lowest, highest = bounds.low, bounds.high
     inverse = dtrtrs(dgeqrf(np.concatenate((one, W)))[0][:nv], one)[0]  # R^-1
     for barred in (barrier, None) if barrier is not None else (None,):
         rows, least, most = inverse, lowest - wish, highest - wish

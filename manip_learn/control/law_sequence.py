@@ -137,13 +137,11 @@ class JointMotion(Task):
 
 def _smooth(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> tuple[CubicSpline, float]:
     """Return a path through postures, by the share of it, and the time that it takes at full speed [s]."""
-    robot, tip = limits.robot, limits.tip
+    robot, tip = limits.robot, limits.barriers
 
     def needed(q: np.ndarray, rates: np.ndarray) -> Posture:
         """Return the time that each joint motion takes at a posture, at full speed."""
         times = np.max(np.abs(rates) / (share * limits.velocity), axis=1)
-        if tip is None:
-            return times
         fastest = [tip.fastest(robot.configuration(x), d) for x, d in zip(q, rates, strict=True)]
         return np.maximum(times, np.array(fastest) / tip.pace)
 

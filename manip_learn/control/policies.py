@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 import math
 from abc import ABC, abstractmethod
@@ -16,7 +17,7 @@ from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIs
 
 from manip_learn.constraint.constraint import Constraint, Vjp
 from manip_learn.constraint.features.frame_jacobian import PoseRows
-from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_from, row_inverse, svd
+from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_from, manipulability_gradient, svd
 from manip_learn.control.command import Vector
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, an
 from manip_learn.linalg import unit
@@ -35,6 +36,7 @@ LEAST_ROOM = 1e-4  # of a joint's range, below which a joint counts as at its li
 _SAME = 1e-9  # share by which rates may differ that count as equal
 LAG = 3.0  # [cycles] in which a kept orientation is taken back at the fastest: readings may be two cycles late
 SETTLES = 0.1  # [s] and in which it is: as a task's own feedback, since faster is the noise of the encoders
+Decomposition = tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[np.ndarray, "n n"]]
 LARGEST_RATE = 1.0  # [1/s] half ranges a second that a joint moves at most, for joints whose range is short
 
 
@@ -46,7 +48,11 @@ class NullSpacePolicy(ABC):
 
     @abstractmethod
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Desired joint velocity [rad/s or m/s] at posture q and time t [s]."""
+        """Return the desired joint velocity [rad/s or m/s] at posture q and time t [s]."""
+
+    def over_step(self, q: ArrayLike, t: float, dt: float) -> Vector:
+        """Return the velocity that is held for dt [s]."""
+        return self(q, t)
 
 
 class SampledPolicy(NullSpacePolicy):
@@ -54,7 +60,11 @@ class SampledPolicy(NullSpacePolicy):
 
     @abstractmethod
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Desired joint velocity [rad/s or m/s] at posture q and time t [s], held for dt [s]."""
+        """Return the desired joint velocity [rad/s or m/s] at posture q and time t [s], held for dt [s]."""
+
+    def over_step(self, q: ArrayLike, t: float, dt: float) -> Vector:
+        """Return the velocity that is held for dt [s]."""
+        return self(q, t, dt)
 
 
 @final
@@ -177,8 +187,57 @@ class JointLimitAvoidance(NullSpacePolicy):
         return f"JointLimitAvoidance(gain={self.gain:g}, max_speed={self.max_speed:g})"
 
 
+class _Ascent(SampledPolicy):
+    """Bounded ascent of the logarithm of a measure that vanishes where rows of a constraint are lost.
+
+    Args:
+        constraint: Whose rows count.
+        gain: Rate [rad^2/s].
+        max_speed: Largest norm of pi [rad/s]; None for no bound.
+    """
+
+    def __init__(self, constraint: Constraint, gain: float, max_speed: float | None):
+        if not isinstance(constraint, Constraint):
+            raise ConstraintError(f"call {type(self).__name__}(constraint), got {an(constraint)}")
+        if max_speed is not None and not max_speed > 0.0:
+            raise ConstraintError(f"max_speed must be positive [rad/s], or None for no bound, got {max_speed!r}")
+        self.constraint, self.gain = constraint, float(gain)
+        self.max_speed = None if max_speed is None else float(max_speed)
+
+    @abstractmethod
+    def _slope(self, q: ArrayLike, decomposition: Decomposition, vjp: Vjp) -> Vector:
+        """Return the gradient of the measure's logarithm at a posture, from the rows' decomposition and derivative."""
+
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
+        """Return the ascent velocity [rad/s or m/s], finite everywhere.
+
+        Args:
+            q: Posture: a configuration or joint positions.
+            t: Time [s]; the policy does not depend on it.
+            dt: Time for which the velocity is held [s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        A, vjp = self.constraint.value_and_vjp(q)
+        decomposition, (s, nv) = svd(A), A.shape
+        if s > nv:
+            return np.zeros(nv)
+        lost = decomposition[1] <= SINGULAR_RATIO * decomposition[1][0]
+        if lost[-1] and (self.max_speed is not None or lost[:-1].any()):
+            speed = self.gain / SINGULAR_RATIO if self.max_speed is None else min(self.max_speed, SEED_SPEED)
+            return speed * steepest_ascent(decomposition, vjp)
+        slope = self._slope(q, decomposition, vjp)
+        if self.max_speed is None:
+            return slope * self.gain
+        steepness = math.sqrt(slope.dot(slope))
+        ramp = dt * self.max_speed * steepness / GROWTH  # r / sigma
+        longest = self.max_speed / math.sqrt(1.0 + ramp * ramp)
+        return slope * (self.gain if self.gain * steepness <= longest else longest / steepness)
+
+
 @final
-class ManipulabilityAscent(SampledPolicy):
+class ManipulabilityAscent(_Ascent):
     """pi = gain * grad log mu, at most `max_speed`; or gain * grad mu as in equation (13) of Manavalan and Howard.
 
         d mu / d q_k = mu tr((A A^T)^-1 A (dA / dq_k)^T) = mu A^{+T} : dA / dq_k,    grad log mu = grad mu / mu
@@ -225,79 +284,29 @@ class ManipulabilityAscent(SampledPolicy):
         logarithmic: bool = True,
         max_speed: float | None = 10.0,
     ):
-        if not isinstance(constraint, Constraint):
-            raise ConstraintError(f"call ManipulabilityAscent(constraint), got {an(constraint)}")
-        if max_speed is not None and not max_speed > 0.0:
-            raise ConstraintError(f"max_speed must be positive [rad/s], or None for no bound, got {max_speed!r}")
-        self.constraint = constraint
-        self.gain = float(gain)
+        super().__init__(constraint, gain, max_speed if logarithmic else None)
         self.logarithmic = bool(logarithmic)
-        self.max_speed = None if max_speed is None or not logarithmic else float(max_speed)
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Ascent velocity, finite everywhere.
-
-        Args:
-            q: Posture: a configuration or joint positions.
-            t: Time [s]; the policy does not depend on it.
-            dt: Time for which the velocity is held [s].
+        """Return the ascent velocity [rad/s or m/s], finite everywhere; arguments and errors as for all ascents.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        return self.from_rows(*self.constraint.value_and_vjp(q), dt)
+        return (
+            super().__call__(q, t, dt) if self.logarithmic else self.gain * manipulability_gradient(self.constraint, q)
+        )
 
-    def from_rows(self, A: Float[np.ndarray, "s nv"], vjp: Vjp, dt: float) -> Vector:
-        """Ascent velocity from the rows A at a posture and their derivative."""
-        inverse = row_inverse(A)
-        if inverse is not None:
-            return self.from_inverse(*inverse, vjp, dt)
-        return self.from_decomposition(A.shape, svd(A), vjp, dt)
-
-    def from_inverse(self, X: Float[np.ndarray, "s nv"], mu: float, smallest: float, vjp: Vjp, dt: float) -> Vector:
-        """Ascent velocity away from singularities: d log mu = A^{+T} : dA, from X = A^{+T} that the controller has."""
-        if not self.logarithmic:
-            return vjp(X) * (self.gain * mu)
-        return self.bounded(vjp(X), smallest, dt)
-
-    def from_decomposition(
-        self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp, dt: float
-    ) -> Vector:
-        """Ascent velocity near a singularity too, see `gradient_from`."""
-        sigma = decomposition[1]
-        smallest = float(sigma[-1])
-        if self.logarithmic and shape[0] > shape[1]:
-            return np.zeros(shape[1])
-        if self.logarithmic and self.max_speed is not None and smallest <= SINGULAR_RATIO * sigma[0]:
-            return self.seed * steepest_ascent(decomposition, vjp)
-        mu, gradient, floor = gradient_from(shape, decomposition, vjp)
-        if not self.logarithmic:
-            return gradient * self.gain
-        if 1 < shape[0] <= shape[1] and sigma[-2] <= SINGULAR_RATIO * sigma[0]:
-            return steepest_ascent(decomposition, vjp) * (self.gain / SINGULAR_RATIO)
-        return self.bounded(gradient / max(mu, floor, 1e-300), smallest, dt)
-
-    @property
-    def seed(self) -> float:
-        """Speed at a singularity itself [rad/s]; only where the policy is bounded."""
-        return SEED_SPEED if self.max_speed is None else min(self.max_speed, SEED_SPEED)
-
-    def bounded(self, slope: Vector, smallest: float, dt: float) -> Vector:
-        """gain * grad log mu, shortened to the bound."""
-        if self.max_speed is None:
-            return slope * self.gain
-        steepness = math.sqrt(slope.dot(slope))
-        ramp = dt * self.max_speed * steepness / GROWTH  # r / sigma
-        longest = self.max_speed / math.sqrt(1.0 + ramp * ramp)
-        speed = self.gain * steepness
-        return slope * (self.gain if speed <= longest else longest / steepness)
+    def _slope(self, q: ArrayLike, decomposition: Decomposition, vjp: Vjp) -> Vector:
+        mu, gradient, floor = gradient_from((len(decomposition[0]), len(decomposition[2])), decomposition, vjp)
+        return gradient / max(mu, floor, 1e-300)
 
     def __repr__(self) -> str:
         return f"ManipulabilityAscent(gain={self.gain:g}, logarithmic={self.logarithmic})"
 
 
 @final
-class RoomAscent(SampledPolicy):
+class RoomAscent(_Ascent):
     """pi climbs the room that is left: of the rows' singular values, and of the joints' ranges.
 
         m_i = sigma_i / (sigma_i + sigma_0),    m_j = 1 - x_j^2,    M = (sum_i m_i^-2 + sum_j m_j^-2)^(-1/2)
@@ -317,15 +326,12 @@ class RoomAscent(SampledPolicy):
         ConstraintError: The constraint's features have no robot, or `max_speed` is not positive.
     """
 
-    def __init__(
-        self, constraint: Constraint, speed: float, gain: float = ASCENT_GAIN, *, max_speed: float | None = 10.0
-    ):
+    def __init__(self, constraint: Constraint, speed: float, gain: float = ASCENT_GAIN, *, max_speed: float = 10.0):
+        super().__init__(constraint, gain, _positive("max_speed", max_speed))
         robot = constraint.robot
         if robot is None:
             raise ConstraintError(f"{constraint.features!r} belongs to no robot, whose joint limits count")
-        self.constraint, self.speed = constraint, _positive("speed", speed)
-        self._ascent = ManipulabilityAscent(constraint, gain, max_speed=max_speed)
-        self.gain, self.max_speed = self._ascent.gain, self._ascent.max_speed
+        self.speed = _positive("speed", speed)
         slowest = float(np.min(robot.velocity_limit))
         self._enough = self.speed / (slowest if math.isfinite(slowest) else 1.0)
         self._robot, self._limited = robot, has_range(robot)
@@ -333,12 +339,8 @@ class RoomAscent(SampledPolicy):
         self._middle = 0.5 * (robot.position_lower[self._limited] + robot.position_upper[self._limited])
         self.numbers = self._enough, np.flatnonzero(self._limited), self._middle, self._width  # for the compiled law
 
-    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Ascent velocity, finite everywhere; arguments and errors as for `ManipulabilityAscent`."""
-        A, vjp = self.constraint.value_and_vjp(q)
-        U, sigma, Vt = decomposition = svd(A)
-        if A.shape[0] > A.shape[1] or sigma[-1] <= SINGULAR_RATIO * sigma[0]:
-            return self._ascent.from_decomposition(A.shape, decomposition, vjp, dt)
+    def _slope(self, q: ArrayLike, decomposition: Decomposition, vjp: Vjp) -> Vector:
+        U, sigma, Vt = decomposition
         x = 2.0 * (self._robot.positions(q)[self._limited] - self._middle) / self._width
         room = np.maximum(room_of(x), LEAST_ROOM)
         shares = np.concatenate([(1.0 + self._enough / sigma) ** 2, 1.0 / room**2])
@@ -346,7 +348,7 @@ class RoomAscent(SampledPolicy):
         rates = shares[: len(sigma)] * self._enough / ((sigma + self._enough) * sigma)
         slope = vjp((U * rates).dot(Vt[: len(sigma)]))
         slope[self._limited] -= shares[len(sigma) :] * 4.0 * x / (room * self._width)
-        return self._ascent.bounded(slope, float(sigma[-1]), dt)
+        return slope
 
     def __repr__(self) -> str:
         return f"RoomAscent(speed={self.speed:g}, gain={self.gain:g})"
@@ -393,7 +395,7 @@ class KeptOrientation(SampledPolicy):
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        u = self.policy(q, t, dt) if isinstance(self.policy, SampledPolicy) else self.policy(q, t)
+        u = self.policy.over_step(q, t, dt)
         J, pose = self._features.twist_rows(q, False)[3:], self._features.pose(q)
         turn = rotation_vector(self._wanted() @ pose[:3, :3].T)
         u = u + (self.gain / self.rms**2) * J.T.dot(turn)
@@ -435,10 +437,7 @@ class WeightedPolicies(SampledPolicy):
             ConfigurationError: q has the wrong size or is not finite.
             TargetError: The policies belong to different numbers of joints.
         """
-        parts = [
-            w * (policy(q, t, dt) if isinstance(policy, SampledPolicy) else policy(q, t))
-            for w, policy in zip(self.weights, self.policies, strict=True)
-        ]
+        parts = [w * policy.over_step(q, t, dt) for w, policy in zip(self.weights, self.policies, strict=True)]
         if len({part.shape for part in parts}) > 1:
             sizes = ", ".join(str(part.size) for part in parts)
             raise TargetError(f"the policies of a weighted sum return {sizes} velocities: they belong to one robot")
@@ -449,7 +448,7 @@ class WeightedPolicies(SampledPolicy):
         return f"WeightedPolicies({terms})"
 
 
-def steepest_ascent(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp) -> Vector:
+def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Vector:
     """Unit vector along which the lost singular values grow fastest, in the null space of A if they grow there.
 
     With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step, with matrix M; mu is a cone
@@ -521,11 +520,10 @@ def policy_of(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePo
 
 def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
     """This policy, its ascents of one constraint climbing the manipulability of another."""
-    if isinstance(policy, ManipulabilityAscent) and policy.constraint is before:
-        speed = policy.max_speed
-        return ManipulabilityAscent(after, policy.gain, logarithmic=policy.logarithmic, max_speed=speed)
-    if isinstance(policy, RoomAscent) and policy.constraint is before:
-        return RoomAscent(after, policy.speed, policy.gain, max_speed=policy.max_speed)
+    if isinstance(policy, _Ascent) and policy.constraint is before:
+        other = copy.copy(policy)
+        other.constraint = after
+        return other
     if isinstance(policy, KeptOrientation):
         return policy.beside(climbing(policy.policy, before, after))
     if isinstance(policy, WeightedPolicies):

@@ -25,7 +25,7 @@ from manip_learn.control.command import Command, Controller, LimitedController, 
 from manip_learn.control.controller import BoundedController
 from manip_learn.control.following import LEFT, Contact, FollowingError
 from manip_learn.control.law import next_slide
-from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
+from manip_learn.control.limits import Bounds, Limits, farthest_positions, stopping_speed
 from manip_learn.control.reading import Readings
 from manip_learn.control.servos import copied
 from manip_learn.control.tasks import PointAttractor, Task
@@ -297,7 +297,7 @@ class LoopRules:
         """
         if s.timing.is_regular:
             return self.limits.bounds(q, held, s.velocity)
-        return bound_changes(self._careful(s, q, s.timing.longest), s.velocity, self.limits.acceleration.tolist(), held)
+        return self._careful(s, q, s.timing.longest).after(s.velocity, self.limits.acceleration * held)
 
     def _careful(self, s: State, q: np.ndarray, late: float) -> Bounds:
         """Bounds from which a joint stops however late the calls are, without those of its acceleration."""
@@ -311,14 +311,13 @@ class LoopRules:
 
         Where it would come to rest if it braked was clear one step before.
         """
-        command, tip = self._within_limits(s, q, time, held), self.limits.tip
-        if tip is None or tip.clear is None:
+        command, clear = self._within_limits(s, q, time, held), self.limits.barriers.clear
+        if clear is None:
             return command
-        clear = tip.clear_at(q, held, self.limits.acceleration, s.velocity)
-        if clear is not None and not tip.clear.was_clear(q, command.velocity) and clear(command.velocity) is not None:
+        if clear.rows(q, held, self.limits.acceleration, s.velocity, command.velocity) is not None:
             command = _held_back(command, self._braking(s, held))._replace(limiting_joint=-1)
         if command.limiting_joint < 0 and command.status in (Status.POSITION_LIMITED, Status.STALLED):
-            s.stopped_by = tip.clear.words() or s.stopped_by
+            s.stopped_by = clear.words() or s.stopped_by
         return command
 
     def _within_limits(self, s: State, q: np.ndarray, time: float, held: float) -> Command:
@@ -434,9 +433,7 @@ class LoopRules:
             late = s.timing.longest
             if s.runs_on and late > s.timing.usual and s.output is not None:
                 # the mean comes to rest in as many calls, however long these last: it gives way to position limits
-                accelerations = self.limits.acceleration.tolist()
-                bounds = bound_changes(self._careful(s, s.output, late), sent, accelerations, held)
-                slower = np.clip(s.sent, bounds.low, bounds.high)
+                slower = self._careful(s, s.output, late).after(sent, self.limits.acceleration * held).nearest(s.sent)
                 moved, s.sent = moved - (s.sent - slower), slower
         self._advance(s, held, moved)
         b, task, null = (np.array(part) for part in (command.task_velocity, command.task_part, command.null_part))

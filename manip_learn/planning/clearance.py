@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.control.keeping_clear import CLEARANCE
+from manip_learn.control.barriers import CLEARANCE
 from manip_learn.errors import listed
 from manip_learn.planning.scene import Scene
 from manip_learn.robot.collision import (

@@ -18,7 +18,7 @@ from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.constraint.skill import Take
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import ARRIVED
-from manip_learn.control.keeping_clear import CLEARANCE
+from manip_learn.control.barriers import CLEARANCE
 from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits, check_inside
 from manip_learn.control.policies import NullSpacePolicy
@@ -318,9 +318,9 @@ class _Problem:
                 ": state it in the robot's description, or pass limits=Limits(robot, velocity=...)"
             )
         self.positions = robot.positions(self.start)
-        self.notes, tip = (), self.limits.tip
+        self.notes, tip = (), self.limits.barriers
         self.stations = Stations.of(self.motion, self.start, self.limits)
-        if tip is not None and (times := self.stations.tip_speed / tip.pace) > 1.01:  # a pace leaves 2 %
+        if (times := self.stations.tip_speed / tip.pace) > 1.01:  # a pace leaves 2 %
             self.motion, slower = _slower(self.motion, times, f"{tip.speed:.3g} m/s at the tip")
             self.stations, self.notes = Stations.of(self.motion, self.start, self.limits), (slower,)
         around = Surroundings()

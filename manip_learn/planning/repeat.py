@@ -32,7 +32,7 @@ from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
-_ROOM = 1.05  # times the speed of a way that was shown, with what `TipLimits.pace` leaves out
+_ROOM = 1.05  # times the speed of a way that was shown, with what `Barriers.pace` leaves out
 TipSpeed = float | Literal["shown"] | None
 LEAST_SPEED = 0.05  # [m/s] at which a tip may go anyhow, however slowly a hand was guided
 

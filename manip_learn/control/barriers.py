@@ -1,0 +1,341 @@
+"""Barriers: what a hand and its links may not come near, as rows of the law's program where they are needed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Protocol, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.control.command import POSITION, VELOCITY, Posture, Vector
+from manip_learn.errors import ConfigurationError
+from manip_learn.robot.collision import Obstacle, SelfCollision, Shapes, known_shapes
+from manip_learn.robot.robot import Robot
+from manip_learn.robot.tips import default_tip
+
+Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
+# [1/s] rate at which a barrier is approached exponentially at the end of the braking distance: a singularity, where the
+# smallest singular value falls, a position limit, a wall of the hand
+APPROACH_RATE = 20.0
+BRAKING_SHARE = 0.5  # of the joints' acceleration that braking before a wall uses; the rest keeps the task on its way
+CROSSING_SPEED = 5e-4  # [rad/s] speed at which a singularity may be crossed
+# share of the speed that is given away, so that few rows do: the tangents at two points whose directions are 5 degrees
+# apart let 0.1 % more through between them
+RESERVE = 1e-3
+_ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
+GIVEN_UP = 1e-6  # [m/s] by which a solution breaks its rows where these are left out
+_MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
+# [m] from links to each other and to what stands around, in plans too: what a servo's lag makes of a path; links that
+# are neighbours come within 2 cm
+CLEARANCE = 0.005
+# [m] beyond the clearance, which rows aim at: their solutions are within it after one or two rounds; and as a share of
+# the way until then, for between the postures that are looked at surfaces may be 1 % of it nearer
+AIMED, FUNNEL = 2e-5, 0.02
+# of the time until the arm stands; one that brakes as hard as it can stands at half of it
+LOOKED_AT = 0.25, 0.5, 1.0
+_TOUCHES = 1e-9  # [m] of Coal's distances
+_AT_REST = 1e-3  # [m] beyond the clearance: what is farther away has slowed the arm down, and does not stop it
+
+
+def approach_rate(distance: float, slope: Vector, acceleration: Vector, dt: float) -> float:
+    """Return the largest rate at which a distance may fall, so that the joints can stop where it is 0.
+
+        rate = min(kappa x, sqrt(2 a x)),   a = BRAKING_SHARE |g| min_j (a_j / |n_j|),   n = g / |g|
+
+    x is e.g. the smallest singular value of A or the distance of a frame from a wall, g its gradient, a_j the
+    acceleration limits of the joints. It is negative beyond 0.
+    """
+    largest, square = float((np.abs(slope) / acceleration).max()), float(slope.dot(slope))
+    deceleration = BRAKING_SHARE * square / largest if largest > 0.0 else math.inf
+    return min(min(APPROACH_RATE, 0.5 / dt) * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
+
+
+def approach_bound(smallest: float, slope: Vector, acceleration: Vector, dt: float) -> float:
+    """Return the largest rate at which the smallest singular value may fall, so that the arm can stop at 0.
+
+    That of `approach_rate`, and |grad sigma| CROSSING_SPEED. A task whose target is out of reach presses the arm
+    against a singularity (a stretched elbow), with joint velocities that grow as 1 / sigma until they flip from
+    step to step; with the bound it comes to rest there.
+    """
+    length = math.sqrt(slope.dot(slope))
+    if length == 0.0:
+        return math.inf
+    return length * CROSSING_SPEED + approach_rate(smallest, slope, acceleration, dt)
+
+
+class Standing(Protocol):
+    """What stands around a robot, as a `Scene`."""
+
+    def obstacles(self, robot: Robot) -> tuple[Obstacle, ...]:
+        """Return what the robot's links keep clear of."""
+        ...
+
+
+@lru_cache(maxsize=8)
+def _hulls_of(robot: Robot, shapes: Shapes) -> SelfCollision:
+    """Return the pairs of a robot's links."""
+    return SelfCollision(robot, shapes=shapes)
+
+
+@final
+class KeptClear:
+    """Pairs of shapes that stay at a distance from each other.
+
+    In the next step, and where the arm stops when it brakes along its velocity u from then on, at q + t u, no pair may
+    be nearer than the clearance, or than it is now if that is less. Braking takes BRAKING_SHARE of the acceleration,
+    and ends exponentially as everywhere. The pairs that come nearer get rows, tangents of their distances d at
+    x = q + t u:
+
+        d(x) + grad d(x) . t (v - u) >= clearance
+
+    Where shapes would overlap there, x is a posture on the way where they do not yet: the depth of an overlap says
+    little of the way out. The law's program gets the rows where its solution breaks what is asked for, until it does
+    not, as for `Barriers`.
+
+    A pair that no joint could bring near in that time is not looked at: a distance that was known at another posture
+    has changed by at most sum_j lever_j |dq_j| since.
+
+    Args:
+        robot: The robot.
+        around: Its pairs of shapes, or what stands around it.
+        clearance: [m].
+
+    Raises:
+        ConfigurationError: Pairs of another robot, something that is none, or no distance.
+    """
+
+    def __init__(self, robot: Robot, around: SelfCollision | Standing, clearance: float):
+        if not isinstance(around, SelfCollision):
+            shapes = known_shapes(robot)  # capsules along links overlap where these are joined
+            around = _hulls_of(robot, shapes).with_obstacles(around.obstacles(robot), own=shapes != "links")
+        if around.robot is not robot:
+            raise ConfigurationError(
+                f"clear_of is of another {around.robot.name!r}; give pairs of the robot of the limits"
+            )
+        if not (math.isfinite(clearance) and clearance >= 0.0):
+            raise ConfigurationError(
+                f"clearance is {clearance!r}; a distance of at least 0 is expected [m]; correct it"
+            )
+        self.pairs, self.clearance, self._robot = around, float(clearance), robot
+        q, n = robot.neutral(), len(around.levers)
+        # a posture, distances there or less, and which of them are known
+        self._known = q, np.full(n, -math.inf), np.zeros(n, dtype=bool)
+        self._nearest: tuple[float, tuple[str, str]] | None = None
+
+    def rows(self, q: Posture, dt: float, acceleration: Vector, before: Vector | None, u: Vector) -> Barrier | None:
+        """Return what must hold of v so that no pair comes too near; None if u itself leads nowhere near.
+
+        Args:
+            q: Posture.
+            dt: Step [s].
+            acceleration: Limits [rad/s2 or m/s2].
+            before: Velocity of the step before, from whose reach u is not believed to go [rad/s or m/s]; None for any.
+            u: Velocity [rad/s or m/s].
+        """
+        (posture, here, known), levers, clearance = self._known, self.pairs.levers, self.clearance
+        if not np.array_equal(posture, q):
+            here, known = here - levers.dot(np.abs(self._robot.difference(posture, q))), np.zeros_like(known)
+        u = u if before is None else np.clip(u, before - dt * acceleration, before + dt * acceleration)
+        # the arm stands after the longest time, whose gradient by the velocity is the slope
+        times, slope, longest = 0.5 / BRAKING_SHARE * np.abs(u) / acceleration, np.zeros_like(u), 1.0 / APPROACH_RATE
+        longest, j = max(longest, 2.0 * dt), int(np.argmax(times))
+        if times[j] > longest:
+            longest, slope[j] = float(times[j]), times[j] / u[j]
+        reach, rows, least, nearest = levers.dot(np.abs(u)), [], [], None
+        close = here - longest * reach < clearance
+        if (new := np.flatnonzero(close & ~known)).size:
+            here, known = here.copy(), known.copy()
+            here[new], known[new] = self.pairs.distances(q, new.tolist()), True
+            self._known = q.copy(), here, known
+            close = here - longest * reach < clearance
+        for time, share in ((dt, 0.0), *((longest * x, x) for x in LOOKED_AT)) if close.any() else ():
+            close = np.flatnonzero(here - time * reach < clearance).tolist()
+            there = self.pairs.closer_than(self._robot.integrate(q, time * u), clearance, only=close) if close else ()
+            for pair in there:
+                allowed = min(clearance, float(here[pair.number]))
+                if pair.distance >= allowed - _TOUCHES:
+                    continue
+                nearest = min(nearest or (math.inf, pair.links), (float(here[pair.number]), pair.links))
+                at = time
+                while pair.distance < 0.0 < allowed:
+                    at *= 0.5
+                    x = self._robot.integrate(q, at * u)
+                    pair = self.pairs.closer_than(x, math.inf, only=(pair.number,))[0]  # noqa: PLW2901
+                rate = float(pair.gradient.dot(u))
+                rows.append(pair.gradient + rate * share / time * slope)
+                away = allowed - pair.distance + AIMED * time / longest + FUNNEL * time * float(reach[pair.number])
+                least.append(float(rows[-1].dot(u)) - (1.0 - at / time) * rate + away / time)
+        self._nearest = nearest or self._nearest
+        return None if nearest is None else (np.array(rows), np.array(least))
+
+    def words(self) -> str | None:
+        """Return which two things were the nearest ones and how near, if that stops the arm."""
+        if self._nearest is None or self._nearest[0] > self.clearance + _AT_REST:
+            return None
+        distance, (link, other) = self._nearest
+        the = "the " if other in {obstacle.name for obstacle in self.pairs.obstacles} else ""
+        return f"{link} {1e3 * distance:.0f} mm from {the}{other}"
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class BarriersAt:
+    """Barriers at one posture.
+
+    Attributes:
+        speed: Of the frames at most [m/s].
+        jacobians: Of the frames' origins, each (3, nv) [m].
+        G: shape (w, nv), minus the rate at which each frame approaches each wall, per unit of joint velocity.
+        least: shape (w,) [m/s], minus the rates that are allowed.
+        clear: u -> rows that keep apart what u would bring too near; None where nothing is kept clear of.
+    """
+
+    speed: float
+    jacobians: Sequence[Float[np.ndarray, "3 nv"]]
+    G: Float[np.ndarray, "w nv"]
+    least: Float[np.ndarray, " w"]
+    clear: Callable[[Vector], Barrier | None] | None
+
+    def broken(self, u: Vector, slack: float = 0.0) -> tuple[Barrier, int] | None:
+        """Return the rows that a velocity breaks, and their cause, POSITION or VELOCITY; None where it breaks nothing.
+
+        Walls, pairs that come near, tangents where a frame is too fast.
+
+        Args:
+            u: Velocity [rad/s or m/s].
+            slack: By which a wall may be approached too fast [m/s].
+        """
+        broken = self.G.dot(u) < self.least - slack
+        rows, least = list(self.G[broken]), self.least[broken].tolist()
+        if self.clear is not None and (near := self.clear(u)) is not None:
+            rows, least = [*rows, *near[0]], [*least, *near[1]]
+        cause = POSITION if rows else VELOCITY
+        for J in self.jacobians:
+            v = J.dot(u)
+            fast = math.sqrt(v.dot(v))
+            if fast > self.speed:
+                rows.append((-v / fast).dot(J))
+                least.append(self.speed * (RESERVE - 1.0))
+        return ((np.array(rows), np.array(least)), cause) if rows else None
+
+    def slowed(self, u: Vector) -> Vector:
+        """Return a velocity, slowed down as a whole to what is allowed; at rest where that is none."""
+        fastest = max((float(np.linalg.norm(J.dot(u))) for J in self.jacobians), default=0.0)
+        rates, shares = self.G.dot(u), [min(1.0, self.speed / max(fastest, 1e-300))]
+        shares += [max(0.0, b) / r for r, b in zip((-rates).tolist(), (-self.least).tolist(), strict=True) if r > b]
+        return u * max(0.0, min(shares))
+
+    def solution(self, wish: Vector, barrier: Barrier | None, solve: Callable[[Barrier | None], Vector]) -> Vector:
+        """Return the solution of a program with the rows that it needs.
+
+        Args:
+            wish: Velocity that is wished for [rad/s or m/s].
+            barrier: Rows that it has in any case; None for none.
+            solve: Rows -> velocity.
+        """
+        u, found = wish, None
+        for _ in range(_MOST_ROWS):
+            broken = self.broken(u, _ROUNDED)
+            if broken is None and found is not None:
+                break
+            if broken is not None:
+                G, least = broken[0]
+                barrier = broken[0] if barrier is None else (np.vstack((barrier[0], G)), np.append(barrier[1], least))
+            u = found = solve(barrier)
+            if barrier is not None and np.any(barrier[0].dot(u) < barrier[1] - GIVEN_UP):
+                break  # there is no solution: bounds have precedence
+        return u
+
+
+@final
+class Barriers:
+    """|J_f(q) u| <= speed, and n^T p_f(q) <= d for each wall (n, d), for the origin p_f of each frame f; `KeptClear`.
+
+    The ball of velocities is bounded by tangent planes, n^T J u <= speed, where it was exceeded: first at the velocity
+    wished for, then, as long as one is needed, at the solution with those so far (Kelley, "The cutting-plane method for
+    solving convex programs", 1960). A wall is approached no faster than `approach_rate` of its distance, so
+    that the joints can stop the frame there; a frame beyond a wall returns. No more is asked of a step than
+    BRAKING_SHARE of what the acceleration limits allow all joints together. Where they allow no velocity that keeps all
+    this, they have precedence.
+
+    Args:
+        robot: The robot.
+        speed: [m/s]; None for no limit.
+        box: shape (2, 3), lowest and highest x, y, z of the frames' origins [m], -inf and inf where there is none.
+        walls: shape (w, 4), rows (n, d), n of any length but 0 in the base frame, d [m] times that length.
+        frames: Name or names; None for the robot's likeliest tip.
+        clear: What the links keep clear of.
+
+    Raises:
+        ConfigurationError: A speed that is not positive, a box without room, or walls that are none.
+        UnknownNameError: No such frame.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        speed: float | None,
+        box: ArrayLike | None = None,
+        walls: ArrayLike | None = None,
+        frames: str | Sequence[str] | None = None,
+        clear: KeptClear | None = None,
+    ):
+        if speed is not None and not (isinstance(speed, int | float) and 0.0 < speed < math.inf):
+            raise ConfigurationError(f"tip_speed must be a positive number of metres per second, got {speed!r}")
+        rows = np.empty((0, 4)) if walls is None else np.array(walls, dtype=np.float64)
+        are_rows = rows.ndim == 2 and rows.shape[1] == 4
+        if not (are_rows and np.all(np.isfinite(rows)) and np.all(rows[:, :3].any(axis=1))):
+            raise ConfigurationError(f"walls must be rows (nx, ny, nz, d) with n^T p <= d, got {rows.tolist()}")
+        if box is not None:
+            sides, unit = np.array(box, dtype=np.float64), np.eye(3)
+            if sides.shape != (2, 3) or not np.all(sides[0] < sides[1]):
+                raise ConfigurationError(
+                    "a box is two rows, lowest and highest x, y, z [m], the first below the second; "
+                    f"got {sides.tolist()}"
+                )
+            faces = np.vstack((np.column_stack((-unit, -sides[0])), np.column_stack((unit, sides[1]))))
+            rows = np.vstack((faces[np.isfinite(faces[:, 3])], rows))
+        if frames is None:
+            frames = () if speed is None and not len(rows) else default_tip(robot)
+        names = (frames,) if isinstance(frames, str) else tuple(frames)
+        self.speed = math.inf if speed is None else float(speed)
+        self.frames = tuple(robot.frame(name) for name in names)
+        self.walls = rows / np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
+        self.clear, self._robot = clear, robot
+
+    def at(self, q: Posture, dt: float, acceleration: Vector, previous: Vector | None) -> BarriersAt:
+        """Return the barriers at a posture, for a step of dt [s] after a velocity; arguments as for `Limits.bounds`."""
+        jacobians = [self._robot.jacobian(q, frame)[:3] for frame in self.frames]
+        clear, G, left = self.clear_at(q, dt, acceleration, previous), np.empty((0, self._robot.nv)), np.empty(0)
+        if self.walls.size and jacobians:
+            normals, offsets = self.walls[:, :3], self.walls[:, 3]
+            G = np.vstack([normals.dot(J) for J in jacobians])
+            left = np.concatenate([offsets - normals.dot(self._robot.position(q, frame)) for frame in self.frames])
+        acceleration = np.minimum(acceleration, 1e12)  # inf for none; what follows must stay finite
+        least = -np.array([approach_rate(x, g, acceleration, dt) for x, g in zip(left.tolist(), G, strict=True)])
+        if previous is not None:
+            least = np.minimum(least, BRAKING_SHARE * dt * np.abs(G).dot(acceleration) - G.dot(previous))
+        return BarriersAt(self.speed, jacobians, -G, least, clear)
+
+    def clear_at(
+        self, q: Posture, dt: float, acceleration: Vector, previous: Vector | None
+    ) -> Callable[[Vector], Barrier | None] | None:
+        """Return `BarriersAt.clear`; arguments as for `at`."""
+        return None if self.clear is None else partial(self.clear.rows, q, dt, acceleration, previous)
+
+    @property
+    def pace(self) -> float:
+        """Speed for which motions are timed [m/s]: the law stays below the limit itself.
+
+        The rest takes deviations back, and a frame gains 1 % within a step of 0.01 s at 0.25 m/s.
+        """
+        return 0.98 * self.speed
+
+    def fastest(self, q: Posture, u: Vector) -> float:
+        """Return the speed of the fastest frame at posture q and velocity u [m/s]."""
+        return max((math.hypot(*self._robot.jacobian(q, frame)[:3].dot(u)) for frame in self.frames), default=0.0)
