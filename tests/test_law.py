@@ -15,9 +15,9 @@ from test_gradients import RobotOf
 import manip_learn as ml
 from manip_learn.constraint.features import MechanismRows
 from manip_learn.constraint.manipulability import smallest_gradient
+from manip_learn.control.barriers import approach_bound
 from manip_learn.control.command import Command
 from manip_learn.control.law import ACROSS, ALONG, nearest_within
-from manip_learn.control.barriers import approach_bound
 from manip_learn.control.limits import Bounds
 from manip_learn.control.policies import (
     JointAttractor,

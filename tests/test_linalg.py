@@ -12,7 +12,6 @@ from case import case
 from rounding import rounding
 from test_axioms import pseudo_inverse
 
-from manip_learn.constraint.manipulability import row_inverse, svd
 from manip_learn.linalg import (
     EPS,
     along_axes,
@@ -68,24 +67,6 @@ def test_exact_inverse_inverts_however_small(rng):
     with pytest.raises(ValueError, match="'exact' or 'truncated'"):
         pseudo_inverse(np.eye(2), "damp")  # type: ignore[arg-type]
     np.testing.assert_array_equal(finite((1, 2.5, 3), 3), [1.0, 2.5, 3.0])
-
-
-def test_row_inverse_of_one_matrix(rng):
-    """A^{+T}, the volume and the smallest singular value; None where the condition number is too large for that."""
-    for s in (1, 2, 3, 6):
-        for ratio, known in ((1.0, True), (0.042, True), (0.038, s == 1)):
-            sigma = [3.0, *(3.0 * np.linspace(0.5, ratio, s - 1) if s > 2 else [3.0 * ratio])][:s]
-            A = with_singular_values(rng, sigma, 7)
-            found = row_inverse(A)
-            assert (found is not None) is known, (s, ratio)
-            if found is not None:
-                X, volume, smallest = found
-                np.testing.assert_allclose(X, np.linalg.pinv(A).T, rtol=0, atol=1e-11)
-                assert (volume, smallest) == (pytest.approx(np.prod(sigma)), pytest.approx(np.min(sigma)))
-            U, values, Vt = svd(A)
-            assert (U.shape, Vt.shape) == ((s, s), (7, 7))
-            np.testing.assert_allclose((U * values) @ Vt[:s], A, rtol=0, atol=rounding(4 * A.size, A))
-    assert row_inverse(np.ones((3, 2))) is None and row_inverse(np.zeros((1, 3))) is None
 
 
 def test_angles_of_every_size():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.control.keeping_clear import CLEARANCE
+from manip_learn.control.barriers import CLEARANCE
 from manip_learn.planning.clearance import FLOOR, Clearance, Surroundings
 
 TIP, READY = "panda_hand_tcp", np.array([0.0, -0.6, 0.0, -2.2, 0.0, 1.8, 0.7])

@@ -87,7 +87,7 @@ struct Bounds {
 // rows by which Python keeps pairs apart that a velocity would bring too near
 using Cuts = std::function<void(const double* u, Barrier& rows)>;
 
-// The limits of frames, see TipLimits, and the frames at one posture
+// The limits of frames, see Barriers, and the frames at one posture
 struct TipLimits {
   std::vector<Chain> frames;
   std::vector<double> walls;  // (w x 4), normals of unit length

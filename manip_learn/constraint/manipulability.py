@@ -200,11 +200,3 @@ def svd(
     if failed:
         return np.linalg.svd(A, full_matrices=True)
     return U, sigma, Vt
-
-
-def row_inverse(A: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], float, float] | None:
-    """A^{+T}, the product of the singular values, and the smallest of them; None of an ill-conditioned A."""
-    U, sigma, Vt = svd(A)
-    if A.shape[0] > A.shape[1] or not sigma[-1] > LEAST_SINGULAR_RATIO * sigma[0]:
-        return None
-    return (U / sigma).dot(Vt[: len(sigma)]), math.prod(sigma.tolist()), float(sigma[-1])

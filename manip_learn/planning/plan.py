@@ -16,9 +16,9 @@ from scipy.interpolate import CubicSpline
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.constraint.skill import Take
+from manip_learn.control.barriers import CLEARANCE
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import ARRIVED
-from manip_learn.control.barriers import CLEARANCE
 from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits, check_inside
 from manip_learn.control.policies import NullSpacePolicy
