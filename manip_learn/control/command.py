@@ -93,6 +93,20 @@ class Command(NamedTuple):
     limiting_joint: int = -1
     following_error: float = 0.0
 
+    @classmethod
+    def of_joints(cls, velocity: Vector, status: Status, **more: Any) -> Command:
+        """Return a command that no law has given: all of the velocity is its task part.
+
+        Args:
+            velocity: shape (nv,) [rad/s or m/s].
+            status: Its status.
+            **more: Other attributes, where they are known.
+        """
+        none = np.zeros_like(velocity)
+        told = dict.fromkeys(("manipulability", "null_scale", "smallest_singular_value"), 0.0)
+        told |= {"task_velocity": none[:0], "task_scale": 1.0} | more
+        return cls(velocity=velocity, status=status, task_part=velocity, null_part=none, **told)
+
 
 # which limit a bound comes from
 POSITION, VELOCITY, ACCELERATION = range(3)

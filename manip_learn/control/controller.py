@@ -20,7 +20,6 @@ from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing, 
 from manip_learn.control.tasks import Hold, Task
 from manip_learn.errors import ConfigurationError, ConstraintError, an
 from manip_learn.linalg import Inverse
-from manip_learn.robot.frame_kinematics import is_plain
 from manip_learn.robot.robot import Robot
 
 
@@ -99,7 +98,6 @@ class ResolvedRateController(LimitedController):
         own = limits.robot if isinstance(limits, Limits) else None
         self.robot: Robot | None = robot or own or constraint.robot
         self.limits = self._limits_of(limits)
-        self._features_check = self.robot is not None and self.robot is constraint.robot
         settings = (self.inverse, self.threshold, self.damping)
         self._law = Law(constraint, self.task, self.null_policy, *settings)
 
@@ -129,11 +127,10 @@ class ResolvedRateController(LimitedController):
         native = self.native
         if native is not None and (command := native.step(q, dt, previous, slide)) is not None:
             return command
-        if not (self._features_check and type(q) is np.ndarray and is_plain(q)):
-            if self.robot is not None:
-                q = self.robot.checked_posture(q)
-            elif not np.all(np.isfinite(q := np.asarray(q, dtype=np.float64))):
-                raise ConfigurationError(f"the posture is not finite: {q.tolist()}")
+        if self.robot is not None:
+            q = self.robot.checked_posture(q)
+        elif not np.all(np.isfinite(q := np.asarray(q, dtype=np.float64))):
+            raise ConfigurationError(f"the posture is not finite: {q.tolist()}")
         slide = slide if self.task.slides else 0.0
         if native is None or (command := native.command(q, t, dt, previous, slide)) is None:
             return self._law.command(q, t, dt, self.limits, previous, slide)

@@ -148,7 +148,7 @@ class FollowMotion(LimitedController):
         """The velocity nearest to a wish that is within all limits."""
         limits = self.limits
         bounds = limits.bounds(q, dt, previous)
-        u, none = np.clip(wish, bounds.low, bounds.high), np.zeros_like(wish)
+        u = bounds.nearest(wish)
         barriers = limits.barriers.at(q, dt, limits.acceleration, previous)
         if barriers.broken(u) is not None:
             W = np.zeros((0, len(wish)))
@@ -157,10 +157,7 @@ class FollowMotion(LimitedController):
         status = Status.OK if j < 0 else slowed_by(cause)
         if bounds.outside > 0.0:
             status = Status.OUTSIDE_LIMITS
-        return Command(
-            velocity=u, status=status, manipulability=0.0, task_velocity=none[:0], task_part=u, null_part=none,
-            task_scale=1.0, null_scale=0.0, smallest_singular_value=0.0, outside=bounds.outside, limiting_joint=j,
-        )  # fmt: skip
+        return Command.of_joints(u, status, outside=bounds.outside, limiting_joint=j)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Largest distance of a joint from where the motion is now [rad or m]."""

@@ -185,7 +185,6 @@ class LoopRules:
         self.hardest = limits.with_rates(hardest, None)
         self.readings = Readings(self.robot, farthest_positions(self.robot))
         self._unknown = FollowingError(self.robot, contact, dt, self.hardest.acceleration, controller.frame)
-        self._slowed = 1.0, limits  # a share of the acceleration, and the limits with it
 
     def begin(self, before: State | None = None, posture: Posture | None = None) -> State:
         """Return the state of an arm that stands, before its first reading.
@@ -259,14 +258,10 @@ class LoopRules:
         if s.is_stopped:
             return self.brake(s, Status.STOPPED, period)
         if timing.silent > 0.0 and s.last is not None:
-            last = s.last  # goes on, as long as that stays within the limits
-            if last.status in STANDING:
-                return self.brake(s, last.status)
-            bounds = self._bounds(s, s.reference, self.dt)
-            if bounds.admit(s.velocity):
-                return self._sent_on(s, last._replace(velocity=s.velocity), self.dt)
-            slower = np.clip(s.velocity, bounds.low, bounds.high)
-            return self._sent_on(s, last._replace(velocity=slower, status=Status.POSITION_LIMITED), self.dt)
+            if s.last.status in STANDING:
+                return self.brake(s, s.last.status)
+            same = s.last._replace(velocity=s.velocity)  # goes on, as long as that stays within the limits
+            return self._sent_on(s, _within(same, self._bounds(s, s.reference, self.dt)), self.dt)
         return self._sent_on(s, self._command(s, s.reference, self.clock(s, time), period), period)
 
     def _catch_up(self, s: State, measured: Posture, stood: bool) -> None:
@@ -301,17 +296,18 @@ class LoopRules:
 
     def _careful(self, s: State, q: np.ndarray, late: float) -> Bounds:
         """Bounds from which a joint stops however late the calls are, without those of its acceleration."""
-        share = s.timing.usual / late
-        if share != self._slowed[0]:
-            self._slowed = share, self.limits.with_rates(share * self.limits.acceleration, None)
-        return self._slowed[1].bounds(q, late, None)
+        slower = self.limits.with_rates(s.timing.usual / late * self.limits.acceleration, None)
+        return slower.bounds(q, late, None)
 
     def _command(self, s: State, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits and clear of what stands around; else the arm brakes.
 
         Where it would come to rest if it braked was clear one step before.
         """
-        command, clear = self._within_limits(s, q, time, held), self.limits.barriers.clear
+        command, clear = self.controller(q, time, held, s.velocity, s.slide), self.limits.barriers.clear
+        s.slide = next_slide(s.slide, command, held)
+        if not s.timing.is_regular:
+            command = _within(command, self._bounds(s, q, held))
         if clear is None:
             return command
         if clear.rows(q, held, self.limits.acceleration, s.velocity, command.velocity) is not None:
@@ -320,32 +316,19 @@ class LoopRules:
             s.stopped_by = clear.words() or s.stopped_by
         return command
 
-    def _within_limits(self, s: State, q: np.ndarray, time: float, held: float) -> Command:
-        """The controller's command, within the limits."""
-        command = self.controller(q, time, held, s.velocity, s.slide)
-        s.slide = next_slide(s.slide, command, held)
-        if s.timing.is_regular or (bounds := self._bounds(s, q, held)).admit(command.velocity):
-            return command
-        return _held_back(command, np.clip(command.velocity, bounds.low, bounds.high))
-
     def brake(self, s: State, status: Status, held: float | None = None) -> Command:
         """The arm brakes along the motion it was in, as hard as the acceleration limits allow in a time [s]."""
         dt = self.dt if held is None else held
         return self._beside_the_law(s, self._braking(s, dt), status, dt)
 
     def _braking(self, s: State, dt: float) -> np.ndarray:
-        """The velocity with which the arm brakes for a time [s]."""
+        """The velocity with which the arm brakes for a time [s]: slower towards a limit, but at rest outside one."""
         u = s.velocity
-        hardest = float(np.max(np.abs(u) / (self.limits.acceleration * dt), initial=0.0))
-        if np.all(np.isfinite(self.limits.acceleration)):
-            u = u * max(0.0, 1.0 - 1.0 / hardest) if hardest > 0.0 else u
-        else:  # a joint that stops at once waits for none that cannot
-            u = np.sign(u) * np.maximum(np.abs(u) - self.limits.acceleration * dt, 0.0)
-        if hardest > 0.0 and s.reference is not None:
-            bounds = self._bounds(s, s.reference, dt)
-            # slower towards a limit, but at rest outside one
-            u = np.clip(u, np.minimum(bounds.low, 0.0), np.maximum(bounds.high, 0.0))
-        return u
+        if s.reference is None or not u.any():
+            return u
+        bounds = self._bounds(s, s.reference, dt)
+        bounds = bounds._replace(low=np.minimum(bounds.low, 0.0), high=np.maximum(bounds.high, 0.0))
+        return self.limits.towards(np.zeros_like(u), u, bounds, dt)
 
     def _unloading(self, s: State, commanded: np.ndarray, measured: np.ndarray, held: float) -> Command:
         """The arm lets go of what blocks it: it goes to where it was measured when that was found, and on until it has.
@@ -409,15 +392,9 @@ class LoopRules:
         return following.sinks and square > _SHOWS * _SHOWS and float(came.dot(gone)) > _FOLLOWS * square
 
     def _beside_the_law(self, s: State, u: np.ndarray, status: Status, held: float) -> Command:
-        last, zero = s.last, np.zeros(self.robot.nv)
-        mu, b, smallest = 0.0, zero[:0], 0.0
-        if last is not None:
-            mu, b, smallest = last.manipulability, last.task_velocity, last.smallest_singular_value
-        command = Command(
-            velocity=u, status=status, manipulability=mu, task_velocity=b, task_part=u, null_part=zero,
-            task_scale=0.0, null_scale=0.0, smallest_singular_value=smallest, progress=0.0,
-        )  # fmt: skip
-        return self._sent_on(s, command, held)
+        told = ("manipulability", "task_velocity", "smallest_singular_value")
+        known = {} if s.last is None else {name: getattr(s.last, name) for name in told}
+        return self._sent_on(s, Command.of_joints(u, status, task_scale=0.0, progress=0.0, **known), held)
 
     def _sent_on(self, s: State, command: Command, held: float) -> Command:
         """Average the velocity, and move the commanded posture on by one period."""
@@ -451,6 +428,12 @@ class LoopRules:
             together = s.output is s.reference and s.average is None
             s.reference = self.robot.integrate(s.reference, time * velocity)
             s.output = s.reference if together else self.robot.integrate(s.output, time * s.sent)
+
+
+def _within(command: Command, bounds: Bounds) -> Command:
+    """Return a command within bounds."""
+    admitted = bounds.admit(command.velocity)
+    return command if admitted else _held_back(command, bounds.nearest(command.velocity))
 
 
 def _held_back(command: Command, velocity: np.ndarray) -> Command:
