@@ -103,8 +103,8 @@ class Command(NamedTuple):
             **more: Other attributes, where they are known.
         """
         none = np.zeros_like(velocity)
-        told = dict.fromkeys(("manipulability", "null_scale", "smallest_singular_value"), 0.0)
-        told |= {"task_velocity": none[:0], "task_scale": 1.0} | more
+        told: dict[str, Any] = {"manipulability": 0.0, "task_scale": 1.0, "null_scale": 0.0}
+        told |= {"task_velocity": none[:0], "smallest_singular_value": 0.0} | more
         return cls(velocity=velocity, status=status, task_part=velocity, null_part=none, **told)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cache
-from math import isfinite
 from typing import Any, NamedTuple, final
 
 import daqp
@@ -174,6 +174,7 @@ def _share(part: Vector, whole: Vector) -> float:
 
 
 @final
+@dataclass(frozen=True, eq=False)
 class Law:
     """u = A^+ b + N w, equation (2) of Manavalan and Howard, in three priorities and within limits.
 
@@ -218,18 +219,12 @@ class Law:
         damping: lambda.
     """
 
-    def __init__(
-        self,
-        constraint: Constraint,
-        task: Task,
-        null_policy: NullSpacePolicy,
-        inverse: Inverse,
-        threshold: float,
-        damping: float,
-    ):
-        self.constraint, self.task, self.null_policy = constraint, task, null_policy
-        self.inverse: Inverse = inverse
-        self.threshold, self.damping = threshold, damping
+    constraint: Constraint
+    task: Task
+    null_policy: NullSpacePolicy
+    inverse: Inverse
+    threshold: float
+    damping: float
 
     @property
     def ascends(self) -> bool:
@@ -253,10 +248,8 @@ class Law:
         U, sigma, Vt = decomposition
         own = sigma if E is None else svd(A)[1]
         mu, smallest, least = (math.prod(own.tolist()), float(own[-1]), float(sigma[-1])) if s <= nv else (0.0,) * 3
-        is_damped, is_regular = (
-            self.inverse == "damped",
-            s <= nv and all(x[-1] > LEAST_SINGULAR_RATIO * x[0] for x in (own, sigma)),
-        )
+        is_damped = self.inverse == "damped"
+        is_regular = s <= nv and all(x[-1] > LEAST_SINGULAR_RATIO * x[0] for x in (own, sigma))
         is_regular = is_regular and not (is_damped and min(smallest, least) < self.threshold)
         if is_regular or not is_damped:
             gains = inverse_singular_values(sigma, rows.shape, "exact" if is_damped else self.inverse)
@@ -264,7 +257,7 @@ class Law:
             with np.errstate(over="ignore", invalid="ignore"):
                 Y = (U[:, : len(sigma)] * gains).dot(V)
                 task = b.dot(Y)
-            if not isfinite(sum(task.tolist())):
+            if not math.isfinite(sum(task.tolist())):
                 raise ConfigurationError(
                     f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {smallest:.1e}): "
                     + advice("use {}", "inverse='damped'", "--inverse damped")
@@ -523,6 +516,6 @@ _SLOWING = (Status.SINGULAR, Status.STALLED, Status.POSITION_LIMITED)
 
 def _checked(vector: ArrayLike, size: int, what: str) -> Any:
     array = np.asarray(vector, np.float64)
-    if array.shape != (size,) or not isfinite(sum(array.tolist())):
+    if array.shape != (size,) or not math.isfinite(sum(array.tolist())):
         raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
     return array
