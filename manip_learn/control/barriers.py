@@ -23,23 +23,9 @@ Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least
 # smallest singular value falls, a position limit, a wall of the hand
 APPROACH_RATE = 20.0
 BRAKING_SHARE = 0.5  # of the joints' acceleration that braking before a wall uses; the rest keeps the task on its way
-CROSSING_SPEED = 5e-4  # [rad/s] speed at which a singularity may be crossed
-# share of the speed that is given away, so that few rows do: the tangents at two points whose directions are 5 degrees
-# apart let 0.1 % more through between them
-RESERVE = 1e-3
-_ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
-GIVEN_UP = 1e-6  # [m/s] by which a solution breaks its rows where these are left out
-_MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
 # [m] from links to each other and to what stands around, in plans too: what a servo's lag makes of a path; links that
 # are neighbours come within 2 cm
 CLEARANCE = 0.005
-# [m] beyond the clearance, which rows aim at: their solutions are within it after one or two rounds; and as a share of
-# the way until then, for between the postures that are looked at surfaces may be 1 % of it nearer
-AIMED, FUNNEL = 2e-5, 0.02
-# of the time until the arm stands; one that brakes as hard as it can stands at half of it
-LOOKED_AT = 0.25, 0.5, 1.0
-_TOUCHES = 1e-9  # [m] of Coal's distances
-_AT_REST = 1e-3  # [m] beyond the clearance: what is farther away has slowed the arm down, and does not stop it
 
 
 def approach_rate(distance: float, slope: Vector, acceleration: Vector, dt: float) -> float:
@@ -58,14 +44,14 @@ def approach_rate(distance: float, slope: Vector, acceleration: Vector, dt: floa
 def approach_bound(smallest: float, slope: Vector, acceleration: Vector, dt: float) -> float:
     """Return the largest rate at which the smallest singular value may fall, so that the arm can stop at 0.
 
-    That of `approach_rate`, and |grad sigma| CROSSING_SPEED. A task whose target is out of reach presses the arm
-    against a singularity (a stretched elbow), with joint velocities that grow as 1 / sigma until they flip from
+    That of `approach_rate`, and that at which a singularity may be crossed, 5e-4 rad/s |grad sigma|. A task whose
+    target is out of reach presses the arm against a singularity (a stretched elbow), with joint velocities that grow as 1 / sigma until they flip from
     step to step; with the bound it comes to rest there.
     """
     length = math.sqrt(slope.dot(slope))
     if length == 0.0:
         return math.inf
-    return length * CROSSING_SPEED + approach_rate(smallest, slope, acceleration, dt)
+    return 5e-4 * length + approach_rate(smallest, slope, acceleration, dt)
 
 
 class Standing(Protocol):
@@ -153,12 +139,14 @@ class KeptClear:
             here[new], known[new] = self.pairs.distances(q, new.tolist()), True
             self._known = q.copy(), here, known
             close = here - longest * reach < clearance
-        for time, share in ((dt, 0.0), *((longest * x, x) for x in LOOKED_AT)) if close.any() else ():
+        # one that brakes as hard as it can stands at half of the longest time
+        looked_at = ((dt, 0.0), *((longest * x, x) for x in (0.25, 0.5, 1.0))) if close.any() else ()
+        for time, share in looked_at:
             close = np.flatnonzero(here - time * reach < clearance).tolist()
             there = self.pairs.closer_than(self._robot.integrate(q, time * u), clearance, only=close) if close else ()
             for pair in there:
                 allowed = min(clearance, float(here[pair.number]))
-                if pair.distance >= allowed - _TOUCHES:
+                if pair.distance >= allowed - 1e-9:  # [m] rounding of Coal's distances
                     continue
                 nearest = min(nearest or (math.inf, pair.links), (float(here[pair.number]), pair.links))
                 at = time
@@ -168,15 +156,17 @@ class KeptClear:
                     pair = self.pairs.closer_than(x, math.inf, only=(pair.number,))[0]  # noqa: PLW2901
                 rate = float(pair.gradient.dot(u))
                 rows.append(pair.gradient + rate * share / time * slope)
-                away = allowed - pair.distance + AIMED * time / longest + FUNNEL * time * float(reach[pair.number])
+                # rows aim 0.02 mm beyond the clearance, so that solutions are within it after one or two rounds, and
+                # 2 % of the way until then: surfaces may be 1 % of it nearer between the postures that are looked at
+                away = allowed - pair.distance + 2e-5 * time / longest + 0.02 * time * float(reach[pair.number])
                 least.append(float(rows[-1].dot(u)) - (1.0 - at / time) * rate + away / time)
         self._nearest = nearest or self._nearest
         return None if nearest is None else (np.array(rows), np.array(least))
 
     def words(self) -> str | None:
         """Return which two things were the nearest ones and how near, if that stops the arm."""
-        if self._nearest is None or self._nearest[0] > self.clearance + _AT_REST:
-            return None
+        if self._nearest is None or self._nearest[0] > self.clearance + 1e-3:
+            return None  # what is a millimetre farther away has slowed the arm down, and does not stop it
         distance, (link, other) = self._nearest
         the = "the " if other in {obstacle.name for obstacle in self.pairs.obstacles} else ""
         return f"{link} {1e3 * distance:.0f} mm from {the}{other}"
@@ -220,7 +210,9 @@ class BarriersAt:
             fast = math.sqrt(v.dot(v))
             if fast > self.speed:
                 rows.append((-v / fast).dot(J))
-                least.append(self.speed * (RESERVE - 1.0))
+                # a thousandth is given away, so that few tangents do: two whose directions are 5 degrees apart let that
+                # much more through between them
+                least.append((1e-3 - 1.0) * self.speed)
         return ((np.array(rows), np.array(least)), cause) if rows else None
 
     def slowed(self, u: Vector) -> Vector:
@@ -239,16 +231,16 @@ class BarriersAt:
             solve: Rows -> velocity.
         """
         u, found = wish, None
-        for _ in range(_MOST_ROWS):
-            broken = self.broken(u, _ROUNDED)
+        for _ in range(12):  # rounds; in practice one to four
+            broken = self.broken(u, 1e-12)  # [m/s] rounding of a speed of 1
             if broken is None and found is not None:
                 break
             if broken is not None:
                 G, least = broken[0]
                 barrier = broken[0] if barrier is None else (np.vstack((barrier[0], G)), np.append(barrier[1], least))
             u = found = solve(barrier)
-            if barrier is not None and np.any(barrier[0].dot(u) < barrier[1] - GIVEN_UP):
-                break  # there is no solution: bounds have precedence
+            if barrier is not None and np.any(barrier[0].dot(u) < barrier[1] - 1e-6):
+                break  # [m/s] there is no solution: bounds have precedence
         return u
 
 

@@ -29,25 +29,10 @@ _HELD = 0.1
 # singular value of 0.3 the held rows and the task's direction give way by 1e-7 of what the policy asks for, the speed
 # along that direction by 1e-4; of the speed that bounds take from the task, 1e-3 goes beside its direction
 ACROSS, ALONG = 1e-4, 3e-3
-# width of the way out of a singularity, as a share of the threshold: targets beyond it are reached
-ESCAPE_WIDTH = 0.6
-ESCAPE_SPEED = 0.2  # [rad/s] at most, of what the policy moves along directions that are nearly lost
-SEED_SHARE = 6e-4  # singular value up to which a policy that has all but vanished moves on, as a share of the threshold
 # an explicit step of dt follows a velocity field whose slope is at most this over dt: from 1 / dt on a step goes beyond
 # where the field leads, and the policy's own field adds to the task's
 STABLE_SLOPE = 0.5
-# square of the sine between rows of the program that depend on each other. Those that do not are 1e-8 apart at the
-# least of the metric: with DAQP's own tolerance walls were given up that the bounds leave room for
-DEPENDENT = 1e-14
 _ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may; a joint that the task moves by less does not slow it down
-# [s] in which a task that a limit or a singularity slows down gives up some of its direction, one that stalls all of it
-# (out of reach the joints would turn to and fro), and in which the direction is kept again
-SLIDING_AFTER, STALLED_AFTER, KEEPING_AFTER = 0.1, 0.25, 1.0
-SOME = 0.1  # share of the direction that is given up early
-# share of the velocity asked for below which a task counts as slowed down, and above which it goes on
-SLIDING_BELOW, GOING_ON = 0.5, 0.9
-NEARBY = 2e-3  # [m/s or rad/s] a task that asks for less has all but arrived: the policy must not lead the hand off
-
 AT_GOAL = 1e-6  # [m/s or rad/s] a task that asks for less than this has reached its goal
 # a task stalls where less than the first share of the velocity asked for is left (a hand that is pressed against a wall
 # keeps 1 to 2 % by creeping along it), and is slowed down where less than the second is (the program leaves 1e-4 of it)
@@ -187,8 +172,8 @@ class Law:
 
     Where the smallest singular value sigma of A is above the threshold, Lambda is 0 and u* is equation (2), exactly.
     Below it, a direction whose singular value is less than Lambda no longer holds the motion, and w moves it: that is
-    damping and the way out of the singularity in one. (The policy's part along such directions is at most ESCAPE_SPEED,
-    and fades towards ESCAPE_WIDTH.)
+    damping and the way out of the singularity in one. (The policy's part along such directions is at most 0.2 rad/s,
+    and fades towards 0.6 times the threshold: targets beyond that are reached.)
 
     For an arm in motion b is the mean velocity of the rows over the step, so that an explicit step of dt stays on the
     path that the task asks for: b - c takes the place of b, with the velocity v of the step before and
@@ -267,8 +252,8 @@ class Law:
             return Desired(rows, b, task, w - V.dot(w).dot(V), escape, mu, smallest, V, Y, own=A)
         V = Vt[: len(sigma)][sigma > SINGULAR_RATIO * sigma[0]]  # of what is lost, rounding alone says where it was
         share = max(0.0, 1.0 - (least / self.threshold) ** 2)
-        # w, at SEED_SPEED at least beside a singularity, where policies that climb out of it vanish
-        speed, seed = math.sqrt(w.dot(w)), SEED_SPEED * (1.0 - smallest / (SEED_SHARE * self.threshold))
+        # w, at SEED_SPEED at least beside a singularity (6e-4 of the threshold), where policies that climb out vanish
+        speed, seed = math.sqrt(w.dot(w)), SEED_SPEED * (1.0 - smallest / (6e-4 * self.threshold))
         if 0.0 < speed < seed:
             w = w * (seed / speed)
         if self.ascends and limits is not None and smallest <= SINGULAR_RATIO:
@@ -282,7 +267,7 @@ class Law:
         task, free = b.dot(Y), w - rows.dot(w).dot(Y)
         escape = V.dot(free).dot(V)
         null, length = free - escape, math.sqrt(escape.dot(escape))
-        fastest = ESCAPE_SPEED * max(0.0, 1.0 - (least / (ESCAPE_WIDTH * self.threshold)) ** 2) ** 2
+        fastest = 0.2 * max(0.0, 1.0 - (least / (0.6 * self.threshold)) ** 2) ** 2  # [rad/s]
         if length > fastest:
             escape = escape * (fastest / length)
         damping = share * math.sqrt(square)
@@ -486,7 +471,9 @@ def nearest_within(wish: Vector, W: Float[np.ndarray, "s nv"], bounds: Bounds, b
             least = np.concatenate((least, barred[1] - barred[0].dot(wish)))
             most = np.concatenate((most, np.full(len(barred[0]), np.inf)))
         sense = _constants(nv, len(most))[2]
-        z, _, flag, _ = daqp.solve(one, zeros, rows, most, least, sense, primal_tol=FINE, sing_tol=DEPENDENT)
+        # rows that do not depend on each other are 1e-8 apart at the least of the metric (the tolerance is of a squared
+        # sine): with DAQP's own, walls were given up that the bounds leave room for
+        z, _, flag, _ = daqp.solve(one, zeros, rows, most, least, sense, primal_tol=FINE, sing_tol=1e-14)
         if flag == 1:
             u = wish + inverse.dot(z)
             within = np.clip(u, lowest, highest)
@@ -502,16 +489,20 @@ def _constants(nv: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def next_slide(slide: float, command: Command, dt: float) -> float:
-    """`slide` after a command that was held for dt [s]: it grows while limits keep the task from going straight on."""
-    asked = math.sqrt(command.task_velocity.dot(command.task_velocity))
-    if asked <= NEARBY or command.progress > GOING_ON:
-        return max(0.0, slide - max(SOME, slide) * dt / KEEPING_AFTER)
-    if slide < SOME and command.progress < SLIDING_BELOW and command.status in _SLOWING:
-        return min(SOME, slide + SOME * dt / SLIDING_AFTER)
-    return min(1.0, slide + dt / STALLED_AFTER) if command.status is Status.STALLED else slide
+    """Return `slide` after a command that was held for dt [s]: it grows while limits keep the task from going on.
 
-
-_SLOWING = (Status.SINGULAR, Status.STALLED, Status.POSITION_LIMITED)
+    A task that is slowed down to half of its speed gives up a tenth of its direction in 0.1 s; one that stalls all of
+    it in 0.25 s, for out of reach the joints would turn to and fro. Once it goes on, at 90 % of its speed, the
+    direction is kept again in a second. A task that asks for less than 2 mm/s has all but arrived: the policy must not lead the
+    hand off.
+    """
+    asked, some = math.sqrt(command.task_velocity.dot(command.task_velocity)), 0.1
+    if asked <= 2e-3 or command.progress > 0.9:
+        return max(0.0, slide - max(some, slide) * dt)
+    is_slowed = command.status in (Status.SINGULAR, Status.STALLED, Status.POSITION_LIMITED)
+    if slide < some and command.progress < 0.5 and is_slowed:
+        return min(some, slide + some * dt / 0.1)
+    return min(1.0, slide + dt / 0.25) if command.status is Status.STALLED else slide
 
 
 def _checked(vector: ArrayLike, size: int, what: str) -> Any:

@@ -20,14 +20,8 @@ from manip_learn.robot.robot import Robot
 RETURN_SPEED = 0.25  # share of the velocity limit at which a joint that starts outside its position limits returns
 ACCELERATION_RATE = 5.0  # [1/s] default acceleration limit over velocity limit: full speed is reached in 0.2 s
 DEFAULT_ACCELERATION = 10.0  # [rad/s2 or m/s2] default limit of a joint that has no velocity limit
-ROOM_TO_LEAVE = 0.1  # [rad or m] room that the joints need for leaving a singularity
 OUTSIDE = 1e-9  # [rad or m] a joint is outside when it is more than this beyond a position limit
 FINE = 1e-13  # [rad/s or m/s] by how much rounding makes a velocity exceed a bound, as that of a joint at its limit
-AT_BOUND = 1e-7  # share of a bound within which a velocity counts as being at it
-# [rad/s or m/s, and their rates] of a joint without such a limit: braking distances stay finite
-_FASTEST, _HARDEST = 1e6, 1e12
-# [rad or m] no joint is farther beyond its limits than encoders count a turn too much, and none without is so far away
-_TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
 
 
 def stopping_speed(distance: Vector, acceleration: Vector, dt: float) -> Vector:
@@ -41,9 +35,9 @@ def stopping_speed(distance: Vector, acceleration: Vector, dt: float) -> Vector:
 
 
 def farthest_positions(robot: Robot) -> Vector | float:
-    """Positions that no joint is at, however its encoder counts: a turn beyond the farther limit [rad or m]."""
-    farthest = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper)) + _TURN
-    return farthest if robot.nq == robot.nv and bool(np.all(np.isfinite(farthest))) else LARGEST_POSITION
+    """Return positions that no joint is at, however its encoder counts: a turn beyond the farther limit [rad or m]."""
+    farthest = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper)) + 2.0 * math.pi
+    return farthest if robot.nq == robot.nv and bool(np.all(np.isfinite(farthest))) else 1e6
 
 
 def check_inside(robot: Robot, positions: Vector) -> None:
@@ -99,7 +93,7 @@ class Bounds(NamedTuple):
             velocity: shape (nv,), within the bounds.
             desired: shape (nv,), what was wished for.
         """
-        room = AT_BOUND * (1.0 + np.abs(velocity))
+        room = 1e-7 * (1.0 + np.abs(velocity))  # within which a velocity counts as being at a bound
         above = np.where(velocity >= self.high - room, desired - self.high, 0.0)
         over = np.maximum(above, np.where(velocity <= self.low + room, self.low - desired, 0.0))
         j = int(over.argmax())
@@ -240,11 +234,12 @@ class Limits:
 
     def _braking_speed(self, distance: Float[np.ndarray, "2 nv"], dt: float, together: float) -> np.ndarray:
         """Return brake(d), at most d / T; negative outside, where a joint returns."""
-        a, rate = BRAKING_SHARE * np.minimum(self.acceleration, _HARDEST), min(APPROACH_RATE, 0.5 / dt)
+        # a joint without a limit has one that is never met: braking distances stay finite
+        a, rate = BRAKING_SHARE * np.minimum(self.acceleration, 1e12), min(APPROACH_RATE, 0.5 / dt)
         joined = a / rate - 0.5 * a * dt  # speed at d1
         linear = joined / rate
         offset = linear - joined * (joined + a * dt) / (2.0 * a)
-        returning = -RETURN_SPEED * np.minimum(self.velocity, _FASTEST)
+        returning = -RETURN_SPEED * np.minimum(self.velocity, 1e6)
         far = np.sqrt((0.5 * a * dt) ** 2 + 2.0 * a * np.maximum(distance - offset, 0.0)) - 0.5 * a * dt
         speed = np.where(distance <= linear, np.maximum(rate * distance, returning), far)
         return np.where(distance > 0.0, np.minimum(speed, distance / max(together, 1e-300)), speed)
@@ -322,7 +317,8 @@ class Limits:
         ahead, behind = (
             np.min(np.where(d > 0.0, *ways) / np.abs(d), initial=np.inf) for ways in ((up, down), (down, up))
         )
-        return direction if fastest == 0.0 or ahead >= min(behind, ROOM_TO_LEAVE / fastest) else -direction
+        # the joints need 0.1 rad or m for leaving a singularity
+        return direction if fastest == 0.0 or ahead >= min(behind, 0.1 / fastest) else -direction
 
 
 def per_joint(what: str, values: ArrayLike, names: tuple[str, ...]) -> Vector:

@@ -32,12 +32,10 @@ SEED_SPEED = 5e-4  # [rad/s] speed at which an exact singularity is left, where 
 # second at 1, 10 and 20 ms, 1 leaves 61, 61 and 58, 1.25 and more leave all; from 1.5 on arms that are pressed against
 # a singularity turn to and fro now and then
 GROWTH = 1.25
-LEAST_ROOM = 1e-4  # of a joint's range, below which a joint counts as at its limit: its slope stays finite
 _SAME = 1e-9  # share by which rates may differ that count as equal
 LAG = 3.0  # [cycles] in which a kept orientation is taken back at the fastest: readings may be two cycles late
 SETTLES = 0.1  # [s] and in which it is: as a task's own feedback, since faster is the noise of the encoders
 Decomposition = tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[np.ndarray, "n n"]]
-LARGEST_RATE = 1.0  # [1/s] half ranges a second that a joint moves at most, for joints whose range is short
 
 
 class NullSpacePolicy(ABC):
@@ -169,7 +167,7 @@ class JointLimitAvoidance(NullSpacePolicy):
         self._middle = np.zeros(robot.nv)
         self._middle[limited] = 0.5 * (robot.position_lower[limited] + robot.position_upper[limited])
         self._per_half = np.divide(2.0, width, out=np.zeros(robot.nv), where=limited)
-        self._longest = np.where(limited, np.minimum(self.max_speed, 0.5 * LARGEST_RATE * width), 1.0)
+        self._longest = np.where(limited, np.minimum(self.max_speed, 0.5 * width), 1.0)
         self.numbers = self._strength, self._middle, self._per_half, self._longest  # for the compiled law
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
@@ -342,7 +340,7 @@ class RoomAscent(_Ascent):
     def _slope(self, q: ArrayLike, decomposition: Decomposition, vjp: Vjp) -> Vector:
         U, sigma, Vt = decomposition
         x = 2.0 * (self._robot.positions(q)[self._limited] - self._middle) / self._width
-        room = np.maximum(room_of(x), LEAST_ROOM)
+        room = np.maximum(room_of(x), 1e-4)  # of a range: the slope of a joint at its limit stays finite
         shares = np.concatenate([(1.0 + self._enough / sigma) ** 2, 1.0 / room**2])
         shares /= shares.sum()
         rates = shares[: len(sigma)] * self._enough / ((sigma + self._enough) * sigma)

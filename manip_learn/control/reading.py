@@ -15,8 +15,7 @@ from manip_learn.linalg import finite
 from manip_learn.recordings.checks import far_outside
 from manip_learn.robot.robot import Robot
 
-# [rad or m] by which a reading may be off beyond twice what a joint can move meanwhile
-TWICE, JUMP = 2.0, 0.05
+JUMP = 0.05  # [rad or m] by which a reading may be off beyond twice what a joint can move meanwhile
 
 
 @final
@@ -72,7 +71,7 @@ class Readings:
         if before is None or (away := q - before).dot(away) < JUMP * JUMP:
             return ""
         step, robot = self.robot.difference(before, q), self.robot
-        fastest = TWICE * robot.velocity_limit * since + JUMP
+        fastest = 2.0 * robot.velocity_limit * since + JUMP
         if np.all(np.abs(step) <= fastest):
             return ""
         j = int((np.abs(step) / fastest).argmax())

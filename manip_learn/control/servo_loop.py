@@ -34,15 +34,9 @@ from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
 _LOGGER = logging.getLogger("manip_learn")
-UNLOADING_RATE = 25.0  # [1/s] rate at which an arm that was blocked lets go: from 60 N to 3 N in 0.12 s
-RELOOK, _NEAR = 0.01, 5e-4  # [s] beside its delay after which an arm that lets go is looked at again, [rad or m]
 _SETTLED = 0.05  # [s] after which an arm that was let go stands
 RENEWALS = 10  # times that an arm goes on letting go where more is left
-# [rad or m] of letting go after which it shows, and share of it by which an arm that carries a weight comes along
-_SHOWS, _FOLLOWS = 2e-3, 0.9
-# [rad/s or m/s] speed below which it does not fall on the way, and [rad or m] distance at which it has arrived
-_SLOWEST, _ARRIVED = 1e-3, 1e-9
-BEYOND_TAUGHT = 1.5  # times the force that a way took when it was taught: it may stick more another time
+_ARRIVED = 1e-9  # [rad or m] distance at which a posture is reached
 # arguments that are gone, and what to give instead
 _REMOVED = {
     **dict.fromkeys(("latency", "stiffness"), ": give contact=Contact({}={!r})"),
@@ -359,12 +353,13 @@ class LoopRules:
         if arrived and not (s.lets_go and since > _SETTLED):
             return self.brake(s, Status.FOLLOWING_ERROR, held)
         s.renewed += arrived
-        # the first measurements were those of an arm in motion; what is near is noise
-        if arrived or (farthest > _NEAR and not s.renewed and since > RELOOK):
+        # the first measurements were those of an arm in motion: it is looked at again; what is near is noise
+        if arrived or (farthest > 5e-4 and not s.renewed and since > 0.01):
             s.relief, s.rested = self._let_go(s, commanded), 0.0
             left = self.robot.difference(commanded, s.relief)
             farthest = float(np.abs(left).max(initial=0.0))
-        wish = left * min(1.0 / held, max(UNLOADING_RATE, _SLOWEST / max(farthest, _ARRIVED)))
+        # from 60 N to 3 N in 0.12 s, and not slower than 1 mrad/s on the way
+        wish = left * min(1.0 / held, max(25.0, 1e-3 / max(farthest, _ARRIVED)))
         bounds = self.hardest.bounds(commanded, held, s.velocity)
         velocity = self.hardest.towards(wish, s.velocity, bounds, held)
         return self._beside_the_law(s, velocity, Status.FOLLOWING_ERROR, held)
@@ -389,7 +384,8 @@ class LoopRules:
         following, servos = s.following, s.following.servos
         gone = self.robot.difference(place, commanded) - servos.gone(round(servos.delay / self.dt))
         came, square = self.robot.difference(pressed, measured), float(gone.dot(gone))
-        return following.sinks and square > _SHOWS * _SHOWS and float(came.dot(gone)) > _FOLLOWS * square
+        # letting go shows after 2 mrad or mm
+        return following.sinks and square > 2e-3 * 2e-3 and float(came.dot(gone)) > 0.9 * square
 
     def _beside_the_law(self, s: State, u: np.ndarray, status: Status, held: float) -> Command:
         told = ("manipulability", "task_velocity", "smallest_singular_value")
@@ -535,7 +531,8 @@ class ServoLoop:
         self.controller = bounded if within is controller else controller
         self.contact = contact = contact or Contact()
         if contact.max_axial_force == "auto" and (force := bounded.taught_force) is not None:
-            self.contact = replace(contact, max_axial_force=max(contact.max_lateral_force, BEYOND_TAUGHT * force))
+            # it may stick half as much more another time
+            self.contact = replace(contact, max_axial_force=max(contact.max_lateral_force, 1.5 * force))
         self.rules = LoopRules(bounded, limits, self.contact, self.dt, self.stale_after)
         self._state = self.rules.begin()
         self.reset()
