@@ -45,8 +45,8 @@ def approach_bound(smallest: float, slope: Vector, acceleration: Vector, dt: flo
     """Return the largest rate at which the smallest singular value may fall, so that the arm can stop at 0.
 
     That of `approach_rate`, and that at which a singularity may be crossed, 5e-4 rad/s |grad sigma|. A task whose
-    target is out of reach presses the arm against a singularity (a stretched elbow), with joint velocities that grow as 1 / sigma until they flip from
-    step to step; with the bound it comes to rest there.
+    target is out of reach presses the arm against a singularity (a stretched elbow), with joint velocities that grow
+    as 1 / sigma until they flip from step to step; with the bound it comes to rest there.
     """
     length = math.sqrt(slope.dot(slope))
     if length == 0.0:

@@ -493,8 +493,8 @@ def next_slide(slide: float, command: Command, dt: float) -> float:
 
     A task that is slowed down to half of its speed gives up a tenth of its direction in 0.1 s; one that stalls all of
     it in 0.25 s, for out of reach the joints would turn to and fro. Once it goes on, at 90 % of its speed, the
-    direction is kept again in a second. A task that asks for less than 2 mm/s has all but arrived: the policy must not lead the
-    hand off.
+    direction is kept again in a second. A task that asks for less than 2 mm/s has all but arrived: the policy must not
+    lead the hand off.
     """
     asked, some = math.sqrt(command.task_velocity.dot(command.task_velocity)), 0.1
     if asked <= 2e-3 or command.progress > 0.9:
