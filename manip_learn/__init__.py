@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from manip_learn.constraint.skill import Skill, Step
     from manip_learn.constraint.task_frame import TaskFrame
     from manip_learn.control.command import Command, Controller, Status
+    from manip_learn.control.contact import Contact
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.driver import Driver, RunRecord, run
     from manip_learn.control.follow_motion import FollowMotion
-    from manip_learn.control.contact import Contact
     from manip_learn.control.limits import Limits
     from manip_learn.control.policies import (
         JointAttractor,
