@@ -49,11 +49,8 @@ _KNOWN = 0.7  # share by which friction is known: it depends on load and speed, 
 _TURN = 0.1  # [rad] by which a full turn may seem to be less or more
 _POSTURES = 200  # for the longest lever of a joint
 
+MEASURED = ("latency", "resolution")  # what may be 0
 _FORMER = {"held": "max_lateral_force", "driven": "max_axial_force"}  # names of arguments, until 0.4
-_UNITS = {
-    "max_lateral_force": "newtons", "max_axial_force": 'newtons or "auto"', "latency": 'seconds or "auto"',
-    "resolution": 'newtons or "auto"',
-}  # fmt: skip
 
 
 @final
@@ -105,11 +102,13 @@ class Contact:
         given = {"max_lateral_force": max_lateral_force, "max_axial_force": max_axial_force, "latency": latency}
         given |= {"resolution": resolution, "stiffness": stiffness, **under_new_names("Contact()", _FORMER, renamed)}
         vars(self).update(given)
-        for name, unit in _UNITS.items():
-            value, may_be_0 = given[name], name in ("latency", "resolution")
-            if not (isinstance(value, str) and value == "auto" and "auto" in unit):
-                if not (is_number(value) and 0.0 <= float(value) < math.inf and (value or may_be_0)):
-                    raise ConfigurationError(f"{name} must be a positive number of {unit}, got {value!r}")
+        units = ("newtons", 'newtons or "auto"', 'seconds or "auto"', 'newtons or "auto"')
+        for (name, value), unit in zip(given.items(), units, strict=False):  # a stiffness is for a robot's joints
+            is_auto = isinstance(value, str) and value == "auto" and "auto" in unit
+            if not is_auto and not (
+                is_number(value) and 0.0 <= float(value) < math.inf and (value or name in MEASURED)
+            ):
+                raise ConfigurationError(f"{name} must be a positive number of {unit}, got {value!r}")
 
     @property
     def held(self) -> float:
@@ -172,8 +171,9 @@ class FollowingError:
         self._frame, rng = robot.frame(frame or default_tip(robot)), np.random.default_rng(0)
         # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
         rows = [robot.jacobian(robot.random_configuration(rng), self._frame)[:3] for _ in range(_POSTURES)]
-        self.limit = contact.max_lateral_force * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
-        self._damping = (RESOLUTION / contact.max_lateral_force) ** 2 * np.eye(3)
+        held = contact.max_lateral_force
+        self.limit = held * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
+        self._damping = (RESOLUTION / held) ** 2 * np.eye(3)
         latency = LATEST if isinstance(contact.latency, str) else float(contact.latency)
         # what is known
         zero = np.zeros(robot.nv)
@@ -182,10 +182,9 @@ class FollowingError:
         if contact.stiffness is None:
             joint = int(np.argmax(self.limit))
             self.notes = (
-                f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
+                "the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
                 f"{robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of {STIFFNESS:g} "
-                f"N m/rad that is {contact.max_lateral_force:g} N on the hand, on servos ten times as stiff ten times "
-                "as much: give Contact(stiffness=...)",
+                f"N m/rad that is {held:g} N on the hand, on stiffer ones more: give Contact(stiffness=...)",
             )
         self.force, self.tripped = np.zeros(3), ""
         self.distance, self.load, self.sinks = zero, zero, False
@@ -252,9 +251,8 @@ class FollowingError:
             Words on a payload that the drives do not know of; empty if there is none.
         """
         f = self._explained(off, self._yields(q))
-        weighs, self.sinks = (
-            -x[2] > max(LEFT, _DOWN * math.sqrt(x.dot(x))) for x in (f, self.force if self.force.any() else f)
-        )
+        forces = np.array([f, self.force if self.force.any() else f])
+        weighs, self.sinks = -forces[:, 2] > np.maximum(LEFT, _DOWN * np.linalg.norm(forces, axis=1))
         self.load = weighs * off
         if not (weighs and self.sinks and -f[2] > self._heaviest):
             return ""
@@ -295,19 +293,15 @@ class FollowingError:
         self._now, is_known = (excess, self.distance), servos.late is not None
         if is_known and not was_known:
             self._tell(measured)
+        gone = servos.gone(round(BRIEFLY / self._dt))
         if self.tripped or servos.repeats:
             return
         if not is_known and np.any(np.abs(self.distance) > _LATE * self.limit):
             self.tripped = "the arm has not begun to move: it is blocked or switched off, or give Contact(latency=...)"
         elif excess.dot(excess) > RESOLUTION * RESOLUTION:  # with less no force can be larger than `held`
             self.tripped = self._judge(measured, excess, driven)
-        elif is_known:
-            gone = servos.gone(round(BRIEFLY / self._dt))
-            hides = 4.0 * (
-                RESOLUTION * RESOLUTION + servos.most.dot(servos.most)
-            )  # a way that may stay unseen, squared
-            if gone.dot(gone) > hides:
-                self._going = min(GOING, self._going + self._dt)
+        elif is_known and gone.dot(gone) > 4.0 * (RESOLUTION * RESOLUTION + servos.most.dot(servos.most)):
+            self._going = min(GOING, self._going + self._dt)  # by more than may stay unseen
 
     def _judge(self, measured: np.ndarray, excess: np.ndarray, driven: Directions | None) -> str:
         """Find the force on the hand, as it will be when a brake takes effect that is ordered now, and judge it.
@@ -316,35 +310,24 @@ class FollowingError:
             Why the arm is to be stopped, in words; empty where it is not.
         """
         servos, dt, ago = self.servos, self._dt, len(self._found)
-        before = self._found[-1] if ago else self._now
+        before = (self._now, *self._found)[-1]
         rise, gains, sent = excess - before[0], self.distance - before[1], servos.gone(ago)
         # it rises until what is measured is seen, and, ever more slowly, until the arm stands
         ahead = servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
         further = min(max(ahead / (math.ceil(LOOK_BACK / dt) * dt), 1.0), _FARTHEST)
         J = self._robot.jacobian(measured, self._frame)[:3]
-        C = J / self._stiffness
-        self.force, beside = self._force_of(excess + further * rise, C)
+        self.force, beside = self._force_of(excess + further * rise, J / self._stiffness)
         force, taken, step = math.sqrt(self.force.dot(self.force)), math.nan, J.dot(sent)
         # share of its way that the hand lacks, unless it was sent by noise only, or by a delay that is not known
         if servos.late is not None and step.any() and sent.dot(sent) > RESOLUTION * RESOLUTION:
             taken = -float(J.dot(gains).dot(step)) / float(step.dot(step))
-        if not self._velocity.any():
-            self._going = 0.0
-        elif taken < 0.5:
-            self._going = min(GOING, self._going + dt)
-            self._carried += min(1.0, dt / CARRYING) * (force - self._carried)
-        else:
-            self._going = max(0.0, self._going - dt)
-        held = max(self.contact.max_lateral_force, self.resolution)
+        moves, goes = bool(self._velocity.any()), taken < 0.5
+        self._going = moves * min(GOING, max(0.0, self._going + (dt if goes else -dt)))
+        self._carried += moves * goes * min(1.0, dt / CARRYING) * (force - self._carried)
+        held, most = max(self.contact.max_lateral_force, self.resolution), max(self._driven, self.resolution)
         if force > held:
-            most = max(self._driven, self.resolution)
-            way, side = self._split(
-                J,
-                C,
-                held,
-                servos.raw + further * gains,
-                np.zeros((0, len(sent))) if driven is None else driven(measured),
-            )
+            rows = np.zeros((0, len(sent))) if driven is None else driven(measured)
+            way, side = self._split(J, rows, servos.raw + further * gains)
             if side > held + LEAKS * way:
                 return (
                     f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.max_lateral_force): what was "
@@ -361,27 +344,28 @@ class FollowingError:
                     "look what blocks it"
                 )
         j = int((np.abs(beside) / self.limit).argmax())
-        if abs(beside[j]) <= self.limit[j]:
-            return ""
         load, name = abs(float(beside[j] * self._stiffness[j])), self._robot.joint_names[j]
-        return f"joint {name} is pushed by {load:.0f} N m beside what the hand is: look what touches the arm"
+        words = f"joint {name} is pushed by {load:.0f} N m beside what the hand is: look what touches the arm"
+        return words if abs(beside[j]) > self.limit[j] else ""
 
-    def _split(
-        self, J: np.ndarray, C: np.ndarray, held: float, off: Vector, driven: Float[np.ndarray, "k nv"]
-    ) -> tuple[float, float]:
-        """Return the force along and across what is driven [N].
+    def _split(self, J: np.ndarray, driven: np.ndarray, off: Vector) -> tuple[float, float]:
+        """Return the force on the hand along and across what is driven [N].
 
-        On its way a hand presses a rail by what the arm is not equally stiff in all directions: nothing is wrong.
+        A hand that is on its way presses a rail by what the arm is not equally stiff in all directions: that is no
+        force across. There it is then no more than what explains by how much the hand is off its way.
+
+        Args:
+            J: Jacobian of the hand's position.
+            driven: shape (k, nv), motions of the joints that the task drives.
+            off: How far the arm is from the posture that it seems to follow [rad or m].
         """
         U, sigma, _ = np.linalg.svd(J @ driven.T)
         rank = int(np.sum(sigma > 0.01 * max(float(sigma.max(initial=0.0)), 1e-6)))
-        along, aside = U[:, :rank].T.dot(self.force), U[:, rank:].T
-        way = math.sqrt(along.dot(along))
-        side = math.sqrt(max(0.0, self.force.dot(self.force) - along.dot(along)))
-        if side > held and rank:
-            away = aside.dot(J).dot(off)  # by which the hand is off its way [m]
-            yields = aside.dot(C).dot(J.T).dot(aside.T) + ROUNDING * np.eye(len(away))
-            side = min(side, float(np.linalg.norm(np.linalg.solve(yields, away))))
+        along, aside = U[:, :rank].T.dot(self.force), U[:, rank:].T.dot(J)
+        way, side = float(np.linalg.norm(along)), math.sqrt(max(0.0, self.force.dot(self.force) - along.dot(along)))
+        if rank:
+            yields = (aside / self._stiffness).dot(aside.T) + ROUNDING * np.eye(len(aside))
+            side = min(side, float(np.linalg.norm(np.linalg.solve(yields, aside.dot(off)))))
         return way, side
 
     def _yields(self, q: Posture) -> Float[np.ndarray, "3 nv"]:
@@ -443,6 +427,4 @@ def other_turns(step: float, unit: str) -> str:
 
 def _slow(share: float) -> str:
     """Return words on an arm that goes along its path at a share of the commanded speed."""
-    return (
-        f"the arm follows the sent path at about {share:.0%} of its speed: speed slider, override or a limit of its own"
-    )
+    return f"the arm follows its path at about {share:.0%} of its speed: speed slider, override or a limit of its own"

@@ -98,7 +98,7 @@ class Servos:
         self.every, self._same, self._quiet, self._steps = 1.0, 0, -1.0, tuple[float, ...]()
         # by how many periods the arm may be late, and seems to be; the excess, the mean of some periods at 1 kHz
         self._window, self._at, self._excess, self.smoothing = (0, longest), 0, zero, dt / (dt + 0.004)
-        self.raw, self.most, self.sees = zero, zero, self.seen
+        self.raw, self.most, self.sees, self.repeats = zero, zero, self.seen, False
 
     def moved(self, step: Float[np.ndarray, " nv"], time: float) -> bool:
         """Take note of a step of the commanded posture [rad or m] and how long it took [s]; whether a period is over.
@@ -150,19 +150,14 @@ class Servos:
                 self._look_again(y, c)
             low, high, path = self._bounds
             raw = y - c
+            share = float(beyond(raw, low, high).dot(path)) / max(float(path.dot(path)), ROUNDING * ROUNDING)
+            raw = raw - min(max(share, -0.5), 0.5) * path  # the delay is known to within that path
             excess = beyond(raw, low, high)
-            if (square := float(path.dot(path))) > 0.0:  # the delay is known to within that path
-                raw = raw - min(max(float(excess.dot(path)) / square, -0.5), 0.5) * path
-                excess = beyond(raw, low, high)
         self.raw, self.most, self._past = raw, high, (y, *self._past[:3])
         self.sees = self.seen | (high < _STILL) | (excess != 0.0)
+        self.repeats = 0 < self._same < 1.5 * self.every - 1.0
         self._excess = self._excess + self.smoothing * (excess - self._excess)
         return self._excess
-
-    @property
-    def repeats(self) -> bool:
-        """True if the newest reading is an old one, because readings come more slowly than they are asked for."""
-        return 0 < self._same < 1.5 * self.every - 1.0
 
     def _look_again(self, y: np.ndarray, c: np.ndarray) -> None:
         """Between which distances there is no force, and the path within which the delay is known."""
@@ -219,7 +214,7 @@ class Servos:
         told = min(apart[best], apart[best + 4]) - left[best] > noise + (0.5 * _STILL) ** 2
         if not (told and left[best] < (3.0 * math.sqrt(noise) + _STILL) ** 2 or is_last):
             return
-        place = _lowest(left, best)[0]
+        place = _lowest(left)[0]
         at = min(int(place), len(self._lags) - 2)
         share, turn, moves = place - at, step[:, at], (step[:, at] != 0.0) & seen
         between = (1.0 - share) * sent[:, at] + share * sent[:, at + 1]
@@ -277,8 +272,7 @@ class Servos:
         """Periods by which a reading is behind the path that was sent, and its squared distance from that path."""
         read = self._reads[ago - 1] if ago else self._past[0]
         away = self._sent[ago:] - (read - self.at_rest)
-        square = np.einsum("ij,ij->i", away, away)
-        return _lowest(square, int(square.argmin()))
+        return _lowest(np.einsum("ij,ij->i", away, away))
 
     @property
     def delay(self) -> float:
@@ -286,11 +280,10 @@ class Servos:
         return self._at * self._dt + (1.0 / self.smoothing - 1.0) * self._dt
 
 
-def _lowest(values: Float[np.ndarray, " n"], least: int) -> tuple[float, float]:
+def _lowest(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
     """Return where the parabola through the least of some values and its neighbours is lowest, and its value there."""
-    if not 0 < least < len(values) - 1:
-        return float(least), float(values[least])
-    before, value, after = values[least - 1 : least + 2].tolist()
+    least = int(values.argmin())
+    before, value, after = np.pad(values, 1, mode="reflect")[least : least + 3].tolist()
     bend = before - 2.0 * value + after
     step = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
     return least + step, value - 0.25 * (before - after) * step
