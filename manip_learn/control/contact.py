@@ -15,7 +15,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.control.command import Posture, Vector
 from manip_learn.control.limits import per_joint
-from manip_learn.control.servos import HIDDEN, LATEST, ROUNDING, Servos, beyond, copied
+from manip_learn.control.servos import HIDDEN, LATEST, ROUNDING, STILL, Servos, beyond, copied
 from manip_learn.control.timing import is_number
 from manip_learn.errors import ConfigurationError, counted, under_new_names
 from manip_learn.robot.robot import Robot
@@ -154,13 +154,15 @@ class FollowingError:
         load: shape (nv,), distance at which a weight keeps the arm, with nothing in its way [rad or m].
         sinks: True if the force that stopped the arm points down, as a weight does.
         servos: What is known of them.
+        notes: Sentences on them.
+        resolution: Force that cannot be told from friction, play and noise [N].
 
     Raises:
         ConfigurationError: A stiffness that is not positive or has the wrong size.
     """
 
     def __init__(self, robot: Robot, contact: Contact, dt: float, acceleration: Vector, frame: str | None = None):
-        # settings
+        # settings, which do not change
         self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
         self._driven = _DRIVEN if isinstance(contact.max_axial_force, str) else float(contact.max_axial_force)
         self._heaviest = GRAVITY * max(PAYLOAD, robot.payload)
@@ -175,7 +177,7 @@ class FollowingError:
         self.limit = held * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
         self._damping = (RESOLUTION / held) ** 2 * np.eye(3)
         latency = LATEST if isinstance(contact.latency, str) else float(contact.latency)
-        # what is known
+        # the state, whose parts are replaced, never changed in place
         zero = np.zeros(robot.nv)
         self.servos, self.notes = Servos(dt, latency, HIDDEN / self._stiffness), tuple[str, ...]()
         self.resolution = 0.0 if isinstance(contact.resolution, str) else float(contact.resolution)
@@ -379,8 +381,10 @@ class FollowingError:
 
     def _force_of(self, excess: np.ndarray, C: np.ndarray) -> tuple[Float[np.ndarray, " 3"], Vector]:
         """The force on the hand that explains distances, less a weight, and what is left of them."""
-        f = self._explained(excess, C, self.servos.sees)
-        beside = (excess - f.dot(C)) * self.servos.sees
+        # joints that were seen to move, or were not sent far, or are farther away than friction takes
+        sees = self.servos.seen | (self.servos.most < STILL) | (self.servos.newest != 0.0)
+        f = self._explained(excess, C, sees)
+        beside = (excess - f.dot(C)) * sees
         weight = min(max(0.0, -f[2]), self._heaviest)
         if self.servos.moving <= WEIGHED:
             self._weight = max(self._weight, weight)

@@ -18,7 +18,7 @@ _FEWEST = 8  # samples of a joint that count
 # [N m or N] by which dry friction, of large arms, and together with play may hide what loads a joint: more is a force
 DRY, HIDDEN = 6.0, 15.0
 ENCODER = 1e-4  # [rad or m] standard deviation of the encoders until it is known
-_STILL = 2e-4  # [rad or m] within which a joint may not have moved, whatever its encoder says
+STILL = 2e-4  # [rad or m] within which a joint may not have moved, whatever its encoder says
 NOISES = 6.0  # standard deviations that noise does not reach in a run of hours
 PACE = 0.002  # [s] by which joints follow more or less late than each other: dampers of 4 N m s/rad at 2,000 N m/rad
 ROUNDING = 1e-12  # [rad or m] of sums of steps
@@ -59,26 +59,27 @@ class Servos:
 
     Args:
         dt: Period [s].
-        latency: By how much the arm may follow late at the most [s]; None for `LATEST`.
+        latency: By how much the arm may follow late at the most [s].
         hidden: shape (nv,), largest widths [rad or m].
 
     Attributes:
-        late: Delay that was measured [s], or None.
+        late: Delay that was measured [s]; None until the first motion has told it, and all that it can.
         width: shape (nv,) [rad or m].
         seen: shape (nv,), joints that were seen to move.
         friction: shape (nv,), by how much a joint was behind when it was measured, the median [rad or m].
-        raw: shape (nv,), how far the arm is from the posture that it seems to follow, and
-        range: between which bounds of it there is no force, of the newest reading [rad or m].
-        noise: shape (nv,), standard deviation of the encoders [rad or m].
-        sees: shape (nv,), joints whose excess says something of forces: they were seen to move, or were not sent far,
-            or are farther away than friction takes.
-        is_known: Whether the first motion has told what it can.
+        variance: shape (nv,), of the encoders [rad2 or m2].
         at_rest: shape (nv,), how far the joints were from where they were sent before they moved [rad or m].
+        moving: For how long the commanded posture has moved [s].
         every: Periods from one new reading to the next, as the first motion showed; 1 if each is new.
+        repeats: True if the newest reading is an old one, because readings come more slowly than they are asked for.
+        raw: shape (nv,), how far the arm is from the posture that it seems to follow, by the newest reading, and
+        most: how far forwards it may be from that without a force, and
+        newest: how far it is beyond that [rad or m].
+        smoothing: Share of the newest reading in the mean that the excess is.
     """
 
     def __init__(self, dt: float, latency: float, hidden: Float[np.ndarray, " nv"]):
-        # settings
+        # settings, which do not change; what follows is the state, whose parts are replaced, never changed in place
         self._dt, self._hidden, self._dry = dt, hidden, DRY / HIDDEN * hidden
         self._pace, self._often = max(1, round(PACE / dt)), max(1, round(OFTEN / dt))
         longest = math.ceil(latency / dt - 1e-9) + 1
@@ -98,7 +99,7 @@ class Servos:
         self.every, self._same, self._quiet, self._steps = 1.0, 0, -1.0, tuple[float, ...]()
         # by how many periods the arm may be late, and seems to be; the excess, the mean of some periods at 1 kHz
         self._window, self._at, self._excess, self.smoothing = (0, longest), 0, zero, dt / (dt + 0.004)
-        self.raw, self.most, self.sees, self.repeats = zero, zero, self.seen, False
+        self.raw, self.most, self.newest, self.repeats = zero, zero, zero, False
 
     def moved(self, step: Float[np.ndarray, " nv"], time: float) -> bool:
         """Take note of a step of the commanded posture [rad or m] and how long it took [s]; whether a period is over.
@@ -110,7 +111,7 @@ class Servos:
         self._sent = np.concatenate(((self._sent[0] + step)[None], self._sent[:-1] if over else self._sent[1:]))
         if over:
             self._reads = np.concatenate((self._past[0][None], self._reads[:-1]))
-            self._since, self._over, moves = 0.0, self._over + 1, bool(step.any())
+            self._since, self._over, moves = 0.0, self._over + 1, float(step.dot(step)) > 0.0
             self.moving, self._counted = self.moving + moves * self._dt, self._counted + moves
         return over
 
@@ -131,10 +132,11 @@ class Servos:
     def excess(self, distance: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """How far the arm is from where the servos may have brought it, by how far it is from where it was sent."""
         y = self._sent[0] + distance
-        step = float(np.square(y - self._past[0]).sum())
-        self._same = self._same + 1 if step <= self._quiet else 0
+        step = y - self._past[0]
+        square = float(step.dot(step))
+        self._same = self._same + 1 if square <= self._quiet else 0
         if self.late is None:
-            self._steps = (*self._steps[1 - len(self._sent) :], step) if self.moving else ()
+            self._steps = (*self._steps[1 - len(self._sent) :], square) if self.moving else ()
             sent = self._sent[: self._window[1] + 1]
             # a joint that was not seen to move is behind by no more than it was sent
             high = np.where(self.seen, self.width, np.minimum(np.abs(sent).max(axis=0), self.width))
@@ -150,11 +152,12 @@ class Servos:
                 self._look_again(y, c)
             low, high, path = self._bounds
             raw = y - c
-            share = float(beyond(raw, low, high).dot(path)) / max(float(path.dot(path)), ROUNDING * ROUNDING)
-            raw = raw - min(max(share, -0.5), 0.5) * path  # the delay is known to within that path
             excess = beyond(raw, low, high)
-        self.raw, self.most, self._past = raw, high, (y, *self._past[:3])
-        self.sees = self.seen | (high < _STILL) | (excess != 0.0)
+            if excess.dot(excess) > 0.0:  # the delay is known to within that path
+                share = float(excess.dot(path)) / max(float(path.dot(path)), ROUNDING * ROUNDING)
+                raw = raw - min(max(share, -0.5), 0.5) * path
+                excess = beyond(raw, low, high)
+        self.raw, self.most, self.newest, self._past = raw, high, excess, (y, *self._past[:3])
         self.repeats = 0 < self._same < 1.5 * self.every - 1.0
         self._excess = self._excess + self.smoothing * (excess - self._excess)
         return self._excess
@@ -183,12 +186,12 @@ class Servos:
             change = y - self._past[2] + 3.0 * (self._past[1] - self._past[0])
             self.variance = self.variance + 0.02 * (change * change / _DRAWS - self.variance)
         went = (y - self.at_rest) * np.sign(c)
-        new = ~self.seen & (went > NOISES * np.sqrt(self.variance) + _STILL) & (np.abs(c) > _STILL)
+        new = ~self.seen & (went > NOISES * np.sqrt(self.variance) + STILL) & (np.abs(c) > STILL)
         if new.any():
             self.friction = np.where(new, np.minimum(np.abs(c) - went, self._hidden).clip(0.0), self.friction)
             self.width = np.where(new, np.minimum((1.0 + _WIDER) * self.friction, self._hidden), self.width)
             # what is more than friction is play, within which the other joints take each to and fro
-            if np.any(new & (self.friction > self._dry + _STILL)):
+            if np.any(new & (self.friction > self._dry + STILL)):
                 self.width = self._hidden
             self.seen = self.seen | new
         if self.late is None and self._counted >= max(1, round(_APART / self._dt)) and self.seen.any():
@@ -211,8 +214,8 @@ class Servos:
         behind = sense * (sent[:, :-1] - y[:, None]) * counts[:, None]
         left = np.sum((behind - behind.sum(axis=0) / np.maximum(n, 1)) ** 2 * counts[:, None], axis=(0, 2)) / n.sum()
         best, apart = int(left.argmin()), np.pad(left, 2, constant_values=np.inf)
-        told = min(apart[best], apart[best + 4]) - left[best] > noise + (0.5 * _STILL) ** 2
-        if not (told and left[best] < (3.0 * math.sqrt(noise) + _STILL) ** 2 or is_last):
+        told = min(apart[best], apart[best + 4]) - left[best] > noise + (0.5 * STILL) ** 2
+        if not (told and left[best] < (3.0 * math.sqrt(noise) + STILL) ** 2 or is_last):
             return
         place = _lowest(left)[0]
         at = min(int(place), len(self._lags) - 2)
