@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from manip_learn.constraint.skill import Skill, Step
     from manip_learn.constraint.task_frame import TaskFrame
     from manip_learn.control.command import Command, Controller, Status
+    from manip_learn.control.contact import Contact
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.driver import Driver, RunRecord, run
     from manip_learn.control.follow_motion import FollowMotion
-    from manip_learn.control.following import Contact
     from manip_learn.control.limits import Limits
     from manip_learn.control.policies import (
         JointAttractor,
@@ -92,7 +92,7 @@ _NAMES = {
     "control.command": "Command Controller Status",
     "control.controller": "ResolvedRateController",
     "control.limits": "Limits",
-    "control.following": "Contact",
+    "control.contact": "Contact",
     "control.follow_motion": "FollowMotion",
     "control.policies": "JointAttractor JointLimitAvoidance ManipulabilityAscent NullSpacePolicy "
     "WeightedPolicies ZeroPolicy",

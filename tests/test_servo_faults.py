@@ -16,7 +16,7 @@ from servo_cases import (
 )  # fmt: skip
 
 import manip_learn as ml
-from manip_learn.control.following import STIFFNESS, Contact, FollowingError
+from manip_learn.control.contact import STIFFNESS, Contact, FollowingError
 from manip_learn.errors import ConfigurationError, ManipLearnError
 from manip_learn.robot.tips import default_tip
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.control.command import Posture
-from manip_learn.control.following import other_turns
+from manip_learn.control.contact import other_turns
 from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import finite
 from manip_learn.recordings.checks import far_outside

@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Controller, LimitedController, Posture, Status, Vector
+from manip_learn.control.contact import LEFT, Contact, FollowingError
 from manip_learn.control.controller import BoundedController
-from manip_learn.control.following import LEFT, Contact, FollowingError
 from manip_learn.control.law import next_slide
 from manip_learn.control.limits import Bounds, Limits, farthest_positions, stopping_speed
 from manip_learn.control.reading import Readings

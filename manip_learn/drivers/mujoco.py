@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.control.following import STIFFNESS
+from manip_learn.control.contact import STIFFNESS
 from manip_learn.errors import ConfigurationError, MissingExtraError, under_new_names
 
 STICKS = (0.9999, 0.99999, 0.001, 0.5, 2.0)  # MuJoCo's solimp of dry friction: by its default joints creep under it

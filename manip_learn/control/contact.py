@@ -15,7 +15,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.control.command import Posture, Vector
 from manip_learn.control.limits import per_joint
-from manip_learn.control.servos import HIDDEN, Servos, copied
+from manip_learn.control.servos import HIDDEN, LATEST, ROUNDING, STILL, Servos, beyond, copied
 from manip_learn.control.timing import is_number
 from manip_learn.errors import ConfigurationError, counted, under_new_names
 from manip_learn.robot.robot import Robot
@@ -31,8 +31,6 @@ _DOWN = 0.8  # share of a force that points down where it is a weight
 # [rad or m] what stays of a servo's error where friction, play and noise have been measured: 0.5 N m at 2,000 N m/rad
 RESOLUTION = 2.5e-4
 RINGING = 0.1  # [s] for which a servo feels an acceleration: three times sqrt(2 kg m2 / 2,000 N m/rad)
-NONE = np.zeros(3)
-_ROUNDING = 1e-12  # [rad or m] of sums of steps
 LOOK_BACK = 0.01  # [s] over which the rise of a force is looked at, and by which it is carried on at the least
 _FARTHEST = 3.0  # times of that by which it is carried on at the most: noise grows with it
 # [s] of motion after which a hand goes, and for which that is remembered: stick and slip take turns faster
@@ -51,6 +49,7 @@ _KNOWN = 0.7  # share by which friction is known: it depends on load and speed, 
 _TURN = 0.1  # [rad] by which a full turn may seem to be less or more
 _POSTURES = 200  # for the longest lever of a joint
 
+MEASURED = ("latency", "resolution")  # what may be 0
 _FORMER = {"held": "max_lateral_force", "driven": "max_axial_force"}  # names of arguments, until 0.4
 
 
@@ -100,17 +99,16 @@ class Contact:
         stiffness: ArrayLike | None = None,
         **renamed: Any,
     ):
-        given: dict[str, Any] = {"max_lateral_force": max_lateral_force, "max_axial_force": max_axial_force}
-        given |= {"latency": latency, "resolution": resolution, "stiffness": stiffness}
-        given |= under_new_names("Contact()", _FORMER, renamed)
-        for name, value in given.items():
-            measured = name in ("latency", "resolution")
-            if name != "stiffness" and not (name != "max_lateral_force" and isinstance(value, str) and value == "auto"):
-                if not (is_number(value) and 0.0 <= float(value) < math.inf and (value or measured)):
-                    unit = "seconds" if name == "latency" else "newtons"
-                    auto = "" if name == "max_lateral_force" else ' or "auto"'
-                    raise ConfigurationError(f"{name} must be a positive number of {unit}{auto}, got {value!r}")
-            object.__setattr__(self, name, value)
+        given = {"max_lateral_force": max_lateral_force, "max_axial_force": max_axial_force, "latency": latency}
+        given |= {"resolution": resolution, "stiffness": stiffness, **under_new_names("Contact()", _FORMER, renamed)}
+        vars(self).update(given)
+        units = ("newtons", 'newtons or "auto"', 'seconds or "auto"', 'newtons or "auto"')
+        for (name, value), unit in zip(given.items(), units, strict=False):  # a stiffness is for a robot's joints
+            is_auto = isinstance(value, str) and value == "auto" and "auto" in unit
+            if not is_auto and not (
+                is_number(value) and 0.0 <= float(value) < math.inf and (value or name in MEASURED)
+            ):
+                raise ConfigurationError(f"{name} must be a positive number of {unit}, got {value!r}")
 
     @property
     def held(self) -> float:
@@ -156,14 +154,18 @@ class FollowingError:
         load: shape (nv,), distance at which a weight keeps the arm, with nothing in its way [rad or m].
         sinks: True if the force that stopped the arm points down, as a weight does.
         servos: What is known of them.
+        notes: Sentences on them.
+        resolution: Force that cannot be told from friction, play and noise [N].
 
     Raises:
         ConfigurationError: A stiffness that is not positive or has the wrong size.
     """
 
     def __init__(self, robot: Robot, contact: Contact, dt: float, acceleration: Vector, frame: str | None = None):
+        # settings, which do not change
         self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
         self._driven = _DRIVEN if isinstance(contact.max_axial_force, str) else float(contact.max_axial_force)
+        self._heaviest = GRAVITY * max(PAYLOAD, robot.payload)
         told = STIFFNESS if contact.stiffness is None else contact.stiffness
         self._stiffness = per_joint("stiffness", told, robot.joint_names)
         # links that are slower on servos softer than they are taken for give way by more: ten times at 200 N m/rad
@@ -171,63 +173,50 @@ class FollowingError:
         self._frame, rng = robot.frame(frame or default_tip(robot)), np.random.default_rng(0)
         # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
         rows = [robot.jacobian(robot.random_configuration(rng), self._frame)[:3] for _ in range(_POSTURES)]
-        self.limit = contact.max_lateral_force * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
-        latency = None if isinstance(contact.latency, str) else float(contact.latency)
-        self.servos = Servos(dt, latency, HIDDEN / self._stiffness)
-        self._look = math.ceil(LOOK_BACK / dt)  # periods
-        self._damping = (RESOLUTION / contact.max_lateral_force) ** 2 * np.eye(3)
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin anew."""
-        nv = self._robot.nv
-        self.servos.forget()
-        self.force, self.tripped = np.zeros(3), ""
-        self.distance, self.load, self.sinks = np.zeros(nv), np.zeros(nv), False
-        self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
-        self.notes: tuple[str, ...] = ()
-        if self.contact.stiffness is None:
+        held = contact.max_lateral_force
+        self.limit = held * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
+        self._damping = (RESOLUTION / held) ** 2 * np.eye(3)
+        latency = LATEST if isinstance(contact.latency, str) else float(contact.latency)
+        # the state, whose parts are replaced, never changed in place
+        zero = np.zeros(robot.nv)
+        self.servos, self.notes = Servos(dt, latency, HIDDEN / self._stiffness), tuple[str, ...]()
+        self.resolution = 0.0 if isinstance(contact.resolution, str) else float(contact.resolution)
+        if contact.stiffness is None:
             joint = int(np.argmax(self.limit))
             self.notes = (
-                f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
-                f"{self._robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of "
-                f"{STIFFNESS:g} N m/rad that is {self.contact.max_lateral_force:g} N on the hand, on servos ten times "
-                "as stiff ten times as much: give Contact(stiffness=...)",
+                "the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
+                f"{robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of {STIFFNESS:g} "
+                f"N m/rad that is {held:g} N on the hand, on stiffer ones more: give Contact(stiffness=...)",
             )
+        self.force, self.tripped = np.zeros(3), ""
+        self.distance, self.load, self.sinks = zero, zero, False
         # excess and distance of this period, and of those before, newest first
-        self._now, self._found = (np.zeros(nv), np.zeros(nv)), tuple[tuple[np.ndarray, np.ndarray], ...]()
-        self._change, self._lasted = np.zeros(nv), 0.0  # of the velocity since that of inertia was looked at
-        self._velocity = np.zeros(nv)
-        self._least, self._most = np.zeros(nv), np.zeros(nv)  # by which servos lately gave way to inertia
-        self._inertia = np.full(nv, -_ROUNDING), np.full(nv, _ROUNDING)
+        self._now, self._found = (zero, zero), tuple[tuple[np.ndarray, np.ndarray], ...]()
+        # velocity, and its change since inertia was looked at; between what servos lately gave way to that
+        self._velocity, self._change, self._lasted, self._gave_way = zero, zero, 0.0, (zero, zero)
         self._weight = 0.0  # [N]
-        self._pushed = np.zeros(nv)  # how far the force on the hand pushes the joints [rad or m]
+        self._pushed = zero  # how far the force on the hand pushes the joints [rad or m]
         self._going, self._carried = 0.0, 0.0  # for how long the hand has been moving [s], and what that takes [N]
 
     def copied(self) -> FollowingError:
         """Return a copy; nothing that it is made of is changed in place."""
         other = copied(self)
-        other.servos = self.servos.copied()
+        other.servos = copied(self.servos)
         return other
 
     def moved(self, q: Posture, time: float, velocity: Vector) -> None:
         """Take note of a step of the commanded posture: the posture before it, how long it took [s], its velocity."""
-        step = velocity - self._velocity
-        over = self.servos.moved(time * velocity, time, bool(velocity.dot(velocity) > 0.0))
+        over = self.servos.moved(time * velocity, time)
         if over:
-            self._found = (self._now, *self._found[: self._look - 1])
-        self._velocity = velocity
-        if time <= 0.0:
-            return
-        # a servo gives way to M a as a spring and a damper do: by no more than lately, and for a while after
-        self._change, self._lasted = self._change + step, self._lasted + time
-        if not (over and self.servos.has_looked):
-            return
-        now = self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
-        lately = math.exp(-self._lasted / RINGING)
-        self._least, self._most = np.minimum(lately * self._least, now), np.maximum(lately * self._most, now)
-        self._inertia = -self._most - _ROUNDING, _ROUNDING - self._least
-        self._change, self._lasted = np.zeros_like(velocity), 0.0
+            self._found = (self._now, *self._found[: math.ceil(LOOK_BACK / self._dt) - 1])
+        self._change, self._velocity = self._change + (velocity - self._velocity), velocity
+        self._lasted += max(time, 0.0)
+        if over and time > 0.0 and self.servos.has_looked:
+            # a servo gives way to M a as a spring and a damper do: by no more than lately, and for a while after
+            way = -self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
+            lately, (low, high) = math.exp(-self._lasted / RINGING), self._gave_way
+            self._gave_way = np.minimum(lately * low, way), np.maximum(lately * high, way)
+            self._change, self._lasted = np.zeros_like(velocity), 0.0
 
     @property
     def largest(self) -> float:
@@ -253,12 +242,9 @@ class FollowingError:
 
     def left(self, q: Posture) -> float:
         """Force on the hand that is left in a measured posture, beyond what friction holds [N]."""
-        off = self.distance - self.load
-        away = np.sign(off) * np.maximum(np.abs(off) - self.servos.friction, 0.0)
-        C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
-        f = self._force_of(away, C)[0]
-        self._pushed = f.dot(C)
-        return float(np.linalg.norm(f))
+        friction = self.servos.friction
+        off = beyond(self.distance - self.load, -friction, friction)
+        return float(np.linalg.norm(self._force_of(off, self._yields(q))[0]))
 
     def carry(self, off: Vector, q: Posture) -> str:
         """Take distances [rad or m] at a posture as the arm's load if a weight explains them.
@@ -266,13 +252,11 @@ class FollowingError:
         Returns:
             Words on a payload that the drives do not know of; empty if there is none.
         """
-        C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
-        f = np.linalg.solve(C.dot(C.T) + self._damping, C.dot(off))
-        weighs, self.sinks = (
-            -x[2] > max(LEFT, _DOWN * math.sqrt(x.dot(x))) for x in (f, self.force if self.force.any() else f)
-        )
-        self.load = off if weighs else np.zeros_like(off)
-        if not (weighs and self.sinks and -f[2] > GRAVITY * max(PAYLOAD, self._robot.payload)):
+        f = self._explained(off, self._yields(q))
+        forces = np.array([f, self.force if self.force.any() else f])
+        weighs, self.sinks = -forces[:, 2] > np.maximum(LEFT, _DOWN * np.linalg.norm(forces, axis=1))
+        self.load = weighs * off
+        if not (weighs and self.sinks and -f[2] > self._heaviest):
             return ""
         self._pushed = np.zeros_like(off)
         mass = "..." if self.contact.stiffness is None else f"{-f[2] / GRAVITY:.2g}"
@@ -285,10 +269,9 @@ class FollowingError:
         """What was blocked and by how much: the row of the constraint, if it is known, the joint, and what to do."""
         j = int(np.abs(self.distance).argmax())
         unit = self._robot.joint_units[j]
+        turns = other_turns(float(self.distance[j]), unit)
         words = f"joint {self._robot.joint_names[j]} is {1e3 * self.distance[j]:+.2g} m{unit} from where it was sent"
-        if turned := other_turns(float(self.distance[j]), unit):
-            words += turned
-        elif constraint is not None:
+        if constraint is not None and not turns:
             off = constraint(q) @ self.distance
             i = int(np.abs(off).argmax())
             row = constraint.selection[i]
@@ -297,151 +280,145 @@ class FollowingError:
             words = f"row {i + 1} of the constraint ({parts}) is {1e3 * off[i]:+.2g} {unit} off, {words}"
         share, stands = self.servos.pace()
         if _CREEPS < share < _SLOW:
-            return f"{words}; {_slow(share)}"
-        if stands:
-            words += "; no joint moves any more: look at brakes, control mode and emergency stop"
-        return f"{words}; {self.tripped}" if self.tripped else words
+            return f"{words}{turns}; {_slow(share)}"
+        still = "; no joint moves any more: look at brakes, control mode and emergency stop" if stands else ""
+        return f"{words}{turns}{still}; {self.tripped}"
 
     def compare(self, commanded: Posture, measured: Posture, driven: Directions | None = None) -> None:
         """Compare two postures, the newest commanded and the newest measured one.
 
         `driven` gives the motions of the joints that the task drives, at a posture.
         """
-        self.distance = self._robot.difference(commanded, measured)
-        was_known, excess = self.servos.is_known, self.servos.excess(self.distance)
-        excess = excess - np.minimum(np.maximum(excess, self._inertia[0]), self._inertia[1])
-        self._now = excess, self.distance
-        if self.servos.is_known and not was_known:
+        servos, was_known, (low, high) = self.servos, self.servos.late is not None, self._gave_way
+        self.distance, self.force = self._robot.difference(commanded, measured), np.zeros(3)
+        excess = beyond(servos.excess(self.distance), low - ROUNDING, high + ROUNDING)
+        self._now, is_known = (excess, self.distance), servos.late is not None
+        if is_known and not was_known:
             self._tell(measured)
-        self.force = NONE
-        if self.tripped or self.servos.repeats:
+        gone = servos.gone(round(BRIEFLY / self._dt))
+        if self.tripped or servos.repeats:
             return
-        if not self.servos.is_known and np.any(np.abs(self.distance) > _LATE * self.limit):
+        if not is_known and np.any(np.abs(self.distance) > _LATE * self.limit):
             self.tripped = "the arm has not begun to move: it is blocked or switched off, or give Contact(latency=...)"
-            return
-        if excess.dot(excess) <= RESOLUTION * RESOLUTION:  # no force can be larger than `held` then
-            gone, most = self.servos.gone(round(BRIEFLY / self._dt)), self.servos.range[1]
-            hides = 4.0 * (RESOLUTION * RESOLUTION + most.dot(most))  # a way that may stay unseen, squared
-            if self.servos.is_known and gone.dot(gone) > hides:
-                self._going = min(GOING, self._going + self._dt)
-            return
-        self._judge(measured, excess, driven)
+        elif excess.dot(excess) > RESOLUTION * RESOLUTION:  # with less no force can be larger than `held`
+            self.tripped = self._judge(measured, excess, driven)
+        elif is_known and gone.dot(gone) > 4.0 * (RESOLUTION * RESOLUTION + servos.most.dot(servos.most)):
+            self._going = min(GOING, self._going + self._dt)  # by more than may stay unseen
 
-    def _judge(self, measured: np.ndarray, excess: np.ndarray, driven: Directions | None) -> None:
-        """Find the force on the hand, as it will be when a brake takes effect that is ordered now, and judge it."""
-        contact, dt = self.contact, self._dt
-        J = self._robot.jacobian(measured, self._frame)[:3]
-        C = J / self._stiffness
-        look, ago = self._look, len(self._found)
-        before = self._found[-1] if ago else self._now
-        rise, gains = excess - before[0], self.distance - before[1]
-        taken = self._taken(J, self.servos.gone(ago), gains)
-        # it rises until what is measured is seen, and, ever more slowly, until the arm stands
-        ahead = self.servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
-        further = min(max(ahead / (look * dt), 1.0), _FARTHEST)
-        self.force, beside = self._force_of(excess + further * rise, C)
-        self._pushed = self.force.dot(C)
-        force = math.sqrt(self.force.dot(self.force))
-        if not self._velocity.any():
-            self._going = 0.0
-        elif taken < 0.5:
-            self._going = min(GOING, self._going + dt)
-            self._carried += min(1.0, dt / CARRYING) * (force - self._carried)
-        else:
-            self._going = max(0.0, self._going - dt)
-        held, most = max(contact.max_lateral_force, self.resolution), max(self._driven, self.resolution)
-        if np.any(np.abs(beside) > self.limit):
-            j = int((np.abs(beside) / self.limit).argmax())
-            load = abs(float(beside[j] * self._stiffness[j]))
-            name = self._robot.joint_names[j]
-            self.tripped = (
-                f"joint {name} is pushed by {load:.0f} N m beside what the hand is: look what touches the arm"
-            )
-        if force <= held:
-            return
-        ways = np.zeros((3, 0))
-        if driven is not None:
-            U, sigma, _ = np.linalg.svd(J @ driven(measured).T, full_matrices=False)
-            ways = U[:, sigma > 0.01 * max(float(sigma.max(initial=0.0)), 1e-6)]
-        along = ways.T.dot(self.force)
-        way, side = math.sqrt(along.dot(along)), math.sqrt(max(0.0, force * force - along.dot(along)))
-        if side > held and len(along):
-            # on its way a hand presses a rail by what the arm is not equally stiff in all directions: nothing is wrong
-            aside = np.linalg.svd(ways.T)[2][len(along) :]
-            off = aside.dot(J).dot(self.servos.raw + further * gains)  # by which the hand is off its way [m]
-            yields = aside.dot(C).dot(J.T).dot(aside.T) + _ROUNDING * np.eye(len(off))
-            side = min(side, float(np.linalg.norm(np.linalg.solve(yields, off))))
-        if side > held + LEAKS * way:
-            self.tripped = (
-                f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.max_lateral_force): what was "
-                "learnt lies elsewhere, or something is in the way"
-            )
-        elif way > most:
-            self.tripped = (
-                f"{way:.0f} N along what is driven, of {most:.0f} allowed (Contact.max_axial_force): it is locked, or "
-                "allow more"
-            )
-        elif STOPPED < taken < 1.0 / STOPPED and self._going > BRIEFLY and way > self._carried + held:
-            self.tripped = (
-                f"{way:.0f} N along what is driven, which was moving with {self._carried:.0f} and has stopped: look "
-                "what blocks it"
-            )
+    def _judge(self, measured: np.ndarray, excess: np.ndarray, driven: Directions | None) -> str:
+        """Find the force on the hand, as it will be when a brake takes effect that is ordered now, and judge it.
 
-    def _taken(self, J: np.ndarray, sent: np.ndarray, gains: np.ndarray) -> float:
-        """Share of its way that the hand lacks, by how far the joints were sent and how much their distances grew.
-
-        NaN where it was sent by no more than noise, or may be behind by a delay that is not known yet.
+        Returns:
+            Why the arm is to be stopped, in words; empty where it is not.
         """
-        step = J.dot(sent)
-        gone = float(step.dot(step))
-        if not (self.servos.is_known and gone > 0.0 and float(sent.dot(sent)) > RESOLUTION * RESOLUTION):
-            return math.nan
-        return -float(J.dot(gains).dot(step)) / gone
+        servos, dt, ago = self.servos, self._dt, len(self._found)
+        before = (self._now, *self._found)[-1]
+        rise, gains, sent = excess - before[0], self.distance - before[1], servos.gone(ago)
+        # it rises until what is measured is seen, and, ever more slowly, until the arm stands
+        ahead = servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
+        further = min(max(ahead / (math.ceil(LOOK_BACK / dt) * dt), 1.0), _FARTHEST)
+        J = self._robot.jacobian(measured, self._frame)[:3]
+        self.force, beside = self._force_of(excess + further * rise, J / self._stiffness)
+        force, taken, step = math.sqrt(self.force.dot(self.force)), math.nan, J.dot(sent)
+        # share of its way that the hand lacks, unless it was sent by noise only, or by a delay that is not known
+        if servos.late is not None and step.any() and sent.dot(sent) > RESOLUTION * RESOLUTION:
+            taken = -float(J.dot(gains).dot(step)) / float(step.dot(step))
+        moves, goes = bool(self._velocity.any()), taken < 0.5
+        self._going = moves * min(GOING, max(0.0, self._going + (dt if goes else -dt)))
+        self._carried += moves * goes * min(1.0, dt / CARRYING) * (force - self._carried)
+        held, most = max(self.contact.max_lateral_force, self.resolution), max(self._driven, self.resolution)
+        if force > held:
+            rows = np.zeros((0, len(sent))) if driven is None else driven(measured)
+            way, side = self._split(J, rows, servos.raw + further * gains)
+            if side > held + LEAKS * way:
+                return (
+                    f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.max_lateral_force): what was "
+                    "learnt lies elsewhere, or something is in the way"
+                )
+            if way > most:
+                return (
+                    f"{way:.0f} N along what is driven, of {most:.0f} allowed (Contact.max_axial_force): it is locked, "
+                    "or allow more"
+                )
+            if STOPPED < taken < 1.0 / STOPPED and self._going > BRIEFLY and way > self._carried + held:
+                return (
+                    f"{way:.0f} N along what is driven, which was moving with {self._carried:.0f} and has stopped: "
+                    "look what blocks it"
+                )
+        j = int((np.abs(beside) / self.limit).argmax())
+        load, name = abs(float(beside[j] * self._stiffness[j])), self._robot.joint_names[j]
+        words = f"joint {name} is pushed by {load:.0f} N m beside what the hand is: look what touches the arm"
+        return words if abs(beside[j]) > self.limit[j] else ""
+
+    def _split(self, J: np.ndarray, driven: np.ndarray, off: Vector) -> tuple[float, float]:
+        """Return the force on the hand along and across what is driven [N].
+
+        A hand that is on its way presses a rail by what the arm is not equally stiff in all directions: that is no
+        force across. There it is then no more than what explains by how much the hand is off its way.
+
+        Args:
+            J: Jacobian of the hand's position.
+            driven: shape (k, nv), motions of the joints that the task drives.
+            off: How far the arm is from the posture that it seems to follow [rad or m].
+        """
+        U, sigma, _ = np.linalg.svd(J @ driven.T)
+        rank = int(np.sum(sigma > 0.01 * max(float(sigma.max(initial=0.0)), 1e-6)))
+        along, aside = U[:, :rank].T.dot(self.force), U[:, rank:].T.dot(J)
+        way, side = float(np.linalg.norm(along)), math.sqrt(max(0.0, self.force.dot(self.force) - along.dot(along)))
+        if rank:
+            yields = (aside / self._stiffness).dot(aside.T) + ROUNDING * np.eye(len(aside))
+            side = min(side, float(np.linalg.norm(np.linalg.solve(yields, aside.dot(off)))))
+        return way, side
+
+    def _yields(self, q: Posture) -> Float[np.ndarray, "3 nv"]:
+        """Return C = J / stiffness, by how much joints give way to a force on the hand."""
+        return self._robot.jacobian(q, self._frame)[:3] / self._stiffness
+
+    def _explained(self, off: np.ndarray, C: np.ndarray, sees: np.ndarray | float = 1.0) -> np.ndarray:
+        """Return the force on the hand that explains distances best, by joints that say something of it."""
+        seen = C * sees
+        return np.linalg.solve(seen.dot(C.T) + self._damping, seen.dot(off))
 
     def _force_of(self, excess: np.ndarray, C: np.ndarray) -> tuple[Float[np.ndarray, " 3"], Vector]:
         """The force on the hand that explains distances, less a weight, and what is left of them."""
-        seen = C * self.servos.sees
-        f = np.linalg.solve(seen.dot(C.T) + self._damping, seen.dot(excess))
-        beside = (excess - f.dot(C)) * self.servos.sees
-        weight = min(max(0.0, -f[2]), GRAVITY * max(PAYLOAD, self._robot.payload))
+        # joints that were seen to move, or were not sent far, or are farther away than friction takes
+        sees = self.servos.seen | (self.servos.most < STILL) | (self.servos.newest != 0.0)
+        f = self._explained(excess, C, sees)
+        beside = (excess - f.dot(C)) * sees
+        weight = min(max(0.0, -f[2]), self._heaviest)
         if self.servos.moving <= WEIGHED:
             self._weight = max(self._weight, weight)
         f[2] += min(weight, self._weight)
+        self._pushed = f.dot(C)
         return f, beside
 
     def _tell(self, q: np.ndarray) -> None:
         """Say what the first motion has shown of the servos, and how small a force can still be seen."""
-        servos, contact, notes = self.servos, self.contact, list[str]()
-        C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
-        G = np.linalg.solve(C.dot(C.T) + self._damping, C)  # of the force by the distances
+        servos, held, C, ms = self.servos, self.contact.max_lateral_force, self._yields(q), 1e3 * self._dt
         # what was sent from one new reading to the next is no friction
         dry = np.maximum(servos.width - np.abs(servos.gone(round(servos.every - 1.0))), 0.0) * servos.seen
-        noise, width, friction = (float(np.linalg.norm(G * x)) for x in (servos.noise, servos.width * servos.seen, dry))
-        periods = max(1.0, 0.5 * (QUIET * noise / (_NOISY * contact.max_lateral_force)) ** 2)
-        servos.smooth(periods)
-        least = max(_KNOWN * width, QUIET * noise / math.sqrt(2.0 * periods))
-        if isinstance(contact.resolution, str):
+        noise, width, friction = (
+            float(np.linalg.norm(self._explained(np.diag(x), C)))
+            for x in (np.sqrt(servos.variance), servos.width * servos.seen, dry)
+        )
+        periods = max(1.0, 0.5 * (QUIET * noise / (_NOISY * held)) ** 2)
+        least, servos.smoothing = max(_KNOWN * width, QUIET * noise / math.sqrt(2.0 * periods)), 1.0 / periods
+        if isinstance(self.contact.resolution, str):
             self.resolution = least
-        share, cause = servos.pace()[0], "friction, play and noise"
-        if slow := _CREEPS < share < _SURELY:
-            cause = "an arm that is slower than it is sent"
-            notes.append(_slow(share))
-        elif servos.late is not None and servos.late > LOOK_BACK:
-            notes.append(f"the arm follows {1e3 * servos.late:.0f} ms late")
-        if servos.every >= 2.0:
-            cause, ms = "readings that come late", 1e3 * self._dt
-            notes.append(f"readings change every {servos.every * ms:.0f} ms, the loop runs at {ms:g} ms")
-        if friction > contact.max_lateral_force and not slow:
-            notes.append(
-                f"friction and play of the joints take up to {friction:.0f} N on the hand: forces from {least:.0f} N "
-                "on are seen"
-            )
-        if self.resolution > contact.max_lateral_force:
-            notes.append(
-                f"max_lateral_force={contact.max_lateral_force:g} N cannot be kept: from {cause}, "
-                f"{self.resolution:.0f} N can be told, and at that the arm is stopped"
-            )
-        self.notes = (*self.notes, *notes)
+        share, late, seldom = servos.pace()[0], servos.late or 0.0, servos.every >= 2.0
+        slow = _CREEPS < share < _SURELY
+        cause = "an arm that is slower than it is sent" if slow else "friction, play and noise"
+        cause = "readings that come late" if seldom else cause
+        notes = {
+            _slow(share): slow,
+            f"the arm follows {1e3 * late:.0f} ms late": not slow and late > LOOK_BACK,
+            f"readings change every {servos.every * ms:.0f} ms, the loop runs at {ms:g} ms": seldom,
+            f"friction and play of the joints take up to {friction:.0f} N on the hand: forces from {least:.0f} N on "
+            "are seen": not slow and friction > held,
+            f"max_lateral_force={held:g} N cannot be kept: from {cause}, {self.resolution:.0f} N can be told, and at "
+            "that the arm is stopped": self.resolution > held,
+        }
+        self.notes = (*self.notes, *(note for note, applies in notes.items() if applies))
 
 
 def other_turns(step: float, unit: str) -> str:
@@ -454,6 +431,4 @@ def other_turns(step: float, unit: str) -> str:
 
 def _slow(share: float) -> str:
     """Return words on an arm that goes along its path at a share of the commanded speed."""
-    return (
-        f"the arm follows the sent path at about {share:.0%} of its speed: speed slider, override or a limit of its own"
-    )
+    return f"the arm follows its path at about {share:.0%} of its speed: speed slider, override or a limit of its own"
