@@ -7,10 +7,11 @@ from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import ArrayLike
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
-from manip_learn.control.command import Command, LimitedController, Posture, Status, Vector, slowed_by
+from manip_learn.control.command import Command, LimitedController, Posture, Vector, status_of
 from manip_learn.control.law import nearest_within
 from manip_learn.control.limits import RETURN_SPEED, Limits, stopping_speed
 from manip_learn.control.rollout import Rollout
@@ -67,16 +68,16 @@ class FollowMotion(LimitedController):
     def __init__(self, robot: Robot, motion: Trajectory | Rollout, limits: Limits | None = None, *, ahead: float = 0.0):
         self.robot, self.motion, self.ahead = robot, motion, float(ahead)
         self.limits = Limits(robot) if limits is None else limits
-        self._knots = _knots_of(robot, motion, self.limits.velocity)
-        self.duration = float(self._knots.time[-1])
-        x, jumps, sentences = self._knots.x, self._knots.jumps, []
+        self._path = _path_of(robot, motion, self.limits.velocity)
+        time, x, jumps, sentences = self._path.time, self._path.pieces[0], self._path.jumps, []
+        self.duration = float(time[-1])
         steps = np.abs(np.diff(x, axis=0)) * jumps[:-1]
         for j in np.flatnonzero(jumps.any(axis=0)).tolist():
             k = int(steps[:, j].argmax())
             sentences.append(
                 f"joint {robot.joint_names[j]} of the motion jumps {counted(int(jumps[:, j].sum()), 'time')}, at most "
-                f"by {steps[k, j]:.3g} {robot.joint_units[j]} at {self._knots.time[k]:.3g} s: it catches up as fast as "
-                "its limits let it"
+                f"by {steps[k, j]:.3g} {robot.joint_units[j]} at {time[k]:.3g} s: it catches up as fast as its limits "
+                "let it"
             )
         self.jumps = self.notes = tuple(sentences)
         self.reset()
@@ -101,11 +102,11 @@ class FollowMotion(LimitedController):
 
     def reset(self) -> None:
         """Forget the past: the next call begins with the first posture again."""
-        self._clock, self._since, self._rate, self.delay = -math.inf, math.nan, 1.0, 0.0
+        self._clock, self._since, self._rate, self.delay = -math.inf, math.inf, 0.0, 0.0
 
     def at(self, s: float) -> Vector:
         """Where the motion is s [s] after its first sample, joint positions [rad or m]."""
-        return self._knots.at(s, 0.0)[0]
+        return self._path.at(s, 0.0)[0]
 
     def __call__(
         self, q: Posture, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
@@ -117,46 +118,40 @@ class FollowMotion(LimitedController):
         """
         if dt is None:
             raise ConfigurationError("FollowMotion needs the period: run it in ServoLoop(FollowMotion(...), dt)")
-        if self._clock < 0.0:
-            arrived = float(np.linalg.norm(self.robot.difference(q, self.at(0.0)))) < ARRIVED
-            self._clock = 0.0 if arrived else self._clock
-        else:
-            step = max(0.0, t - self._since)
-            self._clock += step * self._rate
-            self.delay += step * (1.0 - self._rate) if self._clock < self.duration else 0.0
-        self._since = t
-        started = self._clock >= 0.0
-        self._rate = 1.0 if started else 0.0
+        step, self._since = max(0.0, t - self._since), t
+        self._clock += step * self._rate
+        if 0.0 <= self._clock < self.duration:
+            self.delay += step * (1.0 - self._rate)
+        if self._clock < 0.0 and float(np.linalg.norm(self.robot.difference(q, self.start))) < ARRIVED:
+            self._clock = 0.0
+        limits, started = self.limits, self._clock >= 0.0
+        self._rate = float(started)
         wish, rate = self._wish(q, dt)
         if started:
             # the clock runs slower for the motion within the limits of the joints, all of the wish within the tip's
-            most, tip = float(np.max(np.abs(rate) / self.limits.velocity, initial=0.0)), self.limits.tip
-            self._rate = 1.0 / max(1.0, most, 0.0 if tip is None else tip.fastest(q, wish) / tip.speed)
-            if self._rate < 1.0:
-                wish, rate = self._wish(q, dt)
-        fastest = self.limits.velocity * (1.0 if started else RETURN_SPEED)
+            most, tip = float(np.max(np.abs(rate) / limits.velocity, initial=1.0)), limits.tip
+            self._rate = 1.0 / max(most, 0.0 if tip is None else tip.fastest(q, wish) / tip.speed)
+            wish, rate = self._wish(q, dt)
+        fastest = limits.velocity * (1.0 if started else RETURN_SPEED)
         return self._within(q, np.clip(wish, -fastest, fastest), dt, previous)
 
     def _wish(self, q: np.ndarray, dt: float) -> tuple[Vector, Vector]:
         """Velocity of the motion, with that which closes the distance to it in the shortest time, and without."""
-        goal, rate = self._knots.at(max(self._clock, 0.0), (self.ahead + dt) * self._rate)
+        goal, rate = self._path.at(max(self._clock, 0.0), (self.ahead + dt) * self._rate)
         rate = rate * self._rate
         away = self.robot.difference(q, goal) - dt * rate
         return rate + np.sign(away) * stopping_speed(np.abs(away), self.limits.acceleration, dt), rate
 
     def _within(self, q: np.ndarray, wish: np.ndarray, dt: float, previous: np.ndarray | None) -> Command:
         """The velocity nearest to a wish that is within all limits."""
-        limits = self.limits
+        limits, none = self.limits, np.zeros_like(wish)
         bounds = limits.bounds(q, dt, previous)
-        u, none = np.clip(wish, bounds.low, bounds.high), np.zeros_like(wish)
+        u = np.clip(wish, bounds.low, bounds.high)
         if limits.tip is not None:
-            tips = limits.tip.at(q, dt, limits.acceleration, previous)
-            W = np.zeros((0, len(wish)))
+            tips, W = limits.tip.at(q, dt, limits.acceleration, previous), np.zeros((0, len(wish)))
             u = limits.tip.bounded(tips, u, None, lambda rows: nearest_within(wish, W, bounds, rows))
         j, cause = bounds.binding(u, wish)
-        status = Status.OK if j < 0 else slowed_by(cause)
-        if bounds.outside > 0.0:
-            status = Status.OUTSIDE_LIMITS
+        status = status_of(1.0, bounds.outside, False, False, scale=float(j < 0), cause=cause)
         return Command(
             velocity=u, status=status, manipulability=0.0, task_velocity=none[:0], task_part=u, null_part=none,
             task_scale=1.0, null_scale=0.0, smallest_singular_value=0.0, outside=bounds.outside, limiting_joint=j,
@@ -168,24 +163,23 @@ class FollowMotion(LimitedController):
         return float(np.max(np.abs(away), initial=0.0))
 
     def __repr__(self) -> str:
-        return f"FollowMotion({len(self._knots.time)} samples, {self.duration:.4g} s, delayed by {self.delay:.3g} s)"
+        return f"FollowMotion({len(self._path.time)} samples, {self.duration:.4g} s, delayed by {self.delay:.3g} s)"
 
 
 @final
-class _Knots(NamedTuple):
+class _Path(NamedTuple):
     """A motion as cubics, each joint in pieces between its jumps.
 
     Attributes:
-        time: shape (T,), from 0 [s].
-        x: shape (T, nv), joint positions; those of joints without limits go on over whole turns.
-        slope: shape (T, nv), velocities there; zero at the end.
+        time: shape (T,), of the samples, from 0 [s].
+        pieces: shape (4, T, nv), coefficients of the positions after each sample, by powers of the time since then;
+            those of joints without limits go on over whole turns.
         last: shape (T, nv), number of the last sample before the next jump of the joint.
         jumps: shape (T, nv), whether a joint jumps from this sample to the next.
     """
 
     time: Float[np.ndarray, " T"]
-    x: Float[np.ndarray, "T nv"]
-    slope: Float[np.ndarray, "T nv"]
+    pieces: Float[np.ndarray, "4 T nv"]
     last: Int[np.ndarray, "T nv"]
     jumps: Bool[np.ndarray, "T nv"]
 
@@ -194,52 +188,40 @@ class _Knots(NamedTuple):
 
         A jump in between is not foreseen: the joint goes on along its tangent.
         """
-        T = len(self.time) - 1
-        now, then = (min(T, int(np.searchsorted(self.time, t, side="right")) - 1) for t in (s, s + ahead))
-        joint = np.arange(self.x.shape[1])
-        i = np.minimum(then, self.last[now])
-        begin, tangent = self.time[i], (i < then) | self.jumps[i, joint] | (i == T)
-        x0, m0 = self.x[i, joint], self.slope[i, joint]
-        k = np.minimum(i + 1, T)
-        h, x1, m1 = np.where(i == T, 1.0, self.time[k] - begin), self.x[k, joint], self.slope[k, joint]
-        w = (s + ahead - begin) / h
-        rise = x1 - x0 - h * m0
-        bend = h * (m1 - m0)
-        x = x0 + h * m0 * w + w * w * (3.0 * rise - bend + w * (bend - 2.0 * rise))
-        m = m0 + w * (2.0 * (3.0 * rise - bend) + 3.0 * w * (bend - 2.0 * rise)) / h
-        return np.where(tangent, x0 + m0 * (s + ahead - begin), x), np.where(tangent, m0, m)
+        now, then = np.maximum(np.searchsorted(self.time, (s, s + ahead), side="right") - 1, 0)
+        piece = np.minimum(then, self.last[now])
+        c, since = self.pieces[:, piece, np.arange(len(piece))], s + ahead - self.time[piece]
+        return polyval(since, c, tensor=False), polyval(since, polyder(c), tensor=False)
 
 
-def _knots_of(robot: Robot, motion: Trajectory | Rollout, fastest: Vector) -> _Knots:
-    time = np.array(motion.time, dtype=np.float64)
-    q, names = np.array(motion.q, dtype=np.float64), tuple(motion.joint_names)
-    if names and names != tuple(robot.joint_names):
+def _path_of(robot: Robot, motion: Trajectory | Rollout, fastest: Vector) -> _Path:
+    time, q = np.array(motion.time, dtype=np.float64), np.array(motion.q, dtype=np.float64)
+    names = tuple(motion.joint_names)
+    if names not in ((), robot.joint_names):
         missing = [name for name in robot.joint_names if name not in names]
         if missing or q.shape[1:] != (len(names),):
             raise ConfigurationError(
                 f"the motion's joints are {', '.join(names)}: robot {robot.name!r} also has {', '.join(missing)}"
             )
         q = q[:, [names.index(name) for name in robot.joint_names]]
+    if not (len(q) == len(time) >= 2 and np.all(np.isfinite(time)) and np.all(np.diff(time) > 0.0)):
+        raise ConfigurationError(
+            f"a motion has two or more samples at increasing, finite times and {robot.nv} joints; got times of shape "
+            f"{time.shape} and positions of shape {q.shape}"
+        )
     # without whole turns between samples
     steps = [robot.difference(before, after) for before, after in zip(q, q[1:], strict=False)]
-    x = np.cumsum([robot.positions(q[0]), *steps], axis=0) if len(q) else q
-    if len(time) < 2 or x.shape != (len(time), robot.nv) or not np.all(np.diff(time) > 0.0):
-        raise ConfigurationError(
-            f"a motion has two or more samples at increasing times and {robot.nv} joints; got times of shape "
-            f"{time.shape} and positions of shape {x.shape}"
-        )
-    if not (np.all(np.isfinite(time)) and np.all(np.isfinite(x))):
-        raise ConfigurationError("the motion has numbers that are not finite")
-    time -= time[0]
+    time, x = time - time[0], np.cumsum([robot.positions(q[0]), *steps], axis=0)
     jumps = np.zeros(x.shape, dtype=bool)
     jumps[:-1] = np.abs(np.diff(x, axis=0)) > fastest * np.diff(time)[:, None]
     slope, last = np.zeros_like(x), np.empty(x.shape, dtype=np.int64)
     for j in range(robot.nv):
-        ends = [*np.flatnonzero(jumps[:, j]).tolist(), len(time) - 1]
-        for begin, end in zip([0, *(e + 1 for e in ends)], ends, strict=False):
-            part = slice(begin, end + 1)
-            last[part, j] = end
-            if end > begin:
+        for part in np.split(np.arange(len(time)), np.flatnonzero(jumps[:, j]) + 1):
+            last[part, j] = part[-1]
+            if len(part) > 1:
                 slope[part, j] = PchipInterpolator(time[part], x[part, j]).derivative()(time[part])
     slope[-1] = 0.0
-    return _Knots(time, x, slope, last, jumps)
+    pieces = np.zeros((4, *x.shape))
+    pieces[:2] = x, slope
+    pieces[2:, :-1] = CubicHermiteSpline(time, x, slope).c[1::-1] * ~jumps[:-1]
+    return _Path(time, pieces, last, jumps)
