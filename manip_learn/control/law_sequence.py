@@ -45,8 +45,8 @@ def _same(value: np.ndarray, _q: np.ndarray) -> np.ndarray:
 class JointMotion(Task):
     """b = dq*/dt + gain (q*(t) - q): straight from posture to posture, at rest in each, or smoothly through all.
 
-    It begins with the first call, as a `FreeDirection` does; a call at or before that time after later ones is a new
-    run. Each leg takes the time that its slowest joint needs, and the tip where its speed is limited.
+    It begins at time 0 of its law; a `LawSequence` has each law begin there. Each leg takes the time that its slowest
+    joint needs, and the tip where its speed is limited.
 
     Args:
         limits: Of the robot's joints and tip.
@@ -84,38 +84,27 @@ class JointMotion(Task):
         self.gripper: Gripping | None = gripper
         table = table[np.append(True, np.any(np.diff(table, axis=0) != 0.0, axis=1))]  # those of rest are no legs
         legs = [table][: len(table) - 1] if through else [table[i : i + 2] for i in range(len(table) - 1)]
-        found = [_smooth(limits, leg, share) for leg in legs]
-        self._paths = [path for path, _ in found]
-        self._profiles = [MotionProfile(1.0, 1.0 / time, _RAMP) for _, time in found]
-        self._ends = np.cumsum([profile.duration for profile in self._profiles])
+        self._legs = [_leg(limits, leg, share) for leg in legs]
+        self._ends = np.cumsum([profile.duration for _, profile in self._legs])
         self.start, self._last = table[0], table[-1]
-        self.reset()
 
     @property
     def duration(self) -> float:
         """How long the motion takes where no limit slows it down [s]."""
-        moves = float(self._ends[-1]) if len(self._ends) else 0.0
-        return moves if self.gripper is None else max(moves, CLOSING)
-
-    def reset(self) -> None:
-        """Forget the start: the next call is the first one again."""
-        self._begun, self._latest = math.inf, -math.inf
+        return max([CLOSING if self.gripper else 0.0, *self._ends.tolist()])
 
     def at(self, t: float) -> tuple[Vector, Vector]:
         """Where the joints should be t [s] after the start, and how fast [rad or m, rad/s or m/s]."""
         leg = int(np.searchsorted(self._ends, t))
-        if leg >= len(self._ends):
+        if leg == len(self._legs):
             return self._last, np.zeros_like(self._last)
-        profile = self._profiles[leg]
+        path, profile = self._legs[leg]
         share, rate = profile.at(t - float(self._ends[leg]) + profile.duration)
-        return self._paths[leg](share), rate * self._paths[leg](share, 1)
+        return path(share), rate * path(share, 1)
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Vector:
         """b of every joint."""
-        if t <= self._begun < self._latest:
-            self.reset()
-        self._begun, self._latest = min(self._begun, t), t
-        goal, rate = self.at(t - self._begun)
+        goal, rate = self.at(t)
         return rate + self.gain * self._robot.difference(q, goal)
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
@@ -132,11 +121,11 @@ class JointMotion(Task):
         return self._last.copy()
 
     def __repr__(self) -> str:
-        return f"JointMotion({len(self._profiles)} legs, {self.duration:.3g} s)"
+        return f"JointMotion({len(self._legs)} legs, {self.duration:.3g} s)"
 
 
-def _smooth(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> tuple[CubicSpline, float]:
-    """Return a path through postures, by the share of it, and the time that it takes at full speed [s]."""
+def _leg(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> tuple[CubicSpline, MotionProfile]:
+    """Return a path through postures, and the share of it in time."""
     robot, tip = limits.robot, limits.tip
 
     def needed(q: np.ndarray, rates: np.ndarray) -> Posture:
@@ -151,7 +140,7 @@ def _smooth(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> t
     times = np.append(0.0, np.cumsum(needed(knots[:-1] + 0.5 * steps, steps)))
     path = CubicSpline(times / times[-1], knots, bc_type="natural")
     fine = np.linspace(0.0, 1.0, LOOKED * max(4, len(steps)) + 1)  # the law keeps what is between
-    return path, float(np.max(needed(path(fine), path(fine, 1))))
+    return path, MotionProfile(1.0, 1.0 / float(np.max(needed(path(fine), path(fine, 1)))), _RAMP)
 
 
 @final
@@ -167,8 +156,6 @@ class LawSequence(LimitedController):
     Attributes:
         laws: The same.
         robot: The robot of all.
-        number: Which law is in force, counted from 0.
-        began: Time at which that law took over [s]; None before the first call.
     """
 
     def __init__(self, *laws: ResolvedRateController):
@@ -178,15 +165,14 @@ class LawSequence(LimitedController):
 
     def reset(self) -> None:
         """Forget the start: the next call is the first one again."""
-        self.number, self.began = 0, None
-        self._begun, self._latest = math.inf, -math.inf
+        self._began, self._latest = list[float](), -math.inf  # times at which laws took over, and of the last call [s]
         super().reset()
 
     @property
     def gripper(self) -> Gripping | None:
         """What a gripper was last told, `"close"` or `"open"`; None before that."""
-        tasks = (law.task for law in reversed(self.laws[: self.number + 1]))
-        return next((task.gripper for task in tasks if task.gripper), None)
+        told = [law.task.gripper for law in self.laws[: max(1, len(self._began))] if law.task.gripper]
+        return told[-1] if told else None
 
     @property
     def limits(self) -> Limits | None:
@@ -196,7 +182,7 @@ class LawSequence(LimitedController):
     @property
     def law(self) -> ResolvedRateController:
         """The law that is in force."""
-        return self.laws[self.number]
+        return self.laws[max(0, len(self._began) - 1)]
 
     @property
     def constraint(self) -> Constraint:
@@ -206,7 +192,7 @@ class LawSequence(LimitedController):
     @property
     def way(self) -> ResolvedRateController:
         """The law in force, of a motion of the joints the one that it leads to."""
-        ahead = self.laws[self.number :]
+        ahead = self.laws[max(0, len(self._began) - 1) :]
         return next((law for law in ahead if not law.task.is_approach), ahead[-1])
 
     def __call__(
@@ -216,22 +202,18 @@ class LawSequence(LimitedController):
 
         The manipulability is always that of a way's rows.
         """
-        if t <= self._begun < self._latest:
+        if self._began and t <= self._began[0] < self._latest:
             self.reset()
-        self._begun, self._latest = min(self._begun, t), t
-        if self.began is None:
-            self.began = t
-        if self.number + 1 < len(self.laws) and self.law.task.is_over(q, t - self.began):
-            self.number, self.began = self.number + 1, t
-        law = self.law
-        command = law(q, t - self.began, dt, previous, slide)
-        if law is self.way:
-            return command
-        return command._replace(manipulability=manipulability(self.way.constraint, q))
+        self._latest, more = t, len(self._began) < len(self.laws)
+        if not self._began or (more and self.law.task.is_over(q, t - self._began[-1])):
+            self._began.append(t)
+        law, way = self.law, self.way
+        command = law(q, t - self._began[-1], dt, previous, slide)
+        return command if law is way else command._replace(manipulability=manipulability(way.constraint, q))
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the goal of the law in force [m or rad]."""
-        return self.law.task_error(q, t - (self.began or 0.0))
+        return self.law.task_error(q, t - (self._began[-1] if self._began else 0.0))
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> LawSequence:
         """These laws with other limits; nothing makes up for a lag."""
