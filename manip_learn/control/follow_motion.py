@@ -65,27 +65,22 @@ class FollowMotion(LimitedController):
         True
     """
 
+    waits: bool = True  # its clock stands while the arm does
+
     def __init__(self, robot: Robot, motion: Trajectory | Rollout, limits: Limits | None = None, *, ahead: float = 0.0):
-        self.robot, self.motion, self.ahead = robot, motion, float(ahead)
-        self.limits = Limits(robot) if limits is None else limits
-        self._path = _path_of(robot, motion, self.limits.velocity)
-        time, x, jumps, sentences = self._path.time, self._path.pieces[0], self._path.jumps, []
-        self.duration = float(time[-1])
-        steps = np.abs(np.diff(x, axis=0)) * jumps[:-1]
-        for j in np.flatnonzero(jumps.any(axis=0)).tolist():
-            k = int(steps[:, j].argmax())
+        self.robot, self.motion, self.limits, self.ahead = robot, motion, limits or Limits(robot), float(ahead)
+        self._path = path = _path_of(robot, motion, self.limits.velocity)
+        self.duration, sentences = float(path.time[-1]), list[str]()
+        is_jump = path.last[:-1] == np.arange(len(path.time) - 1)[:, None]
+        steps = np.abs(np.diff(path.pieces[0], axis=0)) * is_jump
+        for j in np.flatnonzero(is_jump.any(axis=0)).tolist():
+            k, times = int(steps[:, j].argmax()), counted(int(is_jump[:, j].sum()), "time")
             sentences.append(
-                f"joint {robot.joint_names[j]} of the motion jumps {counted(int(jumps[:, j].sum()), 'time')}, at most "
-                f"by {steps[k, j]:.3g} {robot.joint_units[j]} at {time[k]:.3g} s: it catches up as fast as its limits "
-                "let it"
+                f"joint {robot.joint_names[j]} of the motion jumps {times}, at most by {steps[k, j]:.3g} "
+                f"{robot.joint_units[j]} at {path.time[k]:.3g} s: it catches up as fast as its limits let it"
             )
         self.jumps = self.notes = tuple(sentences)
         self.reset()
-
-    @property
-    def waits(self) -> bool:
-        """True: its clock stands while the arm does."""
-        return True
 
     @property
     def start(self) -> Vector:
@@ -124,15 +119,13 @@ class FollowMotion(LimitedController):
             self.delay += step * (1.0 - self._rate)
         if self._clock < 0.0 and float(np.linalg.norm(self.robot.difference(q, self.start))) < ARRIVED:
             self._clock = 0.0
-        limits, started = self.limits, self._clock >= 0.0
-        self._rate = float(started)
+        limits, self._rate = self.limits, float(self._clock >= 0.0)
         wish, rate = self._wish(q, dt)
-        if started:
-            # the clock runs slower for the motion within the limits of the joints, all of the wish within the tip's
-            most, tip = float(np.max(np.abs(rate) / limits.velocity, initial=1.0)), limits.tip
-            self._rate = 1.0 / max(most, 0.0 if tip is None else tip.fastest(q, wish) / tip.speed)
-            wish, rate = self._wish(q, dt)
-        fastest = limits.velocity * (1.0 if started else RETURN_SPEED)
+        # the clock runs slower for the motion within the limits of the joints, all of the wish within the tip's
+        most, tip = float(np.max(np.abs(rate) / limits.velocity, initial=1.0)), limits.tip
+        self._rate /= max(most, 0.0 if tip is None else tip.fastest(q, wish) / tip.speed)
+        wish, _ = self._wish(q, dt)
+        fastest = limits.velocity * (RETURN_SPEED if self._clock < 0.0 else 1.0)
         return self._within(q, np.clip(wish, -fastest, fastest), dt, previous)
 
     def _wish(self, q: np.ndarray, dt: float) -> tuple[Vector, Vector]:
@@ -175,13 +168,11 @@ class _Path(NamedTuple):
         pieces: shape (4, T, nv), coefficients of the positions after each sample, by powers of the time since then;
             those of joints without limits go on over whole turns.
         last: shape (T, nv), number of the last sample before the next jump of the joint.
-        jumps: shape (T, nv), whether a joint jumps from this sample to the next.
     """
 
     time: Float[np.ndarray, " T"]
     pieces: Float[np.ndarray, "4 T nv"]
     last: Int[np.ndarray, "T nv"]
-    jumps: Bool[np.ndarray, "T nv"]
 
     def at(self, s: float, ahead: float) -> tuple[Vector, Vector]:
         """Where the motion that is going on at time s is a little later, and its velocity.
@@ -212,16 +203,14 @@ def _path_of(robot: Robot, motion: Trajectory | Rollout, fastest: Vector) -> _Pa
     # without whole turns between samples
     steps = [robot.difference(before, after) for before, after in zip(q, q[1:], strict=False)]
     time, x = time - time[0], np.cumsum([robot.positions(q[0]), *steps], axis=0)
-    jumps = np.zeros(x.shape, dtype=bool)
-    jumps[:-1] = np.abs(np.diff(x, axis=0)) > fastest * np.diff(time)[:, None]
+    jumps = np.abs(np.diff(x, axis=0)) > fastest * np.diff(time)[:, None]
     slope, last = np.zeros_like(x), np.empty(x.shape, dtype=np.int64)
     for j in range(robot.nv):
         for part in np.split(np.arange(len(time)), np.flatnonzero(jumps[:, j]) + 1):
             last[part, j] = part[-1]
             if len(part) > 1:
                 slope[part, j] = PchipInterpolator(time[part], x[part, j]).derivative()(time[part])
-    slope[-1] = 0.0
-    pieces = np.zeros((4, *x.shape))
+    slope[-1], pieces = 0.0, np.zeros((4, *x.shape))
     pieces[:2] = x, slope
-    pieces[2:, :-1] = CubicHermiteSpline(time, x, slope).c[1::-1] * ~jumps[:-1]
-    return _Path(time, pieces, last, jumps)
+    pieces[2:, :-1] = CubicHermiteSpline(time, x, slope).c[1::-1] * ~jumps  # joints that jump go on along the tangent
+    return _Path(time, pieces, last)

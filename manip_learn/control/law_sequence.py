@@ -165,13 +165,13 @@ class LawSequence(LimitedController):
 
     def reset(self) -> None:
         """Forget the start: the next call is the first one again."""
-        self._began, self._latest = list[float](), -math.inf  # times at which laws took over, and of the last call [s]
+        self._began, self._latest = [math.inf], -math.inf  # times at which laws took over, and of the last call [s]
         super().reset()
 
     @property
     def gripper(self) -> Gripping | None:
         """What a gripper was last told, `"close"` or `"open"`; None before that."""
-        told = [law.task.gripper for law in self.laws[: max(1, len(self._began))] if law.task.gripper]
+        told = [law.task.gripper for law in self.laws[: len(self._began)] if law.task.gripper]
         return told[-1] if told else None
 
     @property
@@ -182,7 +182,7 @@ class LawSequence(LimitedController):
     @property
     def law(self) -> ResolvedRateController:
         """The law that is in force."""
-        return self.laws[max(0, len(self._began) - 1)]
+        return self.laws[len(self._began) - 1]
 
     @property
     def constraint(self) -> Constraint:
@@ -192,7 +192,7 @@ class LawSequence(LimitedController):
     @property
     def way(self) -> ResolvedRateController:
         """The law in force, of a motion of the joints the one that it leads to."""
-        ahead = self.laws[max(0, len(self._began) - 1) :]
+        ahead = self.laws[len(self._began) - 1 :]
         return next((law for law in ahead if not law.task.is_approach), ahead[-1])
 
     def __call__(
@@ -202,10 +202,10 @@ class LawSequence(LimitedController):
 
         The manipulability is always that of a way's rows.
         """
-        if self._began and t <= self._began[0] < self._latest:
+        if t <= self._began[0] < self._latest:
             self.reset()
-        self._latest, more = t, len(self._began) < len(self.laws)
-        if not self._began or (more and self.law.task.is_over(q, t - self._began[-1])):
+        self._began[0], self._latest = min(self._began[0], t), t
+        if len(self._began) < len(self.laws) and self.law.task.is_over(q, t - self._began[-1]):
             self._began.append(t)
         law, way = self.law, self.way
         command = law(q, t - self._began[-1], dt, previous, slide)
@@ -213,7 +213,7 @@ class LawSequence(LimitedController):
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the goal of the law in force [m or rad]."""
-        return self.law.task_error(q, t - (self._began[-1] if self._began else 0.0))
+        return self.law.task_error(q, t - (self._began[-1] if self._began[-1] < math.inf else 0.0))
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> LawSequence:
         """These laws with other limits; nothing makes up for a lag."""
