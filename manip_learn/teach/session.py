@@ -19,8 +19,8 @@ from manip_learn.constraint.skill import Skill
 from manip_learn.control.command import Controller
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.driver import run
-from manip_learn.control.follow_motion import FollowMotion
 from manip_learn.control.following import STIFFNESS, Contact
+from manip_learn.control.joint_motion import FollowMotion
 from manip_learn.control.limits import RETURN_SPEED
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.tasks import FreeDirection
