@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
@@ -25,6 +25,7 @@ from manip_learn.control.tasks import Task
 from manip_learn.control.tasks.motion_profile import MotionProfile
 from manip_learn.errors import ConfigurationError, counted
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.robot import Robot
 
 # [rad or m] of all joints together: a posture is reached, the hand within a millimetre of where it should be
@@ -81,7 +82,7 @@ class FollowMotion(LimitedController):
 
     def __init__(self, robot: Robot, motion: Trajectory | Rollout, limits: Limits | None = None, *, ahead: float = 0.0):
         self.robot, self.motion, self.limits, self.ahead = robot, motion, limits or Limits(robot), float(ahead)
-        self._path = path = _path_of(robot, motion, self.limits.velocity)
+        self._path = path = _Path(robot, motion, self.limits.velocity)
         self.duration, sentences = float(path.time[-1]), list[str]()
         is_jump = path.last[:-1] == np.arange(len(path.time) - 1)[:, None]
         steps = np.abs(np.diff(path.pieces[0], axis=0)) * is_jump
@@ -164,15 +165,14 @@ class FollowMotion(LimitedController):
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Largest distance of a joint from where the motion is now [rad or m]."""
-        away = self.robot.difference(q, self.at(max(self._clock, 0.0)))
-        return float(np.max(np.abs(away), initial=0.0))
+        return float(np.max(np.abs(self.robot.difference(q, self.at(max(self._clock, 0.0)))), initial=0.0))
 
     def __repr__(self) -> str:
         return f"FollowMotion({len(self._path.time)} samples, {self.duration:.4g} s, delayed by {self.delay:.3g} s)"
 
 
 @final
-class _Path(NamedTuple):
+class _Path:
     """A motion as cubics, each joint in pieces between its jumps.
 
     Attributes:
@@ -182,9 +182,35 @@ class _Path(NamedTuple):
         last: shape (T, nv), number of the last sample before the next jump of the joint.
     """
 
-    time: Float[np.ndarray, " T"]
-    pieces: Float[np.ndarray, "4 T nv"]
-    last: Int[np.ndarray, "T nv"]
+    def __init__(self, robot: Robot, motion: Trajectory | Rollout, fastest: Vector):
+        time, q = np.array(motion.time, dtype=np.float64), np.array(motion.q, dtype=np.float64)
+        names = tuple(motion.joint_names)
+        if names not in ((), robot.joint_names):
+            missing = [name for name in robot.joint_names if name not in names]
+            if missing or q.shape[1:] != (len(names),):
+                raise ConfigurationError(
+                    f"the motion's joints are {', '.join(names)}: robot {robot.name!r} also has {', '.join(missing)}"
+                )
+            q = q[:, [names.index(name) for name in robot.joint_names]]
+        if not (len(q) == len(time) >= 2 and np.all(np.isfinite(time)) and np.all(np.diff(time) > 0.0)):
+            raise ConfigurationError(
+                f"a motion has two or more samples at increasing, finite times and {robot.nv} joints; got times of "
+                f"shape {time.shape} and positions of shape {q.shape}"
+            )
+        # without whole turns between samples
+        steps = [robot.difference(before, after) for before, after in zip(q, q[1:], strict=False)]
+        self.time, x = time - time[0], np.cumsum([robot.positions(q[0]), *steps], axis=0)
+        jumps = np.abs(np.diff(x, axis=0)) > fastest * np.diff(time)[:, None]
+        slope, self.last = np.zeros_like(x), np.empty(x.shape, dtype=np.int64)
+        for j in range(robot.nv):
+            for part in np.split(np.arange(len(time)), np.flatnonzero(jumps[:, j]) + 1):
+                self.last[part, j] = part[-1]
+                if len(part) > 1:
+                    slope[part, j] = PchipInterpolator(time[part], x[part, j]).derivative()(time[part])
+        slope[-1], self.pieces = 0.0, np.zeros((4, *x.shape))
+        self.pieces[:2] = x, slope
+        # without bends a joint that jumps goes on along the tangent, and at the end stays
+        self.pieces[2:, :-1] = CubicHermiteSpline(time, x, slope).c[1::-1] * ~jumps
 
     def at(self, s: float, ahead: float) -> tuple[Vector, Vector]:
         """Where the motion that is going on at time s is a little later, and its velocity.
@@ -195,37 +221,6 @@ class _Path(NamedTuple):
         piece = np.minimum(then, self.last[now])
         c, since = self.pieces[:, piece, np.arange(len(piece))], s + ahead - self.time[piece]
         return polyval(since, c, tensor=False), polyval(since, polyder(c), tensor=False)
-
-
-def _path_of(robot: Robot, motion: Trajectory | Rollout, fastest: Vector) -> _Path:
-    time, q = np.array(motion.time, dtype=np.float64), np.array(motion.q, dtype=np.float64)
-    names = tuple(motion.joint_names)
-    if names not in ((), robot.joint_names):
-        missing = [name for name in robot.joint_names if name not in names]
-        if missing or q.shape[1:] != (len(names),):
-            raise ConfigurationError(
-                f"the motion's joints are {', '.join(names)}: robot {robot.name!r} also has {', '.join(missing)}"
-            )
-        q = q[:, [names.index(name) for name in robot.joint_names]]
-    if not (len(q) == len(time) >= 2 and np.all(np.isfinite(time)) and np.all(np.diff(time) > 0.0)):
-        raise ConfigurationError(
-            f"a motion has two or more samples at increasing, finite times and {robot.nv} joints; got times of shape "
-            f"{time.shape} and positions of shape {q.shape}"
-        )
-    # without whole turns between samples
-    steps = [robot.difference(before, after) for before, after in zip(q, q[1:], strict=False)]
-    time, x = time - time[0], np.cumsum([robot.positions(q[0]), *steps], axis=0)
-    jumps = np.abs(np.diff(x, axis=0)) > fastest * np.diff(time)[:, None]
-    slope, last = np.zeros_like(x), np.empty(x.shape, dtype=np.int64)
-    for j in range(robot.nv):
-        for part in np.split(np.arange(len(time)), np.flatnonzero(jumps[:, j]) + 1):
-            last[part, j] = part[-1]
-            if len(part) > 1:
-                slope[part, j] = PchipInterpolator(time[part], x[part, j]).derivative()(time[part])
-    slope[-1], pieces = 0.0, np.zeros((4, *x.shape))
-    pieces[:2] = x, slope
-    pieces[2:, :-1] = CubicHermiteSpline(time, x, slope).c[1::-1] * ~jumps  # joints that jump go on along the tangent
-    return _Path(time, pieces, last)
 
 
 def every_joint(robot: Robot) -> Constraint:
@@ -260,10 +255,7 @@ class JointMotion(Task):
         ConfigurationError: Postures that are not finite or of another size.
     """
 
-    is_approach = True
-
-    slides = False
-    waits = True
+    is_approach, waits, slides = True, True, False
     gain = 10.0  # [1/s] rate at which deviations are taken back, as of a way
 
     def __init__(
@@ -275,10 +267,7 @@ class JointMotion(Task):
         *,
         through: bool = False,
     ):
-        robot, table = limits.robot, np.array(postures, dtype=np.float64)
-        if table.ndim != 2 or table.shape[1] != robot.nv or not len(table) or not np.all(np.isfinite(table)):
-            raise ConfigurationError(f"the path must be postures of {robot.nv} finite joint positions, one a row")
-        self._robot = robot
+        self._robot, table = limits.robot, np.array(checked_postures(limits.robot, postures))
         self.gripper: Gripping | None = gripper
         table = table[np.append(True, np.any(np.diff(table, axis=0) != 0.0, axis=1))]  # those of rest are no legs
         legs = [table][: len(table) - 1] if through else [table[i : i + 2] for i in range(len(table) - 1)]
@@ -357,8 +346,7 @@ class LawSequence(LimitedController):
     """
 
     def __init__(self, *laws: ResolvedRateController):
-        self.laws = laws
-        self.robot: Robot | None = laws[-1].robot
+        self.laws, self.robot = laws, laws[-1].robot
         self.reset()
 
     def reset(self) -> None:
@@ -369,8 +357,7 @@ class LawSequence(LimitedController):
     @property
     def gripper(self) -> Gripping | None:
         """What a gripper was last told, `"close"` or `"open"`; None before that."""
-        told = [law.task.gripper for law in self.laws[: len(self._began)] if law.task.gripper]
-        return told[-1] if told else None
+        return next((law.task.gripper for law in reversed(self.laws[: len(self._began)]) if law.task.gripper), None)
 
     @property
     def limits(self) -> Limits | None:

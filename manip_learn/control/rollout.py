@@ -117,16 +117,14 @@ class Rollout:
     def _facts(self) -> list[tuple[str, str | None]]:
         """Name -> value in words; None where there is nothing to say."""
         mu, span = self.manipulability, self.time[-1] - self.time[0] if len(self) else 0.0
-        statuses = ", ".join(f"{word} {count:,}" for word, count in self.status_counts.items())
         ends = self.task_error[-1] if len(self) else np.nan
-        known = bool(np.any(np.isfinite(mu)))
         return [
             ("robot", None if self.robot is None else self.robot.name),
             ("motion", f"{len(self):,} samples over {span:.4g} s, {len(self.joint_names)} joints"),
             ("frame", self.frame or None),
-            ("manipulability", f"{np.nanmin(mu):.4g} to {np.nanmax(mu):.4g}" if known else None),
+            ("manipulability", f"{np.nanmin(mu):.4g} to {np.nanmax(mu):.4g}" if np.any(np.isfinite(mu)) else None),
             ("error at the end", f"{ends:.3g} (in m or rad)" if np.isfinite(ends) else None),
-            ("status", statuses or None),
+            ("status", ", ".join(f"{word} {count:,}" for word, count in self.status_counts.items()) or None),
         ]
 
     def trajectory(self, name: str = "rollout") -> Trajectory:
@@ -189,8 +187,7 @@ class Rollout:
         told = {name: getattr(self, name) for name in _HEADER}
         told |= {"target": None if self.target is None else self.target.tolist(), "nq": self.q.shape[1]}
         header = FileHeader("rollout", following_error=self.following_error is not None, **told)
-        words = {"status": np.array(self.status, dtype=str)}
-        return write_motion(path, SavedMotion(header, self._curves() | words))
+        return write_motion(path, SavedMotion(header, self._curves() | {"status": np.array(self.status, dtype=str)}))
 
     @staticmethod
     def load(path: str | Path, robot: Robot | None = None) -> Rollout:

@@ -102,7 +102,7 @@ def simulate(
     if robot is None:
         starts = np.array(q0, dtype=np.float64, ndmin=2)
     else:  # names the row before any work is done
-        starts = checked_postures(robot, np.asarray(q0)) if table else np.array(robot.checked_posture(q0))[None]
+        starts = np.array(checked_postures(robot, q0) if table else [robot.checked_posture(q0)])
     native = controller.native if isinstance(controller, ResolvedRateController) and controller.robot is robot else None
     rollouts, own = list[Rollout](), None if table else progress
     for first in range(0, len(starts), _STARTS):

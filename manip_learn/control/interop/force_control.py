@@ -217,13 +217,14 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
     poses, size = _boxes(frame)
     if poses:
         region = {"primitives": [{"type": BOX, "dimensions": size} for _ in poses], "primitive_poses": poses}
-        offset = _xyz(of_link[:3, :3] @ frame.point + of_link[:3, 3])
+        offset = _xyzw(of_link[:3, :3] @ frame.point + of_link[:3, 3])
         content["position_constraints"].append(about | {"target_point_offset": offset, "constraint_region": region})
     if any(frame.along("held")[3:]):
         free = of_link[:3, :3] @ frame.pose[:3, :3][:, np.array(frame.along("free"))[3:]]
         wide = np.minimum(TOLERANCE[1] + math.pi * np.linalg.norm(free, axis=1), math.pi)
         tolerances = {f"absolute_{n}_axis_tolerance": w for n, w in zip("xyz", wide.tolist(), strict=True)}
-        kept = {"orientation": _quaternion(frame.hand[:3, :3]), "parameterization": _ROTATION_VECTOR}
+        orientation = _xyzw(Rotation.from_matrix(frame.hand[:3, :3]).as_quat())
+        kept = {"orientation": orientation, "parameterization": _ROTATION_VECTOR}
         content["orientation_constraints"].append(about | kept | tolerances)
     return _comments(frame) + yaml_text(content, indent=1) + "\n"
 
@@ -235,15 +236,15 @@ def _boxes(frame: TaskFrame) -> tuple[list[dict[str, dict[str, float]]], list[fl
     if not held.any() or (lever > 0.0 and (known is None or known.axis is None)):
         return [], []
     half = np.where(held, np.maximum(TOLERANCE[0], 3.0 * EXTENT * frame.uncertainty[:3]), EXTENT)
-    if not lever:
-        return [{"position": _xyz(frame.point), "orientation": _quaternion(R)}], (2.0 * half).tolist()
-    # as few boxes as have the whole circle inside: the arc of one is off its middle by half a thickness
-    n = math.ceil(math.pi / (2.0 * math.acos(max(0.0, 1.0 - half[0] / lever))))
-    half[1], pitch, poses = lever * math.sin(0.5 * math.pi / n), (known and known.pitch) or 0.0, []
-    for angle in math.pi / n * np.arange(-n, n):
+    poses, angles, pitch = [], np.zeros(1), (known and known.pitch) or 0.0
+    if lever > 0.0:
+        # as few boxes as have the whole circle inside: the arc of one is off its middle by half a thickness
+        n = math.ceil(math.pi / (2.0 * math.acos(max(0.0, 1.0 - half[0] / lever))))
+        half[1], angles = lever * math.sin(0.5 * math.pi / n), math.pi / n * np.arange(-n, n)
+    for angle in angles:
         turned = R @ rotation_matrix(np.array([0.0, 0.0, angle]))
         middle = origin + turned @ [lever, 0.0, pitch * angle]
-        poses.append({"position": _xyz(middle), "orientation": _quaternion(turned)})
+        poses.append({"position": _xyzw(middle), "orientation": _xyzw(Rotation.from_matrix(turned).as_quat())})
     return poses, (2.0 * half).tolist()
 
 
@@ -286,9 +287,6 @@ def _vector(pose: Iterable[float], digits: str = ".9f") -> str:
     return f"p[{', '.join(format(x, digits) for x in pose)}]"
 
 
-def _xyz(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
-    return dict(zip("xyz", values.tolist(), strict=True))
-
-
-def _quaternion(R: Float[np.ndarray, "3 3"]) -> dict[str, float]:
-    return dict(zip("xyzw", Rotation.from_matrix(R).as_quat().tolist(), strict=True))
+def _xyzw(values: Float[np.ndarray, " n"]) -> dict[str, float]:
+    """Return a message of ROS: a point of three numbers, or a quaternion of four."""
+    return dict(zip("xyzw", values.tolist(), strict=False))
