@@ -238,7 +238,8 @@ class Rollout:
         told |= {name: motion.arrays[name] for name in _CURVES if name in motion.arrays}
         phases = tuple((name, float(start), float(end)) for name, start, end in header.phases or ())
         told |= {"phases": phases, "ways": tuple(header.ways or ()), "around": tuple(header.around or ())}
-        return Rollout(**(told | {"status": tuple(known[word] for word in words)})), notes
+        told["status"] = tuple(known[word] for word in words)
+        return Rollout(**told), notes
 
 
 def written_constraint(constraint: Constraint) -> Mapping[str, Any] | None:

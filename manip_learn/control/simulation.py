@@ -119,15 +119,15 @@ def _stepped(
     robot: Robot | None, controller: Any, q: Posture, time: Float[np.ndarray, " T"], dt: float, report: Progress | None
 ) -> Rollout:
     """Return the rollout from one start, step by step: in a servo loop, which the library's controllers get anyhow."""
-    loop, task_error = None, getattr(controller, "task_error", lambda q, t: np.nan)
+    step, task_error = (lambda q, t: controller(q, t, dt)), getattr(controller, "task_error", lambda q, t: np.nan)
     if isinstance(controller, ServoLoop):
         controller.reset(q)
-        loop = controller.update
+        step = controller.update
     elif isinstance(controller, LimitedController) and controller.limits is not None:
-        loop = ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
+        step = ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
     postures, errors, commands = np.empty((len(time), len(q))), np.empty(len(time)), list[Command]()
     for i, t in enumerate(time.tolist()):
-        command = controller(q, t, dt) if loop is None else loop(q, t)
+        command = step(q, t)
         postures[i], errors[i] = q, task_error(q, t)
         commands.append(command)
         if len(commands) < len(time):
@@ -158,9 +158,10 @@ def rollout_of(
     names = tuple(f"q{i}" for i in range(len(commands[0].velocity))) if robot is None else robot.joint_names
     u = np.array([c.velocity for c in commands]).reshape(len(commands), len(names))
     mu, following = (np.array([getattr(c, name) for c in commands]) for name in ("manipulability", "following_error"))
-    told = guided(controller) | {"robot": None if robot is None else RobotIdentity.of(robot)}
+    told, status = guided(controller), tuple(c.status for c in commands)
+    told["robot"] = None if robot is None else RobotIdentity.of(robot)
     told["following_error"] = following if isinstance(controller, ServoLoop) else None
-    return Rollout(time, q, u, mu, tuple(c.status for c in commands), names, errors, **told)
+    return Rollout(time, q, u, mu, status, names, errors, **told)
 
 
 def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
