@@ -343,6 +343,8 @@ class LawSequence(LimitedController):
     Attributes:
         laws: The same.
         robot: The robot of all.
+        number: Which law is in force, counted from 0.
+        began: Time at which that law took over [s]; None before the first call.
     """
 
     def __init__(self, *laws: ResolvedRateController):
@@ -351,13 +353,14 @@ class LawSequence(LimitedController):
 
     def reset(self) -> None:
         """Forget the start: the next call is the first one again."""
-        self._began, self._latest = [math.inf], -math.inf  # times at which laws took over, and of the last call [s]
+        self.number, self.began = 0, None
+        self._first, self._latest = math.inf, -math.inf  # times of calls [s]
         super().reset()
 
     @property
     def gripper(self) -> Gripping | None:
         """What a gripper was last told, `"close"` or `"open"`; None before that."""
-        return next((law.task.gripper for law in reversed(self.laws[: len(self._began)]) if law.task.gripper), None)
+        return next((law.task.gripper for law in reversed(self.laws[: self.number + 1]) if law.task.gripper), None)
 
     @property
     def limits(self) -> Limits | None:
@@ -367,7 +370,7 @@ class LawSequence(LimitedController):
     @property
     def law(self) -> ResolvedRateController:
         """The law that is in force."""
-        return self.laws[len(self._began) - 1]
+        return self.laws[self.number]
 
     @property
     def constraint(self) -> Constraint:
@@ -377,7 +380,7 @@ class LawSequence(LimitedController):
     @property
     def way(self) -> ResolvedRateController:
         """The law in force, of a motion of the joints the one that it leads to."""
-        ahead = self.laws[len(self._began) - 1 :]
+        ahead = self.laws[self.number :]
         return next((law for law in ahead if not law.task.is_approach), ahead[-1])
 
     def __call__(
@@ -387,18 +390,19 @@ class LawSequence(LimitedController):
 
         The manipulability is always that of a way's rows.
         """
-        if t <= self._began[0] < self._latest:
+        if t <= self._first < self._latest:
             self.reset()
-        self._began[0], self._latest = min(self._began[0], t), t
-        if len(self._began) < len(self.laws) and self.law.task.is_over(q, t - self._began[-1]):
-            self._began.append(t)
+        self._first, self._latest = min(self._first, t), t
+        self.began = t if self.began is None else self.began
+        if self.number + 1 < len(self.laws) and self.law.task.is_over(q, t - self.began):
+            self.number, self.began = self.number + 1, t
         law, way = self.law, self.way
-        command = law(q, t - self._began[-1], dt, previous, slide)
+        command = law(q, t - self.began, dt, previous, slide)
         return command if law is way else command._replace(manipulability=manipulability(way.constraint, q))
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the goal of the law in force [m or rad]."""
-        return self.law.task_error(q, t - (self._began[-1] if self._began[-1] < math.inf else 0.0))
+        return self.law.task_error(q, t - (self.began or 0.0))
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> LawSequence:
         """These laws with other limits; nothing makes up for a lag."""

@@ -225,10 +225,8 @@ class Rollout:
         notes = check_robot(path, header, robot) if robot is not None else ()
         if robot is not None and header.joint_names != robot.joint_names:
             made, has = (", ".join(names) for names in (header.joint_names, robot.joint_names))
-            text = (
-                f"it was made with the joints {made}, robot {robot.name!r} has {has}: load the robot that it was made"
-            )
-            raise refusal(path, "other-robot", f"{text} with, with the same locked joints")
+            text = f"it was made with the joints {made}, robot {robot.name!r} has {has}"
+            raise refusal(path, "other-robot", f"{text}: load the robot it was made with, with the same locked joints")
         known = {str(status): status for status in Status}
         for number, word in enumerate(words := motion.arrays["status"].tolist()):
             if word not in known:
