@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from manip_learn.control.contact import Contact
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.driver import Driver, RunRecord, run
-    from manip_learn.control.follow_motion import FollowMotion
+    from manip_learn.control.joint_motion import FollowMotion
     from manip_learn.control.limits import Limits
     from manip_learn.control.policies import (
         JointAttractor,
@@ -93,7 +93,7 @@ _NAMES = {
     "control.controller": "ResolvedRateController",
     "control.limits": "Limits",
     "control.contact": "Contact",
-    "control.follow_motion": "FollowMotion",
+    "control.joint_motion": "FollowMotion",
     "control.policies": "JointAttractor JointLimitAvoidance ManipulabilityAscent NullSpacePolicy "
     "WeightedPolicies ZeroPolicy",
     "control.tasks": "FreeDirection Hold PointAttractor Task Track motion",

@@ -15,7 +15,7 @@ import pytest
 
 import manip_learn as ml
 from manip_learn.control import driver
-from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
+from manip_learn.control.joint_motion import JointMotion, LawSequence, every_joint
 from manip_learn.errors import ConfigurationError
 
 DT, BEFORE = 0.005, 40  # [s], cycles before something goes wrong

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from case import case
 
-from manip_learn.control.follow_motion import FollowMotion
+from manip_learn.control.joint_motion import FollowMotion
 from manip_learn.control.limits import Limits
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import simulate

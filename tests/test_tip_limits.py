@@ -9,7 +9,7 @@ import pytest
 from servo_cases import Constantly
 
 import manip_learn as ml
-from manip_learn.control.law_sequence import JointMotion, every_joint
+from manip_learn.control.joint_motion import JointMotion, every_joint
 from manip_learn.errors import ConfigurationError, UnknownNameError
 
 TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002

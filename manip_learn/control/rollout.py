@@ -15,7 +15,8 @@ from jaxtyping import Float
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.command import Status
-from manip_learn.errors import FeatureError, RecordingError, printable, spoken
+from manip_learn.errors import FeatureError, printable, spoken
+from manip_learn.recordings.guards import refusal
 from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, check_robot, read_saved
 from manip_learn.recordings.trajectory import TRAJECTORY, PandasFrame, Trajectory, pandas_frame_of
 from manip_learn.recordings.writers.write_motion import write_motion
@@ -23,7 +24,9 @@ from manip_learn.robot import html_card
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
+# what there is of each sample, and what a file has in its header
 _CURVES = ("time", "q", "u", "manipulability", "task_error", "status", "following_error")
+_HEADER = ("joint_names", "robot", "frame", "constraint", "phases", "ways", "around")
 
 
 @final
@@ -80,15 +83,18 @@ class Rollout:
     around: tuple[Mapping[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("time", "q", "u", "manipulability", "task_error", "target", "following_error"):
-            if getattr(self, name) is None:
-                continue
-            array = np.array(getattr(self, name), dtype=np.float64)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+        for name in (*_CURVES, "target"):
+            if name != "status" and getattr(self, name) is not None:
+                array = np.array(getattr(self, name), dtype=np.float64)
+                array.setflags(write=False)
+                object.__setattr__(self, name, array)
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
+
+    def _curves(self) -> dict[str, Any]:
+        """Return by name what is known of each sample."""
+        return {name: values for name in _CURVES if (values := getattr(self, name)) is not None}
 
     @property
     def mu(self) -> Float[np.ndarray, " T"]:
@@ -111,16 +117,14 @@ class Rollout:
     def _facts(self) -> list[tuple[str, str | None]]:
         """Name -> value in words; None where there is nothing to say."""
         mu, span = self.manipulability, self.time[-1] - self.time[0] if len(self) else 0.0
-        statuses = ", ".join(f"{word} {count:,}" for word, count in self.status_counts.items())
         ends = self.task_error[-1] if len(self) else np.nan
-        known = bool(np.any(np.isfinite(mu)))
         return [
             ("robot", None if self.robot is None else self.robot.name),
             ("motion", f"{len(self):,} samples over {span:.4g} s, {len(self.joint_names)} joints"),
             ("frame", self.frame or None),
-            ("manipulability", f"{np.nanmin(mu):.4g} to {np.nanmax(mu):.4g}" if known else None),
+            ("manipulability", f"{np.nanmin(mu):.4g} to {np.nanmax(mu):.4g}" if np.any(np.isfinite(mu)) else None),
             ("error at the end", f"{ends:.3g} (in m or rad)" if np.isfinite(ends) else None),
-            ("status", statuses or None),
+            ("status", ", ".join(f"{word} {count:,}" for word, count in self.status_counts.items()) or None),
         ]
 
     def trajectory(self, name: str = "rollout") -> Trajectory:
@@ -141,23 +145,20 @@ class Rollout:
     def until(self, end: float) -> Rollout:
         """The samples up to a time [s]."""
         n = int(np.searchsorted(self.time, end + 1e-9))
-        kept = {name: getattr(self, name)[:n] for name in _CURVES if getattr(self, name) is not None}
-        return replace(self, **kept)
+        return replace(self, **{name: values[:n] for name, values in self._curves().items()})
 
     def followed_by(self, other: Rollout) -> Rollout:
         """This motion and another one of the same robot that begins where it ends, as one; phases and ways of both."""
         shift = float(self.time[-1])
-        arrays = ("q", "u", "manipulability", "task_error")
-        joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in arrays}
-        time = np.concatenate([self.time[:-1], other.time + shift])
+        time, status = np.concatenate([self.time[:-1], other.time + shift]), (*self.status[:-1], *other.status)
+        joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in _CURVES[1:5]}
         phases = (*self.phases, *((name, start + shift, end + shift) for name, start, end in other.phases))
-        status = (*self.status[:-1], *other.status)
         later = ({**way, "begins": None if way["begins"] is None else way["begins"] + shift} for way in other.ways)
         around = dict[str, Mapping[str, Any]]()  # of what stands around in both, where the arm comes nearer to it
         for thing in sorted((*self.around, *other.around), key=lambda thing: thing.get("nearest", np.inf)):
             around.setdefault(json.dumps({k: v for k, v in thing.items() if k not in ("nearest", "link")}), thing)
         parts = {"phases": phases, "ways": (*self.ways, *later), "around": tuple(around.values())}
-        return replace(other, **joined, time=time, status=status, following_error=None, **parts)
+        return replace(other, time=time, status=status, **joined, following_error=None, **parts)
 
     def violation(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
         """Return the speed at which each step breaks a constraint with b = 0, in the rows' units per second.
@@ -183,23 +184,10 @@ class Rollout:
             OutputError: It cannot be written, or has another ending.
             MissingExtraError: `.mcap` needs the extra `ros`.
         """
-        header = FileHeader(
-            "rollout",
-            self.joint_names,
-            self.robot,
-            self.frame,
-            nq=self.q.shape[1],
-            target=None if self.target is None else self.target.tolist(),
-            constraint=self.constraint,
-            following_error=self.following_error is not None,
-            phases=[list(part) for part in self.phases],
-            ways=[dict(way) for way in self.ways],
-            around=[dict(thing) for thing in self.around],
-        )
-        arrays = {name: np.array(getattr(self, name)) for name in _CURVES if getattr(self, name) is not None}
-        return write_motion(
-            path, SavedMotion(header, arrays | {"status": np.array(list(map(str, self.status)), dtype=str)})
-        )
+        told = {name: getattr(self, name) for name in _HEADER}
+        told |= {"target": None if self.target is None else self.target.tolist(), "nq": self.q.shape[1]}
+        header = FileHeader("rollout", following_error=self.following_error is not None, **told)
+        return write_motion(path, SavedMotion(header, self._curves() | {"status": np.array(self.status, dtype=str)}))
 
     @staticmethod
     def load(path: str | Path, robot: Robot | None = None) -> Rollout:
@@ -232,39 +220,24 @@ class Rollout:
         motion = read_saved(path)
         header = motion.header
         if header.kind != "rollout":
-            raise RecordingError(
-                f"{path.name} is a recording, no rollout"
-                + spoken(": load_demonstrations reads it", ": name a file that `manip-learn control --out` wrote"),
-                code="not-a-rollout",
-                path=path,
-            )
+            fix = spoken(": load_demonstrations reads it", ": name a file that `manip-learn control --out` wrote")
+            raise refusal(path, "not-a-rollout", f"it is a recording, no rollout{fix}")
         notes = check_robot(path, header, robot) if robot is not None else ()
         if robot is not None and header.joint_names != robot.joint_names:
-            raise RecordingError(
-                f"{path.name} was made with the joints {', '.join(header.joint_names)}, robot {robot.name!r} has "
-                f"{', '.join(robot.joint_names)}: load the robot that it was made with, with the same locked joints",
-                code="other-robot",
-                path=path,
-            )
-        known, words = {str(s): s for s in Status}, motion.arrays["status"].tolist()
-        unknown = next((i for i, word in enumerate(words) if word not in known), None)
-        if unknown is not None:
-            raise RecordingError(
-                f"{path.name} sample {unknown}: the status is {words[unknown]!r:.40}, "
-                f"it must be one of {', '.join(known)}",
-                code="status",
-                path=path,
-            )
-        arrays: dict[str, Any] = {name: motion.arrays[name] for name in _CURVES if name in motion.arrays}
-        guided = {
-            "status": tuple(known[word] for word in words),
-            "target": None if header.target is None else np.array(header.target),
-            "phases": tuple((name, float(start), float(end)) for name, start, end in header.phases or ()),
-            "ways": tuple(header.ways or ()),
-            "around": tuple(header.around or ()),
-        }
-        told = {name: getattr(header, name) for name in ("joint_names", "frame", "robot", "constraint")}
-        return Rollout(**(arrays | told | guided)), notes
+            made, has = (", ".join(names) for names in (header.joint_names, robot.joint_names))
+            text = f"it was made with the joints {made}, robot {robot.name!r} has {has}"
+            raise refusal(path, "other-robot", f"{text}: load the robot it was made with, with the same locked joints")
+        known = {str(status): status for status in Status}
+        for number, word in enumerate(words := motion.arrays["status"].tolist()):
+            if word not in known:
+                text = f"the status is {word!r:.40}, it must be one of {', '.join(known)}"
+                raise refusal(path, "status", text, where=f"{path.name} sample {number}")
+        told = {name: getattr(header, name) for name in (*_HEADER, "target")}
+        told |= {name: motion.arrays[name] for name in _CURVES if name in motion.arrays}
+        phases = tuple((name, float(start), float(end)) for name, start, end in header.phases or ())
+        told |= {"phases": phases, "ways": tuple(header.ways or ()), "around": tuple(header.around or ())}
+        told["status"] = tuple(known[word] for word in words)
+        return Rollout(**told), notes
 
 
 def written_constraint(constraint: Constraint) -> Mapping[str, Any] | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from itertools import repeat
 from typing import Any, overload
 
 import numpy as np
@@ -79,8 +80,8 @@ def simulate(
         >>> rollout.q.shape, rollout.u.shape
         ((201, 3), (201, 3))
     """
-    can_run = isinstance(controller, ServoLoop) or (
-        callable(controller) and not isinstance(controller, Constraint | type)
+    can_run = (callable(controller) or isinstance(controller, ServoLoop)) and not isinstance(
+        controller, Constraint | type
     )
     is_start = not (q0 is None or callable(q0) or isinstance(q0, Robot | str))
     if not ((robot is None or isinstance(robot, Robot)) and can_run and is_start):
@@ -97,55 +98,43 @@ def simulate(
     except MemoryError as error:
         fix = advice("take {}", "a shorter duration or a larger dt", "a shorter --duration or a larger --dt")
         raise ConfigurationError(f"{duration / dt:.3g} steps take {size / 1e9:.3g} GB of memory: {fix}") from error
-    steps = round(duration / dt)
-    report, table = progress or (lambda title, fraction: None), np.ndim(q0) == 2
-    if table:
-        # names the row before any work is done
-        starts, rollouts = np.asarray(q0) if robot is None else checked_postures(robot, np.asarray(q0)), []
-        for first in range(0, len(starts), _STARTS):
-            block = starts[first : first + _STARTS]
-            for start, found in zip(block, _compiled(robot, controller, block, dt, steps, None), strict=True):
-                rollouts.append(found or simulate(robot, controller, start, steps * dt, dt))
-                report("simulating", len(rollouts) / len(starts))
-        return tuple(rollouts)
-    q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
-    if (whole := _compiled(robot, controller, q[None], dt, steps, progress)[0]) is not None:
-        return whole
-    task_error = getattr(controller, "task_error", None)
-    command_at = _loop_of(controller, q, dt)
-    postures, errors = np.empty((steps + 1, q.shape[0])), np.full(steps + 1, np.nan)
-    commands: list[Command] = []
-    for i in range(steps + 1):
-        t = i * dt
-        command = command_at(q, t)
-        postures[i] = q
-        commands.append(command)
-        if task_error is not None:
-            errors[i] = task_error(q, t)
-        if i < steps:
-            q = q + dt * command.velocity if robot is None else robot.integrate(q, dt * command.velocity)
-        report("simulating", (i + 1) / (steps + 1))
-    return rollout_of(robot, controller, np.arange(steps + 1) * dt, postures, commands, errors)
-
-
-def _compiled(
-    robot: Robot | None, controller: Controller | ServoLoop, starts: np.ndarray, *run: Any
-) -> Sequence[Rollout | None]:
-    """Whole rollouts by the compiled law; None where single steps are needed."""
+    steps, table = round(duration / dt), np.ndim(q0) == 2
+    if robot is None:
+        starts = np.array(q0, dtype=np.float64, ndmin=2)
+    else:  # names the row before any work is done
+        starts = np.array(checked_postures(robot, q0) if table else [robot.checked_posture(q0)])
     native = controller.native if isinstance(controller, ResolvedRateController) and controller.robot is robot else None
-    return (None,) * len(starts) if native is None else native.rollouts(controller, starts, *run)
+    rollouts, own = list[Rollout](), None if table else progress
+    for first in range(0, len(starts), _STARTS):
+        block = starts[first : first + _STARTS]
+        whole = repeat(None) if native is None else native.rollouts(controller, block, dt, steps, own)
+        for start, rollout in zip(block, whole, strict=False):  # None where single steps are needed
+            rollouts.append(rollout or _stepped(robot, controller, start, np.arange(steps + 1) * dt, dt, own))
+            if table and progress is not None:
+                progress("simulating", len(rollouts) / len(starts))
+    return tuple(rollouts) if table else rollouts[0]
 
 
-def _loop_of(
-    controller: Controller | ServoLoop, start: np.ndarray, dt: float
-) -> Callable[[np.ndarray, float], Command]:
-    """The rule of one step: a servo loop, the library's controllers in one of their own, others as they are."""
+def _stepped(
+    robot: Robot | None, controller: Any, q: Posture, time: Float[np.ndarray, " T"], dt: float, report: Progress | None
+) -> Rollout:
+    """Return the rollout from one start, step by step: in a servo loop, which the library's controllers get anyhow."""
+    step, task_error = (lambda q, t: controller(q, t, dt)), getattr(controller, "task_error", lambda q, t: np.nan)
     if isinstance(controller, ServoLoop):
-        controller.reset(start)
-        return controller.update
-    if isinstance(controller, LimitedController) and controller.limits is not None:
-        return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
-    return lambda q, t: controller(q, t, dt)
+        controller.reset(q)
+        step = controller.update
+    elif isinstance(controller, LimitedController) and controller.limits is not None:
+        step = ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
+    postures, errors, commands = np.empty((len(time), len(q))), np.empty(len(time)), list[Command]()
+    for i, t in enumerate(time.tolist()):
+        command = step(q, t)
+        postures[i], errors[i] = q, task_error(q, t)
+        commands.append(command)
+        if len(commands) < len(time):
+            q = q + dt * command.velocity if robot is None else robot.integrate(q, dt * command.velocity)
+        if report is not None:
+            report("simulating", len(commands) / len(time))
+    return rollout_of(robot, controller, time, postures, commands, errors)
 
 
 def rollout_of(
@@ -167,18 +156,12 @@ def rollout_of(
         errors: shape (T,), of the task [m or rad].
     """
     names = tuple(f"q{i}" for i in range(len(commands[0].velocity))) if robot is None else robot.joint_names
-    return Rollout(
-        time,
-        q,
-        np.array([c.velocity for c in commands]).reshape(len(commands), len(names)),
-        np.array([c.manipulability for c in commands]),
-        tuple(c.status for c in commands),
-        names,
-        errors,
-        robot=None if robot is None else RobotIdentity.of(robot),
-        following_error=np.array([c.following_error for c in commands]) if isinstance(controller, ServoLoop) else None,
-        **guided(controller),
-    )
+    u = np.array([c.velocity for c in commands]).reshape(len(commands), len(names))
+    mu, following = (np.array([getattr(c, name) for c in commands]) for name in ("manipulability", "following_error"))
+    told, status = guided(controller), tuple(c.status for c in commands)
+    told["robot"] = None if robot is None else RobotIdentity.of(robot)
+    told["following_error"] = following if isinstance(controller, ServoLoop) else None
+    return Rollout(time, q, u, mu, status, names, errors, **told)
 
 
 def guided(controller: Controller | ServoLoop) -> dict[str, Any]:

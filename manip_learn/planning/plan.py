@@ -18,8 +18,7 @@ from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.constraint.skill import Take
 from manip_learn.control.barriers import CLEARANCE
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.follow_motion import ARRIVED
-from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
+from manip_learn.control.joint_motion import ARRIVED, JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits, check_inside
 from manip_learn.control.policies import NullSpacePolicy
 from manip_learn.control.rollout import Rollout

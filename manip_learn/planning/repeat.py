@@ -15,7 +15,7 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.shown import Unit
 from manip_learn.constraint.skill import Skill, Step, Take, one_way
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
+from manip_learn.control.joint_motion import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate

@@ -20,7 +20,7 @@ from manip_learn.control.command import Controller
 from manip_learn.control.contact import STIFFNESS, Contact
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.driver import run
-from manip_learn.control.follow_motion import FollowMotion
+from manip_learn.control.joint_motion import FollowMotion
 from manip_learn.control.limits import RETURN_SPEED
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.tasks import FreeDirection

@@ -12,7 +12,7 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -53,16 +53,16 @@ BOX, _ROTATION_VECTOR = 1, 1  # of shape_msgs/SolidPrimitive and moveit_msgs/Ori
 
 # [m/s and rad/s] of compliant axes: the reduced speed of ISO 10218-1, and a turn that moves a tip at 1 m as fast
 _FASTEST = 0.25
-# [m and rad] by which the other axes may be off their way; it and the next two are the defaults of ur_msgs/SetForceMode
+# [m and rad] largest deviation of the other axes; it and the program's damping and gain, shares of the robot's own, are
+# the defaults of ur_msgs/SetForceMode
 DEVIATION = 0.01
-_DAMPING, _GAIN = 0.025, 0.5  # share of the robot's own damping, and factor on its own gain
 _PROGRAM = """\
 # The robot's TCP must be {frame!r}. zero_ftsensor and the gain's scaling: e-Series and later, not CB3.
 def {name}():
 {tcp}  global at = {at}
-  global selection = {selection}
+  global selection = {given[selection_vector]}
   global push = [0, 0, 0, 0, 0, 0]  # [N, N m] along compliant axes: 0 follows, more presses
-  global limits = {limits}
+  global limits = {given[limits]}
 
   # where a pose is, with the axes of another
   def position_of(tcp, axes):
@@ -83,8 +83,8 @@ def {name}():
   end
 
   zero_ftsensor()
-  force_mode_set_damping({damping})
-  force_mode_set_gain_scaling({gain})
+  force_mode_set_damping(0.025)
+  force_mode_set_gain_scaling(0.5)
   global keeper = run keep_compliant()
   # the task's own moves along what is free come here; a first one to try, slowly:
   # now = {now}
@@ -117,12 +117,8 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
     Raises:
         ConstraintError: No task frame, or one seen from another moving frame.
     """
-    frame = constraint.task_frame(q)
-    if frame.turns == "other frame":
-        raise ConstraintError(
-            "force_mode takes a frame of the robot's base: these rows are seen from another moving frame"
-        )
-    held, robot = frame.along("held"), _robot(constraint)
+    frame, robot = _frame_and_robot(constraint, q, "force_mode takes")
+    held = frame.along("held")
     # from the base of the robot's description to that of a UR controller
     base = np.linalg.inv(robot.pose(q, "base")) if "base" in robot.frame_names else np.eye(4)
     return {
@@ -143,22 +139,18 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
     Raises:
         ConstraintError: No task frame, or one seen from another moving frame.
     """
-    arguments, frame, robot = force_mode(constraint, q), constraint.task_frame(q), _robot(constraint)
+    given, (frame, robot) = force_mode(constraint, q), _frame_and_robot(constraint, q)
     tcp = np.linalg.inv(robot.pose(q, "tool0")) @ frame.hand if "tool0" in robot.frame_names else None
-    in_hand = pose_coordinates(np.linalg.inv(frame.hand) @ frame.pose)
-    reason = [f"# {line}" for line in textwrap.wrap(REASON, 100)]
-    first = [i for i, state in enumerate(frame.axes) if state == "free"][:1]  # a first move: 5 cm or 10 degrees
-    return "\n".join([*_comments(frame), *reason, ""]) + _PROGRAM.format(
+    at = pose_coordinates(np.linalg.inv(frame.hand) @ frame.pose) if frame.turns == "hand" else given["task_frame"]
+    moves = np.diag([0.05] * 3 + [math.radians(10.0)] * 3)[frame.along("free")]  # 5 cm or 10 degrees along each
+    return _comments(frame, *textwrap.wrap(REASON, 100)) + _PROGRAM.format(
         name="manip_learn_" + re.sub(r"[^A-Za-z0-9]+", "_", frame.frame),
         frame=frame.frame,
-        tcp="" if tcp is None else f"  set_tcp({_pose(pose_coordinates(tcp))})\n",
-        at=_pose(in_hand if frame.turns == "hand" else arguments["task_frame"]),
-        selection=_list(arguments["selection_vector"]),
-        limits=_list(arguments["limits"]),
+        tcp="" if tcp is None else f"  set_tcp({_vector(pose_coordinates(tcp))})\n",
+        at=_vector(at),
+        given=given,
         now=_FOLLOWS[frame.turns],
-        damping=_DAMPING,
-        gain=_GAIN,
-        step=_list([(0.05 if i < 3 else math.radians(10.0)) if i in first else 0.0 for i in range(6)], "p"),
+        step=_vector(next(iter(moves), np.zeros(6)), ".6g"),
     )
 
 
@@ -186,7 +178,7 @@ def impedance(
     Raises:
         ConstraintError: No task frame.
     """
-    frame, robot = constraint.task_frame(q), _robot(constraint)
+    frame, robot = _frame_and_robot(constraint, q)
     values = np.where(frame.along("held"), np.repeat(compliant, 3), np.repeat(stiff, 3))
     X = frame.from_hand
     K = X.T @ np.diag(values) @ X
@@ -218,47 +210,42 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
     Raises:
         ConstraintError: No task frame, or one seen from another moving frame.
     """
-    frame, robot = constraint.task_frame(q), _robot(constraint)
-    if frame.turns == "other frame":
-        raise ConstraintError("path constraints are in a fixed frame: these rows are seen from another moving frame")
-    held, of_link = np.array(frame.along("held")), np.linalg.inv(frame.hand)
+    frame, robot = _frame_and_robot(constraint, q, "path constraints are in")
+    of_link = np.linalg.inv(frame.hand)
     about = {"header": {"frame_id": robot.frame_names[0]}, "link_name": frame.frame, "weight": 1.0}
     content: dict[str, Any] = {"name": "manip_learn", "position_constraints": [], "orientation_constraints": []}
-    places, size = _boxes(frame)
-    if places:
-        region = {
-            "primitives": [{"type": BOX, "dimensions": size} for _ in places],
-            "primitive_poses": [_message(pose) for pose in places],
-        }
-        offset = _xyz(of_link[:3, :3] @ frame.point + of_link[:3, 3])
+    poses, size = _boxes(frame)
+    if poses:
+        region = {"primitives": [{"type": BOX, "dimensions": size} for _ in poses], "primitive_poses": poses}
+        offset = _xyzw(of_link[:3, :3] @ frame.point + of_link[:3, 3])
         content["position_constraints"].append(about | {"target_point_offset": offset, "constraint_region": region})
-    if held[3:].any():
+    if any(frame.along("held")[3:]):
         free = of_link[:3, :3] @ frame.pose[:3, :3][:, np.array(frame.along("free"))[3:]]
         wide = np.minimum(TOLERANCE[1] + math.pi * np.linalg.norm(free, axis=1), math.pi)
         tolerances = {f"absolute_{n}_axis_tolerance": w for n, w in zip("xyz", wide.tolist(), strict=True)}
-        kept = {"orientation": _message(frame.hand)["orientation"], "parameterization": _ROTATION_VECTOR}
+        orientation = _xyzw(Rotation.from_matrix(frame.hand[:3, :3]).as_quat())
+        kept = {"orientation": orientation, "parameterization": _ROTATION_VECTOR}
         content["orientation_constraints"].append(about | kept | tolerances)
-    return "\n".join([*_comments(frame), yaml_text(content, indent=1), ""])
+    return _comments(frame) + yaml_text(content, indent=1) + "\n"
 
 
-def _boxes(frame: TaskFrame) -> tuple[list[Float[np.ndarray, "4 4"]], list[float]]:
-    """Where the held point may be: poses of boxes and their size; none if no translation is held, or on a sphere."""
-    held, out = np.array(frame.along("held"))[:3], frame.point - frame.pose[:3, 3]
-    lever, known = float(np.linalg.norm(out)), frame.mechanism
+def _boxes(frame: TaskFrame) -> tuple[list[dict[str, dict[str, float]]], list[float]]:
+    """Return poses and size of boxes for the held point; none if no translation is held, or on a sphere."""
+    R, origin, held = frame.pose[:3, :3], frame.pose[:3, 3], np.array(frame.along("held"))[:3]
+    lever, known = float(np.linalg.norm(frame.point - origin)), frame.mechanism
     if not held.any() or (lever > 0.0 and (known is None or known.axis is None)):
         return [], []
     half = np.where(held, np.maximum(TOLERANCE[0], 3.0 * EXTENT * frame.uncertainty[:3]), EXTENT)
-    if not lever:
-        return [_placed(frame.pose, frame.point)], (2.0 * half).tolist()
-    # as few boxes as have the whole circle inside: the arc of one is off its middle by half a thickness
-    n = math.ceil(math.pi / (2.0 * math.acos(max(0.0, 1.0 - half[0] / lever))))
-    half[1], pitch, places = lever * math.sin(0.5 * math.pi / n), (known and known.pitch) or 0.0, []
-    for angle in math.pi / n * np.arange(-n, n):
-        turn = np.eye(4)
-        turn[:3, :3] = rotation_matrix(np.array([0.0, 0.0, angle]))
-        turned = frame.pose @ turn
-        places.append(_placed(turned, frame.pose[:3, 3] + turned[:3, :3] @ [lever, 0.0, pitch * angle]))
-    return places, (2.0 * half).tolist()
+    poses, angles, pitch = [], np.zeros(1), (known and known.pitch) or 0.0
+    if lever > 0.0:
+        # as few boxes as have the whole circle inside: the arc of one is off its middle by half a thickness
+        n = math.ceil(math.pi / (2.0 * math.acos(max(0.0, 1.0 - half[0] / lever))))
+        half[1], angles = lever * math.sin(0.5 * math.pi / n), math.pi / n * np.arange(-n, n)
+    for angle in angles:
+        turned = R @ rotation_matrix(np.array([0.0, 0.0, angle]))
+        middle = origin + turned @ [lever, 0.0, pitch * angle]
+        poses.append({"position": _xyzw(middle), "orientation": _xyzw(Rotation.from_matrix(turned).as_quat())})
+    return poses, (2.0 * half).tolist()
 
 
 # name on the command line -> the text of a file, from a constraint and a posture
@@ -276,44 +263,30 @@ def as_json(described: Mapping[str, Any]) -> str:
     return json.dumps(described, indent=2, allow_nan=False) + "\n"
 
 
-def _robot(constraint: Constraint) -> Robot:
-    robot = constraint.robot
-    if robot is None:
-        raise ConstraintError(f"{constraint.features!r} belong to no robot")
-    return robot
+def _frame_and_robot(constraint: Constraint, q: ArrayLike, taker: str = "") -> tuple[TaskFrame, Robot]:
+    """Return the task frame at a posture and its robot; for a taker that needs a fixed frame no other one."""
+    frame = constraint.task_frame(q)
+    if taker and frame.turns == "other frame":
+        raise ConstraintError(f"{taker} a frame of the robot's base: these rows are seen from another moving frame")
+    return frame, cast("Robot", constraint.robot)  # there is one where there is a task frame
 
 
-def _comments(frame: TaskFrame) -> list[str]:
-    """What the task is, for whoever opens the file."""
+def _comments(frame: TaskFrame, *more: str) -> str:
+    """Return comments for whoever opens the file: the task, and more lines."""
     states = ", ".join(
         f"{name} {state}" + (f" (to {math.degrees(off):.2g} deg)" if state != "unknown" and off > 1e-9 else "")
         for name, state, off in zip(AXES, frame.axes, frame.uncertainty.tolist(), strict=True)
     )
-    holds = [] if frame.mechanism is None else [f"# {printable(frame.mechanism.sentence)}"]
-    return [f"# written by manip_learn for frame {frame.frame!r}", *holds, f"# axes of the task frame: {states}"]
+    holds = [] if frame.mechanism is None else [printable(frame.mechanism.sentence)]
+    lines = [f"written by manip_learn for frame {frame.frame!r}", *holds, f"axes of the task frame: {states}", *more]
+    return "".join(f"# {line}\n" for line in lines)
 
 
-def _placed(pose: Float[np.ndarray, "4 4"], point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
-    """A pose with its origin elsewhere."""
-    out = pose.copy()
-    out[:3, 3] = point
-    return out
+def _vector(pose: Iterable[float], digits: str = ".9f") -> str:
+    """Return a pose of URScript: position [m] and rotation vector [rad]."""
+    return f"p[{', '.join(format(x, digits) for x in pose)}]"
 
 
-def _list(values: Sequence[float], kind: str = "") -> str:
-    return f"{kind}[{', '.join(f'{x:.6g}' for x in values)}]"
-
-
-def _pose(numbers: Iterable[float]) -> str:
-    """A pose of URScript: position [m] and rotation vector [rad]."""
-    return "p[" + ", ".join(f"{x:.9f}" for x in numbers) + "]"
-
-
-def _xyz(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
-    return dict(zip("xyz", values.tolist(), strict=True))
-
-
-def _message(pose: Float[np.ndarray, "4 4"]) -> dict[str, dict[str, float]]:
-    """A `geometry_msgs/Pose`."""
-    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
-    return {"position": _xyz(pose[:3, 3]), "orientation": {"x": x, "y": y, "z": z, "w": w}}
+def _xyzw(values: Float[np.ndarray, " n"]) -> dict[str, float]:
+    """Return a message of ROS: a point of three numbers, or a quaternion of four."""
+    return dict(zip("xyzw", values.tolist(), strict=False))

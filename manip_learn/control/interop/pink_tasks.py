@@ -19,8 +19,42 @@ except ImportError as error:
     raise MissingExtraError("Pink tasks", "pink") from error
 
 
+class _RobotTask(_Task):
+    """A task of a robot's joints, in the model of a Pink configuration, which may have more of them."""
+
+    def __init__(self, robot: Robot | None, dt: float, cost: float | None, lm_damping: float = 0.0):
+        super().__init__(cost=None if cost is None else float(cost), gain=1.0, lm_damping=lm_damping)
+        if robot is None or robot.coupling is not None:
+            what = "belong to no robot" if robot is None else f"of {robot.name!r} include mimic joints"
+            raise ConstraintError(f"joints {what}: Pink needs joints that its model has by the same names")
+        if not (np.isfinite(dt) and dt > 0.0):
+            raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
+        self.robot, self.dt, self.time = robot, float(dt), 0.0
+
+    def _posture(self, configuration: Any) -> Float[np.ndarray, " nq"]:
+        """Return the robot's configuration."""
+        return np.ascontiguousarray(configuration.q[self._columns(configuration.model)[0]])
+
+    def _widened(self, configuration: Any, rows: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "s nv"]:
+        """Return rows in the columns of the robot's joints."""
+        out = np.zeros((len(rows), configuration.model.nv))
+        out[:, self._columns(configuration.model)[1]] = rows
+        return out
+
+    def _columns(self, model: Any) -> tuple[list[int], list[int]]:
+        """Return the places of the robot's joints in the model's configurations and velocities."""
+        q, v = [], []
+        for block in self.robot.blocks:
+            if not model.existJointName(block.name):
+                raise UnknownNameError("joint", block.name, list(model.names)[1:], "Pink's model")
+            joint = model.joints[model.getJointId(block.name)]
+            q += range(joint.idx_q, joint.idx_q + joint.nq)
+            v += range(joint.idx_v, joint.idx_v + joint.nv)
+        return q, v
+
+
 @final
-class PinkConstraintTask(_Task):
+class PinkConstraintTask(_RobotTask):
     """A(q) u = b(q, t), equation (1), for `pink.solve_ik`.
 
     Pink solves J dq = -gain e for the displacement dq = dt u, so that J = A and e = -dt b; leave `gain` at 1, the
@@ -46,25 +80,23 @@ class PinkConstraintTask(_Task):
     def __init__(
         self, constraint: Constraint, task: Task, dt: float, cost: float | None = 1.0, lm_damping: float = 0.0
     ):
-        super().__init__(cost=None if cost is None else float(cost), gain=1.0, lm_damping=lm_damping)
+        super().__init__(constraint.robot, dt, cost, lm_damping)
         self.constraint, self.task = constraint, task
-        self._joints = _Joints(constraint.robot, dt)
-        self.dt, self.time = float(dt), 0.0
 
     def compute_error(self, configuration: Any) -> Float[np.ndarray, " s"]:
         """-dt b at the configuration."""
-        return -self.dt * self.task.velocity(self.constraint, self._joints.posture(configuration), self.time)
+        return -self.dt * self.task.velocity(self.constraint, self._posture(configuration), self.time)
 
     def compute_jacobian(self, configuration: Any) -> Float[np.ndarray, "s nv"]:
         """A in the columns of the joints that it acts on."""
-        return self._joints.widened(configuration, self.constraint(self._joints.posture(configuration)))
+        return self._widened(configuration, self.constraint(self._posture(configuration)))
 
     def __repr__(self) -> str:
         return f"PinkConstraintTask({self.constraint!r}, {self.task!r}, dt={self.dt:g}, cost={self.cost})"
 
 
 @final
-class PinkPolicyTask(_Task):
+class PinkPolicyTask(_RobotTask):
     """u = pi(q, t) as a task of Pink: J is the identity on the robot's joints and e = -dt pi.
 
     With `ManipulabilityAscent` it climbs the manipulability of the learnt rows, with their exact gradient; Pink's own
@@ -85,56 +117,16 @@ class PinkPolicyTask(_Task):
     """
 
     def __init__(self, policy: NullSpacePolicy, robot: Robot, dt: float, cost: float = 1.0):
-        super().__init__(cost=float(cost), gain=1.0, lm_damping=0.0)
+        super().__init__(robot, dt, cost)
         self.policy = policy
-        self._joints = _Joints(robot, dt)
-        self.dt, self.time = float(dt), 0.0
 
     def compute_error(self, configuration: Any) -> Float[np.ndarray, " n"]:
         """-dt pi at the configuration."""
-        return -self.dt * self.policy(self._joints.posture(configuration), self.time)
+        return -self.dt * self.policy(self._posture(configuration), self.time)
 
     def compute_jacobian(self, configuration: Any) -> Float[np.ndarray, "n nv"]:
         """The identity, in the columns of the joints that the policy moves."""
-        return self._joints.widened(configuration, np.eye(self._joints.robot.nv))
+        return self._widened(configuration, np.eye(self.robot.nv))
 
     def __repr__(self) -> str:
         return f"PinkPolicyTask({self.policy!r}, dt={self.dt:g}, cost={self.cost})"
-
-
-@final
-class _Joints:
-    """Where a robot's joints are in the model of a Pink configuration, which may have more of them."""
-
-    def __init__(self, robot: Robot | None, dt: float):
-        if robot is None or robot.coupling is not None:
-            what = "belong to no robot" if robot is None else f"of {robot.name!r} include mimic joints"
-            raise ConstraintError(f"joints {what}: Pink needs joints that its model has by the same names")
-        if not (np.isfinite(dt) and dt > 0.0):
-            raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
-        self.robot = robot
-        self._model: Any = None
-        self._q: list[int] = []
-        self._v: list[int] = []
-
-    def posture(self, configuration: Any) -> Float[np.ndarray, " nq"]:
-        self._find(configuration.model)
-        return np.ascontiguousarray(configuration.q[self._q])
-
-    def widened(self, configuration: Any, matrix: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "s nv"]:
-        self._find(configuration.model)
-        out = np.zeros((matrix.shape[0], configuration.model.nv))
-        out[:, self._v] = matrix
-        return out
-
-    def _find(self, model: Any) -> None:
-        if model is self._model:
-            return
-        self._q, self._v = [], []
-        for block in self.robot.blocks:
-            if not model.existJointName(block.name):
-                raise UnknownNameError("joint", block.name, list(model.names)[1:], "Pink's model")
-            joint = model.joints[model.getJointId(block.name)]
-            self._q += range(joint.idx_q, joint.idx_q + joint.nq)
-            self._v += range(joint.idx_v, joint.idx_v + joint.nv)
-        self._model = model

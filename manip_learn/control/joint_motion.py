@@ -1,0 +1,406 @@
+"""Motions of the joints in time, within the limits: recorded ones, approaches, and laws one after the other."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.polynomial.polynomial import polyder, polyval
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.other_features import CustomFeatures
+from manip_learn.constraint.manipulability import manipulability
+from manip_learn.constraint.skill import Gripping
+from manip_learn.control.command import Command, LimitedController, Posture, Status, Vector, slowed_by
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.law import nearest_within
+from manip_learn.control.limits import RETURN_SPEED, Limits, stopping_speed
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.tasks import Task
+from manip_learn.control.tasks.motion_profile import MotionProfile
+from manip_learn.errors import ConfigurationError, counted
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.batch.postures import checked_postures
+from manip_learn.robot.robot import Robot
+
+# [rad or m] of all joints together: a posture is reached, the hand within a millimetre of where it should be
+ARRIVED = 1e-3
+_RAMP = 0.5  # [s] from rest to the speed, as that of a way
+LOOKED = 8  # places on each piece of a path at which its speed is looked at
+CLOSING = 0.5  # [s] that a gripper takes to close or to open
+_SETTLING = 1.0  # [s] after which the way begins anyhow, with what encoder noise leaves
+
+
+@final
+class FollowMotion(LimitedController):
+    """A controller that follows a joint motion as closely as the limits let it; for a `ServoLoop`.
+
+    Between samples the motion is a monotone cubic (F. N. Fritsch and R. E. Carlson, 1980), which adds no overshoot. A
+    step that its joint could only make faster than its velocity limit is a jump: until the next sample the joint goes
+    on as before, and then to where the motion is in the shortest time. No other joint waits for it. Where the motion
+    itself is faster than the velocity limits or the limit of the tip's speed, its clock runs slower, so that the path
+    stays the same. First the joints go to the first posture, at a quarter of their velocity limits, and the clock
+    starts there (`run` asks for an arm that is within 0.05 rad or m of it); at the end they stay at the last one.
+
+    Args:
+        robot: The robot.
+        motion: What to follow, or anything with a rollout's `time`, `q` and `joint_names`; columns are matched by joint
+            names where it has some.
+        limits: Limits; by default the robot's. A `ServoLoop` adds its own acceleration and jerk limits.
+        ahead: Time by which the output of a loop lags behind, which is made up for [s]; a `ServoLoop` with jerk limits
+            gives half of its average.
+
+    Attributes:
+        duration: Of the motion [s].
+        jumps: Steps that a joint could only make faster than its limit, in sentences; a `ServoLoop` has them in its
+            `notes`.
+        delay: How much longer than in the recording it has taken so far, the way to the first posture left out [s]; a
+            loop follows with a copy within its own limits, so ask `loop.controller.delay`.
+
+    Raises:
+        ConfigurationError: Fewer than two samples, other joints than the robot's, numbers that are not finite, or time
+            that does not increase.
+
+    Example:
+        >>> import numpy as np
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> time = np.linspace(0.0, 2.0, 21)  # [s]
+        >>> shown = ml.Trajectory(time, np.outer(np.sin(time), [0.3, 0.8, 0.4]))
+        >>> loop = ml.ServoLoop(ml.FollowMotion(robot, shown), dt=0.01)
+        >>> rollout = ml.simulate(robot, loop, shown.q[0], duration=2.5, dt=0.01)
+        >>> bool(np.allclose(rollout.q[-1], shown.q[-1], atol=1e-6))
+        True
+    """
+
+    waits: bool = True  # its clock stands while the arm does
+
+    def __init__(self, robot: Robot, motion: Trajectory | Rollout, limits: Limits | None = None, *, ahead: float = 0.0):
+        self.robot, self.motion, self.limits, self.ahead = robot, motion, limits or Limits(robot), float(ahead)
+        self._path = path = _Path(robot, motion, self.limits.velocity)
+        self.duration, sentences = float(path.time[-1]), list[str]()
+        is_jump = path.last[:-1] == np.arange(len(path.time) - 1)[:, None]
+        steps = np.abs(np.diff(path.pieces[0], axis=0)) * is_jump
+        for j in np.flatnonzero(is_jump.any(axis=0)).tolist():
+            k, times = int(steps[:, j].argmax()), counted(int(is_jump[:, j].sum()), "time")
+            sentences.append(
+                f"joint {robot.joint_names[j]} of the motion jumps {times}, at most by {steps[k, j]:.3g} "
+                f"{robot.joint_units[j]} at {path.time[k]:.3g} s: it catches up as fast as its limits let it"
+            )
+        self.jumps = self.notes = tuple(sentences)
+        self.reset()
+
+    @property
+    def start(self) -> Vector:
+        """Joint positions at which the motion begins [rad or m]."""
+        return self.at(0.0)
+
+    def driven_motions(self, q: Posture) -> Float[np.ndarray, "nv nv"]:
+        """Return the motions of the joints that are driven: all."""
+        return np.eye(self.robot.nv)
+
+    def with_limits(self, limits: Limits, lag: float = 0.0) -> FollowMotion:
+        """This motion within other limits; what is known ahead makes up for a lag [s]."""
+        return FollowMotion(self.robot, self.motion, limits, ahead=lag)
+
+    def reset(self) -> None:
+        """Forget the past: the next call begins with the first posture again."""
+        self._clock, self._since, self._rate, self.delay = -math.inf, math.inf, 0.0, 0.0
+
+    def at(self, s: float) -> Vector:
+        """Where the motion is s [s] after its first sample, joint positions [rad or m]."""
+        return self._path.at(s, 0.0)[0]
+
+    def __call__(
+        self, q: Posture, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
+    ) -> Command:
+        """The velocity for the next dt.
+
+        Raises:
+            ConfigurationError: No dt.
+        """
+        if dt is None:
+            raise ConfigurationError("FollowMotion needs the period: run it in ServoLoop(FollowMotion(...), dt)")
+        step, self._since = max(0.0, t - self._since), t
+        self._clock += step * self._rate
+        if 0.0 <= self._clock < self.duration:
+            self.delay += step * (1.0 - self._rate)
+        if self._clock < 0.0 and float(np.linalg.norm(self.robot.difference(q, self.start))) < ARRIVED:
+            self._clock = 0.0
+        limits, self._rate = self.limits, float(self._clock >= 0.0)
+        wish, rate = self._wish(q, dt)
+        # the clock runs slower for the motion within the limits of the joints, all of the wish within the tip's
+        most, frames = float(np.max(np.abs(rate) / limits.velocity, initial=1.0)), limits.barriers
+        self._rate /= max(most, frames.fastest(q, wish) / frames.speed)
+        wish, _ = self._wish(q, dt)
+        fastest = limits.velocity * (RETURN_SPEED if self._clock < 0.0 else 1.0)
+        return self._within(q, np.clip(wish, -fastest, fastest), dt, previous)
+
+    def _wish(self, q: np.ndarray, dt: float) -> tuple[Vector, Vector]:
+        """Velocity of the motion, with that which closes the distance to it in the shortest time, and without."""
+        goal, rate = self._path.at(max(self._clock, 0.0), (self.ahead + dt) * self._rate)
+        rate = rate * self._rate
+        away = self.robot.difference(q, goal) - dt * rate
+        return rate + np.sign(away) * stopping_speed(np.abs(away), self.limits.acceleration, dt), rate
+
+    def _within(self, q: np.ndarray, wish: np.ndarray, dt: float, previous: np.ndarray | None) -> Command:
+        """The velocity nearest to a wish that is within all limits."""
+        limits, bounds = self.limits, self.limits.bounds(q, dt, previous)
+        u, barriers = bounds.nearest(wish), limits.barriers.at(q, dt, limits.acceleration, previous)
+        if barriers.broken(u) is not None:
+            W = np.zeros((0, len(wish)))
+            u = barriers.solution(u, None, lambda rows: nearest_within(wish, W, bounds, rows))
+        j, cause = bounds.binding(u, wish)
+        status = Status.OUTSIDE_LIMITS if bounds.outside > 0.0 else Status.OK if j < 0 else slowed_by(cause)
+        return Command.of_joints(u, status, outside=bounds.outside, limiting_joint=j)
+
+    def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
+        """Largest distance of a joint from where the motion is now [rad or m]."""
+        return float(np.max(np.abs(self.robot.difference(q, self.at(max(self._clock, 0.0)))), initial=0.0))
+
+    def __repr__(self) -> str:
+        return f"FollowMotion({len(self._path.time)} samples, {self.duration:.4g} s, delayed by {self.delay:.3g} s)"
+
+
+@final
+class _Path:
+    """A motion as cubics, each joint in pieces between its jumps.
+
+    Attributes:
+        time: shape (T,), of the samples, from 0 [s].
+        pieces: shape (4, T, nv), coefficients of the positions after each sample, by powers of the time since then;
+            those of joints without limits go on over whole turns.
+        last: shape (T, nv), number of the last sample before the next jump of the joint.
+    """
+
+    def __init__(self, robot: Robot, motion: Trajectory | Rollout, fastest: Vector):
+        time, q = np.array(motion.time, dtype=np.float64), np.array(motion.q, dtype=np.float64)
+        names = tuple(motion.joint_names)
+        if names not in ((), robot.joint_names):
+            missing = [name for name in robot.joint_names if name not in names]
+            if missing or q.shape[1:] != (len(names),):
+                raise ConfigurationError(
+                    f"the motion's joints are {', '.join(names)}: robot {robot.name!r} also has {', '.join(missing)}"
+                )
+            q = q[:, [names.index(name) for name in robot.joint_names]]
+        if not (len(q) == len(time) >= 2 and np.all(np.isfinite(time)) and np.all(np.diff(time) > 0.0)):
+            raise ConfigurationError(
+                f"a motion has two or more samples at increasing, finite times and {robot.nv} joints; got times of "
+                f"shape {time.shape} and positions of shape {q.shape}"
+            )
+        # without whole turns between samples
+        steps = [robot.difference(before, after) for before, after in zip(q, q[1:], strict=False)]
+        self.time, x = time - time[0], np.cumsum([robot.positions(q[0]), *steps], axis=0)
+        jumps = np.abs(np.diff(x, axis=0)) > fastest * np.diff(time)[:, None]
+        slope, self.last = np.zeros_like(x), np.empty(x.shape, dtype=np.int64)
+        for j in range(robot.nv):
+            for part in np.split(np.arange(len(time)), np.flatnonzero(jumps[:, j]) + 1):
+                self.last[part, j] = part[-1]
+                if len(part) > 1:
+                    slope[part, j] = PchipInterpolator(time[part], x[part, j]).derivative()(time[part])
+        slope[-1], self.pieces = 0.0, np.zeros((4, *x.shape))
+        self.pieces[:2] = x, slope
+        # without bends a joint that jumps goes on along the tangent, and at the end stays
+        self.pieces[2:, :-1] = CubicHermiteSpline(time, x, slope).c[1::-1] * ~jumps
+
+    def at(self, s: float, ahead: float) -> tuple[Vector, Vector]:
+        """Where the motion that is going on at time s is a little later, and its velocity.
+
+        A jump in between is not foreseen: the joint goes on along its tangent.
+        """
+        now, then = np.maximum(np.searchsorted(self.time, (s, s + ahead), side="right") - 1, 0)
+        piece = np.minimum(then, self.last[now])
+        c, since = self.pieces[:, piece, np.arange(len(piece))], s + ahead - self.time[piece]
+        return polyval(since, c, tensor=False), polyval(since, polyder(c), tensor=False)
+
+
+def every_joint(robot: Robot) -> Constraint:
+    """A(q) = I: a row for the velocity of each joint."""
+    nv, one, none = robot.nv, np.eye(robot.nv), np.zeros((robot.nv,) * 3)
+    same = partial(_same, one)
+    return Constraint(one, CustomFeatures(same, robot.joint_names, nv, derivative=partial(_same, none), robot=robot))
+
+
+def _same(value: np.ndarray, _q: np.ndarray) -> np.ndarray:
+    return value  # a function of a module can be pickled
+
+
+@final
+class JointMotion(Task):
+    """b = dq*/dt + gain (q*(t) - q): straight from posture to posture, at rest in each, or smoothly through all.
+
+    It begins at time 0 of its law; a `LawSequence` has each law begin there. Each leg takes the time that its slowest
+    joint needs, and the tip where its speed is limited.
+
+    Args:
+        limits: Of the robot's joints and tip.
+        postures: shape (k, nv), joint positions [rad or m], the start first.
+        share: Of the joints' velocity limits that is used at most.
+        gripper: What a gripper does meanwhile, `"close"` or `"open"`, for which it has half a second at least.
+        through: One leg, a spline through all postures, in place of a straight one between each two.
+
+    Attributes:
+        start: shape (nv,), the first posture [rad or m].
+
+    Raises:
+        ConfigurationError: Postures that are not finite or of another size.
+    """
+
+    is_approach, waits, slides = True, True, False
+    gain = 10.0  # [1/s] rate at which deviations are taken back, as of a way
+
+    def __init__(
+        self,
+        limits: Limits,
+        postures: ArrayLike,
+        share: float = 1.0,
+        gripper: Gripping | None = None,
+        *,
+        through: bool = False,
+    ):
+        self._robot, table = limits.robot, np.array(checked_postures(limits.robot, postures))
+        self.gripper: Gripping | None = gripper
+        table = table[np.append(True, np.any(np.diff(table, axis=0) != 0.0, axis=1))]  # those of rest are no legs
+        legs = [table][: len(table) - 1] if through else [table[i : i + 2] for i in range(len(table) - 1)]
+        self._legs = [_leg(limits, leg, share) for leg in legs]
+        self._ends = np.cumsum([profile.duration for _, profile in self._legs])
+        self.start, self._last = table[0], table[-1]
+
+    @property
+    def duration(self) -> float:
+        """How long the motion takes where no limit slows it down [s]."""
+        return max([CLOSING if self.gripper else 0.0, *self._ends.tolist()])
+
+    def at(self, t: float) -> tuple[Vector, Vector]:
+        """Where the joints should be t [s] after the start, and how fast [rad or m, rad/s or m/s]."""
+        leg = int(np.searchsorted(self._ends, t))
+        if leg == len(self._legs):
+            return self._last, np.zeros_like(self._last)
+        path, profile = self._legs[leg]
+        share, rate = profile.at(t - float(self._ends[leg]) + profile.duration)
+        return path(share), rate * path(share, 1)
+
+    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Vector:
+        """b of every joint."""
+        goal, rate = self.at(t)
+        return rate + self.gain * self._robot.difference(q, goal)
+
+    def is_over(self, q: ArrayLike, t: float) -> bool:
+        """Whether it has arrived at posture q at time t [s]; after a second more, with what encoder noise leaves."""
+        late, off = t - self.duration, self._robot.difference(np.asarray(q, dtype=np.float64), self._last)
+        return late >= 0.0 and (late >= _SETTLING or float(np.linalg.norm(off)) < ARRIVED)
+
+    def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
+        """How far the joints are from the last posture [rad or m]."""
+        return float(np.linalg.norm(self._robot.difference(q, self._last)))
+
+    def goal(self) -> Vector:
+        """The last posture."""
+        return self._last.copy()
+
+    def __repr__(self) -> str:
+        return f"JointMotion({len(self._legs)} legs, {self.duration:.3g} s)"
+
+
+def _leg(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> tuple[CubicSpline, MotionProfile]:
+    """Return a path through postures, and the share of it in time."""
+    robot, tip = limits.robot, limits.barriers
+
+    def needed(q: np.ndarray, rates: np.ndarray) -> Posture:
+        """Return the time that each joint motion takes at a posture, at full speed."""
+        times = np.max(np.abs(rates) / (share * limits.velocity), axis=1)
+        fastest = [tip.fastest(robot.configuration(x), d) for x, d in zip(q, rates, strict=True)]
+        return np.maximum(times, np.array(fastest) / tip.pace)
+
+    steps = np.diff(knots, axis=0)
+    times = np.append(0.0, np.cumsum(needed(knots[:-1] + 0.5 * steps, steps)))
+    path = CubicSpline(times / times[-1], knots, bc_type="natural")
+    fine = np.linspace(0.0, 1.0, LOOKED * max(4, len(steps)) + 1)  # the law keeps what is between
+    return path, MotionProfile(1.0, 1.0 / float(np.max(needed(path(fine), path(fine, 1)))), _RAMP)
+
+
+@final
+class LawSequence(LimitedController):
+    """Laws one after the other: motions of all joints to a posture, and ways along what a constraint leaves free.
+
+    It begins with the first call; a call at or before that time after later ones is a new run. A motion of the joints
+    is over when it has arrived, a way when all of it is done: from a way that is not done no other law takes over.
+
+    Args:
+        laws: In order; the last one stays in force.
+
+    Attributes:
+        laws: The same.
+        robot: The robot of all.
+        number: Which law is in force, counted from 0.
+        began: Time at which that law took over [s]; None before the first call.
+    """
+
+    def __init__(self, *laws: ResolvedRateController):
+        self.laws, self.robot = laws, laws[-1].robot
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the start: the next call is the first one again."""
+        self.number, self.began = 0, None
+        self._first, self._latest = math.inf, -math.inf  # times of calls [s]
+        super().reset()
+
+    @property
+    def gripper(self) -> Gripping | None:
+        """What a gripper was last told, `"close"` or `"open"`; None before that."""
+        return next((law.task.gripper for law in reversed(self.laws[: self.number + 1]) if law.task.gripper), None)
+
+    @property
+    def limits(self) -> Limits | None:
+        """Those of the law in force."""
+        return self.law.limits
+
+    @property
+    def law(self) -> ResolvedRateController:
+        """The law that is in force."""
+        return self.laws[self.number]
+
+    @property
+    def constraint(self) -> Constraint:
+        """The rows of `way`."""
+        return self.way.constraint
+
+    @property
+    def way(self) -> ResolvedRateController:
+        """The law in force, of a motion of the joints the one that it leads to."""
+        ahead = self.laws[self.number :]
+        return next((law for law in ahead if not law.task.is_approach), ahead[-1])
+
+    def __call__(
+        self, q: ArrayLike, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
+    ) -> Command:
+        """The command at posture q; arguments and errors as for `ResolvedRateController`.
+
+        The manipulability is always that of a way's rows.
+        """
+        if t <= self._first < self._latest:
+            self.reset()
+        self._first, self._latest = min(self._first, t), t
+        self.began = t if self.began is None else self.began
+        if self.number + 1 < len(self.laws) and self.law.task.is_over(q, t - self.began):
+            self.number, self.began = self.number + 1, t
+        law, way = self.law, self.way
+        command = law(q, t - self.began, dt, previous, slide)
+        return command if law is way else command._replace(manipulability=manipulability(way.constraint, q))
+
+    def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
+        """Distance to the goal of the law in force [m or rad]."""
+        return self.law.task_error(q, t - (self.began or 0.0))
+
+    def with_limits(self, limits: Limits, lag: float = 0.0) -> LawSequence:
+        """These laws with other limits; nothing makes up for a lag."""
+        return LawSequence(*(law.with_limits(limits) for law in self.laws))
+
+    def __repr__(self) -> str:
+        return f"LawSequence({', '.join(repr(law.task) for law in self.laws)})"
