@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import FrameType
 from typing import Any, Protocol, final
 
 from manip_learn.control.timing import in_milliseconds
@@ -72,8 +71,7 @@ class Pace:
         self._driver, self._clock, self.period = driver, clock, float(driver.period)
         self.simulated = bool(getattr(driver, "simulated", False))
         self.overruns, self.longest_delay, self.fault = 0, 0.0, ""
-        self._missed = 0.0  # share of the periods of late
-        self._due = clock.now()
+        self._missed, self._due = 0.0, clock.now()  # share of the periods of late that were missed, next cycle [s]
         self.begin()
 
     def begin(self) -> None:
@@ -133,7 +131,7 @@ class OrderlyEnd:
     Attributes:
         reason: Why the cycle is to end, in words; empty so far.
         ordered: Whether it ends for that reason as it was meant to.
-        asked: Whether a signal has come, or the interpreter has ended.
+        signals: Those that have come; the end of the interpreter counts as Ctrl-C.
         holds: Whether `hold()` is to be called; a driver that has not returned from one call is not asked for another.
         failed: Call that was given up, or `hold()` that raised -> what went wrong, in words.
         raised: What is to be raised when the arm stands.
@@ -141,13 +139,12 @@ class OrderlyEnd:
 
     def __init__(self, driver: object, brake: Callable[[], object], patience: float, clock: Clock):
         self._driver, self._brake, self._patience, self._clock = driver, brake, patience, clock
-        self.reason, self.ordered, self.asked, self.holds = "", False, False, True
+        self.reason, self.ordered, self.holds, self._collected = "", False, True, gc.isenabled()
         self.failed: dict[str, str] = {}
         self.raised: BaseException | None = None
-        self._called: float | None = None  # when the driver was called that has not returned yet
-        self._before: dict[int, Any] = {}  # handlers
-        self._pressed, self._collected = False, gc.isenabled()
-        self._ends_by: int | None = None  # signal
+        self.signals: list[int] = []
+        self._called = math.inf  # when the driver was called that has not returned yet [s]
+        self._before: dict[int, Any] = {}  # handlers of signals
         self._over = threading.Event()
 
     def stop(self, reason: str, ordered: bool = False) -> None:
@@ -170,7 +167,7 @@ class OrderlyEnd:
         except GivenUp as error:
             self.failed[call] = f"the driver's {call}() had not returned for {error.args[0]:.2g} s"
         finally:
-            self._called = None
+            self._called = math.inf
 
     def ask(self, call: str, *arguments: Any) -> Any:
         """Return the driver's answer; None where it has no such call, or one that does not return or raises."""
@@ -213,28 +210,27 @@ class OrderlyEnd:
             atexit.unregister(self._interpreter_ends)
             for number, handler in self._before.items():
                 signal.signal(number, handler)
-        if self._ends_by is not None:
-            if not callable(handler := self._before[self._ends_by]):
-                raise SystemExit(128 + self._ends_by)  # as a shell says it
-            handler(self._ends_by, None)
+        for number in [number for number in self.signals if number != signal.SIGINT][-1:]:
+            if not callable(handler := self._before[number]):
+                raise SystemExit(128 + number)  # as a shell says it
+            handler(number, None)
 
     def _interpreter_ends(self) -> None:
         """The main thread is over: brake, before this thread is killed."""
-        self.asked = True
+        self.signals.append(signal.SIGINT)
         self.stop("the interpreter ended", True)
         self._over.wait(LONGEST_END)
 
-    def _receive(self, number: int, frame: FrameType | None) -> None:
+    def _receive(self, number: int, frame: object) -> None:
         """Stop; in a call of the driver that does not return, give that call up.
 
         Raises:
             GivenUp: In the call of the driver.
         """
         by_hand = number == signal.SIGINT
-        again = by_hand and self._pressed  # not of a SIGHUP, which kernel and shell may both send
-        self._pressed, self.asked = self._pressed or by_hand, True
-        self._ends_by = self._ends_by if by_hand else number
+        again = by_hand and number in self.signals  # not of a SIGHUP, which kernel and shell may both send
+        self.signals.append(number)
         self.stop("Ctrl-C" if by_hand else signal.Signals(number).name, True)
-        taken = 0.0 if self._called is None else self._clock.now() - self._called
-        if self._called is not None and (again or taken > self._patience):
+        taken = self._clock.now() - self._called  # negative if no call is under way
+        if taken > self._patience or (again and taken >= 0.0):
             raise GivenUp(taken)

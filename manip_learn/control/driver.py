@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, final
+from typing import Any, Protocol, final
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -17,6 +17,7 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import rollout_of
 from manip_learn.errors import ConfigurationError
+from manip_learn.linalg import finite
 from manip_learn.recordings.checks import far_outside
 from manip_learn.robot.robot import Robot
 
@@ -33,6 +34,8 @@ _COMPARED = 512  # samples of a run at most: more change nothing
 _EXPLAINED = 0.1  # share of what is left of a motion as it stands that is left of it where it is explained
 _TIE = 1e-3  # share of that by which an explanation that exchanges joints must be better than one that does not
 _SCALES = {1.0: "", math.degrees(1.0): "degrees", math.radians(1.0): "degrees", 1e3: "mm", 1e-3: "mm"}
+# a cycle: its time [s], what was measured, the command, and the joint positions that were sent before
+_Sample = tuple[float, Posture, Command, Vector]
 _LOGGER = logging.getLogger("manip_learn")
 
 
@@ -166,15 +169,6 @@ def run(
     return cycle.record()
 
 
-class _Sample(NamedTuple):
-    """A cycle of a run: its time [s], what was measured, the command, and the positions that were sent before."""
-
-    time: float
-    q: Posture
-    command: Command
-    sent: Vector
-
-
 @final
 class _Cycle:
     """The state of a run."""
@@ -185,13 +179,10 @@ class _Cycle:
         self._samples: list[_Sample] = []
         self._stride = 1  # cycles from one sample to the next
         self._place = np.zeros(loop.robot.nv)  # first positions that were read, and later those that were sent last
-        self._doubts = self._astray = 0  # first readings not believed; readings in turn that say that the arm goes off
+        self._doubted = self._astray = 0  # first readings; readings in turn that say that the arm goes off
         self._words = ""  # of the loop, on what stopped the arm
         self._told: str | None = None  # to the gripper
-        blocks = loop.robot.blocks
-        self._continuous = np.repeat(
-            [b.kind == "continuous" for b in blocks], [len(b.coordinate_names) for b in blocks]
-        )
+        self._continuous = np.array([b.kind == "continuous" for b in loop.robot.blocks for _ in b.coordinate_names])
 
     def run(self, duration: float, until: Callable[[], str]) -> None:
         """Until the arm stands after a reason to stop."""
@@ -209,7 +200,7 @@ class _Cycle:
                 ending.raised = error
                 ending.stop(f"{type(error).__name__}: {error}")
             q = ending.ask("read")
-            if self._doubts_of(q):  # nothing is sent before a reading is believed
+            if self._doubt(q):  # nothing is sent before a reading is believed
                 if ending.reason:
                     break
                 if pace.simulated:
@@ -227,19 +218,19 @@ class _Cycle:
             last = min(last, t + LONGEST_STOP) if ending.reason else math.inf
             if stands or t >= last or "command" in ending.failed:
                 break
-        ending.holds = (ending.asked or not ending.ordered) and not ending.failed
+        ending.holds = (bool(ending.signals) or not ending.ordered) and not ending.failed
         loop.start()
         if ending.raised is not None:
             raise ending.raised
 
-    def _doubts_of(self, q: Any) -> str:
+    def _doubt(self, q: Any) -> str:
         """Return why a first reading is not believed, in words; empty if it is, or if it is not a posture.
 
         A driver that has no state yet may give zeros, or its last posture: two readings in turn must agree, with each
         other and with where the motion starts, or where the loop was reset to. A reading that is none of this arm ends
         the run.
         """
-        loop, robot, before = self._loop, self._robot, self._place if self._doubts else None
+        loop, robot, before = self._loop, self._robot, self._place if self._doubted else None
         if loop.measured is not None or (q := loop.rules.readings.posture(q)) is None:
             return ""
         self._place, own = robot.positions(q), loop.begins
@@ -249,8 +240,8 @@ class _Cycle:
         away = away or _apart(robot, before, q, _AWAY, "a period before: the arm moves")
         doubt = f"nothing was sent: {away}; or the driver has no state yet, and is to read None" if away else ""
         doubt = doubt or ("one reading alone" if before is None else "")
-        self._doubts += 1
-        if (outside := far_outside(robot, self._place)) or (doubt and self._doubts * self._pace.period > PATIENCE):
+        self._doubted += 1
+        if (outside := far_outside(robot, self._place)) or (doubt and self._doubted * self._pace.period > PATIENCE):
             self.ending.stop(outside or doubt)
         return outside or doubt
 
@@ -263,13 +254,14 @@ class _Cycle:
         q = self._loop.rules.readings.posture(q)
         if q is None or not self._samples:
             return ""
-        went = float(np.abs(self._robot.difference(self._samples[0].sent, self._place)).max())
+        _, first, _, start = self._samples[0]
+        went = float(np.abs(self._robot.difference(start, self._place)).max())
         words = (
             f"at first, and was sent by {went:.1g} at most: it was in motion or is pushed, or the driver reads other "
             "joints, units or senses than it commands"
         )
         most = max(_NOTHING if tripped else _AWAY, _AHEAD * went)
-        away = _apart(self._robot, self._samples[0].q, q, most, words) if went < _STILL else ""
+        away = _apart(self._robot, first, q, most, words) if went < _STILL else ""
         self._astray = self._astray + 1 if away else 0
         return away if self._astray > (not tripped) else ""
 
@@ -287,7 +279,7 @@ class _Cycle:
             self._told = word
             self.ending.ask("gripper", word)
         if self._pace.cycles % self._stride == 0:
-            self._samples.append(_Sample(t, loop.measured, command, before if self._samples else self._place))
+            self._samples.append((t, loop.measured, command, before if self._samples else self._place))
         if len(self._samples) > SAMPLES:  # of a long run every second, fourth, ...
             self._samples, self._stride = self._samples[::2], 2 * self._stride
 
@@ -300,7 +292,7 @@ class _Cycle:
         is_silent &= self._pace.cycles * period >= patience and not 0.0 < loop.silent < patience
         if is_blocked or is_silent:
             words, causes = loop.stopped_by or f"the loop stands: {command.status}", ""
-            past = [sample.q for sample in self._samples[-int(max(3, 0.02 / (self._stride * period))) :]]
+            past = [q for _, q, _, _ in self._samples[-int(max(3, 0.02 / (self._stride * period))) :]]
             if is_blocked and len(past) > 2 and all(np.array_equal(q, past[-1]) for q in past):
                 causes = "the driver has gone on returning the same posture, or the arm is off: "
             if not ending.reason:
@@ -312,9 +304,9 @@ class _Cycle:
     def record(self) -> RunRecord:
         """What was done."""
         loop, pace, rows = self._loop, self._pace, self._samples
-        q = np.array([s.q for s in rows]).reshape(len(rows), -1 if rows else self._robot.nv)
-        time, errors = np.array([s.time for s in rows]), np.array([loop.task_error(s.q, s.time) for s in rows])
-        rollout = rollout_of(self._robot, loop, time, q, [s.command for s in rows], errors)
+        q = np.array([q for _, q, _, _ in rows]).reshape(len(rows), -1 if rows else self._robot.nv)
+        time, errors = np.array([t for t, *_ in rows]), np.array([loop.task_error(q, t) for t, q, _, _ in rows])
+        rollout = rollout_of(self._robot, loop, time, q, [command for _, _, command, _ in rows], errors)
         return RunRecord(rollout, pace.cycles, pace.overruns, pace.longest_delay, *self.ending.outcome)
 
 
@@ -332,7 +324,7 @@ def _mixed_up(robot: Robot, samples: Sequence[_Sample]) -> str:
     if len(samples) < 3:
         return ""
     some = samples[:: len(samples) // _COMPARED + 1]
-    read, sent = np.array([[robot.positions(s.q) for s in some], [s.sent for s in some]])
+    read, sent = np.array([robot.positions(q) for _, q, _, _ in some]), np.array([sent for *_, sent in some])
     read, sent = read - read.mean(axis=0), sent - sent.mean(axis=0)
     own, theirs, products = np.sum(read**2, axis=0), np.sum(sent**2, axis=0), read.T @ sent
     names, explanation, best = robot.joint_names, "", _EXPLAINED**2 * float(np.sum((read - sent) ** 2))
@@ -391,8 +383,11 @@ class _Arm:
             return None if q is None else np.array(q)  # the driver may go on writing into it
         if missing := [name for name in self._own if name not in q]:
             raise ConfigurationError(f"no position of joint {', '.join(missing)}")
-        if not self.rest and np.all(np.isfinite(list(q.values()))):
-            self.rest = dict(q)
+        if (
+            not self.rest
+            and (first := finite([q.get(name, 0.0) for name in self._names], len(self._names))) is not None
+        ):
+            self.rest = dict(zip(self._names, first, strict=True))
         return np.array([q[name] for name in self._own], dtype=np.float64)
 
     def command(self, q: Vector, u: Vector) -> None:

@@ -225,11 +225,9 @@ class _Session:
         names = self._names = self._names or (tuple(q) if isinstance(q, Mapping) else ())
         if not names:
             raise ConfigurationError("the driver names no joints: give it joint_names, or read() a mapping from names")
-        columns = []
-        for values in (q, u, effort):  # None where there are none, or some are not finite
-            in_order = [values.get(name, np.nan) for name in names] if isinstance(values, Mapping) else values
-            columns.append(finite(in_order, len(names)))
-        return None if columns[0] is None else _Sample(t, *columns)
+        parts = ([x.get(name, np.nan) for name in names] if isinstance(x, Mapping) else x for x in (q, u, effort))
+        x, *others = (finite(part, len(names)) for part in parts)  # None where there are none, or some are not finite
+        return None if x is None else _Sample(t, x, *others)
 
     def _believed(self, sample: _Sample | None) -> list[_Sample]:
         """A sample at once, or with the next one where no arm can have gone there so fast."""
@@ -295,7 +293,7 @@ class _Session:
             self._ending.stop(f"{file.error}; the samples before are kept in {file.path}")
         self._file, self._before = None, []  # a motion begins anew
         self._began(None)
-        if len(self._files) == self._motions:
+        if self._motions is not None and len(self._files) >= self._motions:
             self._ending.stop(f"{counted(self._motions, 'motion')} recorded", True)
 
     def record(self) -> RecordedFiles:
