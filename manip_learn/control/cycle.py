@@ -148,8 +148,8 @@ class OrderlyEnd:
         self._over = threading.Event()
 
     def stop(self, reason: str, ordered: bool = False) -> None:
-        """Brake, and end when the arm stands; the first reason counts."""
-        if not self.reason:
+        """Brake, and end when the arm stands; the first reason counts, an empty one is none."""
+        if reason and not self.reason:
             self.reason, self.ordered = reason, ordered
             self._brake()
 
@@ -182,7 +182,7 @@ class OrderlyEnd:
             self.raised = self.raised if isinstance(error, Exception) else error
         return None
 
-    def __enter__(self) -> OrderlyEnd:
+    def __enter__(self) -> None:
         atexit.register(self._interpreter_ends)
         in_main_thread = threading.current_thread() is threading.main_thread()
         for number in _SIGNALS if in_main_thread else ():
@@ -190,12 +190,9 @@ class OrderlyEnd:
             if before is not None and (before != signal.SIG_IGN or number == signal.SIGINT):
                 self._before[number] = signal.signal(number, self._receive)
         gc.collect()
-        gc.freeze()
         gc.disable()
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        gc.unfreeze()
         if self._collected:
             gc.enable()
         hold = getattr(self._driver, "hold", None) if self.holds or kind is not None else None

@@ -26,7 +26,6 @@ LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in
 # [rad or m] by which no arm goes off that is sent to where it is: brakes that open, a payload and a push of 20 N give a
 # few hundredths at most; and by which first readings may differ, from each other and from where a motion starts
 _AWAY = 0.05
-_NOTHING = 1e-9  # [rad or m]
 PATIENCE = 1.0  # [s] for which it is waited for first readings that agree
 # [rad or m] by which it is sent then, and times as far as that for it to have gone by itself
 _STILL, _AHEAD = 0.02, 4.0
@@ -189,13 +188,11 @@ class _Cycle:
         loop, pace, ending, last = self._loop, self._pace, self.ending, math.inf
         while True:
             t = pace.wait()
-            if pace.fault:
-                ending.stop(pace.fault)
+            ending.stop(pace.fault)
             if t >= duration - 0.5 * pace.period:
                 ending.stop(f"the {duration:g} s were over", True)
             try:
-                if ending.raised is None and (reason := until()):
-                    ending.stop(reason, True)
+                ending.stop(until() if ending.raised is None else "", True)
             except BaseException as error:  # whatever it is, SystemExit too: an arm in motion must brake
                 ending.raised = error
                 ending.stop(f"{type(error).__name__}: {error}")
@@ -233,17 +230,18 @@ class _Cycle:
         loop, robot, before = self._loop, self._robot, self._place if self._doubted else None
         if loop.measured is not None or (q := loop.rules.readings.posture(q)) is None:
             return ""
-        self._place, own = robot.positions(q), loop.begins
+        self._place, own, words = robot.positions(q), loop.begins, ""
         start, within = (loop.position, np.maximum(_AWAY, loop.yields)) if own is None else (own, _AWAY)
         where = "where the motion starts: bring the arm there, or start from where it stands"
         away = _apart(robot, start, q, within, where)
-        away = away or _apart(robot, before, q, _AWAY, "a period before: the arm moves")
-        doubt = f"nothing was sent: {away}; or the driver has no state yet, and is to read None" if away else ""
-        doubt = doubt or ("one reading alone" if before is None else "")
+        if away := away or _apart(robot, before, q, _AWAY, "a period before: the arm moves"):
+            words = f"nothing was sent: {away}; or the driver has no state yet, and is to read None"
+        elif before is None:
+            words = "one reading alone"
         self._doubted += 1
-        if (outside := far_outside(robot, self._place)) or (doubt and self._doubted * self._pace.period > PATIENCE):
-            self.ending.stop(outside or doubt)
-        return outside or doubt
+        if (outside := far_outside(robot, self._place)) or (words and self._doubted * self._pace.period > PATIENCE):
+            self.ending.stop(outside or words)
+        return outside or words
 
     def _goes_astray(self, q: Any, tripped: bool) -> str:
         """Return how the arm goes off while it is sent to where it is, in words; empty if it does not.
@@ -260,7 +258,7 @@ class _Cycle:
             f"at first, and was sent by {went:.1g} at most: it was in motion or is pushed, or the driver reads other "
             "joints, units or senses than it commands"
         )
-        most = max(_NOTHING if tripped else _AWAY, _AHEAD * went)
+        most = max(0.0 if tripped else _AWAY, _AHEAD * went)
         away = _apart(self._robot, first, q, most, words) if went < _STILL else ""
         self._astray = self._astray + 1 if away else 0
         return away if self._astray > (not tripped) else ""
@@ -312,8 +310,8 @@ class _Cycle:
 
 def _apart(robot: Robot, place: Posture | None, q: Posture, most: Vector | float, words: str) -> str:
     """Return which joint is farther from a place than it may be [rad or m], in words; empty if none is."""
-    away = np.zeros(1) if place is None else np.abs(robot.difference(place, q)) / most
-    if place is None or away[j := int(away.argmax())] <= 1.0:
+    excess = np.zeros(1) if place is None else np.abs(robot.difference(place, q)) - most
+    if place is None or excess[j := int(excess.argmax())] <= 0.0:
         return ""
     now, was, unit = robot.positions(q)[j], robot.positions(place)[j], robot.joint_units[j]
     return f"joint {robot.joint_names[j]} reads {now:.3g} {unit}, and {was:.3g} {unit} {words}"
@@ -352,9 +350,9 @@ class _Arm:
         rest: Joint -> where it was first measured; empty before.
     """
 
-    def __init__(self, robot: Robot, driver: Driver):
+    def __init__(self, robot: Robot, driver: Any):
         self._own, self._driver, self.rest = robot.joint_names, driver, dict[str, float]()
-        self._names = self._given()
+        self._names: tuple[str, ...] = tuple(getattr(driver, "joint_names", None) or ())
         missing = ", ".join(name for name in self._own if name not in self._names)
         if self._names and (missing or len(set(self._names)) < len(self._names)):
             wrong = f"missing {missing}" if missing else "one name occurs twice"
@@ -362,9 +360,6 @@ class _Arm:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._driver, name)
-
-    def _given(self) -> tuple[str, ...]:
-        return tuple(getattr(self._driver, "joint_names", None) or ())
 
     def read(self) -> Any:
         """Return joint positions in the robot's order, from the driver's or from a mapping.
@@ -374,7 +369,7 @@ class _Arm:
         """
         q, _, _ = self._driver.read()
         if q is not None and self._names and not isinstance(q, Mapping):
-            if self._given() != self._names:
+            if tuple(self._driver.joint_names) != self._names:
                 raise ConfigurationError("the order of its joints has changed")
             if np.shape(q) != (len(self._names),):
                 raise ConfigurationError(f"{len(self._names)} joints are named, positions have shape {np.shape(q)}")
@@ -383,11 +378,8 @@ class _Arm:
             return None if q is None else np.array(q)  # the driver may go on writing into it
         if missing := [name for name in self._own if name not in q]:
             raise ConfigurationError(f"no position of joint {', '.join(missing)}")
-        if (
-            not self.rest
-            and (first := finite([q.get(name, 0.0) for name in self._names], len(self._names))) is not None
-        ):
-            self.rest = dict(zip(self._names, first, strict=True))
+        if not self.rest and finite(list(q.values()), len(q)) is not None:
+            self.rest = dict(q)
         return np.array([q[name] for name in self._own], dtype=np.float64)
 
     def command(self, q: Vector, u: Vector) -> None:

@@ -121,9 +121,7 @@ class LeRobotDriver:
                 f"{self._name} has no {named('motor', unknown)}: its motors are {listed(self._motors)}"
             )
         assigned: dict[str, tuple[str, LeRobotMotor]] = {}
-        for motor in self._motors:
-            if motor in self._others:
-                continue
+        for motor in (motor for motor in self._motors if motor not in self._others):
             described = given.get(motor, motor)
             described = LeRobotMotor(described) if isinstance(described, str) else described
             if described.joint not in robot.joint_names:

@@ -118,10 +118,9 @@ class MuJoCoDriver:
         mujoco.mj_forward(model, self.data)
         self._damping = 2.0 * np.sqrt(self._stiffness * self._inertia().diagonal())
         self._hand, self._noise, self._rng, self._feedforward = hand, float(noise), rng, feedforward
-        self._holds, self._effort = True, np.zeros(n)
+        self._holds, self._effort, back = True, np.zeros(n), periods - periods // 2
         self._sent: deque[np.ndarray] = deque(maxlen=periods // 2 + 1)  # commands on their way, oldest first
         self._stand(self.data.qpos[self._q].copy())
-        back = periods - periods // 2
         self._seen = deque([self._state() for _ in range(back + 1)], back + 1)
 
     def read(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:

@@ -298,9 +298,9 @@ class _Session:
 
     def record(self) -> RecordedFiles:
         """The files and numbers, and what went wrong when the arm was to hold itself."""
-        ending, notes = self._ending, [*self._notes, *filter(None, [self._ending.failed.get("hold")])]
-        numbers = self._samples, self._lost, self._gap
-        return RecordedFiles(tuple(self._files), *numbers, ending.reason, ending.ordered, tuple(notes), self._names)
+        ending, numbers = self._ending, (self._samples, self._lost, self._gap)
+        notes = (*self._notes, *(words for call, words in ending.failed.items() if call == "hold"))
+        return RecordedFiles(tuple(self._files), *numbers, ending.reason, ending.ordered, notes, self._names)
 
 
 @final
