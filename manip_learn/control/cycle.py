@@ -61,7 +61,7 @@ class Pace:
     Attributes:
         period: Between two cycles [s].
         simulated: True if the cycles are not waited for.
-        cycles: Number of cycles since `begin`, counted by the caller.
+        cycles: Number of cycles, counted by the caller.
         overruns: Number of cycles that began late by more than half a period.
         longest_delay: Of the beginning of a cycle [s].
         fault: Why the period is not held, in words; empty if it is.
@@ -70,17 +70,17 @@ class Pace:
     def __init__(self, driver: Any, clock: Clock):
         self._driver, self._clock, self.period = driver, clock, float(driver.period)
         self.simulated = bool(getattr(driver, "simulated", False))
-        self.overruns, self.longest_delay, self.fault = 0, 0.0, ""
+        self.cycles, self.overruns, self.longest_delay, self.fault = 0, 0, 0.0, ""
         self._missed, self._due = 0.0, clock.now()  # share of the periods of late that were missed, next cycle [s]
         self.begin()
 
     def begin(self) -> None:
-        """Count time and cycles from the next cycle on."""
-        self.cycles, self._start, self._began = 0, self._due, ComputerClock.now()
+        """Count the time of a clock from the next cycle on."""
+        self._start, self._began = self._due, ComputerClock.now()
 
     @property
     def time(self) -> float:
-        """Time since the first cycle [s]."""
+        """Time since `begin`, that of a simulated driver since its first cycle [s]."""
         return self.cycles * self.period if self.simulated else self._clock.now() - self._start
 
     def wait(self) -> float:

@@ -175,6 +175,8 @@ class _Cycle:
     def __init__(self, loop: ServoLoop, arm: _Arm, clock: Clock):
         self._loop, self._robot, self._arm, self._pace = loop, loop.robot, arm, Pace(arm, clock)
         self.ending = OrderlyEnd(arm, loop.stop, loop.stale_after, clock)
+        own = loop.begins
+        self._start, self._within = (loop.position, np.maximum(_AWAY, loop.yields)) if own is None else (own, _AWAY)
         self._samples: list[_Sample] = []
         self._stride = 1  # cycles from one sample to the next
         self._place = np.zeros(loop.robot.nv)  # first positions that were read, and later those that were sent last
@@ -228,12 +230,11 @@ class _Cycle:
         the run.
         """
         loop, robot, before = self._loop, self._robot, self._place if self._doubted else None
-        if loop.measured is not None or (q := loop.rules.readings.posture(q)) is None:
+        if loop.measured is not None or (q := _numbers(robot, q)) is None:
             return ""
-        self._place, own, words = robot.positions(q), loop.begins, ""
-        start, within = (loop.position, np.maximum(_AWAY, loop.yields)) if own is None else (own, _AWAY)
+        self._place, words = robot.positions(q), ""
         where = "where the motion starts: bring the arm there, or start from where it stands"
-        away = _apart(robot, start, q, within, where)
+        away = _apart(robot, self._start, q, self._within, where)
         if away := away or _apart(robot, before, q, _AWAY, "a period before: the arm moves"):
             words = f"nothing was sent: {away}; or the driver has no state yet, and is to read None"
         elif before is None:
@@ -249,14 +250,14 @@ class _Cycle:
         The arm of a driver that reads joints in another order than it commands them, or in another unit or sense, does
         so. One reading may be wrong, unless the arm is too far from where it was sent: `tripped`.
         """
-        q = self._loop.rules.readings.posture(q)
+        q = _numbers(self._robot, q)
         if q is None or not self._samples:
             return ""
         _, first, _, start = self._samples[0]
         went = float(np.abs(self._robot.difference(start, self._place)).max())
         words = (
-            f"at first, and was sent by {went:.1g} at most: it was in motion or is pushed, or the driver reads other "
-            "joints, units or senses than it commands"
+            f"at first, and was sent by {went:.1g} rad or m at most: it was in motion or is pushed, or "
+            "the driver reads other joints, units or senses than it commands"
         )
         most = max(0.0 if tripped else _AWAY, _AHEAD * went)
         away = _apart(self._robot, first, q, most, words) if went < _STILL else ""
@@ -308,10 +309,17 @@ class _Cycle:
         return RunRecord(rollout, pace.cycles, pace.overruns, pace.longest_delay, *self.ending.outcome)
 
 
+def _numbers(robot: Robot, q: Any) -> Posture | None:
+    """Return a reading if it is as many finite numbers as a posture has, else None."""
+    x = finite(q, *np.shape(q))
+    return x if x is not None and x.shape in ((robot.nq,), (robot.nv,)) else None
+
+
 def _apart(robot: Robot, place: Posture | None, q: Posture, most: Vector | float, words: str) -> str:
     """Return which joint is farther from a place than it may be [rad or m], in words; empty if none is."""
-    excess = np.zeros(1) if place is None else np.abs(robot.difference(place, q)) - most
-    if place is None or excess[j := int(excess.argmax())] <= 0.0:
+    most = np.maximum(most, np.finfo(float).eps)
+    away = np.zeros(1) if place is None else np.abs(robot.difference(place, q)) / most
+    if place is None or away[j := int(away.argmax())] <= 1.0:
         return ""
     now, was, unit = robot.positions(q)[j], robot.positions(place)[j], robot.joint_units[j]
     return f"joint {robot.joint_names[j]} reads {now:.3g} {unit}, and {was:.3g} {unit} {words}"
