@@ -17,14 +17,9 @@ from manip_learn.robot.robot import Robot
 
 _ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may be beyond it: what conversions there and back leave
 CUT = 1e-4  # in a motor's own unit: LeRobot's own bound, from which on it says that it has cut an action
-# what LeRobot's buses call the units of a motor (MotorNormMode) -> lowest and highest value, NaN where it has none
-_RANGES = {
-    "degrees": (-math.inf, math.inf),
-    "radians": (-math.inf, math.inf),
-    "range_m100_100": (-100.0, 100.0),
-    "range_0_100": (0.0, 100.0),
-}
-_RAD = {"degrees": math.pi / 180.0, "radians": 1.0}  # [rad] per unit; the others' depend on the motor's range
+# what LeRobot's buses call the units of a motor (MotorNormMode): [rad] per unit, or lowest and highest value of a range
+_RAD = {"degrees": math.pi / 180.0, "radians": 1.0}
+_RANGES = {"range_m100_100": (-100.0, 100.0), "range_0_100": (0.0, 100.0)}
 _LOGGER = logging.getLogger("manip_learn")
 
 
@@ -116,8 +111,8 @@ class LeRobotDriver:
             raise ConfigurationError(f"{self._name} does not observe the position of {named('motor', unseen)}")
         assigned = self._assigned(robot, dict(motors or {}))
         self._scales = [_scale(arm, robot, *assigned[joint], units) for joint in self.joint_names]
-        self._held: dict[str, float] | None = None
-        self.cut, self._largest_cut, self._cut_motor = 0, 0.0, ""
+        self._held: dict[str, float] = {}
+        self.cut, self._largest_cut = 0, (0.0, "")  # and its motor
 
     def _assigned(self, robot: Robot, given: dict[str, str | LeRobotMotor]) -> dict[str, tuple[str, LeRobotMotor]]:
         """Joint -> its motor, by name and as described."""
@@ -126,9 +121,7 @@ class LeRobotDriver:
                 f"{self._name} has no {named('motor', unknown)}: its motors are {listed(self._motors)}"
             )
         assigned: dict[str, tuple[str, LeRobotMotor]] = {}
-        for motor in self._motors:
-            if motor in self._others:
-                continue
+        for motor in (motor for motor in self._motors if motor not in self._others):
             described = given.get(motor, motor)
             described = LeRobotMotor(described) if isinstance(described, str) else described
             if described.joint not in robot.joint_names:
@@ -156,30 +149,25 @@ class LeRobotDriver:
         Raises:
             ConfigurationError: A position is missing or no finite number.
         """
-        seen = self._observed()
-        values = self._positions(seen)
+        seen, values = self._observed()
         q = np.array([scale.joint(values[scale.motor]) for scale in self._scales])
         return q, self._beside(seen, "vel"), self._beside(seen, "torque")
 
-    def _observed(self) -> dict[str, Any]:
-        seen = self._arm.get_observation()
-        if self._held is None:
-            positions = self._positions(seen)
-            self._held = {motor: positions[motor] for motor in self._others}
-        return seen
+    def _observed(self) -> tuple[Mapping[str, Any], dict[str, float]]:
+        """What the arm reports, and motor -> its position, in its own unit; the others are held where they were first.
 
-    def _positions(self, seen: Mapping[str, Any]) -> dict[str, float]:
-        """Motor -> its position, in its own unit."""
-        positions = {}
-        for motor in self._motors:
-            value = _number(seen.get(f"{motor}.pos"))
-            if not math.isfinite(value):
-                raise ConfigurationError(
-                    f"{self._name} reports {seen.get(f'{motor}.pos')!r:.40} as position of motor {motor}, which is no "
-                    "finite number: look at its cable and its power"
-                )
-            positions[motor] = value
-        return positions
+        Raises:
+            ConfigurationError: A position is missing or no finite number.
+        """
+        seen = self._arm.get_observation()
+        positions = {motor: _number(seen.get(f"{motor}.pos")) for motor in self._motors}
+        if bad := [motor for motor, value in positions.items() if not math.isfinite(value)]:
+            raise ConfigurationError(
+                f"{self._name} reports {seen.get(f'{bad[0]}.pos')!r:.40} as position of motor {bad[0]}, which is no "
+                "finite number: look at its cable and its power"
+            )
+        self._held = self._held or {motor: positions[motor] for motor in self._others}
+        return seen, positions
 
     def _beside(self, seen: Mapping[str, Any], kind: Literal["vel", "torque"]) -> Float[np.ndarray, " nv"] | None:
         """Velocities or torques of the joints; None where one is missing or its unit is not known."""
@@ -196,29 +184,25 @@ class LeRobotDriver:
             ConfigurationError: A position is outside.
         """
         goals = {scale.motor: scale.motor_position(position) for scale, position in zip(self._scales, q, strict=True)}
-        if self._held is None:
+        if self._others and not self._held:
             self._observed()
-        self._send(goals | (self._held or {}))
+        self._send(goals | self._held)
 
     def gripper(self, word: Literal["close", "open"]) -> None:
         """From the next command on the motors of grippers among the others go to 0, or to 100."""
-        if self._held is None:
+        if not self._held:
             self._observed()
-        for motor in self._held or {}:
-            if getattr(getattr(_on_bus(self._arm, motor), "norm_mode", None), "value", None) == "range_0_100":
-                self._held = (self._held or {}) | {motor: 0.0 if word == "close" else 100.0}
+        for motor in self._held:
+            if _stated(self._arm, "bus", "motors", motor, "norm_mode", "value") == "range_0_100":
+                self._held[motor] = 0.0 if word == "close" else 100.0
 
     def _send(self, goals: Mapping[str, float]) -> None:
         """Send motor positions, and take note of what LeRobot makes of them."""
         sent = self._arm.send_action(self._still | {f"{motor}.pos": value for motor, value in goals.items()})
-        if not isinstance(sent, Mapping):
-            return
-        off = {motor: abs(_number(sent.get(f"{motor}.pos", value)) - value) for motor, value in goals.items()}
-        motor = max(off, key=off.__getitem__)
-        if off[motor] > CUT:
-            self.cut += 1
-            if off[motor] > self._largest_cut:
-                self._largest_cut, self._cut_motor = off[motor], motor
+        left = sent if isinstance(sent, Mapping) else {}
+        off = max((abs(_number(left.get(f"{motor}.pos", value)) - value), motor) for motor, value in goals.items())
+        if off[0] > CUT:
+            self.cut, self._largest_cut = self.cut + 1, max(self._largest_cut, off)
             if self.cut == 1:
                 _LOGGER.warning(*self.notes)
 
@@ -227,10 +211,11 @@ class LeRobotDriver:
         """What the arm was not given in full, in a sentence; empty if LeRobot has sent everything."""
         if not self.cut:
             return ()
-        unit = next((scale.said for scale in self._scales if scale.motor == self._cut_motor), "of its own unit")
+        most, motor = self._largest_cut
+        unit = next((scale.unit for scale in self._scales if scale.motor == motor), "of its own unit")
         return (
-            f"{self._name} sent less than it was given in {counted(self.cut, 'action')}, motor {self._cut_motor} by up "
-            f"to {self._largest_cut:.3g} {unit}: go slower, or raise max_relative_target or joint_limits in its config",
+            f"{self._name} sent less than it was given in {counted(self.cut, 'action')}, motor {motor} by up to "
+            f"{most:.3g} {unit}: go slower, or raise max_relative_target or joint_limits in its config",
         )
 
     def release(self) -> None:
@@ -247,13 +232,13 @@ class LeRobotDriver:
         Raises:
             ConfigurationError: LeRobot cannot do that with this arm.
         """
-        self._send(self._positions(self._observed()) | (self._held or {}))
+        _, positions = self._observed()
+        self._send(positions | self._held)
         self._torque("enable_torque", "switch it on with its own software")
 
     def _torque(self, name: str, instead: str) -> None:
         # most arms have it on their bus, some themselves, some nowhere: LeRobot's Robot does not promise it
-        bus = getattr(self._arm, "bus", None)
-        if (of_motors := getattr(bus, name, None)) is not None:
+        if (of_motors := _stated(self._arm, "bus", name)) is not None:
             of_motors([scale.motor for scale in self._scales])
         elif (of_arm := getattr(self._arm, name, None)) is not None:
             of_arm()
@@ -271,7 +256,7 @@ class _Scale:
 
     Attributes:
         motor: Its name.
-        unit: As LeRobot calls it, a key of `_RANGES`.
+        unit: A key of `_RAD`, or % of a range.
         centre: Motor position that is the joint's zero.
         zero: That joint position [rad or m].
         per_unit: Of the joint, negative where the motor turns against it [rad or m].
@@ -284,11 +269,6 @@ class _Scale:
     zero: float
     per_unit: float
     bounds: tuple[tuple[float, float, str], ...]
-
-    @property
-    def said(self) -> str:
-        """The unit in a sentence."""
-        return self.unit if self.unit in _RAD else "%"
 
     def joint(self, value: float) -> float:
         """Joint position of a motor position."""
@@ -304,7 +284,7 @@ class _Scale:
         for low, high, what in self.bounds:
             if not low - rounding <= value <= high + rounding or not math.isfinite(value):
                 raise ConfigurationError(
-                    f"motor {self.motor} is not sent to {value:.4g} {self.said}, outside {low:.4g} .. {high:.4g}, "
+                    f"motor {self.motor} is not sent to {value:.4g} {self.unit}, outside {low:.4g} .. {high:.4g}, "
                     f"{what}: start where the motion stays inside"
                 )
             value = min(max(value, low), high)
@@ -316,24 +296,24 @@ def _scale(arm: Any, robot: Robot, motor: str, described: LeRobotMotor, units: U
     unit = _unit(arm, motor, units)
     joint = robot.joint_index(described.joint)
     lower, upper = float(robot.position_lower[joint]), float(robot.position_upper[joint])
-    (low, high), zero = _RANGES[unit], described.zero
-    calibration = (getattr(arm, "calibration", None) or {}).get(motor)
-    resolutions = getattr(getattr(arm, "bus", None), "model_resolution_table", None) or {}
-    steps = resolutions.get(getattr(_on_bus(arm, motor), "model", None))
-    calibrated = None  # [rad] how far the motor turns: one turn is the last step less the first, as LeRobot counts it
+    low, high = _RANGES.get(unit, (-math.inf, math.inf))
+    zero, centre = described.zero, 0.0
+    calibration = _stated(arm, "calibration", motor)
+    steps = _stated(arm, "bus", "model_resolution_table", str(_stated(arm, "bus", "motors", motor, "model")))
+    span = None  # [rad] calibrated; one turn is the last step less the first, as LeRobot counts it
     if calibration is not None and steps is not None:
-        calibrated = 2.0 * math.pi * (calibration.range_max - calibration.range_min) / (steps - 1)
+        span = 2.0 * math.pi * (calibration.range_max - calibration.range_min) / (steps - 1)
     if unit in _RAD:
         if robot.joint_units[joint] != "rad":
             raise ConfigurationError(
                 f"joint {described.joint} moves in m and motor {motor} in {unit}: "
                 f"name the motor in others and lock the joint"
             )
-        size, centre = _RAD[unit], 0.0
-        if calibrated is not None:
-            low, high = -0.5 * calibrated / size, 0.5 * calibrated / size
+        size = _RAD[unit]
+        if span is not None:
+            low, high = -0.5 * span / size, 0.5 * span / size
     else:
-        span = described.span or calibrated
+        span = described.span or span
         if span is None:
             span, zero = upper - lower, 0.5 * (lower + upper) if zero is None else zero
         if not math.isfinite(span):
@@ -345,18 +325,18 @@ def _scale(arm: Any, robot: Robot, motor: str, described: LeRobotMotor, units: U
     per_unit, zero = described.sign * size, zero or 0.0
     ends = sorted(centre + (end - zero) / per_unit for end in (lower, upper))
     bounds = (low, high, "its calibrated range"), (ends[0], ends[1], f"the limits of joint {described.joint}")
-    return _Scale(motor, unit, centre, zero, per_unit, bounds)
+    return _Scale(motor, unit if unit in _RAD else "%", centre, zero, per_unit, bounds)
 
 
 def _unit(arm: Any, motor: str, given: Units | None) -> str:
-    """A motor's unit by LeRobot, or as given: a key of `_RANGES`."""
+    """A motor's unit by LeRobot, or as given."""
     if given not in (None, *get_args(Units)):
         raise ConfigurationError(f"units must be 'degrees', 'normalised' or 'radians', got {given!r}")
     asked = "range_m100_100" if given == "normalised" else given
     # the bus knows each motor's unit; arms without LeRobot's bus may still say it in their config
-    known = getattr(getattr(_on_bus(arm, motor), "norm_mode", None), "value", None)
-    if known not in _RANGES:
-        in_degrees = getattr(getattr(arm, "config", None), "use_degrees", None)
+    known = _stated(arm, "bus", "motors", motor, "norm_mode", "value")
+    if known not in (*_RAD, *_RANGES):
+        in_degrees = _stated(arm, "config", "use_degrees")
         known = None if in_degrees is None else "degrees" if in_degrees else "range_m100_100"
     if known is None and asked is None:
         raise ConfigurationError(
@@ -371,10 +351,11 @@ def _unit(arm: Any, motor: str, given: Units | None) -> str:
     return known or asked or ""
 
 
-def _on_bus(arm: Any, motor: str) -> Any:
-    """LeRobot's description of a motor; None for arms without a bus of LeRobot's."""
-    motors = getattr(getattr(arm, "bus", None), "motors", None)
-    return motors.get(motor) if isinstance(motors, Mapping) else None
+def _stated(thing: Any, *names: Any) -> Any:
+    """An attribute of an attribute, or an entry of a mapping; None where LeRobot's robot does not have it."""
+    for name in names:
+        thing = thing.get(name) if isinstance(thing, Mapping) else getattr(thing, name, None)
+    return thing
 
 
 def _number(value: Any) -> float:

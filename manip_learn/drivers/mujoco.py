@@ -91,12 +91,7 @@ class MuJoCoDriver:
             raise MissingExtraError("the MuJoCo driver", "physics") from error
         self._mujoco, self.model, self.data = mujoco, model, mujoco.MjData(model)
         self.joint_names, self.period = tuple(joint_names), model.opt.timestep if period is None else float(period)
-        self._steps = round(self.period / model.opt.timestep)
-        if not self._steps or abs(self._steps * model.opt.timestep - self.period) > 1e-9:
-            raise ConfigurationError(
-                f"the period must be a multiple of the model's time step of {1e3 * model.opt.timestep:g} ms, "
-                f"got {1e3 * self.period:g} ms"
-            )
+        self._steps = _multiple("period", self.period, "model's time step", model.opt.timestep, least=1)
         known = [model.joint(i).name for i in range(model.njnt)]
         missing = [name for name in self.joint_names if name not in known]
         if missing:
@@ -109,13 +104,8 @@ class MuJoCoDriver:
             model.actuator_trnid[:, 0], [joint.id for joint in joints]
         )
         model.actuator_gainprm[on_joints] = model.actuator_biasprm[on_joints] = 0.0
-        self.data.qpos[self._q] = self._goal = np.array(q, dtype=np.float64)
-        n, periods = len(joints), round(now["latency"] / self.period)
-        if periods < 0 or abs(periods * self.period - now["latency"]) > 1e-9:
-            raise ConfigurationError(
-                f"the latency must be a multiple of the period of {1e3 * self.period:g} ms, "
-                f"got {1e3 * now['latency']:g} ms"
-            )
+        self.data.qpos[self._q] = np.array(q, dtype=np.float64)
+        n, periods = len(joints), _multiple("latency", now["latency"], "period", self.period, least=0)
         numbers = (stiffness, friction, now["backlash"], now["encoder_resolution"])
         self._stiffness, self._friction, self._backlash, self._resolution = (
             np.array(np.broadcast_to(np.asarray(x, dtype=np.float64), (n,))) for x in numbers
@@ -127,11 +117,10 @@ class MuJoCoDriver:
         model.dof_solimp[np.array(self._u)[self._friction > 0.0]] = STICKS
         mujoco.mj_forward(model, self.data)
         self._damping = 2.0 * np.sqrt(self._stiffness * self._inertia().diagonal())
-        self._rate = self._ahead = np.zeros(n)  # last commanded velocities, and efforts for accelerations
         self._hand, self._noise, self._rng, self._feedforward = hand, float(noise), rng, feedforward
-        self._holds, self._effort = True, np.zeros(n)
-        self._sent = deque([self._goal] * (periods // 2 + 1), periods // 2 + 1)  # commands on their way, oldest first
-        back = periods - periods // 2
+        self._holds, self._effort, back = True, np.zeros(n), periods - periods // 2
+        self._sent: deque[np.ndarray] = deque(maxlen=periods // 2 + 1)  # commands on their way, oldest first
+        self._stand(self.data.qpos[self._q].copy())
         self._seen = deque([self._state() for _ in range(back + 1)], back + 1)
 
     def read(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
@@ -181,8 +170,9 @@ class MuJoCoDriver:
 
     def _stand(self, goal: np.ndarray) -> None:
         """Nothing is on its way but this goal."""
+        # last commanded velocities, and efforts for accelerations
         self._goal, self._rate, self._ahead = goal, np.zeros(len(goal)), np.zeros(len(goal))
-        self._sent.extend([goal] * len(self._sent))
+        self._sent.extend([goal] * (self._sent.maxlen or 1))
 
     def _inertia(self) -> Float[np.ndarray, "n n"]:
         """Of the arm's joints, the rotors' included [kg m2 or kg]."""
@@ -206,3 +196,13 @@ class MuJoCoDriver:
         if self._hand is not None:
             self._hand(self.model, data)
         self._mujoco.mj_step2(self.model, data)
+
+
+def _multiple(what: str, time: float, whose: str, step: float, least: int) -> int:
+    """Return how many steps a time is [s]."""
+    n = round(time / step)
+    if n < least or abs(n * step - time) > 1e-9:
+        raise ConfigurationError(
+            f"the {what} must be a multiple of the {whose} of {1e3 * step:g} ms, got {1e3 * time:g} ms"
+        )
+    return n

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Literal, NamedTuple, final
@@ -15,8 +18,8 @@ from typing import Literal, NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.atomic_write import has_no_room
-from manip_learn.control.cycle import Clock, ComputerClock, OrderlyEnd, quiet_collector
+from manip_learn.atomic_write import check_folder, has_no_room
+from manip_learn.control.cycle import Clock, ComputerClock, OrderlyEnd, Pace
 from manip_learn.control.driver import Driver
 from manip_learn.errors import ConfigurationError, OutputError, counted
 from manip_learn.linalg import finite
@@ -35,6 +38,8 @@ _JUMP, _FASTEST = 0.1, 20.0  # [rad or m], [rad/s or m/s] by which a joint is el
 _LATE = 1.5  # periods from one sample to the next from which on one was lost
 By = Literal["motion", "key"]
 Key = Literal["", "start or stop", "end"]
+Shown = Callable[[Mapping[str, float], bool], object]
+Began = Callable[[Path | None], object]
 
 
 @final
@@ -85,8 +90,8 @@ def record(
     duration: float | None = None,
     release: bool = True,
     key: Callable[[], Key] | None = None,
-    shown: Callable[[Mapping[str, float], bool], object] | None = None,
-    began: Callable[[Path | None], object] | None = None,
+    shown: Shown | None = None,
+    began: Began | None = None,
     clock: Clock | None = None,
 ) -> RecordedFiles:
     """Record motions of an arm that is guided by hand, a CSV file each: `NAME_01.csv`, `NAME_02.csv`, ...
@@ -125,23 +130,23 @@ def record(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot make the folder {folder}: {error.strerror or error}; name another") from error
-    if not os.access(folder, os.W_OK):
-        raise OutputError(f"cannot write to the folder {folder}: name one that you may write to")
+    check_folder(folder / name)
     if getattr(driver, "simulated", False) and getattr(driver, "wait", None) is None:
         raise ConfigurationError("a simulated driver needs wait(), in which a period passes without a command")
     clock = clock or ComputerClock()
-    session = _Session(driver, folder, name, by, motions, shown, began)
-    with OrderlyEnd(driver, session.end, _PATIENCE, clock) as ending:
+    ending = OrderlyEnd(driver, lambda: None, _PATIENCE, clock)
+    session = _Session(driver, ending, partial(_GrowingFile, folder, name), by, motions)
+    with ending:
         try:
-            with ending.waiting():
-                session.released(release)
-            with quiet_collector():
-                session.run(np.inf if duration is None else duration, key or (lambda: ""), ending, clock)
+            with ending.waiting("release"):
+                session.let_go(release)
+            hooks = key or (lambda: ""), shown or (lambda _q, _recorded: None), began or (lambda _file: None)
+            session.run(math.inf if duration is None else duration, Pace(driver, clock), *hooks)
         except KeyboardInterrupt:  # in the driver or in who is told of samples
-            session.end("Ctrl-C")
+            ending.stop("Ctrl-C", True)
         finally:
             session.finish()
-    return session.record(ending.failed)
+    return session.record()
 
 
 class _Sample(NamedTuple):
@@ -152,119 +157,91 @@ class _Sample(NamedTuple):
     u: Float[np.ndarray, " n"] | None
     effort: Float[np.ndarray, " n"] | None
 
+    def is_near(self, later: _Sample) -> bool:
+        """Return whether an arm can have gone from here to a later sample."""
+        far = float(np.max(np.abs(later.q - self.q), initial=0.0))
+        return far <= _JUMP + _FASTEST * (later.time - self.time)
+
 
 @final
 class _Session:
     """The state of a recording: waiting for a motion, or writing one down."""
 
     def __init__(
-        self,
-        driver: Driver,
-        folder: Path,
-        name: str,
-        by: str,
-        motions: int | None,
-        shown: Callable[[Mapping[str, float], bool], object] | None,
-        began: Callable[[Path | None], object] | None,
+        self, driver: Driver, ending: OrderlyEnd, opened: Callable[[str], _GrowingFile], by: By, motions: int | None
     ):
-        self._driver, self._folder, self._name, self._by, self._motions = driver, folder, name, by, motions
-        self._shown, self._began = shown or (lambda _q, _recorded: None), began or (lambda _file: None)
-        given = getattr(driver, "joint_names", None)
-        self._names: tuple[str, ...] | None = None if given is None else tuple(given)
-        self._before: deque[_Sample] = deque()  # the last seconds, whether they are recorded or not
+        self._driver, self._ending, self._opened, self._by, self._motions = driver, ending, opened, by, motions
+        self._names: tuple[str, ...] = tuple(getattr(driver, "joint_names", None) or ())
+        self._parts: list[str] = []  # of a sample, that are columns of the file
+        self._before: list[_Sample] = []  # the last seconds, whether they are recorded or not
         self._file: _GrowingFile | None = None
         self._files: list[Path] = []
-        # the newest and when it came [s], and one since then that no arm can have gone to unless the next is there too
-        self._good: tuple[_Sample, float] | None = None
-        self._doubted: tuple[_Sample, float] | None = None
-        self._written = 0.0  # when a sample was last written down [s]
+        # the newest sample, and one since then that no arm can have gone to unless the next is there too
+        self._good: _Sample | None = None
+        self._doubted: _Sample | None = None
+        self._written = self._gap = 0.0  # when a sample was last written down, and the longest time without [s]
         self._samples = self._lost = 0
-        self._gap = 0.0
         self._notes: list[str] = []
-        self._ended, self._ordered = "", True
 
-    def released(self, wanted: bool) -> None:
+    def let_go(self, wanted: bool) -> None:
         """Let a person guide the arm, where the driver can do that."""
-        let_go = getattr(self._driver, "release", None)
-        if not wanted or let_go is None:
-            return
         try:
-            let_go()
+            if wanted and (release := getattr(self._driver, "release", None)) is not None:
+                release()
         except ConfigurationError as error:
             self._notes.append(str(error))
 
-    def end(self, reason: str, ordered: bool = True) -> None:
-        """No more samples; the first reason counts."""
-        if not self._ended:
-            self._ended, self._ordered = reason, ordered
-
-    def run(self, duration: float, key: Callable[[], Key], ending: OrderlyEnd, clock: Clock) -> None:
+    def run(self, duration: float, pace: Pace, key: Callable[[], Key], shown: Shown, began: Began) -> None:
         """Until there is a reason to end."""
-        driver, period = self._driver, self._driver.period
-        simulated = bool(getattr(driver, "simulated", False))
-        start = due = clock.now()
-        heard = 0.0
-        for k in count():
-            t = k * period if simulated else clock.now() - start
-            with ending.waiting():
+        self._shown, self._began, ending, heard = shown, began, self._ending, 0.0
+        while not ending.reason:
+            t = pace.wait()
+            with ending.waiting("read"):
                 sample = self._read(t)
-                now = t if simulated else clock.now() - start  # reading may have taken long
-                heard = heard if sample is None else now
-                if now - heard > SILENT:
-                    self.end(f"the driver has given no posture for {SILENT:g} s", False)
+                heard = heard if sample is None else pace.time  # reading may have taken long
+                if pace.time - heard > SILENT:
+                    ending.stop(f"the driver has given no posture for {SILENT:g} s")
                 pressed = key()
                 if pressed == "end":
-                    self.end("ended by key")
+                    ending.stop("ended by key", True)
                 if t >= duration:
-                    self.end(f"the {duration:g} s were over")
-                for one in self._believed(sample, now):
+                    ending.stop(f"the {duration:g} s were over", True)
+                for one in self._believed(sample):
                     self._take(one, pressed == "start or stop")
                     pressed = ""
-                if simulated and not self._ended:
-                    driver.wait()  # type: ignore[attr-defined]
-            if self._ended:
-                return
-            if not simulated:
-                due = max(due + period, clock.now())  # a period that was missed is not made up for
-                clock.wait_until(due)
+                if pace.simulated and not ending.reason:
+                    self._driver.wait()  # type: ignore[attr-defined]
+            pace.cycles += 1
 
     def _read(self, t: float) -> _Sample | None:
         """A reading at a time [s]; None where it is no posture."""
         try:
             q, u, effort = self._driver.read()
         except Exception as error:  # whatever a driver raises, the files are kept and the arm is held
-            self.end(f"the driver's read() failed: {type(error).__name__}: {error}", False)
+            self._ending.stop(f"the driver's read() failed: {type(error).__name__}: {error}")
             return None
         if q is None:
             return None
-        if isinstance(q, Mapping) and self._names is None:
-            self._names = tuple(q)
-        if self._names is None:
+        names = self._names = self._names or (tuple(q) if isinstance(q, Mapping) else ())
+        if not names:
             raise ConfigurationError("the driver names no joints: give it joint_names, or read() a mapping from names")
-        columns, names = [], self._names
-        for values in (q, u, effort):  # None where there are none, or some are not finite
-            values = [values.get(name, np.nan) for name in names] if isinstance(values, Mapping) else values  # noqa: PLW2901
-            columns.append(finite(values, len(names)))
-        return None if columns[0] is None else _Sample(t, *columns)
+        parts = ([x.get(name, np.nan) for name in names] if isinstance(x, Mapping) else x for x in (q, u, effort))
+        x, *others = (finite(part, len(names)) for part in parts)  # None where there are none, or some are not finite
+        return None if x is None else _Sample(t, x, *others)
 
-    def _believed(self, sample: _Sample | None, now: float) -> list[_Sample]:
-        """A sample that came at a time [s]: at once, or with the next one where no arm can have gone there so fast."""
+    def _believed(self, sample: _Sample | None) -> list[_Sample]:
+        """A sample at once, or with the next one where no arm can have gone there so fast."""
         if sample is None:
             return []
-        doubted, self._doubted = self._doubted, None
-        follows = doubted is not None and _reachable(doubted, sample, now)
-        if self._good is None or follows or _reachable(self._good, sample, now):
-            self._good = sample, now
-            return [doubted[0], sample] if doubted is not None and follows else [sample]
-        self._doubted = sample, now
-        return []
+        before = [self._doubted] if self._doubted is not None and self._doubted.is_near(sample) else []
+        is_believed = bool(before) or self._good is None or self._good.is_near(sample)
+        self._good, self._doubted = (sample, None) if is_believed else (self._good, sample)
+        return [*before, sample] if is_believed else []
 
     def _take(self, sample: _Sample, pressed: bool) -> None:
         """Begin, go on with or end a file: it is complete by key, after a rest, or where it has no room."""
-        before, file = self._before, self._file
-        before.append(sample)
-        while before[-1].time - before[0].time > RESTS:
-            before.popleft()
+        self._before = before = [s for s in (*self._before, sample) if sample.time - s.time <= RESTS]
+        file = self._file
         if file is not None:
             self._write(sample)
             rested = sample.time - before[0].time > RESTS - _LATE * self._driver.period and not self._moved(RESTS)
@@ -272,27 +249,24 @@ class _Session:
                 self.finish()
         elif pressed if self._by == "key" else self._moved(LOOK):
             self._begin([s for s in before if sample.time - s.time <= LOOK])
-        self._shown(dict(zip(self._names or (), sample.q.tolist(), strict=True)), file is not None)
+        self._shown(dict(zip(self._names, sample.q.tolist(), strict=True)), file is not None)
 
     def _moved(self, within: float) -> bool:
         """Whether a joint has moved in a time before now [s]."""
         now = self._before[-1]
-        return any(
-            float(np.max(np.abs(s.q - now.q), initial=0.0)) > MOVES for s in self._before if now.time - s.time <= within
-        )
+        recent = np.array([s.q for s in self._before if now.time - s.time <= within])
+        return bool(np.any(np.abs(recent - now.q) > MOVES))
 
     def _begin(self, first: list[_Sample]) -> None:
-        names, sample = self._names or (), first[-1]
-        groups = {"time": ["time"], "q": list(names)}
-        for what, values, suffix in (("u", sample.u, VELOCITY_SUFFIX), ("effort", sample.effort, EFFORT_SUFFIX)):
-            if values is not None:
-                groups[what] = [name + suffix for name in names]
+        """Open a file, and write down the samples before."""
+        suffixes = {"q": "", "u": VELOCITY_SUFFIX, "effort": EFFORT_SUFFIX}
+        self._parts = [part for part in suffixes if getattr(first[-1], part) is not None]
+        columns = {part: [name + suffixes[part] for name in self._names] for part in self._parts}
         try:
-            self._file = _GrowingFile(self._folder, self._name, column_line(groups) + "\n")
+            self._file = self._opened(column_line({"time": ["time"]} | columns) + "\n")
         except OSError as error:
-            self.end(f"cannot write to {self._folder}: {error.strerror or error}", False)
+            self._ending.stop(f"cannot write to {error.filename}: {error.strerror or error}")
             return
-        self._with_velocities, self._with_efforts = sample.u is not None, sample.effort is not None
         self._files.append(self._file.path)
         self._began(self._file.path)
         self._written = first[0].time
@@ -300,43 +274,33 @@ class _Session:
             self._write(one)
 
     def _write(self, sample: _Sample) -> None:
-        wanted = [sample.q, *([sample.u] * self._with_velocities), *([sample.effort] * self._with_efforts)]
-        if self._file is None or any(values is None for values in wanted):
+        values = [getattr(sample, part) for part in self._parts]
+        if self._file is None or any(part is None for part in values):
             self._lost += 1
             return
         gap, period = sample.time - self._written, self._driver.period
         self._gap = max(self._gap, gap)
         self._lost += round(gap / period) - 1 if gap > _LATE * period else 0
-        numbers = np.concatenate([[sample.time], *(values for values in wanted if values is not None)])
-        self._file.add(",".join(map(repr, numbers.tolist())) + "\n")
+        self._file.add(",".join(map(repr, np.concatenate([[sample.time], *values]).tolist())) + "\n")
         self._samples, self._written = self._samples + 1, sample.time
 
     def finish(self) -> None:
         """The file is complete."""
-        if self._file is None:
+        if (file := self._file) is None:
             return
-        self._file.close()
-        if self._file.error is not None:
-            self.end(f"{self._file.error}; the samples before are kept in {self._file.path}", False)
-        self._file = None
-        self._before.clear()  # a motion begins anew
+        file.close()
+        if file.error is not None:
+            self._ending.stop(f"{file.error}; the samples before are kept in {file.path}")
+        self._file, self._before = None, []  # a motion begins anew
         self._began(None)
         if self._motions is not None and len(self._files) >= self._motions:
-            self.end(f"{counted(self._motions, 'motion')} recorded")
+            self._ending.stop(f"{counted(self._motions, 'motion')} recorded", True)
 
-    def record(self, failed: str) -> RecordedFiles:
-        """The files and numbers so far, and what went wrong when the arm was to hold itself."""
-        self._notes += [failed] if failed else []
-        numbers = self._samples, self._lost, self._gap
-        return RecordedFiles(
-            tuple(self._files), *numbers, self._ended, self._ordered, tuple(self._notes), self._names or ()
-        )
-
-
-def _reachable(earlier: tuple[_Sample, float], sample: _Sample, now: float) -> bool:
-    """Whether an arm can have gone from an earlier sample, which came at a time [s], to one that comes now."""
-    far = float(np.max(np.abs(sample.q - earlier[0].q), initial=0.0))
-    return far <= _JUMP + _FASTEST * (now - earlier[1])
+    def record(self) -> RecordedFiles:
+        """The files and numbers, and what went wrong when the arm was to hold itself."""
+        ending, numbers = self._ending, (self._samples, self._lost, self._gap)
+        notes = (*self._notes, *(words for call, words in ending.failed.items() if call == "hold"))
+        return RecordedFiles(tuple(self._files), *numbers, ending.reason, ending.ordered, notes, self._names)
 
 
 @final
@@ -354,14 +318,11 @@ class _GrowingFile:
     def __init__(self, folder: Path, name: str, header: str):
         for number in count(1):
             self.path = folder / f"{name}_{number:02d}.csv"
-            try:
-                self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-            except FileExistsError:
-                continue
-            break
+            with suppress(FileExistsError):
+                self._file = self.path.open("xb", buffering=0)
+                break
         self.error: str | None = None
-        self._waiting: deque[str] = deque([header])
-        self._whole, self._closing = 0, threading.Event()  # bytes of whole lines
+        self._waiting, self._closing = deque([header]), threading.Event()
         self._thread = threading.Thread(target=self._feed, name="recording", daemon=True)
         self._thread.start()
 
@@ -375,23 +336,20 @@ class _GrowingFile:
         self._thread.join()
 
     def _feed(self) -> None:
-        synced = time.monotonic()
-        try:
-            while True:
-                last = self._closing.wait(FLUSHED)
-                lines = [self._waiting.popleft() for _ in range(len(self._waiting))]
-                content, done, begun = "".join(lines).encode(), 0, self._whole
-                while done < len(content):
-                    done += os.write(self._file, content[done:])
-                    self._whole = begun + content.rfind(b"\n", 0, done) + 1
-                if last or time.monotonic() - synced > SYNCED:
-                    os.fsync(self._file)
-                    synced = time.monotonic()
-                if last:
-                    return
-        except OSError as error:
-            why = f"cannot write: {error.strerror or error}"
-            self.error = "the disk is full, make room" if has_no_room(error) else why
-            os.ftruncate(self._file, self._whole)
-        finally:
-            os.close(self._file)
+        synced, whole, is_last = time.monotonic(), 0, False  # whole: bytes of whole lines
+        with self._file as file:
+            try:
+                while not is_last:
+                    is_last = self._closing.wait(FLUSHED)
+                    lines = [self._waiting.popleft() for _ in range(len(self._waiting))]
+                    content, done, begun = "".join(lines).encode(), 0, whole
+                    while done < len(content):
+                        done += file.write(content[done:])
+                        whole = begun + content.rfind(b"\n", 0, done) + 1
+                    if is_last or time.monotonic() - synced > SYNCED:
+                        os.fsync(file)
+                        synced = time.monotonic()
+            except OSError as error:
+                why = f"cannot write: {error.strerror or error}"
+                self.error = "the disk is full, make room" if has_no_room(error) else why
+                file.truncate(whole)
