@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
-from typing import final
+from dataclasses import replace
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import rows_of
 from manip_learn.constraint.mechanism import KIND_BY_NAME
+from manip_learn.constraint.place import AXES
 from manip_learn.control.policies import (
     ASCENT_GAIN,
     JointAttractor,
@@ -24,8 +26,8 @@ from manip_learn.control.policies import (
     ZeroPolicy,
 )
 from manip_learn.control.tasks.driven_motion import Course, Origin, Unit, along_path, driven_motion, way_in_words
-from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
-from manip_learn.control.tasks.point_attractor import PointAttractor, Task, VelocityAndJacobian
+from manip_learn.control.tasks.motion_profile import MotionProfile
+from manip_learn.control.tasks.point_attractor import OneLook, PointAttractor, Task, VelocityAndJacobian
 from manip_learn.control.tasks.shown_places import ShownPlaces, between, shown_sense
 from manip_learn.errors import ConstraintError, ManipLearnError, TargetError, advice, an
 from manip_learn.linalg import finite
@@ -45,7 +47,7 @@ TAKEN = 2e-4  # [m] the hand is at the mechanism: a tenth of the 2 mm that it ma
 
 
 @final
-class FreeDirection(Task):
+class FreeDirection(OneLook):
     """Move along what a constraint leaves free, by so much, at such a speed, and hold what it holds.
 
     A drawer moves by metres along its rail, a door or a screw by radians about its axis (one turn is 2 pi). The speed
@@ -128,15 +130,14 @@ class FreeDirection(Task):
         take_hold: bool = False,
         as_shown: bool = False,
     ):
-        self._profile: MotionProfile | PathProfile = MotionProfile(
+        self._profile = MotionProfile(
             _number("distance", distance, positive=False), _number("speed", speed), _number("ramp", ramp)
         )
-        self.gain, self._ramp = _number("gain", gain), self._profile.ramp
-        self.pause = _number("pause", pause) if pause else 0.0
+        self.gain, self.pause = _number("gain", gain), _number("pause", pause) if pause else 0.0
         self.learnt, self.counts, shown = constraint, 1.0, constraint.shown
         held = constraint.with_orientation() if keep_orientation else _held_by_the_grip(constraint)
         if as_shown and shown is not None and not shown.is_way:
-            self._motion, self._profile = along_path(held, shown, self._ramp)
+            self._motion, self._profile = along_path(held, shown, self._profile.ramp)
         else:
             self._motion = driven_motion(held, direction, unit, straight)
         self.constraint = self._motion.constraint
@@ -152,7 +153,7 @@ class FreeDirection(Task):
         self._shown: ShownPlaces | None = None
         if shown is not None and (take_hold or as_shown):
             self._shown = ShownPlaces(constraint.mechanism, shown, self._motion, as_shown)
-        self._given = None if start is None else Course(self._motion, self._motion.origin(start))
+        self._start = None if start is None else self._motion.origin(start)
         self.reset()
 
     @property
@@ -167,15 +168,15 @@ class FreeDirection(Task):
 
     def reset(self) -> None:
         """Forget the start: the next call is the first one again."""
-        self._course = self._given
-        self._begun: float | None = None
+        self._course = None if self._start is None else Course(self._motion, self._start)
+        self._begun, self._latest = math.inf, -math.inf
         self.way_begins: float | None = None
         self._approach: tuple[Origin, MotionProfile] | None = None
-        self._latest, self._place, self._ahead = -math.inf, 0.0, self._motion.driven
+        self._place, self._ahead = 0.0, self._motion.driven
 
     def hold(self, q: ArrayLike) -> float:
         """How far a hand at posture q has to go to the mechanism [m]; 0 if it is on it, or if that is not known."""
-        return self._begins(self._motion.origin(q))[1]
+        return self._begins(q)[2]
 
     @property
     def grip_shown(self) -> tuple[Float[np.ndarray, "3 3"], float] | None:
@@ -183,19 +184,18 @@ class FreeDirection(Task):
         shown = self.learnt.shown
         return None if shown is None or self._shown is None else (shown.orientation, shown.turned)
 
-    def _begins(self, here: Origin) -> tuple[Origin, float]:
-        """Return where the motion begins for a hand that is at a place, and how far that is [m]."""
-        origin = here if self._shown is None else self._shown.nearest(here, self.wanted)
-        return origin, 0.0 if self._shown is None else self._shown.apart(here, origin)
-
-    def _start(self, q: ArrayLike) -> Origin:
-        """Return where the hand is, or was said to be."""
-        return self._motion.origin(q) if self._given is None else self._given.origin
+    def _begins(self, q: ArrayLike) -> tuple[Origin, Origin, float]:
+        """Return where a hand is, or was said to be, where the motion begins, and how far that is [m]."""
+        here = self._motion.origin(q) if self._start is None else self._start
+        if self._shown is None:
+            return here, here, 0.0
+        origin = self._shown.nearest(here, self.wanted)
+        return here, origin, self._shown.apart(here, origin)
 
     def duration_from(self, q: ArrayLike) -> float:
         """How long the motion takes from posture q where no limit slows it down [s]."""
         far = self.hold(q)
-        to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._ramp).duration + _SETTLING
+        to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._profile.ramp).duration + _SETTLING
         return self.pause + self._profile.duration + to_hold
 
     def table(
@@ -209,7 +209,7 @@ class FreeDirection(Task):
             fewest: Number of entries at least.
             most: And at most.
         """
-        course = Course(self._motion, self._begins(self._start(start))[0])
+        course = Course(self._motion, self._begins(start)[1])
         number = min(max(math.ceil(self._profile.duration / period) + 1, fewest), most)
         time = np.linspace(0.0, self._profile.duration, number)
         distance = np.array([self._profile.at(t)[0] for t in time.tolist()])
@@ -239,27 +239,25 @@ class FreeDirection(Task):
 
     def with_distance(self, distance: float) -> FreeDirection:
         """This motion by another distance [m or rad], from a start of its own."""
-        return self._with_profile(self._profile.over(_number("distance", distance, positive=False)))
+        return self._with(_profile=replace(self._profile, distance=_number("distance", distance, positive=False)))
 
     def slowed(self, times: float) -> FreeDirection:
         """This motion slowed down by a factor, from a start of its own."""
-        return self._with_profile(self._profile.slowed(times))
+        return self._with(_profile=replace(self._profile, speed=self._profile.peak / times))
 
     def taking_hold(self, grasp: Origin) -> FreeDirection:
         """This motion for a hand that takes hold at a pose (4, 4), from a start of its own."""
-        other = self._with_profile(self._profile)
-        other._shown = None if self._shown is None else self._shown.only(grasp)
-        return other
+        return self._with(_shown=None if self._shown is None else self._shown.only(grasp))
 
-    def _with_profile(self, profile: MotionProfile | PathProfile) -> FreeDirection:
+    def _with(self, **others: Any) -> FreeDirection:
         other = copy.copy(self)
-        other._profile = profile
+        vars(other).update(others)
         other.reset()
         return other
 
     def progress(self, q: ArrayLike) -> float:
         """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
-        is_before = self.way_begins is None and self._begun is not None
+        is_before = self.way_begins is None and self._begun < math.inf
         return 0.0 if is_before else self.progress_near(q, self._place)
 
     def meant(self, t: float) -> float:
@@ -289,14 +287,6 @@ class FreeDirection(Task):
             raise ConstraintError("the task moves along another constraint: give both the same one")
         return self.constraint
 
-    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """b along the constrained rows and the driven one."""
-        return self.velocity_and_jacobian(constraint, q, t)[0]
-
-    def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """E with d/dt (error along the rows) = -E u for a setpoint at rest; None where E = A(q) (see `Task`)."""
-        return self.velocity_and_jacobian(constraint, q, t)[1]
-
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
         """b and E from one look at the pose: along the motion and onto it, from where the hand is.
 
@@ -306,7 +296,9 @@ class FreeDirection(Task):
         most = math.inf if self.way_begins is None else self._profile.speed
         self._place, self._ahead, off = course.look(q, self._place)
         rate = min(max(rate + self.gain * (wanted - self._place), -most), most)
-        return self.constraint.selection.dot(rate * self._ahead - self.gain * off), self._motion.jacobian(q)
+        rows, features = self.constraint.selection, self.constraint.features
+        E = features.coordinates_jacobian(q) if features.twist is None else None
+        return rows.dot(rate * self._ahead - self.gain * off), None if E is None else rows.dot(E)
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
         """The row along the motion; all rows on the way to the mechanism."""
@@ -317,7 +309,11 @@ class FreeDirection(Task):
 
     def goal(self) -> Origin | None:
         """Where the motion ends; None before the first call, unless `start` was given."""
-        return None if self._course is None else self._motion.numbers(self._course.goal(self.wanted))
+        if self._course is None:
+            return None
+        end, names = self._course.goal(self.wanted), self.constraint.features.row_names
+        is_place = end.ndim == 2 and set(names) <= set(AXES[:3])
+        return end[[AXES.index(name) for name in names], 3] if is_place else end
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Way that is left, and the deviation of the constrained coordinates, as one norm [m or rad]."""
@@ -327,13 +323,12 @@ class FreeDirection(Task):
 
     def _now(self, q: ArrayLike, t: float) -> tuple[Course, float, float]:
         """From where the way counts, how far along it the hand should be, and how fast."""
-        if self._begun is not None and t <= self._begun < self._latest:
+        if t <= self._begun < self._latest:
             self.reset()
-        if self._begun is None or self._course is None:
-            start = self._start(q)
-            origin, far = self._begins(start)
+        if self._begun == math.inf:
+            start, origin, far = self._begins(q)
             self._begun, self._course = t, Course(self._motion, origin)
-            self._approach = (start, MotionProfile(far, APPROACH_SPEED, self._ramp)) if far > TAKEN else None
+            self._approach = (start, MotionProfile(far, APPROACH_SPEED, self._profile.ramp)) if far > TAKEN else None
         self._latest = t
         if self.way_begins is None and self._approach is not None and self._shown is not None:
             start, profile = self._approach

@@ -86,6 +86,18 @@ class Task(ABC):
         return self.velocity(constraint, q, t), self.error_jacobian(constraint, q, t)
 
 
+class OneLook(Task):
+    """A task whose child defines `velocity_and_jacobian`, which says all."""
+
+    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
+        """b along the rows, in their units per second."""
+        return self.velocity_and_jacobian(constraint, q, t)[0]
+
+    def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
+        """E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q) (see `Task`)."""
+        return self.velocity_and_jacobian(constraint, q, t)[1]
+
+
 @final
 class Hold(Task):
     """b = 0: nothing moves along the constrained rows, all motion is in the null space."""
@@ -234,7 +246,7 @@ class PointAttractor(Task):
 
 
 @final
-class Track(Task):
+class Track(OneLook):
     """b = gain * Lambda (r*(t) - r(q)) + Lambda dr*/dt: a target that moves, without lagging behind it.
 
     A controller holds b for its period dt. The target's own velocity is therefore the mean one of that time: that in
@@ -264,14 +276,6 @@ class Track(Task):
         self, target: Callable[[float], ArrayLike], rate: Callable[[float], ArrayLike] | None = None, gain: float = 1.0
     ):
         self._target, self._rate, self.gain = target, rate, float(gain)
-
-    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """Attraction to the target, and the rate at time t where one was given."""
-        return self.velocity_and_jacobian(constraint, q, t)[0]
-
-    def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """E with d/dt error = -E u for a target that stands still; None where E = A(q) (see `Task`)."""
-        return self.velocity_and_jacobian(constraint, q, t)[1]
 
     def velocity_and_jacobian(
         self, constraint: Constraint, q: np.ndarray, t: float, dt: float = 0.0
