@@ -185,11 +185,11 @@ def driven_motion(
     if features.twist is None or features.own_axes is None:
         return DrivenMotion(*driven, features.coordinates, partial(_Line, f), by_row=True)
     v, w = np.split(f @ np.eye(6)[[AXES.index(name) for name in features.row_names]], 2)
-    chart_at = partial(_in_hand, v, w) if features.own_axes else _screw(v, spin=w)
+    chart_at = partial(_in_hand, v, w) if features.own_axes else screw(v, spin=w)
     return DrivenMotion(*driven, features.twist.pose, chart_at, by_row=True)
 
 
-def _screw(
+def screw(
     travel: np.ndarray, turn: np.ndarray = _STILL, spin: np.ndarray = _STILL, **more: Any
 ) -> Callable[[Origin], Chart]:
     """Return what makes the chart of one screw [m, rad per unit of distance] about an origin."""
@@ -199,13 +199,13 @@ def _screw(
 def _in_hand(v: np.ndarray, w: np.ndarray, origin: Origin) -> Chart:
     """Return the chart of a hand that moves along its own axes, and turns about them."""
     turn = origin[:3, :3] @ w
-    return _screw(origin[:3, :3] @ v + np.cross(origin[:3, 3], turn), turn, is_carried=True)(origin)
+    return screw(origin[:3, :3] @ v + np.cross(origin[:3, 3], turn), turn, is_carried=True)(origin)
 
 
 def _outwards(g: Place, origin: Origin) -> Chart:
     """Return the chart of a hand that moves away from an axis."""
     out = g.across.T @ (g.across @ (origin[:3, 3] - g.point))
-    return _screw(out / np.linalg.norm(out))(origin)
+    return screw(out / np.linalg.norm(out))(origin)
 
 
 def _only(free: Any, words: str, python: str, flag: str) -> Any:
@@ -294,9 +294,9 @@ def _along_row(
         pitch = g.pitch if {"screw", "helical"} & {*held} else 0.0
         spin = _STILL if "turn" in held else g.axis  # a hand that may turn about the axis turns with it
         travel = pitch * g.axis + np.cross(g.point, g.axis)
-        chart_at = _screw(travel, g.axis, spin, is_carried=driven == "turn", centre=g.point)
+        chart_at = screw(travel, g.axis, spin, is_carried=driven == "turn", centre=g.point)
     else:
-        chart_at = partial(_outwards, g) if driven == "radial" else _screw(g.axis)
+        chart_at = partial(_outwards, g) if driven == "radial" else screw(g.axis)
     wide = None if kind is None or straight or kind.kind in ("hinge", "screw") else mechanism_of(kind, g, None)
     selected = Constraint(one, features, constraint.provenance)
     return DrivenMotion(constraint, selected, one[-1], counts, features.twist.pose, chart_at, around=wide)

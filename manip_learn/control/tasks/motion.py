@@ -15,16 +15,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import rows_of
 from manip_learn.constraint.mechanism import KIND_BY_NAME
 from manip_learn.constraint.place import AXES
-from manip_learn.control.policies import (
-    ASCENT_GAIN,
-    JointAttractor,
-    KeptOrientation,
-    ManipulabilityAscent,
-    NullSpacePolicy,
-    RoomAscent,
-    SampledPolicy,
-    ZeroPolicy,
-)
+from manip_learn.control import policies
 from manip_learn.control.tasks.driven_motion import Course, Origin, Unit, along_path, driven_motion, way_in_words
 from manip_learn.control.tasks.motion_profile import MotionProfile
 from manip_learn.control.tasks.point_attractor import OneLook, PointAttractor, Task, VelocityAndJacobian
@@ -37,6 +28,11 @@ HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m
 TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m
 DONE = {"m": 1e-3, "rad": math.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
 RAMP = 0.5  # [s] from rest to the speed: 0.1 m/s with 0.3 m/s2 at most
+# mechanisms that do not move by a unit, what they do, and what to give in Python and as a flag
+_UNMOVED = {
+    "m": (("hinge", "screw", "ball"), "turns and does not slide", ("angle= [rad]", "--turn DEGREES")),
+    "rad": (("line", "plane"), "slides and does not turn", ("distance= [m]", "--along METRES")),
+}
 # what a way may be longer than what was shown: the play of a drawer's rails, and two tenths of a degree
 BEYOND = {"m": 2e-3, "rad": math.radians(0.2)}
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
@@ -187,10 +183,7 @@ class FreeDirection(OneLook):
     def _begins(self, q: ArrayLike) -> tuple[Origin, Origin, float]:
         """Return where a hand is, or was said to be, where the motion begins, and how far that is [m]."""
         here = self._motion.origin(q) if self._start is None else self._start
-        if self._shown is None:
-            return here, here, 0.0
-        origin = self._shown.nearest(here, self.wanted)
-        return here, origin, self._shown.apart(here, origin)
+        return here, *((here, 0.0) if self._shown is None else self._shown.nearest(here, self.wanted))
 
     def duration_from(self, q: ArrayLike) -> float:
         """How long the motion takes from posture q where no limit slows it down [s]."""
@@ -215,16 +208,16 @@ class FreeDirection(OneLook):
         distance = np.array([self._profile.at(t)[0] for t in time.tolist()])
         return time, distance, [course.goal(s) for s in distance.tolist()]
 
-    def ascent(self, gain: float = ASCENT_GAIN) -> SampledPolicy:
+    def ascent(self, gain: float = policies.ASCENT_GAIN) -> policies.SampledPolicy:
         """The policy that climbs the room left on the way: of the rows held and driven, and of the joints' ranges.
 
         The rows that are held do not say how well the hand can move along the way: the manipulability of these alone
         may rise while the driven direction is being lost. With it the hand turns as it was shown, where that was kept
         by habit (`KeptOrientation`).
         """
-        return self.as_kept(RoomAscent(self.constraint, self._profile.speed, gain))
+        return self.as_kept(policies.RoomAscent(self.constraint, self._profile.speed, gain))
 
-    def as_kept(self, policy: SampledPolicy) -> SampledPolicy:
+    def as_kept(self, policy: policies.SampledPolicy) -> policies.SampledPolicy:
         """Return a policy, summed with the wish that the hand turns as it was shown where that was kept by habit."""
         known, shown = self.learnt.mechanism, self.learnt.shown
         rms = 0.0 if known is None or known.grip != "kept" else math.radians(known.orientation_rms or 0.0)
@@ -235,7 +228,7 @@ class FreeDirection(OneLook):
         def wanted() -> Float[np.ndarray, "3 3"]:
             return shown.turned_at(0.0 if self.way_begins is None else sense * self._place)
 
-        return KeptOrientation(policy, self.learnt.features.twist, wanted, rms)
+        return policies.KeptOrientation(policy, self.learnt.features.twist, wanted, rms)
 
     def with_distance(self, distance: float) -> FreeDirection:
         """This motion by another distance [m or rad], from a start of its own."""
@@ -362,14 +355,11 @@ def _held_by_the_grip(constraint: Constraint) -> Constraint:
 
 
 def _number(name: str, value: float, positive: bool = True) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError) as error:
-        raise TargetError(f"the {name} must be a number, got {value!r}") from error
-    if not math.isfinite(number) or number == 0.0 or (positive and number < 0.0):
-        kind = "a positive number" if positive else "a finite number other than 0 (negative: the other way)"
-        raise TargetError(f"the {name} must be {kind}, got {value!r}")
-    return number
+    number = finite(value)
+    if number is None or number == 0.0 or (positive and number < 0.0):
+        kind = "a number" if number is None else "a finite number other than 0 (negative: the other way)"
+        raise TargetError(f"the {name} must be {'a positive number' if positive else kind}, got {value!r}")
+    return float(number)
 
 
 def motion(
@@ -434,9 +424,9 @@ def motion(
     distance, angle = along if distance is None else distance, turn if angle is None else angle
     shown, known = constraint.shown, constraint.mechanism
     word = direction if isinstance(direction, str) and direction in ("shown", "back") else None
-    again, is_named = distance is None and angle is None, direction is not None and word is None
-    if again and is_named and isinstance(direction, str):
-        raise TargetError(f"the direction is {direction!r}, it must be 'shown', as the recordings went, or 'back'")
+    again, named = distance is None and angle is None, direction if word is None else None
+    if again and isinstance(named, str):
+        raise TargetError(f"the direction is {named!r}, it must be 'shown', as the recordings went, or 'back'")
     if again and (meant := constraint.intention) is not None:
         if not meant.common:
             raise TargetError(
@@ -444,68 +434,50 @@ def motion(
                 "one" + advice(" with {}", "PointAttractor(target)", "--target")
             )
         return PointAttractor(meant.target, meant.gain)  # type: ignore[return-value]  # of such rows alone
-    if (again and (shown is None or is_named)) or (distance is not None and angle is not None):
+    if (again and (shown is None or named is not None)) or None not in (distance, angle):
         raise TargetError(
             ("the constraint does not know what was shown: " if again and shown is None else "")
             + "say how far to go, once"
             + advice(": {}", "distance=0.3 [m] or angle=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
         )
     unit: Unit = "m" if angle is None else "rad"
-    amount = distance if angle is None else angle
-    # mechanisms that do not move by a unit, what they do, and what to give; others slide and turn
-    types, does = ("line", "plane"), "slides and does not turn"
-    instead = advice(": use {}", "distance= [m]", "--along METRES")
-    if unit == "m":
-        types, does = ("hinge", "screw", "ball"), "turns and does not slide"
-        instead = advice(": use {}", "angle= [rad]", "--turn DEGREES")
+    amount: Any = distance if angle is None else angle
+    types, does, instead = _UNMOVED[unit]
     if again and shown is not None:
         unit, amount = shown.unit, shown.extent
         speed = amount / max(shown.seconds - RAMP, RAMP) if speed is None else speed
     elif known is not None and known.type in types:
-        raise ConstraintError(f"what was learnt {does} ({known.sentence}){instead}")
+        raise ConstraintError(f"what was learnt {does} ({known.sentence})" + advice(": use {}", *instead))
     if speed is None:
         lever = 0.0 if known is None else known.radius or 0.0
         speed = HAND_SPEED if unit == "m" else HAND_SPEED / max(lever, HAND_SPEED / TURN_SPEED)
-    task = FreeDirection(
-        constraint,
-        amount,  # type: ignore[arg-type]  # one of them was given
-        speed,
-        direction=None if word is not None else direction,
-        unit=unit,
-        straight=True,
-        keep_orientation=keep_orientation,
-        pause=pause,
-        take_hold=True,
-        as_shown=again,
-    )
+    asked: dict[str, Any] = {"direction": named, "unit": unit, "straight": True, "take_hold": True, "as_shown": again}
+    task = FreeDirection(constraint, amount, speed, keep_orientation=keep_orientation, pause=pause, **asked)
     if not beyond_shown:
         _check_shown(task)
-    sense = 0.0 if is_named else shown_sense(shown, task._motion, of_most=again)
+    sense = 0.0 if named is not None else shown_sense(shown, task._motion, of_most=again)
     if sense == 0.0 and word is not None:
         raise ConstraintError(
             "the recordings do not say which way is the one shown: they went to both sides of where they began, or the "
             "constraint was not learnt by this version; leave the direction out, and choose the sign"
         )
-    if (sense < 0.0) == (word == "back"):
-        return task
-    task = task.with_distance(-task.wanted)  # the other way, which counts as positive
-    task.counts = -1.0
+    if (sense < 0.0) != (word == "back"):
+        task = task.with_distance(-task.wanted)  # the other way, which counts as positive
+        task.counts = -1.0
     return task
 
 
 def _check_shown(task: FreeDirection) -> None:
     """Refuse a way that is longer than the places are apart at which it was shown, or than the arm can go."""
     shown, twist, wanted = task.learnt.shown, task.learnt.features.twist, abs(task.wanted)
-    words = way_in_words(wanted, task.unit)
+    words = f"the way of {way_in_words(wanted, task.unit)} is longer than"
     if shown is not None and shown.is_way and shown.unit == task.unit and wanted > shown.span + BEYOND[task.unit]:
         raise TargetError(
-            f"the way of {words} is longer than what was shown ({way_in_words(shown.span, task.unit)}): ask for no more"
+            f"{words} what was shown ({way_in_words(shown.span, task.unit)}): ask for no more"
             + advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")
         )
     if task.unit == "m" and twist is not None and wanted > (most := 2.0 * twist.robot.reach(twist.frame)):
-        raise TargetError(
-            f"the way of {words} is longer than the arm can go in any direction ({most:.2g} m): ways are in metres"
-        )
+        raise TargetError(f"{words} the arm can go in any direction ({most:.2g} m): ways are in metres")
 
 
 def motion_to(
@@ -537,15 +509,14 @@ def motion_to(
         )
     if (place := finite(point, 3)) is None:
         raise TargetError(f"the point must be three finite numbers (x, y, z) [m], got {point!r}")
-    here, there = twist.pose(q), np.eye(4)
+    there = np.eye(4)
     there[:3, 3] = place
-    angle = float(known.by_place().at(here, np.inf).coordinates(there)[0])
+    angle = float(known.by_place().at(twist.pose(q), np.inf).coordinates(there)[0])
     if abs(angle) < 1e-6:
         raise TargetError("the hand is as near to the point as the mechanism allows: name another")
     task = motion(constraint, angle=angle, speed=speed, keep_orientation=keep_orientation, beyond_shown=True)
     task = task.with_distance(angle)  # about the axis, whichever way was shown
-    far = task.hold(q)
-    if far > 0.0:
+    if (far := task.hold(q)) > 0.0:
         raise TargetError(
             f"the hand is {far:.3g} m away from the {known.type}: start on it, or say how far to turn"
             + advice(" with {}, which goes there first", "motion(constraint, angle=...)", "--turn")
@@ -555,7 +526,7 @@ def motion_to(
 
 def null_policy(
     name: str, task: Task, constraint: Constraint, robot: Robot, gain: float | None, rest: ArrayLike | None
-) -> NullSpacePolicy:
+) -> policies.NullSpacePolicy:
     """A null-space policy by its name on the command line, with its own gain if none is given.
 
     Raises:
@@ -563,10 +534,10 @@ def null_policy(
     """
     given = () if gain is None else (gain,)
     if name == "manipulability":
-        climb = ManipulabilityAscent(task.rows(constraint), *given)
+        climb = policies.ManipulabilityAscent(task.rows(constraint), *given)
         return task.as_kept(climb) if isinstance(task, FreeDirection) else climb
     if name == "zero":
-        return ZeroPolicy(constraint.nv)
+        return policies.ZeroPolicy(constraint.nv)
     if name == "attractor":
-        return JointAttractor(robot.neutral() if rest is None else rest, *given, robot=robot)
+        return policies.JointAttractor(robot.neutral() if rest is None else rest, *given, robot=robot)
     raise ManipLearnError(f"unknown policy {name!r}: use one of manipulability, zero, attractor")
