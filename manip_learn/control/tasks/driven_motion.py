@@ -27,6 +27,7 @@ from manip_learn.linalg import unit as unit_matrix
 from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors
 
 Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
+ChartAt = Callable[[Origin], Any]  # origin -> chart whose first coordinate is the distance from there
 _STILL = np.zeros(3)  # of a screw that does not travel, or does not turn
 _BESIDE = 0.02  # [m] along a path from where a hand should be, within which it is: some strokes of a wipe cross nearer
 _AHEAD = 0.5  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
@@ -69,7 +70,7 @@ class DrivenMotion:
         driven: shape (p,), what a unit of distance adds to the features' coordinates at the beginning.
         unit: `"m"` or `"rad"`, of distances along the motion.
         origin: Posture -> the pose of the frame; coordinates of features without one.
-        chart_at: Origin -> chart whose first coordinate is the distance: a `Chart`, or another that does the same.
+        chart_at: Origin -> a `Chart`, or another that does the same.
         by_row: Whether the driven row tells the distance, rather than the chart: of features whose rows are constant.
         around: Mechanism that leaves free more than that; its held rows are the first ones. None of others.
     """
@@ -79,7 +80,7 @@ class DrivenMotion:
     driven: Float[np.ndarray, " p"]
     unit: Unit
     origin: Callable[[ArrayLike], Origin]
-    chart_at: Callable[[Origin], Any]
+    chart_at: ChartAt
     by_row: bool = False
     around: Mechanism | None = None
 
@@ -115,10 +116,6 @@ class Course:
             held = self._around.held_error(here)
             off[: len(held)] = held
         return place, ahead, off
-
-    def goal(self, distance: float) -> Origin:
-        """Return where the frame is after a distance: a pose (4, 4), or coordinates of the features (p,)."""
-        return self.chart.pose((distance,))
 
     def deviation(self, q: ArrayLike, distance: float) -> float:
         """Return how far the held rows are from where they should be after a distance [m or rad]."""
@@ -189,9 +186,7 @@ def driven_motion(
     return DrivenMotion(*driven, features.twist.pose, chart_at, by_row=True)
 
 
-def screw(
-    travel: np.ndarray, turn: np.ndarray = _STILL, spin: np.ndarray = _STILL, **more: Any
-) -> Callable[[Origin], Chart]:
+def screw(travel: np.ndarray, turn: np.ndarray = _STILL, spin: np.ndarray = _STILL, **more: Any) -> ChartAt:
     """Return what makes the chart of one screw [m, rad per unit of distance] about an origin."""
     return partial(Chart, travel=travel[None], turn=turn[None], spin=spin[None], **more)
 
@@ -215,9 +210,9 @@ def _only(free: Any, words: str, python: str, flag: str) -> Any:
         ConstraintError: There are several.
     """
     if len(free) > 1:
+        how = advice(" with {}", f"direction={python}", f"--direction {flag}")
         raise ConstraintError(
-            f"the constraint leaves {len(free)} directions free ({words}): say along which one to move"
-            + advice(" with {}", f"direction={python}", f"--direction {flag}")
+            f"the constraint leaves {len(free)} directions free ({words}): say along which to move{how}"
         )
     return free[0]
 
@@ -243,10 +238,8 @@ def _direction(
     if place is not None and p > 3 and set(AXES[:3]) <= set(names):
         given = place @ [[axis == name for name in names] for axis in AXES[:3]]
     if given is None or not given.any():
-        raise TargetError(
-            f"the direction must be {p} finite numbers ({', '.join(names)}) that are not all zero, "
-            f"or 'shown' or 'back', got {direction!r}"
-        )
+        wanted = f"{p} finite numbers ({', '.join(names)}) that are not all zero, or 'shown' or 'back'"
+        raise TargetError(f"the direction must be {wanted}, got {direction!r}")
     moved = free.T @ (free @ given)
     if np.linalg.norm(moved) < _FREE * np.linalg.norm(given):
         raise TargetError(f"the constraint holds the direction {given.tolist()}; free is {words}")
@@ -260,22 +253,15 @@ def _along_row(
     rows: Any = constraint.features
     weights = constraint.selection.T @ constraint.selection
     if np.max(np.abs(weights - np.round(weights))) > 1e-9:
-        raise ConstraintError(
-            f"the constraint holds combinations of the rows {' '.join(rows.row_names)}: FreeDirection needs each "
-            "of them to be held as it is, or not at all"
-        )
+        words = f"combinations of the rows {' '.join(rows.row_names)}"
+        raise ConstraintError(f"the constraint holds {words}: FreeDirection needs each held as it is, or not at all")
     held = [name for name, weight in zip(rows.row_names, np.diag(weights), strict=True) if weight > 0.5]
     if "spherical" in held or {"slide", "slide-1", "slide-2"} == {*held}:  # a ball turns about any axis, as a hinge
-        if direction is None:
-            raise ConstraintError(
-                "a ball leaves turns about every axis free: give the axis in the base frame"
-                + advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
-            )
         turn = finite(direction, 3)
         if turn is None or not turn.any():
-            raise TargetError(
-                f"the direction of a ball is the axis of the turn, three finite numbers not all zero; got {direction!r}"
-            )
+            axis = advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
+            words = f"a ball leaves turns about every axis free: give the axis in the base frame{axis}, not all zero"
+            raise (ConstraintError if direction is None else TargetError)(f"{words}; got {direction!r}")
         place = Place(turn / np.linalg.norm(turn), rows.geometry.point)
         rows, direction, unit = rows.about(place), None, "rad"
     g: Place = rows.geometry  # None of a curve

@@ -202,11 +202,11 @@ class FreeDirection(OneLook):
             fewest: Number of entries at least.
             most: And at most.
         """
-        course = Course(self._motion, self._begins(start)[1])
+        chart = self._motion.chart_at(self._begins(start)[1])
         number = min(max(math.ceil(self._profile.duration / period) + 1, fewest), most)
         time = np.linspace(0.0, self._profile.duration, number)
         distance = np.array([self._profile.at(t)[0] for t in time.tolist()])
-        return time, distance, [course.goal(s) for s in distance.tolist()]
+        return time, distance, [chart.pose((s,)) for s in distance.tolist()]
 
     def ascent(self, gain: float = policies.ASCENT_GAIN) -> policies.SampledPolicy:
         """The policy that climbs the room left on the way: of the rows held and driven, and of the joints' ranges.
@@ -304,7 +304,7 @@ class FreeDirection(OneLook):
         """Where the motion ends; None before the first call, unless `start` was given."""
         if self._course is None:
             return None
-        end, names = self._course.goal(self.wanted), self.constraint.features.row_names
+        end, names = self._course.chart.pose((self.wanted,)), self.constraint.features.row_names
         is_place = end.ndim == 2 and set(names) <= set(AXES[:3])
         return end[[AXES.index(name) for name in names], 3] if is_place else end
 

@@ -157,10 +157,10 @@ class PointAttractor(Task):
             raise TargetError(f"driven must be 'held' or 'all', not {self.driven!r}")
         try:
             numbers = np.array(self.target, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise TargetError(f"the target must be numbers, got {self.target!r}") from error
+        except (TypeError, ValueError):
+            numbers = np.array(np.nan)
         if numbers.ndim not in (1, 2) or not np.all(np.isfinite(numbers)):
-            raise TargetError(f"the target must be finite numbers, got {numbers.tolist()}")
+            raise TargetError(f"the target must be finite numbers, got {self.target!r}")
         numbers.setflags(write=False)
         object.__setattr__(self, "target", numbers)
 
@@ -176,16 +176,14 @@ class PointAttractor(Task):
         """
         if self.driven == "held":
             return constraint
-        names = constraint.features.row_names
-        if not self._fits(constraint.features) or isinstance(constraint.features, WeighedVelocity):
-            raise TargetError(
-                f"the target must have {len(names)} numbers ({', '.join(names)}), got shape {self.target.shape}: "
-                + advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")
-            )
-        if (every := self._all) is None or every.features is not constraint.features:
-            every = Constraint(np.eye(len(names)), constraint.features, constraint.provenance)
-            object.__setattr__(self, "_all", every)
-        return every  # the same one at each call, so that a policy that climbs it shares the controller's work
+        features, names = constraint.features, constraint.features.row_names
+        if not self._fits(features) or isinstance(features, WeighedVelocity):
+            held = advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")
+            wanted = f"{len(names)} numbers ({', '.join(names)})"
+            raise TargetError(f"the target must have {wanted}, got shape {self.target.shape}: {held}")
+        if self._all is None or self._all.features is not features:
+            object.__setattr__(self, "_all", Constraint(np.eye(len(names)), features, constraint.provenance))
+        return self._all  # type: ignore[return-value]  # the same at each call: a policy that climbs it shares the work
 
     def displacement(self, constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " s"]:
         """Lambda (r* - r(q)).
@@ -197,19 +195,17 @@ class PointAttractor(Task):
 
     def _toward(self, constraint: Constraint, q: ArrayLike) -> VelocityAndJacobian:
         """The displacement, and E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
-        features, s = constraint.features, constraint.n_constraints
+        features, s, rows = constraint.features, constraint.n_constraints, constraint.selection
         if self._fits(features):
             error, E = features.error_and_jacobian(self.target, q)
-            return constraint.selection.dot(error), None if E is None else constraint.selection.dot(E)
-        if self.target.shape == (s,):
-            E = features.coordinates_jacobian(q)
-            way = self.target - constraint.selection @ features.coordinates(q)
-            return way, None if E is None else constraint.selection.dot(E)
-        either = "" if s == features.n_rows else f", or {s}: one per row of the constraint"
-        raise TargetError(
-            f"the target must have {features.n_rows} numbers ({', '.join(features.row_names)}){either}; "
-            f"got shape {self.target.shape}"
-        )
+            way = rows.dot(error)
+        elif self.target.shape == (s,):
+            way, E = self.target - rows @ features.coordinates(q), features.coordinates_jacobian(q)
+        else:
+            wanted = f"{features.n_rows} numbers ({', '.join(features.row_names)})"
+            wanted += "" if s == features.n_rows else f", or {s}: one per row of the constraint"
+            raise TargetError(f"the target must have {wanted}; got shape {self.target.shape}")
+        return way, None if E is None else rows.dot(E)
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
         """The target."""
@@ -221,17 +217,7 @@ class PointAttractor(Task):
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """gain * displacement, scaled down to max_speed."""
-        return self._attraction(self.displacement(constraint, q))
-
-    def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
-        """b and E from one look at the pose."""
-        if type(self) is not PointAttractor:  # a child's own velocity counts
-            return super().velocity_and_jacobian(constraint, q, t)
-        displacement, E = self._toward(constraint, q)
-        return self._attraction(displacement), E
-
-    def _attraction(self, displacement: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
-        b = self.gain * displacement
+        b = self.gain * self.displacement(constraint, q)
         if self.max_speed is not None and (speed := math.sqrt(b.dot(b))) > self.max_speed:
             b *= self.max_speed / speed
         return b
@@ -281,7 +267,7 @@ class Track(OneLook):
         self, constraint: Constraint, q: np.ndarray, t: float, dt: float = 0.0
     ) -> VelocityAndJacobian:
         """b for the time dt [s] that begins at t, and E."""
-        ahead, E = PointAttractor(self._target(t)).velocity_and_jacobian(constraint, q, t)
+        ahead, E = PointAttractor(self._target(t))._toward(constraint, q)
         b = self.gain * ahead
         if self._rate is not None:
             b += constraint.selection @ np.asarray(self._rate(t + 0.5 * dt), dtype=np.float64)

@@ -13,7 +13,7 @@ from scipy.optimize import nnls
 
 from manip_learn.constraint.mechanism import GRIP, Mechanism
 from manip_learn.constraint.shown import Shown
-from manip_learn.control.tasks.driven_motion import Course, DrivenMotion, Origin, screw
+from manip_learn.control.tasks.driven_motion import DrivenMotion, Origin, screw
 from manip_learn.robot.rotations import angles_between, rotation_vector
 
 LEAST_TURN = 1e-3  # share of a rotation in a row: a learnt row of the place leaks less, and holds no turn
@@ -28,7 +28,7 @@ def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = Fa
     if shown is None or not shown.is_way or not (shown.one_way or of_most) or shown.unit != motion.unit:
         return 0.0
     begin = shown.chart.grasp
-    along = float(shown.chart.heading(begin) @ Course(motion, begin).chart.heading(begin))
+    along = float(shown.chart.heading(begin) @ motion.chart_at(begin).heading(begin))
     return math.copysign(1.0, along) if along else 0.0
 
 
@@ -103,7 +103,7 @@ class ShownPlaces:
         elif len(begins) > 1 and min(self.apart(here, begin) for begin in begins) > GRIP:  # then the typical one
             begins = self._shown.chart.grasp[None]
         if way < 0.0:  # back from where one of them ended
-            begins = [Course(self._motion, begin).goal(-distance) for begin in begins]
+            begins = [self._motion.chart_at(begin).pose((-distance,)) for begin in begins]
         origin = min(begins, key=lambda begin: self.apart(here, begin))
         return origin, self.apart(here, origin)
 
