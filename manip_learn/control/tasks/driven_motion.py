@@ -344,9 +344,7 @@ class _Path:
 
     def _at(self, s: float) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"]]:
         """Return the place and the turn since the beginning, and the tangent; straight on before and after the path."""
-        k = min(max(int(np.searchsorted(self.ways, s)), 1), len(self.ways) - 1)
-        share = min(max((s - self.ways[k - 1]) / (self.ways[k] - self.ways[k - 1]), 0.0), 1.0)
-        row = (1.0 - share) * self.table[k - 1] + share * self.table[k]
+        row = np.array([np.interp(s, self.ways, column) for column in self.table.T])
         return row[:6] + (s - min(max(s, 0.0), float(self.ways[-1]))) * row[6:], row[6:]
 
     def pose(self, s: tuple[float]) -> Origin:

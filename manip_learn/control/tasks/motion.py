@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import rows_of
 from manip_learn.constraint.mechanism import KIND_BY_NAME
@@ -19,7 +20,7 @@ from manip_learn.control import policies
 from manip_learn.control.tasks.driven_motion import Course, Origin, Unit, along_path, driven_motion, way_in_words
 from manip_learn.control.tasks.motion_profile import MotionProfile
 from manip_learn.control.tasks.point_attractor import OneLook, PointAttractor, Task, VelocityAndJacobian
-from manip_learn.control.tasks.shown_places import ShownPlaces, between, shown_sense
+from manip_learn.control.tasks.shown_places import ShownPlaces, shown_sense, straight
 from manip_learn.errors import ConstraintError, ManipLearnError, TargetError, advice, an
 from manip_learn.linalg import finite
 from manip_learn.robot.robot import Robot
@@ -86,6 +87,9 @@ class FreeDirection(OneLook):
         learnt: The constraint.
         constraint: The constrained rows and the driven one.
         unit: Unit of the distance, `"m"` or `"rad"`.
+        wanted: The whole way [m or rad].
+        grip_shown: How the hand was turned where contacts began, and how far from that in others [rad]; None if not
+            known.
         counts: 1, or -1 where the caller counts a way as positive that is negative here: as the recordings went.
         way_begins: Time at which the hand was at the mechanism and the way began [s]; None as long as it is not there.
 
@@ -141,44 +145,34 @@ class FreeDirection(OneLook):
             A = self.constraint(robot.random_configuration(np.random.default_rng(0)))
             b = self.constraint.selection.dot(self._motion.driven)
             if np.linalg.norm(A.dot(np.linalg.lstsq(A, b)[0]) - b) > 1e-6 * np.linalg.norm(b):
-                raise ConstraintError(
-                    f"{robot.nv} joints cannot move along this and keep the orientation of the hand, {len(A)} rows"
-                    + advice(": leave out {}", "keep_orientation=True", "--keep-orientation")
-                )
+                fix = advice(": leave out {}", "keep_orientation=True", "--keep-orientation")
+                raise ConstraintError(f"{robot.nv} joints cannot move along this and keep the hand's orientation{fix}")
         self.unit: Unit = self._motion.unit
         self._shown: ShownPlaces | None = None
+        self.grip_shown: tuple[Float[np.ndarray, "3 3"], float] | None = None
         if shown is not None and (take_hold or as_shown):
             self._shown = ShownPlaces(constraint.mechanism, shown, self._motion, as_shown)
+            self.grip_shown = shown.orientation, shown.turned
         self._start = None if start is None else self._motion.origin(start)
         self.reset()
 
     @property
-    def wanted(self) -> float:
-        """The whole way [m or rad]."""
-        return self._profile.distance
-
-    @property
     def duration(self) -> float:
         """How long the motion takes where no limit slows it down, with the way to the mechanism if known [s]."""
-        return self.pause + self._profile.duration + (0.0 if self._approach is None else self._approach[1].duration)
+        return self.pause + self._profile.duration + (0.0 if self._approach is None else self._approach[0].duration)
 
     def reset(self) -> None:
         """Forget the start: the next call is the first one again."""
+        self.wanted = self._profile.distance
         self._course = None if self._start is None else Course(self._motion, self._start)
         self._begun, self._latest = math.inf, -math.inf
         self.way_begins: float | None = None
-        self._approach: tuple[Origin, MotionProfile] | None = None
+        self._approach: tuple[MotionProfile, Chart] | None = None
         self._place, self._ahead = 0.0, self._motion.driven
 
     def hold(self, q: ArrayLike) -> float:
         """How far a hand at posture q has to go to the mechanism [m]; 0 if it is on it, or if that is not known."""
         return self._begins(q)[2]
-
-    @property
-    def grip_shown(self) -> tuple[Float[np.ndarray, "3 3"], float] | None:
-        """How the hand was turned where contacts began, and how far from that in others [rad]; None if not known."""
-        shown = self.learnt.shown
-        return None if shown is None or self._shown is None else (shown.orientation, shown.turned)
 
     def _begins(self, q: ArrayLike) -> tuple[Origin, Origin, float]:
         """Return where a hand is, or was said to be, where the motion begins, and how far that is [m]."""
@@ -250,8 +244,7 @@ class FreeDirection(OneLook):
 
     def progress(self, q: ArrayLike) -> float:
         """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
-        is_before = self.way_begins is None and self._begun < math.inf
-        return 0.0 if is_before else self.progress_near(q, self._place)
+        return 0.0 if self.way_begins is None and self._begun < math.inf else self.progress_near(q, self._place)
 
     def meant(self, t: float) -> float:
         """How far the way should have come at a time [m or rad]; 0 before it began."""
@@ -318,18 +311,19 @@ class FreeDirection(OneLook):
         """From where the way counts, how far along it the hand should be, and how fast."""
         if t <= self._begun < self._latest:
             self.reset()
-        if self._begun == math.inf:
+        if self._course is None or self._begun == math.inf:
             start, origin, far = self._begins(q)
             self._begun, self._course = t, Course(self._motion, origin)
-            self._approach = (start, MotionProfile(far, APPROACH_SPEED, self._profile.ramp)) if far > TAKEN else None
+            if far > TAKEN:
+                self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp), straight(start, origin)
         self._latest = t
         if self.way_begins is None and self._approach is not None and self._shown is not None:
-            start, profile = self._approach
-            late, origin = t - self._begun - profile.duration, self._course.origin  # [s]
+            profile, chart = self._approach
+            late = t - self._begun - profile.duration  # [s]
             near = TAKEN if late < _SETTLING else _NOISY
-            if late < 0.0 or self._shown.apart(self._motion.origin(q), origin) > near:
+            if late < 0.0 or self._shown.apart(self._motion.origin(q), self._course.origin) > near:
                 share = min(profile.at(t - self._begun)[0] / profile.distance, 1.0)
-                return Course(self._motion, between(start, origin, share)), 0.0, 0.0
+                return Course(self._motion, chart.pose((share,))), 0.0, 0.0
         if self.way_begins is None:
             self.way_begins = t + self.pause
         return self._course, *self._profile.at(t - self.way_begins)
@@ -429,17 +423,13 @@ def motion(
         raise TargetError(f"the direction is {named!r}, it must be 'shown', as the recordings went, or 'back'")
     if again and (meant := constraint.intention) is not None:
         if not meant.common:
-            raise TargetError(
-                f"the {len(meant.targets)} recordings go to different targets, {meant.spread:.2g} m or rad apart: name "
-                "one" + advice(" with {}", "PointAttractor(target)", "--target")
-            )
+            go = f"the {len(meant.targets)} recordings go to different targets, {meant.spread:.2g} m or rad apart"
+            raise TargetError(f"{go}: name one{advice(' with {}', 'PointAttractor(target)', '--target')}")
         return PointAttractor(meant.target, meant.gain)  # type: ignore[return-value]  # of such rows alone
     if (again and (shown is None or named is not None)) or None not in (distance, angle):
-        raise TargetError(
-            ("the constraint does not know what was shown: " if again and shown is None else "")
-            + "say how far to go, once"
-            + advice(": {}", "distance=0.3 [m] or angle=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
-        )
+        lacking = "the constraint does not know what was shown: " if again and shown is None else ""
+        how = advice(": {}", "distance=0.3 [m] or angle=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
+        raise TargetError(f"{lacking}say how far to go, once{how}")
     unit: Unit = "m" if angle is None else "rad"
     amount: Any = distance if angle is None else angle
     types, does, instead = _UNMOVED[unit]
@@ -472,10 +462,8 @@ def _check_shown(task: FreeDirection) -> None:
     shown, twist, wanted = task.learnt.shown, task.learnt.features.twist, abs(task.wanted)
     words = f"the way of {way_in_words(wanted, task.unit)} is longer than"
     if shown is not None and shown.is_way and shown.unit == task.unit and wanted > shown.span + BEYOND[task.unit]:
-        raise TargetError(
-            f"{words} what was shown ({way_in_words(shown.span, task.unit)}): ask for no more"
-            + advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")
-        )
+        more = advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")
+        raise TargetError(f"{words} what was shown ({way_in_words(shown.span, task.unit)}): ask for no more{more}")
     if task.unit == "m" and twist is not None and wanted > (most := 2.0 * twist.robot.reach(twist.frame)):
         raise TargetError(f"{words} the arm can go in any direction ({most:.2g} m): ways are in metres")
 
@@ -503,10 +491,8 @@ def motion_to(
     """
     known, twist = constraint.mechanism, constraint.features.twist
     if known is None or known.kind not in ("hinge", "screw"):
-        raise ConstraintError(
-            "what was learnt turns about no one axis, towards a point: say how far to go"
-            + advice(" with {}", "motion(constraint, distance=... | angle=...)", "--along or --turn")
-        )
+        how = advice(" with {}", "motion(constraint, distance=... | angle=...)", "--along or --turn")
+        raise ConstraintError(f"what was learnt turns about no one axis, towards a point: say how far to go{how}")
     if (place := finite(point, 3)) is None:
         raise TargetError(f"the point must be three finite numbers (x, y, z) [m], got {point!r}")
     there = np.eye(4)
@@ -517,9 +503,9 @@ def motion_to(
     task = motion(constraint, angle=angle, speed=speed, keep_orientation=keep_orientation, beyond_shown=True)
     task = task.with_distance(angle)  # about the axis, whichever way was shown
     if (far := task.hold(q)) > 0.0:
+        how = advice(" with {}, which goes there first", "motion(constraint, angle=...)", "--turn")
         raise TargetError(
-            f"the hand is {far:.3g} m away from the {known.type}: start on it, or say how far to turn"
-            + advice(" with {}, which goes there first", "motion(constraint, angle=...)", "--turn")
+            f"the hand is {far:.3g} m away from the {known.type}: start on it, or say how far to turn{how}"
         )
     return task
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
+from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.mechanism import GRIP, Mechanism
 from manip_learn.constraint.shown import Shown
 from manip_learn.control.tasks.driven_motion import DrivenMotion, Origin, screw
@@ -32,10 +33,9 @@ def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = Fa
     return math.copysign(1.0, along) if along else 0.0
 
 
-def between(start: Origin, end: Origin, share: float) -> Origin:
-    """Return the pose on the straight way from one to another, on which the hand turns evenly."""
-    turn = rotation_vector(end[:3, :3] @ start[:3, :3].T)
-    return screw(end[:3, 3] - start[:3, 3], spin=turn)(start).pose((share,))
+def straight(start: Origin, end: Origin) -> Chart:
+    """Return the chart of a hand that goes straight from one pose (0) to another (1), and turns evenly meanwhile."""
+    return screw(end[:3, 3] - start[:3, 3], spin=rotation_vector(end[:3, :3] @ start[:3, :3].T))(start)
 
 
 @final
