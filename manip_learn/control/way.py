@@ -147,21 +147,19 @@ def _places_of(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray,
 def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " T"], robot: Robot) -> WayDone:
     """Return what became of a way, by how far it had come at each sample."""
     time, on = rollout.time, np.flatnonzero(np.isfinite(places))
-    there = np.flatnonzero(np.abs(places - task.wanted) <= DONE[task.unit])
-    is_done = len(there) > 0 and there[-1] == len(places) - 1
-    begins = float(time[on[0]]) if len(on) else None
+    there = np.abs(places - task.wanted) <= DONE[task.unit]
     shares = np.max(np.abs(rollout.u) / robot.velocity_limit, axis=0)
     fastest = int(np.argmax(shares))
     return WayDone(
         task.counts * task.wanted,
         task.counts * float(places[-1] if len(on) else 0.0),
         task.unit,
-        begins,
-        float(time[there[0]]) - begins if is_done and begins is not None else None,
+        float(time[on[0]]) if len(on) else None,
+        float(time[np.argmax(there)] - time[on[0]]) if there[-1] else None,
         max((task.deviation(rollout.q[i], places[i]) for i in on), default=0.0),
         float(np.min(rollout.manipulability[on if len(on) else [-1]])),
         (robot.joint_names[fastest], float(shares[fastest])),
-        None if is_done else _reason(task, rollout, robot),
+        None if there[-1] else _reason(task, rollout, robot),
     )
 
 
@@ -177,9 +175,8 @@ def joint_at_limit(robot: Robot, positions: Vector) -> str | None:
 def _reason(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:
     """What stops the arm at the end of a rollout, in words."""
     last = rollout.status[-max(1, len(rollout) // 20) :]
-    short, joint = "", joint_at_limit(robot, robot.positions(rollout.q[-1]))
-    if task.way_begins is None:
-        short = "on its way to the mechanism: "
+    short = "" if task.way_begins is not None else "on its way to the mechanism: "
+    joint = joint_at_limit(robot, robot.positions(rollout.q[-1]))
     if joint is not None and _BLOCKED.intersection(last):
         return short + joint
     if _SINGULAR.intersection(last):

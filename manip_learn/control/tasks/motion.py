@@ -130,9 +130,8 @@ class FreeDirection(OneLook):
         take_hold: bool = False,
         as_shown: bool = False,
     ):
-        self._profile = MotionProfile(
-            _number("distance", distance, positive=False), _number("speed", speed), _number("ramp", ramp)
-        )
+        way = _number("distance", distance, positive=False)
+        self._profile = MotionProfile(way, _number("speed", speed), _number("ramp", ramp))
         self.gain, self.pause = _number("gain", gain), _number("pause", pause) if pause else 0.0
         self.learnt, self.counts, shown = constraint, 1.0, constraint.shown
         held = constraint.with_orientation() if keep_orientation else _held_by_the_grip(constraint)
@@ -140,14 +139,13 @@ class FreeDirection(OneLook):
             self._motion, self._profile = along_path(held, shown, self._profile.ramp)
         else:
             self._motion = driven_motion(held, direction, unit, straight)
-        self.constraint = self._motion.constraint
+        self.constraint, self.unit = self._motion.constraint, self._motion.unit
         if keep_orientation and (robot := constraint.robot) is not None:
             A = self.constraint(robot.random_configuration(np.random.default_rng(0)))
             b = self.constraint.selection.dot(self._motion.driven)
             if np.linalg.norm(A.dot(np.linalg.lstsq(A, b)[0]) - b) > 1e-6 * np.linalg.norm(b):
                 fix = advice(": leave out {}", "keep_orientation=True", "--keep-orientation")
                 raise ConstraintError(f"{robot.nv} joints cannot move along this and keep the hand's orientation{fix}")
-        self.unit: Unit = self._motion.unit
         self._shown: ShownPlaces | None = None
         self.grip_shown: tuple[Float[np.ndarray, "3 3"], float] | None = None
         if shown is not None and (take_hold or as_shown):
@@ -447,10 +445,9 @@ def motion(
         _check_shown(task)
     sense = 0.0 if named is not None else shown_sense(shown, task._motion, of_most=again)
     if sense == 0.0 and word is not None:
-        raise ConstraintError(
-            "the recordings do not say which way is the one shown: they went to both sides of where they began, or the "
-            "constraint was not learnt by this version; leave the direction out, and choose the sign"
-        )
+        why = "they went to both sides of where they began, or the constraint was not learnt by this version"
+        fix = "leave the direction out, and choose the sign"
+        raise ConstraintError(f"the recordings do not say which way is the one shown: {why}; {fix}")
     if (sense < 0.0) != (word == "back"):
         task = task.with_distance(-task.wanted)  # the other way, which counts as positive
         task.counts = -1.0
@@ -503,10 +500,10 @@ def motion_to(
     task = motion(constraint, angle=angle, speed=speed, keep_orientation=keep_orientation, beyond_shown=True)
     task = task.with_distance(angle)  # about the axis, whichever way was shown
     if (far := task.hold(q)) > 0.0:
-        how = advice(" with {}, which goes there first", "motion(constraint, angle=...)", "--turn")
-        raise TargetError(
-            f"the hand is {far:.3g} m away from the {known.type}: start on it, or say how far to turn{how}"
+        how = advice(
+            ", or say how far to turn with {}, which goes there first", "motion(constraint, angle=...)", "--turn"
         )
+        raise TargetError(f"the hand is {far:.3g} m away from the {known.type}: start on it{how}")
     return task
 
 
