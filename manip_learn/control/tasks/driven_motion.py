@@ -23,7 +23,6 @@ from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.control.tasks.motion_profile import PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.linalg import along_axes, complement_rows, finite
-from manip_learn.linalg import unit as unit_matrix
 from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors
 
 Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
@@ -128,7 +127,7 @@ class Course:
 def _weights(constraint: Constraint, here: Origin) -> Float[np.ndarray, "p k"]:
     """Return the weights of the rates of an origin in the rows of the features."""
     features: Any = constraint.features
-    return features.weights_at(here[None])[0] if here.ndim == 2 else unit_matrix(len(here))
+    return features.weights_at(here[None])[0] if here.ndim == 2 else np.eye(len(here))
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,9 +210,7 @@ def _only(free: Any, words: str, python: str, flag: str) -> Any:
     """
     if len(free) > 1:
         how = advice(" with {}", f"direction={python}", f"--direction {flag}")
-        raise ConstraintError(
-            f"the constraint leaves {len(free)} directions free ({words}): say along which to move{how}"
-        )
+        raise ConstraintError(f"the constraint leaves {len(free)} directions free ({words}): say which{how}")
     return free[0]
 
 

@@ -139,7 +139,8 @@ class FreeDirection(OneLook):
             self._motion, self._profile = along_path(held, shown, self._profile.ramp)
         else:
             self._motion = driven_motion(held, direction, unit, straight)
-        self.constraint, self.unit = self._motion.constraint, self._motion.unit
+        self.constraint = self._motion.constraint
+        self.unit: Unit = self._motion.unit
         if keep_orientation and (robot := constraint.robot) is not None:
             A = self.constraint(robot.random_configuration(np.random.default_rng(0)))
             b = self.constraint.selection.dot(self._motion.driven)
