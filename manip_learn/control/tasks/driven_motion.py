@@ -302,17 +302,11 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
     """Return the motion of the hand along a path that was shown on a surface, and its way in time.
 
     The rows are the hand's velocity along the base's axes, and those of its rotation that are held.
-
-    Raises:
-        ConstraintError: Features that are not rows of one frame.
     """
-    if (twist := constraint.features.twist) is None:
-        raise ConstraintError(f"a path is followed with a frame, not with {constraint.features!r}")
-    mechanism = constraint.mechanism
-    orientation = "free" if mechanism is None else mechanism.orientation
-    turning = np.zeros((0, 3)) if orientation == "free" else np.eye(3)
-    if orientation == "about-axis" and mechanism is not None and mechanism.axis is not None:
-        turning = across(mechanism.axis)
+    twist, known = constraint.features.twist, constraint.mechanism
+    turning = np.zeros((0, 3)) if known is None or known.orientation == "free" else np.eye(3)
+    if known is not None and known.orientation == "about-axis" and known.axis is not None:
+        turning = across(known.axis)
     features = twist.with_axes(AXES if len(turning) else AXES[:3])
     rows = Constraint(block_diag(np.eye(3), turning[:, : features.n_rows - 3]), features, constraint.provenance)
     poses = shown.poses

@@ -67,19 +67,15 @@ class PathProfile(MotionProfile):
     ways: Float[np.ndarray, " k"]
 
     @cached_property
-    def _steepest(self) -> float:
-        return float(np.max(np.diff(self.ways) / np.diff(self.times)))  # [m/s] in the recording
-
-    @cached_property
     def _clock(self) -> MotionProfile:
         """Time of the recording [s], in time."""
-        end = float(np.interp(self.distance, self.ways, self.times))
-        return MotionProfile(end, self.speed / self._steepest, self.ramp)
+        steepest = float(np.max(np.diff(self.ways) / np.diff(self.times)))  # [m/s] in the recording
+        return MotionProfile(float(np.interp(self.distance, self.ways, self.times)), self.speed / steepest, self.ramp)
 
     @property
     def peak(self) -> float:
         """Largest rate of the distance [m/s]."""
-        return self._clock.peak * self._steepest
+        return self.speed
 
     @property
     def duration(self) -> float:

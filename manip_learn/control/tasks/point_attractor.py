@@ -224,8 +224,7 @@ class PointAttractor(Task):
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Distance to the target along the constrained rows [m or rad]."""
-        displacement = self.displacement(constraint, q)
-        return math.sqrt(displacement.dot(displacement))
+        return float(np.linalg.norm(self.displacement(constraint, q)))
 
     def __repr__(self) -> str:
         return f"PointAttractor({np.array2string(self.target, precision=3)}, gain={self.gain:g})"
