@@ -181,9 +181,10 @@ class PointAttractor(Task):
             held = advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")
             wanted = f"{len(names)} numbers ({', '.join(names)})"
             raise TargetError(f"the target must have {wanted}, got shape {self.target.shape}: {held}")
-        if self._all is None or self._all.features is not features:
-            object.__setattr__(self, "_all", Constraint(np.eye(len(names)), features, constraint.provenance))
-        return self._all  # type: ignore[return-value]  # the same at each call: a policy that climbs it shares the work
+        if (every := self._all) is None or every.features is not features:
+            every = Constraint(np.eye(len(names)), features, constraint.provenance)
+            object.__setattr__(self, "_all", every)
+        return every  # the same one at each call, so that a policy that climbs it shares the controller's work
 
     def displacement(self, constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " s"]:
         """Lambda (r* - r(q)).
