@@ -218,7 +218,17 @@ class PointAttractor(Task):
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """gain * displacement, scaled down to max_speed."""
-        b = self.gain * self.displacement(constraint, q)
+        return self._attraction(self.displacement(constraint, q))
+
+    def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
+        """b and E from one look at the pose."""
+        if type(self) is not PointAttractor:  # a child's own velocity counts
+            return super().velocity_and_jacobian(constraint, q, t)
+        displacement, E = self._toward(constraint, q)
+        return self._attraction(displacement), E
+
+    def _attraction(self, displacement: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
+        b = self.gain * displacement
         if self.max_speed is not None and (speed := math.sqrt(b.dot(b))) > self.max_speed:
             b *= self.max_speed / speed
         return b
