@@ -139,7 +139,7 @@ def _places_of(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray,
     there = np.flatnonzero(np.abs(places - task.wanted) <= done)
     if len(there):
         return places, float(time[there[0]]) + AT_REST
-    before = np.interp(time - _STANDING + 1e-9, time, places, left=np.nan)
+    before = np.interp(time - _STANDING + 1e-9, time, places, left=np.nan)  # 1e-9 s against rounding
     still = np.flatnonzero((np.abs(places - before) < done) & (np.abs(places - meant) > done))  # and not as shown
     return places, float(time[still[0]]) if len(still) else None
 
