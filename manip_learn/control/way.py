@@ -27,6 +27,8 @@ _STANDING = 2.0  # [s] without progress after which the arm counts as stopped: a
 AT_REST = 0.3  # [s] that a motion is shown after its end
 FROM_THE_BASE = 0.5  # cosine of the angle between the way and the direction from the base, from which on it leads away
 _LONGEST = 4.0  # times the time that the way takes where nothing slows it down: then it counts as stopped
+_BLOCKED = {Status.STALLED, Status.POSITION_LIMITED, Status.REROUTED, Status.OUTSIDE_LIMITS, Status.NULL_SCALED}
+_SINGULAR = {Status.SINGULAR, Status.DAMPED, Status.STALLED}
 
 
 @final
@@ -68,10 +70,10 @@ class WayDone:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer: lengths in m, angles in degrees."""
-        size = 1.0 if self.unit == "m" else float(np.degrees(1.0))
-        told = {"wanted": size * self.wanted, "done": size * self.done, "unit": "m" if self.unit == "m" else "deg"}
-        told |= {"fastest_joint": {"name": self.fastest[0], "share_of_limit": self.fastest[1]}}
-        return {name: value for name, value in vars(self).items() if name != "fastest"} | told
+        size, unit = (1.0, "m") if self.unit == "m" else (float(np.degrees(1.0)), "deg")
+        told = vars(self) | {"wanted": size * self.wanted, "done": size * self.done, "unit": unit}
+        name, share = told.pop("fastest")
+        return told | {"fastest_joint": {"name": name, "share_of_limit": share}}
 
 
 def leads_away(handle: Float[np.ndarray, " 3"], way: Float[np.ndarray, " 3"]) -> bool:
@@ -109,61 +111,55 @@ def simulate_way(
     if not isinstance(task, FreeDirection):
         raise ConfigurationError(f"the task must be a way along what is free, as motion() makes it, not {task!r}")
     nominal = task.duration_from(robot.checked_posture(q0))
-    length = nominal + SLACK if duration is None else duration
-    while True:
+    longest = max(_LONGEST * nominal, nominal + SLACK)
+    lengths = {nominal + SLACK, min(2.0 * (nominal + SLACK), longest), longest} if duration is None else {duration}
+    for length in sorted(lengths):
         rollout = simulate(robot, controller, q0, length, dt, progress=progress)
-        places = _places_of(task, rollout)
-        end = _end(task, rollout.time[len(rollout) - len(places) :], places)
-        if end is not None or duration is not None or length >= _LONGEST * nominal:
+        places, end = _places_of(task, rollout)
+        if end is not None:
             break
-        length = min(2.0 * length, _LONGEST * nominal)
     if end is not None and duration is None:
-        cut = rollout.until(end)
-        rollout, places = cut, places[: len(places) - (len(rollout) - len(cut))]
-    done = _way_done(task, rollout, places, robot)
+        rollout = rollout.until(end)
+    done = _way_done(task, rollout, places[: len(rollout)], robot)
     return replace(rollout, ways=(done.to_dict(),)), done
 
 
-def _places_of(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:
-    """How far the way had come at each sample since it began [m or rad]; those before are not among them."""
-    begins = task.way_begins
-    first = len(rollout) if begins is None else int(np.searchsorted(rollout.time, begins - 1e-9))
-    places = np.zeros(len(rollout) - first)
-    meant = [task.meant(t) for t in rollout.time[first:].tolist()]
-    for i, q in enumerate(rollout.q[first:]):  # a path may come back to where it was: the goal says on which part it is
-        places[i] = task.progress_near(q, places[i - 1] + meant[i] - meant[i - 1] if i else 0.0)
-    return places
+def _places_of(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray, " T"], float | None]:
+    """Return how far the way had come at each sample [m or rad], NaN before it began, and when it ended [s].
 
-
-def _end(task: FreeDirection, time: Float[np.ndarray, " k"], places: Float[np.ndarray, " k"]) -> float | None:
-    """When the way was done, or stood still for good, and a moment beyond [s]; None if it goes on."""
-    done = DONE[task.unit]
+    It ends a moment after it was done, or when the hand stood still for good; None if it goes on.
+    """
+    time, places, done = rollout.time, np.full(len(rollout), np.nan), DONE[task.unit]
+    first = len(time) if task.way_begins is None else int(np.searchsorted(time, task.way_begins - 1e-9))
+    meant = np.array([task.meant(t) for t in time.tolist()])
+    place = 0.0
+    # a path may come back to where it was: the goal says on which part it is
+    for i, step in enumerate(np.diff(meant[first:], prepend=meant[first : first + 1]).tolist(), first):
+        places[i] = place = task.progress_near(rollout.q[i], place + step)
     there = np.flatnonzero(np.abs(places - task.wanted) <= done)
     if len(there):
-        return float(time[there[0]]) + AT_REST
-    before = np.interp(time - _STANDING, time, places) if len(time) else places
-    behind = np.abs(places - [task.meant(t) for t in time.tolist()]) > done  # and not at rest as shown
-    still = np.flatnonzero((np.abs(places - before) < done) & (time >= time[:1] + _STANDING) & behind)
-    return float(time[still[0]]) if len(still) else None
+        return places, float(time[there[0]]) + AT_REST
+    before = np.interp(time - _STANDING + 1e-9, time, places, left=np.nan)  # 1e-9 s against rounding
+    still = np.flatnonzero((np.abs(places - before) < done) & (np.abs(places - meant) > done))  # and not as shown
+    return places, float(time[still[0]]) if len(still) else None
 
 
-def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " k"], robot: Robot) -> WayDone:
-    """What became of the way."""
-    first, there = len(rollout) - len(places), np.flatnonzero(np.abs(places - task.wanted) <= DONE[task.unit])
-    done = float(places[-1]) if len(places) else 0.0
+def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " T"], robot: Robot) -> WayDone:
+    """Return what became of a way, by how far it had come at each sample."""
+    time, on = rollout.time, np.flatnonzero(np.isfinite(places))
+    there = np.abs(places - task.wanted) <= DONE[task.unit]
     shares = np.max(np.abs(rollout.u) / robot.velocity_limit, axis=0)
     fastest = int(np.argmax(shares))
-    is_done = len(there) > 0 and there[-1] == len(places) - 1
     return WayDone(
         task.counts * task.wanted,
-        task.counts * done,
+        task.counts * float(places[-1] if len(on) else 0.0),
         task.unit,
-        float(rollout.time[first]) if len(places) else None,
-        float(rollout.time[first + there[0]] - rollout.time[first]) if is_done else None,
-        max((task.deviation(q, s) for q, s in zip(rollout.q[first:], places, strict=True)), default=0.0),
-        float(np.min(rollout.manipulability[min(first, len(rollout) - 1) :])),
+        float(time[on[0]]) if len(on) else None,
+        float(time[np.argmax(there)] - time[on[0]]) if there[-1] else None,
+        max((task.deviation(rollout.q[i], places[i]) for i in on), default=0.0),
+        float(np.min(rollout.manipulability[on if len(on) else [-1]])),
         (robot.joint_names[fastest], float(shares[fastest])),
-        None if is_done else _reason(task, rollout, robot),
+        None if there[-1] else _reason(task, rollout, robot),
     )
 
 
@@ -180,11 +176,9 @@ def _reason(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:
     """What stops the arm at the end of a rollout, in words."""
     last = rollout.status[-max(1, len(rollout) // 20) :]
     short = "" if task.way_begins is not None else "on its way to the mechanism: "
-    blocked = {Status.STALLED, Status.POSITION_LIMITED, Status.REROUTED, Status.OUTSIDE_LIMITS, Status.NULL_SCALED}
-    if blocked.intersection(last):
-        joint = joint_at_limit(robot, robot.positions(rollout.q[-1]))
-        if joint is not None:
-            return short + joint
-    if {Status.SINGULAR, Status.DAMPED, Status.STALLED}.intersection(last):
+    joint = joint_at_limit(robot, robot.positions(rollout.q[-1]))
+    if joint is not None and _BLOCKED.intersection(last):
+        return short + joint
+    if _SINGULAR.intersection(last):
         return f"{short}a singularity, or the end of the arm's reach"
     return f"{short}the time: still moving after {rollout.time[-1]:.4g} s"

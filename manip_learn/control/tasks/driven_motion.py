@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Any, Literal, final
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -15,18 +15,19 @@ from scipy.linalg import block_diag
 
 from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.curve import Curve
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, pose_error
 from manip_learn.constraint.mechanism import CURVE, Mechanism, kind_of_rows, mechanism_of
 from manip_learn.constraint.place import Place, across
 from manip_learn.constraint.shown import Shown, Unit
-from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
+from manip_learn.control.tasks.motion_profile import PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.linalg import along_axes, complement_rows, finite
 from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors
 
 Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
+ChartAt = Callable[[Origin], Any]  # origin -> chart whose first coordinate is the distance from there
+_STILL = np.zeros(3)  # of a screw that does not travel, or does not turn
 _BESIDE = 0.02  # [m] along a path from where a hand should be, within which it is: some strokes of a wipe cross nearer
 _AHEAD = 0.5  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
 _LEVER = 0.1  # [m] at which a turn of the hand counts as a way along a path: half the length of a hand
@@ -57,10 +58,6 @@ def way_in_words(way: float, unit: Unit) -> str:
     return f"{abs(way):.3g} m" if unit == "m" else f"{math.degrees(abs(way)):.3g} degrees"
 
 
-def _no_chart(_origin: Origin) -> None:
-    return None
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class DrivenMotion:
@@ -71,10 +68,9 @@ class DrivenMotion:
         constraint: Its rows, others that stand still, and the driven one.
         driven: shape (p,), what a unit of distance adds to the features' coordinates at the beginning.
         unit: `"m"` or `"rad"`, of distances along the motion.
-        told_by: What tells the distance: the `"coordinates"` of features that are the rate of coordinates r, so that
-            r* = r0 + s f (the cheapest, as of a hand on a line that may turn), the driven `"row"`, for a direction that
-            both moves and turns, or the `"chart"`.
-        chart_at: Pose at the beginning -> chart whose first coordinate is the distance; None of features without one.
+        origin: Posture -> the pose of the frame; coordinates of features without one.
+        chart_at: Origin -> a `Chart`, or another that does the same.
+        by_row: Whether the driven row tells the distance, rather than the chart: of features whose rows are constant.
         around: Mechanism that leaves free more than that; its held rows are the first ones. None of others.
     """
 
@@ -82,54 +78,24 @@ class DrivenMotion:
     constraint: Constraint
     driven: Float[np.ndarray, " p"]
     unit: Unit
-    told_by: Literal["coordinates", "row", "chart"]
-    chart_at: Callable[[Origin], Any] = _no_chart
+    origin: Callable[[ArrayLike], Origin]
+    chart_at: ChartAt
+    by_row: bool = False
     around: Mechanism | None = None
-
-    def origin(self, q: ArrayLike) -> Origin:
-        """Return what has to be known of a posture: the pose of the frame, or the features' coordinates."""
-        features = self.constraint.features
-        return features.coordinates(q) if features.twist is None else features.twist.pose(q)
-
-    def numbers(self, origin: Origin) -> Origin:
-        """Return a pose as numbers for the rows (p,) where these are of the place alone; others as they are."""
-        names = self.constraint.features.row_names
-        if origin.ndim == 1 or not set(names) <= set(AXES[:3]):
-            return origin
-        return origin[[AXES.index(name) for name in names], 3]
-
-    def jacobian(self, q: ArrayLike) -> Float[np.ndarray, "s nv"] | None:
-        """Return E of `Task.error_jacobian`; None where that is A(q)."""
-        features = self.constraint.features
-        E = features.coordinates_jacobian(q) if features.twist is None else None
-        return None if E is None else self.constraint.selection.dot(E)
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class Course:
     """A driven motion from where it begins, seen along the rows of its features.
 
-    Attributes:
+    Args:
         motion: The motion.
         origin: Where it begins.
     """
 
-    motion: DrivenMotion
-    origin: Origin
-
-    @cached_property
-    def chart(self) -> Any:
-        """Chart of one coordinate, or a path; None of features without a frame."""
-        return self.motion.chart_at(self.origin)
-
-    @cached_property
-    def _around(self) -> Chart | None:
-        return None if self.motion.around is None else self.motion.around.at(self.origin, np.inf)
-
-    @cached_property
-    def _begin(self) -> Origin:
-        return self.motion.numbers(self.origin)
+    def __init__(self, motion: DrivenMotion, origin: Origin):
+        self.motion, self.origin, self.chart = motion, origin, motion.chart_at(origin)
+        self._around = None if motion.around is None else motion.around.at(origin, np.inf)
 
     def look(self, q: ArrayLike, near: float) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
         """Return how far the hand is, the way ahead along the rows, and how far it is off [m or rad].
@@ -138,40 +104,47 @@ class Course:
             q: Posture.
             near: How far it was last [m or rad]: of angles a turn apart the one next to this counts.
         """
-        features: Any = self.motion.constraint.features
-        f = self.motion.driven
-        if self.motion.told_by == "coordinates":
-            gone = features.coordinates(q) - self._begin
-            place = float(f.dot(gone)) / float(f.dot(f))
-            return place, f, gone - place * f
-        pose = features.twist.pose(q)
-        W = features.weights_at(pose[None])[0]
-        if self.motion.told_by == "row":
-            place = near + float(f.dot(W.dot(self.chart.error(pose, (near,))))) / float(f.dot(f))
+        here, f = self.motion.origin(q), self.motion.driven
+        W = _weights(self.motion.constraint, here)
+        if self.motion.by_row:
+            place = near + float(f.dot(W.dot(self.chart.error(here, (near,))))) / float(f.dot(f))
         else:
-            place = float(self.chart.coordinates(pose, near)[0])
-        ahead, off = W.dot(self.chart.twist((place,), pose)[:, 0]), W.dot(self.chart.error(pose, (place,)))
+            place = float(self.chart.coordinates(here, near)[0])
+        ahead, off = W.dot(self.chart.twist((place,), here)[:, 0]), W.dot(self.chart.error(here, (place,)))
         if self._around is not None:
-            held = self._around.held_error(pose)
+            held = self._around.held_error(here)
             off[: len(held)] = held
         return place, ahead, off
 
-    def goal(self, distance: float) -> Origin:
-        """Return where the frame is after a distance: a pose (4, 4), or numbers for the features' rows (p,)."""
-        return self._begin + distance * self.motion.driven if self.chart is None else self.chart.pose((distance,))
-
     def deviation(self, q: ArrayLike, distance: float) -> float:
         """Return how far the held rows are from where they should be after a distance [m or rad]."""
-        held = self.motion.held
-        features: Any = held.features
-        if self.motion.told_by == "coordinates":
-            off = held.selection @ (features.coordinates(q) - self._begin - distance * self.motion.driven)
-        elif self._around is not None:
-            off = self._around.held_error(features.twist.pose(q))
-        else:
-            pose = features.twist.pose(q)
-            off = held.selection @ features.weights_at(pose[None])[0] @ self.chart.error(pose, (distance,))
-        return float(np.linalg.norm(off))
+        here, held = self.motion.origin(q), self.motion.held
+        if self._around is not None:
+            return float(np.linalg.norm(self._around.held_error(here)))
+        return float(np.linalg.norm(held.selection @ _weights(held, here) @ self.chart.error(here, (distance,))))
+
+
+def _weights(constraint: Constraint, here: Origin) -> Float[np.ndarray, "p k"]:
+    """Return the weights of the rates of an origin in the rows of the features."""
+    features: Any = constraint.features
+    return features.weights_at(here[None])[0] if here.ndim == 2 else np.eye(len(here))
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """Chart of a straight motion of coordinates r, r* = r0 + s f: those of features that have no frame."""
+
+    driven: Float[np.ndarray, " p"]
+    begin: Float[np.ndarray, " p"]
+
+    def pose(self, s: tuple[float]) -> Float[np.ndarray, " p"]:
+        return self.begin + s[0] * self.driven
+
+    def twist(self, _s: tuple[float], _here: Origin) -> Float[np.ndarray, "p 1"]:
+        return self.driven[:, None]
+
+    def error(self, here: Origin, s: tuple[float]) -> Float[np.ndarray, " p"]:
+        return here - self.pose(s)
 
 
 def driven_motion(
@@ -199,32 +172,34 @@ def driven_motion(
     rows = np.vstack([constraint.selection, f])
     if straight:  # the translations beside f, beyond what is held
         linear = np.eye(len(angular))[~angular]
-        _, sigma, Vt = np.linalg.svd(linear - linear @ np.linalg.pinv(rows) @ rows)
+        _, sigma, Vt = np.linalg.svd(linear - linear @ rows.T @ rows)
         rows = np.vstack([constraint.selection, Vt[: int(np.count_nonzero(sigma > 0.5))], f])
     sizes = [float(np.linalg.norm(f[part])) for part in (~angular, angular)]
     f = f / max(sizes)  # a distance counts along the larger part
     counts: Unit = "rad" if sizes[1] > sizes[0] else "m"
     driven = (constraint, Constraint(rows, features, constraint.provenance), f, counts)
     if features.twist is None or features.own_axes is None:
-        return DrivenMotion(*driven, "coordinates")
+        return DrivenMotion(*driven, features.coordinates, partial(_Line, f), by_row=True)
     v, w = np.split(f @ np.eye(6)[[AXES.index(name) for name in features.row_names]], 2)
+    chart_at = partial(_in_hand, v, w) if features.own_axes else screw(v, spin=w)
+    return DrivenMotion(*driven, features.twist.pose, chart_at, by_row=True)
 
-    chart_at = partial(_chart_of_axes, features.own_axes, v, w)
-    return DrivenMotion(*driven, "coordinates" if features.only_linear else "row", chart_at)
+
+def screw(travel: np.ndarray, turn: np.ndarray = _STILL, spin: np.ndarray = _STILL, **more: Any) -> ChartAt:
+    """Return what makes the chart of one screw [m, rad per unit of distance] about an origin."""
+    return partial(Chart, travel=travel[None], turn=turn[None], spin=spin[None], **more)
 
 
-def _chart_of_axes(own: bool, v: Float[np.ndarray, " 3"], w: Float[np.ndarray, " 3"], origin: Origin) -> Chart:
-    """Return the chart of a hand that moves along axes of the base or its own, and turns about them."""
-    if not own:
-        return _chart(origin, v, np.zeros(3), w)
+def _in_hand(v: np.ndarray, w: np.ndarray, origin: Origin) -> Chart:
+    """Return the chart of a hand that moves along its own axes, and turns about them."""
     turn = origin[:3, :3] @ w
-    travel = origin[:3, :3] @ v + np.cross(origin[:3, 3], turn)
-    return _chart(origin, travel, turn, np.zeros(3), is_carried=True)
+    return screw(origin[:3, :3] @ v + np.cross(origin[:3, 3], turn), turn, is_carried=True)(origin)
 
 
-def _chart(origin: Origin, travel: np.ndarray, turn: np.ndarray, spin: np.ndarray, **more: Any) -> Chart:
-    """Return the chart of one screw [m, rad per unit of distance]."""
-    return Chart(origin, travel[None], turn[None], spin[None], **more)
+def _outwards(g: Place, origin: Origin) -> Chart:
+    """Return the chart of a hand that moves away from an axis."""
+    out = g.across.T @ (g.across @ (origin[:3, 3] - g.point))
+    return screw(out / np.linalg.norm(out))(origin)
 
 
 def _only(free: Any, words: str, python: str, flag: str) -> Any:
@@ -234,10 +209,8 @@ def _only(free: Any, words: str, python: str, flag: str) -> Any:
         ConstraintError: There are several.
     """
     if len(free) > 1:
-        raise ConstraintError(
-            f"the constraint leaves {len(free)} directions free ({words}): say along which one to move"
-            + advice(" with {}", f"direction={python}", f"--direction {flag}")
-        )
+        how = advice(" with {}", f"direction={python}", f"--direction {flag}")
+        raise ConstraintError(f"the constraint leaves {len(free)} directions free ({words}): say which{how}")
     return free[0]
 
 
@@ -248,11 +221,10 @@ def _direction(
     features, p, free = constraint.features, constraint.features.n_rows, complement_rows(constraint.selection)
     names = features.row_names
     if unit is not None and direction is None:
-        wanted = free[:, angular if unit == "rad" else ~angular]
-        U, sigma, _ = np.linalg.svd(wanted)
-        pure = U.T[: int(np.count_nonzero(sigma > _PURE))] @ free  # a learnt Lambda leaks a little of the other
         # a single twist that does both, of a hinge or a screw in the hand's axes, counts as what it mostly is
-        free = free if not len(pure) and len(free) == 1 and np.sum(wanted**2) > 0.5 else pure
+        least = math.sqrt(0.5) if len(free) == 1 else _PURE
+        U, sigma, _ = np.linalg.svd(free[:, angular == (unit == "rad")])
+        free = U.T[: int(np.count_nonzero(sigma > least))] @ free
     if not len(free):
         raise ConstraintError(f"the constraint leaves none of {' '.join(names)} free to {_HOW[unit]}")
     basis = along_axes(free)
@@ -263,10 +235,8 @@ def _direction(
     if place is not None and p > 3 and set(AXES[:3]) <= set(names):
         given = place @ [[axis == name for name in names] for axis in AXES[:3]]
     if given is None or not given.any():
-        raise TargetError(
-            f"the direction must be {p} finite numbers ({', '.join(names)}) that are not all zero, "
-            f"or 'shown' or 'back', got {direction!r}"
-        )
+        wanted = f"{p} finite numbers ({', '.join(names)}) that are not all zero, or 'shown' or 'back'"
+        raise TargetError(f"the direction must be {wanted}, got {direction!r}")
     moved = free.T @ (free @ given)
     if np.linalg.norm(moved) < _FREE * np.linalg.norm(given):
         raise TargetError(f"the constraint holds the direction {given.tolist()}; free is {words}")
@@ -280,29 +250,18 @@ def _along_row(
     rows: Any = constraint.features
     weights = constraint.selection.T @ constraint.selection
     if np.max(np.abs(weights - np.round(weights))) > 1e-9:
-        raise ConstraintError(
-            f"the constraint holds combinations of the rows {' '.join(rows.row_names)}: FreeDirection needs each "
-            "of them to be held as it is, or not at all"
-        )
+        words = f"combinations of the rows {' '.join(rows.row_names)}"
+        raise ConstraintError(f"the constraint holds {words}: FreeDirection needs each held as it is, or not at all")
     held = [name for name, weight in zip(rows.row_names, np.diag(weights), strict=True) if weight > 0.5]
     if "spherical" in held or {"slide", "slide-1", "slide-2"} == {*held}:  # a ball turns about any axis, as a hinge
-        if direction is None:
-            raise ConstraintError(
-                "a ball leaves turns about every axis free: give the axis in the base frame"
-                + advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
-            )
         turn = finite(direction, 3)
         if turn is None or not turn.any():
-            raise TargetError(
-                f"the direction of a ball is the axis of the turn, three finite numbers not all zero; got {direction!r}"
-            )
+            axis = advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
+            words = f"a ball leaves turns about every axis free: give the axis in the base frame{axis}, not all zero"
+            raise (ConstraintError if direction is None else TargetError)(f"{words}; got {direction!r}")
         place = Place(turn / np.linalg.norm(turn), rows.geometry.point)
         rows, direction, unit = rows.about(place), None, "rad"
-    g: Place = rows.geometry
-    if g is None and unit == "rad":
-        raise ConstraintError("a hand on a curve goes along it and does not turn about anything: say how far [m]")
-    if g is None and direction is not None:
-        raise TargetError(f"on a curve the hand goes forth, or back by a negative way: leave {direction!r} out")
+    g: Place = rows.geometry  # None of a curve
     is_firm = any(name.startswith("slide") or name == "screw" for name in held)
     names = ("along",) if g is None else ("turn", "slide") if is_firm else ("tangential", "axial", "radial")
     rest = [name for name in names if name not in {*held, *(_COMBINED.get(name) for name in held)}]
@@ -310,25 +269,20 @@ def _along_row(
     beside = [name for name in rest if name != driven] if straight and not is_firm else []
     kind = None if g is None else kind_of_rows(held)
     features = rows.with_rows((*(held if kind is None else kind.rows), *beside, driven))
-    turns, chart_at = driven in ("turn", "tangential"), partial(_chart_of_row, driven, frozenset(held), g, rows.curve)
     one = np.eye(features.n_rows)
+    counts: Unit = "rad" if "[rad]" in _DRIVEN[driven] else "m"
+    if g is None:
+        chart_at = partial(Mechanism("other", name=CURVE, curve=rows.curve, orientation="fixed").at, within=np.inf)
+    elif counts == "rad":
+        pitch = g.pitch if {"screw", "helical"} & {*held} else 0.0
+        spin = _STILL if "turn" in held else g.axis  # a hand that may turn about the axis turns with it
+        travel = pitch * g.axis + np.cross(g.point, g.axis)
+        chart_at = screw(travel, g.axis, spin, is_carried=driven == "turn", centre=g.point)
+    else:
+        chart_at = partial(_outwards, g) if driven == "radial" else screw(g.axis)
     wide = None if kind is None or straight or kind.kind in ("hinge", "screw") else mechanism_of(kind, g, None)
     selected = Constraint(one, features, constraint.provenance)
-    return DrivenMotion(constraint, selected, one[-1], "rad" if turns else "m", "chart", chart_at, wide)
-
-
-def _chart_of_row(driven: str, held: frozenset[str], g: Place | None, curve: Curve | None, origin: Origin) -> Chart:
-    """Return the chart of a hand that moves along a row of a mechanism, or along a curve."""
-    if g is None:
-        return Mechanism("other", name=CURVE, curve=curve, orientation="fixed").at(origin, np.inf)
-    if driven in ("turn", "tangential"):
-        pitch = g.pitch if {"screw", "helical"} & held else 0.0
-        spin = np.zeros(3) if "turn" in held else g.axis  # a hand that may turn about the axis turns with it
-        travel = pitch * g.axis + np.cross(g.point, g.axis)
-        return _chart(origin, travel, g.axis, spin, is_carried=driven == "turn", centre=g.point)
-    out = origin[:3, 3] - g.point
-    out -= (out @ g.axis) * g.axis
-    return _chart(origin, out / np.linalg.norm(out) if driven == "radial" else g.axis, *np.zeros((2, 3)))
+    return DrivenMotion(constraint, selected, one[-1], counts, features.twist.pose, chart_at, around=wide)
 
 
 def _free_row(held: list[str], rest: list[str], direction: ArrayLike | str | None, unit: Unit | None) -> str:
@@ -348,17 +302,11 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
     """Return the motion of the hand along a path that was shown on a surface, and its way in time.
 
     The rows are the hand's velocity along the base's axes, and those of its rotation that are held.
-
-    Raises:
-        ConstraintError: Features that are not rows of one frame.
     """
-    if (twist := constraint.features.twist) is None:
-        raise ConstraintError(f"a path is followed with a frame, not with {constraint.features!r}")
-    mechanism = constraint.mechanism
-    orientation = "free" if mechanism is None else mechanism.orientation
-    turning = np.zeros((0, 3)) if orientation == "free" else np.eye(3)
-    if orientation == "about-axis" and mechanism is not None and mechanism.axis is not None:
-        turning = across(mechanism.axis)
+    twist, known = constraint.features.twist, constraint.mechanism
+    turning = np.zeros((0, 3)) if known is None or known.orientation == "free" else np.eye(3)
+    if known is not None and known.orientation == "about-axis" and known.axis is not None:
+        turning = across(known.axis)
     features = twist.with_axes(AXES if len(turning) else AXES[:3])
     rows = Constraint(block_diag(np.eye(3), turning[:, : features.n_rows - 3]), features, constraint.provenance)
     poses = shown.poses
@@ -366,11 +314,12 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
     places = np.hstack([poses[:, :3, 3], turns])
     ways = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
     moves = np.append(True, np.diff(ways) > 1e-9)
-    ways, places = ways[moves], places[moves]
-    path = _Path(ways, np.hstack([places, np.gradient(places, ways, axis=0)]), poses[0])
-    driven = path.twist([0.0], poses[0])[: features.n_rows, 0]
-    profile = PathProfile(MotionProfile(float(shown.time[moves][-1]), 1.0, ramp), shown.time[moves], path.ways)
-    return DrivenMotion(constraint, rows, driven, "m", "chart", path.beginning), profile
+    ways, places, times = ways[moves], places[moves], shown.time[moves]
+    chart_at = partial(_Path, ways, np.hstack([places, np.gradient(places, ways, axis=0)]))
+    driven = chart_at(poses[0]).twist((0.0,), poses[0])[: features.n_rows, 0]
+    fastest = float(np.max(np.diff(ways) / np.diff(times))) * min(1.0, float(times[-1]) / ramp)
+    profile = PathProfile(float(ways[-1]), fastest, ramp, times, ways)
+    return DrivenMotion(constraint, rows, driven, "m", twist.pose, chart_at), profile
 
 
 @dataclass(frozen=True, eq=False)
@@ -384,25 +333,19 @@ class _Path:
     table: Float[np.ndarray, "k 12"]  # places, rotation vectors since the beginning times the lever, and their tangents
     begin: Float[np.ndarray, "4 4"]
 
-    def beginning(self, origin: Origin) -> _Path:
-        """Return the chart of a hand that begins it at another pose."""
-        return replace(self, begin=origin)
-
     def _at(self, s: float) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"]]:
         """Return the place and the turn since the beginning, and the tangent; straight on before and after the path."""
-        k = min(max(int(np.searchsorted(self.ways, s)), 1), len(self.ways) - 1)
-        share = min(max((s - self.ways[k - 1]) / (self.ways[k] - self.ways[k - 1]), 0.0), 1.0)
-        row = (1.0 - share) * self.table[k - 1] + share * self.table[k]
+        row = np.array([np.interp(s, self.ways, column) for column in self.table.T])
         return row[:6] + (s - min(max(s, 0.0), float(self.ways[-1]))) * row[6:], row[6:]
 
-    def pose(self, s: ArrayLike) -> Origin:
+    def pose(self, s: tuple[float]) -> Origin:
         """Return the pose of the hand."""
-        out, (place, _) = self.begin.copy(), self._at(float(np.asarray(s)[0]))
+        out, (place, _) = self.begin.copy(), self._at(s[0])
         out[:3, 3], out[:3, :3] = place[:3], rotation_matrix(place[3:] / _LEVER) @ out[:3, :3]
         return out
 
     def coordinates(self, pose: Origin, near: float) -> Float[np.ndarray, " 1"]:
-        """Of the place next to the hand, of those less than 2 cm along it from `near`: a path may cross itself."""
+        """Return the place next to the hand, of those less than 2 cm along it from `near`: a path may cross itself."""
         turned = _LEVER * rotation_vector(pose[:3, :3] @ self.begin[:3, :3].T) * bool(self.table[:, 3:6].any())
         here, some = np.append(pose[:3, 3], turned), np.flatnonzero(np.abs(self.ways - near) <= _BESIDE)
         if len(some):
@@ -411,9 +354,9 @@ class _Path:
         place, tangent = self._at(near)
         return np.array([near + float((here - place) @ tangent)])
 
-    def twist(self, s: ArrayLike, pose: Origin) -> Float[np.ndarray, "6 1"]:
-        place, tangent = self._at(float(np.asarray(s)[0]))
+    def twist(self, s: tuple[float], _pose: Origin) -> Float[np.ndarray, "6 1"]:
+        place, tangent = self._at(s[0])
         return np.append(tangent[:3], left_jacobian(place[3:] / _LEVER) @ tangent[3:] / _LEVER)[:, None]
 
-    def error(self, pose: Origin, s: ArrayLike) -> Float[np.ndarray, " 6"]:
+    def error(self, pose: Origin, s: tuple[float]) -> Float[np.ndarray, " 6"]:
         return -pose_error(pose, self.pose(s), False)

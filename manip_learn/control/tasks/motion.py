@@ -4,29 +4,23 @@ from __future__ import annotations
 
 import copy
 import math
-from typing import final
+from dataclasses import replace
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import rows_of
 from manip_learn.constraint.mechanism import KIND_BY_NAME
-from manip_learn.control.policies import (
-    ASCENT_GAIN,
-    JointAttractor,
-    KeptOrientation,
-    ManipulabilityAscent,
-    NullSpacePolicy,
-    RoomAscent,
-    SampledPolicy,
-    ZeroPolicy,
-)
+from manip_learn.constraint.place import AXES
+from manip_learn.control import policies
 from manip_learn.control.tasks.driven_motion import Course, Origin, Unit, along_path, driven_motion, way_in_words
-from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
-from manip_learn.control.tasks.point_attractor import PointAttractor, Task, VelocityAndJacobian
-from manip_learn.control.tasks.shown_places import ShownPlaces, between, shown_sense
+from manip_learn.control.tasks.motion_profile import MotionProfile
+from manip_learn.control.tasks.point_attractor import OneLook, PointAttractor, Task, VelocityAndJacobian
+from manip_learn.control.tasks.shown_places import ShownPlaces, shown_sense, straight
 from manip_learn.errors import ConstraintError, ManipLearnError, TargetError, advice, an
 from manip_learn.linalg import finite
 from manip_learn.robot.robot import Robot
@@ -35,6 +29,11 @@ HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m
 TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m
 DONE = {"m": 1e-3, "rad": math.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
 RAMP = 0.5  # [s] from rest to the speed: 0.1 m/s with 0.3 m/s2 at most
+# mechanisms that do not move by a unit, what they do, and what to give in Python and as a flag
+_UNMOVED = {
+    "m": (("hinge", "screw", "ball"), "turns and does not slide", ("angle= [rad]", "--turn DEGREES")),
+    "rad": (("line", "plane"), "slides and does not turn", ("distance= [m]", "--along METRES")),
+}
 # what a way may be longer than what was shown: the play of a drawer's rails, and two tenths of a degree
 BEYOND = {"m": 2e-3, "rad": math.radians(0.2)}
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
@@ -45,7 +44,7 @@ TAKEN = 2e-4  # [m] the hand is at the mechanism: a tenth of the 2 mm that it ma
 
 
 @final
-class FreeDirection(Task):
+class FreeDirection(OneLook):
     """Move along what a constraint leaves free, by so much, at such a speed, and hold what it holds.
 
     A drawer moves by metres along its rail, a door or a screw by radians about its axis (one turn is 2 pi). The speed
@@ -88,6 +87,9 @@ class FreeDirection(Task):
         learnt: The constraint.
         constraint: The constrained rows and the driven one.
         unit: Unit of the distance, `"m"` or `"rad"`.
+        wanted: The whole way [m or rad].
+        grip_shown: How the hand was turned where contacts began, and how far from that in others [rad]; None if not
+            known.
         counts: 1, or -1 where the caller counts a way as positive that is negative here: as the recordings went.
         way_begins: Time at which the hand was at the mechanism and the way began [s]; None as long as it is not there.
 
@@ -128,74 +130,58 @@ class FreeDirection(Task):
         take_hold: bool = False,
         as_shown: bool = False,
     ):
-        self._profile: MotionProfile | PathProfile = MotionProfile(
-            _number("distance", distance, positive=False), _number("speed", speed), _number("ramp", ramp)
-        )
-        self.gain, self._ramp = _number("gain", gain), self._profile.ramp
-        self.pause = _number("pause", pause) if pause else 0.0
+        way = _number("distance", distance, positive=False)
+        self._profile = MotionProfile(way, _number("speed", speed), _number("ramp", ramp))
+        self.gain, self.pause = _number("gain", gain), _number("pause", pause) if pause else 0.0
         self.learnt, self.counts, shown = constraint, 1.0, constraint.shown
         held = constraint.with_orientation() if keep_orientation else _held_by_the_grip(constraint)
         if as_shown and shown is not None and not shown.is_way:
-            self._motion, self._profile = along_path(held, shown, self._ramp)
+            self._motion, self._profile = along_path(held, shown, self._profile.ramp)
         else:
             self._motion = driven_motion(held, direction, unit, straight)
         self.constraint = self._motion.constraint
+        self.unit: Unit = self._motion.unit
         if keep_orientation and (robot := constraint.robot) is not None:
             A = self.constraint(robot.random_configuration(np.random.default_rng(0)))
             b = self.constraint.selection.dot(self._motion.driven)
             if np.linalg.norm(A.dot(np.linalg.lstsq(A, b)[0]) - b) > 1e-6 * np.linalg.norm(b):
-                raise ConstraintError(
-                    f"{robot.nv} joints cannot move along this and keep the orientation of the hand, {len(A)} rows"
-                    + advice(": leave out {}", "keep_orientation=True", "--keep-orientation")
-                )
-        self.unit: Unit = self._motion.unit
+                fix = advice(": leave out {}", "keep_orientation=True", "--keep-orientation")
+                raise ConstraintError(f"{robot.nv} joints cannot move along this and keep the hand's orientation{fix}")
         self._shown: ShownPlaces | None = None
+        self.grip_shown: tuple[Float[np.ndarray, "3 3"], float] | None = None
         if shown is not None and (take_hold or as_shown):
             self._shown = ShownPlaces(constraint.mechanism, shown, self._motion, as_shown)
-        self._given = None if start is None else Course(self._motion, self._motion.origin(start))
+            self.grip_shown = shown.orientation, shown.turned
+        self._start = None if start is None else self._motion.origin(start)
         self.reset()
-
-    @property
-    def wanted(self) -> float:
-        """The whole way [m or rad]."""
-        return self._profile.distance
 
     @property
     def duration(self) -> float:
         """How long the motion takes where no limit slows it down, with the way to the mechanism if known [s]."""
-        return self.pause + self._profile.duration + (0.0 if self._approach is None else self._approach[1].duration)
+        return self.pause + self._profile.duration + (0.0 if self._approach is None else self._approach[0].duration)
 
     def reset(self) -> None:
         """Forget the start: the next call is the first one again."""
-        self._course = self._given
-        self._begun: float | None = None
+        self.wanted = self._profile.distance
+        self._course = None if self._start is None else Course(self._motion, self._start)
+        self._begun, self._latest = math.inf, -math.inf
         self.way_begins: float | None = None
-        self._approach: tuple[Origin, MotionProfile] | None = None
-        self._latest, self._place, self._ahead = -math.inf, 0.0, self._motion.driven
+        self._approach: tuple[MotionProfile, Chart] | None = None
+        self._place, self._ahead = 0.0, self._motion.driven
 
     def hold(self, q: ArrayLike) -> float:
         """How far a hand at posture q has to go to the mechanism [m]; 0 if it is on it, or if that is not known."""
-        return self._begins(self._motion.origin(q))[1]
+        return self._begins(q)[2]
 
-    @property
-    def grip_shown(self) -> tuple[Float[np.ndarray, "3 3"], float] | None:
-        """How the hand was turned where contacts began, and how far from that in others [rad]; None if not known."""
-        shown = self.learnt.shown
-        return None if shown is None or self._shown is None else (shown.orientation, shown.turned)
-
-    def _begins(self, here: Origin) -> tuple[Origin, float]:
-        """Return where the motion begins for a hand that is at a place, and how far that is [m]."""
-        origin = here if self._shown is None else self._shown.nearest(here, self.wanted)
-        return origin, 0.0 if self._shown is None else self._shown.apart(here, origin)
-
-    def _start(self, q: ArrayLike) -> Origin:
-        """Return where the hand is, or was said to be."""
-        return self._motion.origin(q) if self._given is None else self._given.origin
+    def _begins(self, q: ArrayLike) -> tuple[Origin, Origin, float]:
+        """Return where a hand is, or was said to be, where the motion begins, and how far that is [m]."""
+        here = self._motion.origin(q) if self._start is None else self._start
+        return here, *((here, 0.0) if self._shown is None else self._shown.nearest(here, self.wanted))
 
     def duration_from(self, q: ArrayLike) -> float:
         """How long the motion takes from posture q where no limit slows it down [s]."""
         far = self.hold(q)
-        to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._ramp).duration + _SETTLING
+        to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._profile.ramp).duration + _SETTLING
         return self.pause + self._profile.duration + to_hold
 
     def table(
@@ -209,22 +195,22 @@ class FreeDirection(Task):
             fewest: Number of entries at least.
             most: And at most.
         """
-        course = Course(self._motion, self._begins(self._start(start))[0])
+        chart = self._motion.chart_at(self._begins(start)[1])
         number = min(max(math.ceil(self._profile.duration / period) + 1, fewest), most)
         time = np.linspace(0.0, self._profile.duration, number)
         distance = np.array([self._profile.at(t)[0] for t in time.tolist()])
-        return time, distance, [course.goal(s) for s in distance.tolist()]
+        return time, distance, [chart.pose((s,)) for s in distance.tolist()]
 
-    def ascent(self, gain: float = ASCENT_GAIN) -> SampledPolicy:
+    def ascent(self, gain: float = policies.ASCENT_GAIN) -> policies.SampledPolicy:
         """The policy that climbs the room left on the way: of the rows held and driven, and of the joints' ranges.
 
         The rows that are held do not say how well the hand can move along the way: the manipulability of these alone
         may rise while the driven direction is being lost. With it the hand turns as it was shown, where that was kept
         by habit (`KeptOrientation`).
         """
-        return self.as_kept(RoomAscent(self.constraint, self._profile.speed, gain))
+        return self.as_kept(policies.RoomAscent(self.constraint, self._profile.speed, gain))
 
-    def as_kept(self, policy: SampledPolicy) -> SampledPolicy:
+    def as_kept(self, policy: policies.SampledPolicy) -> policies.SampledPolicy:
         """Return a policy, summed with the wish that the hand turns as it was shown where that was kept by habit."""
         known, shown = self.learnt.mechanism, self.learnt.shown
         rms = 0.0 if known is None or known.grip != "kept" else math.radians(known.orientation_rms or 0.0)
@@ -235,32 +221,29 @@ class FreeDirection(Task):
         def wanted() -> Float[np.ndarray, "3 3"]:
             return shown.turned_at(0.0 if self.way_begins is None else sense * self._place)
 
-        return KeptOrientation(policy, self.learnt.features.twist, wanted, rms)
+        return policies.KeptOrientation(policy, self.learnt.features.twist, wanted, rms)
 
     def with_distance(self, distance: float) -> FreeDirection:
         """This motion by another distance [m or rad], from a start of its own."""
-        return self._with_profile(self._profile.over(_number("distance", distance, positive=False)))
+        return self._with(_profile=replace(self._profile, distance=_number("distance", distance, positive=False)))
 
     def slowed(self, times: float) -> FreeDirection:
         """This motion slowed down by a factor, from a start of its own."""
-        return self._with_profile(self._profile.slowed(times))
+        return self._with(_profile=replace(self._profile, speed=self._profile.peak / times))
 
     def taking_hold(self, grasp: Origin) -> FreeDirection:
         """This motion for a hand that takes hold at a pose (4, 4), from a start of its own."""
-        other = self._with_profile(self._profile)
-        other._shown = None if self._shown is None else self._shown.only(grasp)
-        return other
+        return self._with(_shown=None if self._shown is None else self._shown.only(grasp))
 
-    def _with_profile(self, profile: MotionProfile | PathProfile) -> FreeDirection:
+    def _with(self, **others: Any) -> FreeDirection:
         other = copy.copy(self)
-        other._profile = profile
+        vars(other).update(others)
         other.reset()
         return other
 
     def progress(self, q: ArrayLike) -> float:
         """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
-        is_before = self.way_begins is None and self._begun is not None
-        return 0.0 if is_before else self.progress_near(q, self._place)
+        return 0.0 if self.way_begins is None and self._begun < math.inf else self.progress_near(q, self._place)
 
     def meant(self, t: float) -> float:
         """How far the way should have come at a time [m or rad]; 0 before it began."""
@@ -289,14 +272,6 @@ class FreeDirection(Task):
             raise ConstraintError("the task moves along another constraint: give both the same one")
         return self.constraint
 
-    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """b along the constrained rows and the driven one."""
-        return self.velocity_and_jacobian(constraint, q, t)[0]
-
-    def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """E with d/dt (error along the rows) = -E u for a setpoint at rest; None where E = A(q) (see `Task`)."""
-        return self.velocity_and_jacobian(constraint, q, t)[1]
-
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
         """b and E from one look at the pose: along the motion and onto it, from where the hand is.
 
@@ -306,7 +281,9 @@ class FreeDirection(Task):
         most = math.inf if self.way_begins is None else self._profile.speed
         self._place, self._ahead, off = course.look(q, self._place)
         rate = min(max(rate + self.gain * (wanted - self._place), -most), most)
-        return self.constraint.selection.dot(rate * self._ahead - self.gain * off), self._motion.jacobian(q)
+        rows, features = self.constraint.selection, self.constraint.features
+        E = features.coordinates_jacobian(q) if features.twist is None else None
+        return rows.dot(rate * self._ahead - self.gain * off), None if E is None else rows.dot(E)
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
         """The row along the motion; all rows on the way to the mechanism."""
@@ -317,7 +294,11 @@ class FreeDirection(Task):
 
     def goal(self) -> Origin | None:
         """Where the motion ends; None before the first call, unless `start` was given."""
-        return None if self._course is None else self._motion.numbers(self._course.goal(self.wanted))
+        if self._course is None:
+            return None
+        end, names = self._course.chart.pose((self.wanted,)), self.constraint.features.row_names
+        is_place = end.ndim == 2 and set(names) <= set(AXES[:3])
+        return end[[AXES.index(name) for name in names], 3] if is_place else end
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Way that is left, and the deviation of the constrained coordinates, as one norm [m or rad]."""
@@ -327,21 +308,21 @@ class FreeDirection(Task):
 
     def _now(self, q: ArrayLike, t: float) -> tuple[Course, float, float]:
         """From where the way counts, how far along it the hand should be, and how fast."""
-        if self._begun is not None and t <= self._begun < self._latest:
+        if t <= self._begun < self._latest:
             self.reset()
-        if self._begun is None or self._course is None:
-            start = self._start(q)
-            origin, far = self._begins(start)
+        if self._course is None or self._begun == math.inf:
+            start, origin, far = self._begins(q)
             self._begun, self._course = t, Course(self._motion, origin)
-            self._approach = (start, MotionProfile(far, APPROACH_SPEED, self._ramp)) if far > TAKEN else None
+            if far > TAKEN:
+                self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp), straight(start, origin)
         self._latest = t
         if self.way_begins is None and self._approach is not None and self._shown is not None:
-            start, profile = self._approach
-            late, origin = t - self._begun - profile.duration, self._course.origin  # [s]
+            profile, chart = self._approach
+            late = t - self._begun - profile.duration  # [s]
             near = TAKEN if late < _SETTLING else _NOISY
-            if late < 0.0 or self._shown.apart(self._motion.origin(q), origin) > near:
+            if late < 0.0 or self._shown.apart(self._motion.origin(q), self._course.origin) > near:
                 share = min(profile.at(t - self._begun)[0] / profile.distance, 1.0)
-                return Course(self._motion, between(start, origin, share)), 0.0, 0.0
+                return Course(self._motion, chart.pose((share,))), 0.0, 0.0
         if self.way_begins is None:
             self.way_begins = t + self.pause
         return self._course, *self._profile.at(t - self.way_begins)
@@ -367,14 +348,11 @@ def _held_by_the_grip(constraint: Constraint) -> Constraint:
 
 
 def _number(name: str, value: float, positive: bool = True) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError) as error:
-        raise TargetError(f"the {name} must be a number, got {value!r}") from error
-    if not math.isfinite(number) or number == 0.0 or (positive and number < 0.0):
-        kind = "a positive number" if positive else "a finite number other than 0 (negative: the other way)"
-        raise TargetError(f"the {name} must be {kind}, got {value!r}")
-    return number
+    number = finite(value)
+    if number is None or number == 0.0 or (positive and number < 0.0):
+        kind = "a number" if number is None else "a finite number other than 0 (negative: the other way)"
+        raise TargetError(f"the {name} must be {'a positive number' if positive else kind}, got {value!r}")
+    return float(number)
 
 
 def motion(
@@ -439,78 +417,53 @@ def motion(
     distance, angle = along if distance is None else distance, turn if angle is None else angle
     shown, known = constraint.shown, constraint.mechanism
     word = direction if isinstance(direction, str) and direction in ("shown", "back") else None
-    again, is_named = distance is None and angle is None, direction is not None and word is None
-    if again and is_named and isinstance(direction, str):
-        raise TargetError(f"the direction is {direction!r}, it must be 'shown', as the recordings went, or 'back'")
+    again, named = distance is None and angle is None, direction if word is None else None
+    if again and isinstance(named, str):
+        raise TargetError(f"the direction is {named!r}, it must be 'shown', as the recordings went, or 'back'")
     if again and (meant := constraint.intention) is not None:
         if not meant.common:
-            raise TargetError(
-                f"the {len(meant.targets)} recordings go to different targets, {meant.spread:.2g} m or rad apart: name "
-                "one" + advice(" with {}", "PointAttractor(target)", "--target")
-            )
+            go = f"the {len(meant.targets)} recordings go to different targets, {meant.spread:.2g} m or rad apart"
+            raise TargetError(f"{go}: name one{advice(' with {}', 'PointAttractor(target)', '--target')}")
         return PointAttractor(meant.target, meant.gain)  # type: ignore[return-value]  # of such rows alone
-    if (again and (shown is None or is_named)) or (distance is not None and angle is not None):
-        raise TargetError(
-            ("the constraint does not know what was shown: " if again and shown is None else "")
-            + "say how far to go, once"
-            + advice(": {}", "distance=0.3 [m] or angle=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
-        )
+    if (again and (shown is None or named is not None)) or None not in (distance, angle):
+        lacking = "the constraint does not know what was shown: " if again and shown is None else ""
+        how = advice(": {}", "distance=0.3 [m] or angle=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
+        raise TargetError(f"{lacking}say how far to go, once{how}")
     unit: Unit = "m" if angle is None else "rad"
-    amount = distance if angle is None else angle
-    # mechanisms that do not move by a unit, what they do, and what to give; others slide and turn
-    types, does = ("line", "plane"), "slides and does not turn"
-    instead = advice(": use {}", "distance= [m]", "--along METRES")
-    if unit == "m":
-        types, does = ("hinge", "screw", "ball"), "turns and does not slide"
-        instead = advice(": use {}", "angle= [rad]", "--turn DEGREES")
+    amount: Any = distance if angle is None else angle
+    types, does, instead = _UNMOVED[unit]
     if again and shown is not None:
         unit, amount = shown.unit, shown.extent
         speed = amount / max(shown.seconds - RAMP, RAMP) if speed is None else speed
     elif known is not None and known.type in types:
-        raise ConstraintError(f"what was learnt {does} ({known.sentence}){instead}")
+        raise ConstraintError(f"what was learnt {does} ({known.sentence})" + advice(": use {}", *instead))
     if speed is None:
         lever = 0.0 if known is None else known.radius or 0.0
         speed = HAND_SPEED if unit == "m" else HAND_SPEED / max(lever, HAND_SPEED / TURN_SPEED)
-    task = FreeDirection(
-        constraint,
-        amount,  # type: ignore[arg-type]  # one of them was given
-        speed,
-        direction=None if word is not None else direction,
-        unit=unit,
-        straight=True,
-        keep_orientation=keep_orientation,
-        pause=pause,
-        take_hold=True,
-        as_shown=again,
-    )
+    asked: dict[str, Any] = {"direction": named, "unit": unit, "straight": True, "take_hold": True, "as_shown": again}
+    task = FreeDirection(constraint, amount, speed, keep_orientation=keep_orientation, pause=pause, **asked)
     if not beyond_shown:
         _check_shown(task)
-    sense = 0.0 if is_named else shown_sense(shown, task._motion, of_most=again)
+    sense = 0.0 if named is not None else shown_sense(shown, task._motion, of_most=again)
     if sense == 0.0 and word is not None:
-        raise ConstraintError(
-            "the recordings do not say which way is the one shown: they went to both sides of where they began, or the "
-            "constraint was not learnt by this version; leave the direction out, and choose the sign"
-        )
-    if (sense < 0.0) == (word == "back"):
-        return task
-    task = task.with_distance(-task.wanted)  # the other way, which counts as positive
-    task.counts = -1.0
+        why = "they went to both sides of where they began, or the constraint was not learnt by this version"
+        fix = "leave the direction out, and choose the sign"
+        raise ConstraintError(f"the recordings do not say which way is the one shown: {why}; {fix}")
+    if (sense < 0.0) != (word == "back"):
+        task = task.with_distance(-task.wanted)  # the other way, which counts as positive
+        task.counts = -1.0
     return task
 
 
 def _check_shown(task: FreeDirection) -> None:
     """Refuse a way that is longer than the places are apart at which it was shown, or than the arm can go."""
     shown, twist, wanted = task.learnt.shown, task.learnt.features.twist, abs(task.wanted)
-    words = way_in_words(wanted, task.unit)
+    words = f"the way of {way_in_words(wanted, task.unit)} is longer than"
     if shown is not None and shown.is_way and shown.unit == task.unit and wanted > shown.span + BEYOND[task.unit]:
-        raise TargetError(
-            f"the way of {words} is longer than what was shown ({way_in_words(shown.span, task.unit)}): ask for no more"
-            + advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")
-        )
+        more = advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")
+        raise TargetError(f"{words} what was shown ({way_in_words(shown.span, task.unit)}): ask for no more{more}")
     if task.unit == "m" and twist is not None and wanted > (most := 2.0 * twist.robot.reach(twist.frame)):
-        raise TargetError(
-            f"the way of {words} is longer than the arm can go in any direction ({most:.2g} m): ways are in metres"
-        )
+        raise TargetError(f"{words} the arm can go in any direction ({most:.2g} m): ways are in metres")
 
 
 def motion_to(
@@ -536,31 +489,28 @@ def motion_to(
     """
     known, twist = constraint.mechanism, constraint.features.twist
     if known is None or known.kind not in ("hinge", "screw"):
-        raise ConstraintError(
-            "what was learnt turns about no one axis, towards a point: say how far to go"
-            + advice(" with {}", "motion(constraint, distance=... | angle=...)", "--along or --turn")
-        )
+        how = advice(" with {}", "motion(constraint, distance=... | angle=...)", "--along or --turn")
+        raise ConstraintError(f"what was learnt turns about no one axis, towards a point: say how far to go{how}")
     if (place := finite(point, 3)) is None:
         raise TargetError(f"the point must be three finite numbers (x, y, z) [m], got {point!r}")
-    here, there = twist.pose(q), np.eye(4)
+    there = np.eye(4)
     there[:3, 3] = place
-    angle = float(known.by_place().at(here, np.inf).coordinates(there)[0])
+    angle = float(known.by_place().at(twist.pose(q), np.inf).coordinates(there)[0])
     if abs(angle) < 1e-6:
         raise TargetError("the hand is as near to the point as the mechanism allows: name another")
     task = motion(constraint, angle=angle, speed=speed, keep_orientation=keep_orientation, beyond_shown=True)
     task = task.with_distance(angle)  # about the axis, whichever way was shown
-    far = task.hold(q)
-    if far > 0.0:
-        raise TargetError(
-            f"the hand is {far:.3g} m away from the {known.type}: start on it, or say how far to turn"
-            + advice(" with {}, which goes there first", "motion(constraint, angle=...)", "--turn")
+    if (far := task.hold(q)) > 0.0:
+        how = advice(
+            ", or say how far to turn with {}, which goes there first", "motion(constraint, angle=...)", "--turn"
         )
+        raise TargetError(f"the hand is {far:.3g} m away from the {known.type}: start on it{how}")
     return task
 
 
 def null_policy(
     name: str, task: Task, constraint: Constraint, robot: Robot, gain: float | None, rest: ArrayLike | None
-) -> NullSpacePolicy:
+) -> policies.NullSpacePolicy:
     """A null-space policy by its name on the command line, with its own gain if none is given.
 
     Raises:
@@ -568,10 +518,10 @@ def null_policy(
     """
     given = () if gain is None else (gain,)
     if name == "manipulability":
-        climb = ManipulabilityAscent(task.rows(constraint), *given)
+        climb = policies.ManipulabilityAscent(task.rows(constraint), *given)
         return task.as_kept(climb) if isinstance(task, FreeDirection) else climb
     if name == "zero":
-        return ZeroPolicy(constraint.nv)
+        return policies.ZeroPolicy(constraint.nv)
     if name == "attractor":
-        return JointAttractor(robot.neutral() if rest is None else rest, *given, robot=robot)
+        return policies.JointAttractor(robot.neutral() if rest is None else rest, *given, robot=robot)
     raise ManipLearnError(f"unknown policy {name!r}: use one of manipulability, zero, attractor")

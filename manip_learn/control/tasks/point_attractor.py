@@ -86,6 +86,18 @@ class Task(ABC):
         return self.velocity(constraint, q, t), self.error_jacobian(constraint, q, t)
 
 
+class OneLook(Task):
+    """A task whose child defines `velocity_and_jacobian`, which says all."""
+
+    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
+        """b along the rows, in their units per second."""
+        return self.velocity_and_jacobian(constraint, q, t)[0]
+
+    def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
+        """E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q) (see `Task`)."""
+        return self.velocity_and_jacobian(constraint, q, t)[1]
+
+
 @final
 class Hold(Task):
     """b = 0: nothing moves along the constrained rows, all motion is in the null space."""
@@ -145,10 +157,10 @@ class PointAttractor(Task):
             raise TargetError(f"driven must be 'held' or 'all', not {self.driven!r}")
         try:
             numbers = np.array(self.target, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise TargetError(f"the target must be numbers, got {self.target!r}") from error
+        except (TypeError, ValueError):
+            numbers = np.array(np.nan)
         if numbers.ndim not in (1, 2) or not np.all(np.isfinite(numbers)):
-            raise TargetError(f"the target must be finite numbers, got {numbers.tolist()}")
+            raise TargetError(f"the target must be finite numbers, got {self.target!r}")
         numbers.setflags(write=False)
         object.__setattr__(self, "target", numbers)
 
@@ -164,14 +176,13 @@ class PointAttractor(Task):
         """
         if self.driven == "held":
             return constraint
-        names = constraint.features.row_names
-        if not self._fits(constraint.features) or isinstance(constraint.features, WeighedVelocity):
-            raise TargetError(
-                f"the target must have {len(names)} numbers ({', '.join(names)}), got shape {self.target.shape}: "
-                + advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")
-            )
-        if (every := self._all) is None or every.features is not constraint.features:
-            every = Constraint(np.eye(len(names)), constraint.features, constraint.provenance)
+        features, names = constraint.features, constraint.features.row_names
+        if not self._fits(features) or isinstance(features, WeighedVelocity):
+            held = advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")
+            wanted = f"{len(names)} numbers ({', '.join(names)})"
+            raise TargetError(f"the target must have {wanted}, got shape {self.target.shape}: {held}")
+        if (every := self._all) is None or every.features is not features:
+            every = Constraint(np.eye(len(names)), features, constraint.provenance)
             object.__setattr__(self, "_all", every)
         return every  # the same one at each call, so that a policy that climbs it shares the controller's work
 
@@ -185,19 +196,17 @@ class PointAttractor(Task):
 
     def _toward(self, constraint: Constraint, q: ArrayLike) -> VelocityAndJacobian:
         """The displacement, and E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
-        features, s = constraint.features, constraint.n_constraints
+        features, s, rows = constraint.features, constraint.n_constraints, constraint.selection
         if self._fits(features):
             error, E = features.error_and_jacobian(self.target, q)
-            return constraint.selection.dot(error), None if E is None else constraint.selection.dot(E)
-        if self.target.shape == (s,):
-            E = features.coordinates_jacobian(q)
-            way = self.target - constraint.selection @ features.coordinates(q)
-            return way, None if E is None else constraint.selection.dot(E)
-        either = "" if s == features.n_rows else f", or {s}: one per row of the constraint"
-        raise TargetError(
-            f"the target must have {features.n_rows} numbers ({', '.join(features.row_names)}){either}; "
-            f"got shape {self.target.shape}"
-        )
+            way = rows.dot(error)
+        elif self.target.shape == (s,):
+            way, E = self.target - rows @ features.coordinates(q), features.coordinates_jacobian(q)
+        else:
+            wanted = f"{features.n_rows} numbers ({', '.join(features.row_names)})"
+            wanted += "" if s == features.n_rows else f", or {s}: one per row of the constraint"
+            raise TargetError(f"the target must have {wanted}; got shape {self.target.shape}")
+        return way, None if E is None else rows.dot(E)
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
         """The target."""
@@ -226,15 +235,14 @@ class PointAttractor(Task):
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Distance to the target along the constrained rows [m or rad]."""
-        displacement = self.displacement(constraint, q)
-        return math.sqrt(displacement.dot(displacement))
+        return float(np.linalg.norm(self.displacement(constraint, q)))
 
     def __repr__(self) -> str:
         return f"PointAttractor({np.array2string(self.target, precision=3)}, gain={self.gain:g})"
 
 
 @final
-class Track(Task):
+class Track(OneLook):
     """b = gain * Lambda (r*(t) - r(q)) + Lambda dr*/dt: a target that moves, without lagging behind it.
 
     A controller holds b for its period dt. The target's own velocity is therefore the mean one of that time: that in
@@ -265,19 +273,11 @@ class Track(Task):
     ):
         self._target, self._rate, self.gain = target, rate, float(gain)
 
-    def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """Attraction to the target, and the rate at time t where one was given."""
-        return self.velocity_and_jacobian(constraint, q, t)[0]
-
-    def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """E with d/dt error = -E u for a target that stands still; None where E = A(q) (see `Task`)."""
-        return self.velocity_and_jacobian(constraint, q, t)[1]
-
     def velocity_and_jacobian(
         self, constraint: Constraint, q: np.ndarray, t: float, dt: float = 0.0
     ) -> VelocityAndJacobian:
         """b for the time dt [s] that begins at t, and E."""
-        ahead, E = PointAttractor(self._target(t)).velocity_and_jacobian(constraint, q, t)
+        ahead, E = PointAttractor(self._target(t))._toward(constraint, q)
         b = self.gain * ahead
         if self._rate is not None:
             b += constraint.selection @ np.asarray(self._rate(t + 0.5 * dt), dtype=np.float64)

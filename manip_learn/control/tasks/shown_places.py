@@ -5,17 +5,17 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import replace
-from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
+from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.mechanism import GRIP, Mechanism
 from manip_learn.constraint.shown import Shown
-from manip_learn.control.tasks.driven_motion import Course, DrivenMotion, Origin
-from manip_learn.robot.rotations import angles_between, rotation_matrix, rotation_vector
+from manip_learn.control.tasks.driven_motion import DrivenMotion, Origin, screw
+from manip_learn.robot.rotations import angles_between, rotation_vector
 
 LEAST_TURN = 1e-3  # share of a rotation in a row: a learnt row of the place leaks less, and holds no turn
 HAND_LEVER = 0.2  # [m] between a hand and what it turns, so that an approach of 0.25 m/s turns by 1.25 rad/s at most
@@ -29,16 +29,13 @@ def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = Fa
     if shown is None or not shown.is_way or not (shown.one_way or of_most) or shown.unit != motion.unit:
         return 0.0
     begin = shown.chart.grasp
-    along = float(shown.chart.heading(begin) @ Course(motion, begin).chart.heading(begin))
+    along = float(shown.chart.heading(begin) @ motion.chart_at(begin).heading(begin))
     return math.copysign(1.0, along) if along else 0.0
 
 
-def between(start: Origin, end: Origin, share: float) -> Origin:
-    """Return the pose on the straight way from one to another, on which the hand turns evenly."""
-    out = start + share * (end - start)
-    turn = rotation_vector(end[:3, :3] @ start[:3, :3].T)
-    out[:3, :3] = rotation_matrix(share * turn) @ start[:3, :3]
-    return out
+def straight(start: Origin, end: Origin) -> Chart:
+    """Return the chart of a hand that goes straight from one pose (0) to another (1), and turns evenly meanwhile."""
+    return screw(end[:3, 3] - start[:3, 3], spin=rotation_vector(end[:3, :3] @ start[:3, :3].T))(start)
 
 
 @final
@@ -75,11 +72,10 @@ class ShownPlaces:
     def only(self, grasp: Origin) -> ShownPlaces:
         """Return these places for a hand that takes hold at one pose."""
         other = copy.copy(self)
-        vars(other).pop("_ahead", None)
         other._begins, other._anew = grasp[None], True
         return other
 
-    @cached_property
+    @property
     def _ahead(self) -> Float[np.ndarray, "n k"]:
         """How far along what is free each beginning is from the first [m or rad]."""
         return np.vstack([self._shown.along(np.array([self._begins[0], begin]))[1] for begin in self._begins])
@@ -89,15 +85,15 @@ class ShownPlaces:
         turned = float(angles_between(one[:3, :3], other[None, :3, :3])[0]) if self._is_turned else 0.0
         return max(float(np.linalg.norm(other[:3, 3] - one[:3, 3])), HAND_LEVER * turned)
 
-    def nearest(self, here: Origin, distance: float) -> Origin:
-        """The origin from which the way begins.
+    def nearest(self, here: Origin, distance: float) -> tuple[Origin, float]:
+        """Return the origin from which the way begins, and how far that is [m].
 
         That is where contacts began, of a way back its end; of a hand that is on the mechanism already its own, of one
         that begins anew only if it is where contacts began. Where contacts began at different places, it is the
         nearest of them from which the way stays within what was shown.
         """
         if self._is_on_the_way(here):
-            return here
+            return here, 0.0
         begins, way = self._begins.copy(), self.sense * distance
         if len(begins) > 1 and self._shown.is_way and not self._is_turned:
             ends = self._ahead[:, 0] - self._ahead[:, 0].min() + abs(way)
@@ -107,8 +103,9 @@ class ShownPlaces:
         elif len(begins) > 1 and min(self.apart(here, begin) for begin in begins) > GRIP:  # then the typical one
             begins = self._shown.chart.grasp[None]
         if way < 0.0:  # back from where one of them ended
-            begins = [Course(self._motion, begin).goal(-distance) for begin in begins]
-        return min(begins, key=lambda begin: self.apart(here, begin))
+            begins = [self._motion.chart_at(begin).pose((-distance,)) for begin in begins]
+        origin = min(begins, key=lambda begin: self.apart(here, begin))
+        return origin, self.apart(here, origin)
 
     def _is_on_the_way(self, here: Origin) -> bool:
         """Return True if the hand is where a way was shown, or between such places, and may begin there."""
