@@ -92,14 +92,11 @@ class ResolvedRateController(LimitedController):
             raise ConstraintError(f"{held} rows are held by {constraint.nv} joints: they contradict each other")
         self.null_policy: NullSpacePolicy = ZeroPolicy(constraint.nv) if null_policy is None else policy_of(null_policy)  # type: ignore[arg-type]
         self.inverse: Inverse = inverse
-        self.threshold = float(threshold)
-        self.damping = float(damping)
-        self.dt = float(dt)
+        self.threshold, self.damping, self.dt = float(threshold), float(damping), float(dt)
         own = limits.robot if isinstance(limits, Limits) else None
         self.robot: Robot | None = robot or own or constraint.robot
         self.limits = self._limits_of(limits)
-        settings = (self.inverse, self.threshold, self.damping)
-        self._law = Law(constraint, self.task, self.null_policy, *settings)
+        self._law = Law(constraint, self.task, self.null_policy, inverse, self.threshold, self.damping)
 
     def __call__(
         self, q: ArrayLike, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
@@ -120,9 +117,8 @@ class ResolvedRateController(LimitedController):
             ConfigurationError: q has the wrong size or is not finite, or dt is not positive.
             TargetError: The task's target does not fit the constraint.
         """
-        if dt is None:
-            dt = self.dt
-        elif not 0.0 < dt < math.inf:
+        dt = self.dt if dt is None else dt
+        if not 0.0 < dt < math.inf:
             raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
         native = self.native
         if native is not None and (command := native.step(q, dt, previous, slide)) is not None:
@@ -159,11 +155,8 @@ class ResolvedRateController(LimitedController):
         for before, after in ((self.constraint, rows), (self.learnt, constraint)):
             if before is not after:
                 policy = climbing(policy, before, after)
-        settings = {"threshold": self.threshold, "damping": self._damping_given, "dt": self.dt}
-        limits = self.limits or False
-        return ResolvedRateController(
-            constraint, task, policy, self.inverse, limits=limits, robot=self.robot, **settings
-        )
+        settings = {"threshold": self.threshold, "damping": self._damping_given, "dt": self.dt, "robot": self.robot}
+        return ResolvedRateController(constraint, task, policy, self.inverse, limits=self.limits or False, **settings)
 
     @property
     def law(self) -> ResolvedRateController:
