@@ -14,11 +14,7 @@ from typing import Any, Protocol, final
 
 from manip_learn.control.timing import in_milliseconds
 
-_LATE = 0.5  # share of a period by which a cycle begins late to be counted
-SLOW_AFTER = 1.0  # [s] in which more than half of the periods were missed: the period cannot be held
 _SIGNALS = [s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP")]  # Windows has no SIGHUP
-LONGEST_END = 12.0  # [s] that the interpreter waits for an arm to brake and to hold itself
-SPIN = 2e-4  # [s] before a cycle begins, from which on it is waited for awake: sleeping may wake up late
 
 
 class Clock(Protocol):
@@ -44,8 +40,8 @@ class ComputerClock:
 
     @staticmethod
     def wait_until(moment: float) -> None:
-        """Sleep, then spin."""
-        time.sleep(max(0.0, moment - time.perf_counter() - SPIN))
+        """Sleep, then spin: sleeping may wake up 0.2 ms late."""
+        time.sleep(max(0.0, moment - time.perf_counter() - 2e-4))
         while time.perf_counter() < moment:
             pass
 
@@ -91,9 +87,10 @@ class Pace:
             time = self.time
             late = time + self._start - self._due
         self.longest_delay = max(self.longest_delay, late)
-        self.overruns += late > _LATE * period
+        self.overruns += late > 0.5 * period
         missed = int(max(0.0, late) / period)
-        self._missed += (missed / (missed + 1.0) - self._missed) * min(1.0, (missed + 1.0) * period / SLOW_AFTER)
+        # where half of the periods of a second were missed, the period cannot be held
+        self._missed += (missed / (missed + 1.0) - self._missed) * min(1.0, (missed + 1.0) * period)
         if self._missed > 0.5 * (1.0 - math.exp(-1.0)):
             seconds = ComputerClock.now() - self._began
             self.fault = f"the period of {1e3 * period:g} ms cannot be held: cycles begin {1e3 * late:.2g} ms late"
@@ -216,7 +213,7 @@ class OrderlyEnd:
         """The main thread is over: brake, before this thread is killed."""
         self.signals.append(signal.SIGINT)
         self.stop("the interpreter ended", True)
-        self._over.wait(LONGEST_END)
+        self._over.wait(12.0)  # [s] for the arm to brake and to hold itself
 
     def _receive(self, number: int, frame: object) -> None:
         """Stop; in a call of the driver that does not return, give that call up.

@@ -26,12 +26,6 @@ LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in
 # [rad or m] by which no arm goes off that is sent to where it is: brakes that open, a payload and a push of 20 N give a
 # few hundredths at most; and by which first readings may differ, from each other and from where a motion starts
 _AWAY = 0.05
-PATIENCE = 1.0  # [s] for which it is waited for first readings that agree
-# [rad or m] by which it is sent then, and times as far as that for it to have gone by itself
-_STILL, _AHEAD = 0.02, 4.0
-_COMPARED = 512  # samples of a run at most: more change nothing
-_EXPLAINED = 0.1  # share of what is left of a motion as it stands that is left of it where it is explained
-_TIE = 1e-3  # share of that by which an explanation that exchanges joints must be better than one that does not
 _SCALES = {1.0: "", math.degrees(1.0): "degrees", math.radians(1.0): "degrees", 1e3: "mm", 1e-3: "mm"}
 # a cycle: its time [s], what was measured, the command, and the joint positions that were sent before
 _Sample = tuple[float, Posture, Command, Vector]
@@ -240,7 +234,8 @@ class _Cycle:
         elif before is None:
             words = "one reading alone"
         self._doubted += 1
-        if (outside := far_outside(robot, self._place)) or (words and self._doubted * self._pace.period > PATIENCE):
+        is_late = self._doubted * self._pace.period > 1.0  # [s]
+        if (outside := far_outside(robot, self._place)) or (words and is_late):
             self.ending.stop(outside or words)
         return outside or words
 
@@ -259,8 +254,9 @@ class _Cycle:
             f"at first, and was sent by {went:.1g} rad or m at most: it was in motion or is pushed, or "
             "the driver reads other joints, units or senses than it commands"
         )
-        most = max(0.0 if tripped else _AWAY, _AHEAD * went)
-        away = _apart(self._robot, first, q, most, words) if went < _STILL else ""
+        # an arm that was sent by less than 0.02 rad or m, and is four times as far away, has gone by itself
+        most = max(0.0 if tripped else _AWAY, 4.0 * went)
+        away = _apart(self._robot, first, q, most, words) if went < 0.02 else ""
         self._astray = self._astray + 1 if away else 0
         return away if self._astray > (not tripped) else ""
 
@@ -329,12 +325,13 @@ def _mixed_up(robot: Robot, samples: Sequence[_Sample]) -> str:
     """Return which other order, unit or sense of the joints explains the motion that was read, in words; or nothing."""
     if len(samples) < 3:
         return ""
-    some = samples[:: len(samples) // _COMPARED + 1]
+    some = samples[:: len(samples) // 512 + 1]  # more change nothing
     read, sent = np.array([robot.positions(q) for _, q, _, _ in some]), np.array([sent for *_, sent in some])
     read, sent = read - read.mean(axis=0), sent - sent.mean(axis=0)
     own, theirs, products = np.sum(read**2, axis=0), np.sum(sent**2, axis=0), read.T @ sent
-    names, explanation, best = robot.joint_names, "", _EXPLAINED**2 * float(np.sum((read - sent) ** 2))
-    own_order = _TIE * best * (1.0 - np.eye(robot.nv))
+    # an explanation leaves a tenth of what is left as it stands; one that exchanges joints must be better by a thousandth
+    names, explanation, best = robot.joint_names, "", 0.1**2 * float(np.sum((read - sent) ** 2))
+    own_order = 1e-3 * best * (1.0 - np.eye(robot.nv))
     for scale, unit in _SCALES.items():
         # what each joint leaves of each path that was sent, in either sense
         left = np.maximum(own[:, None] + scale**2 * theirs - 2.0 * scale * np.abs(products), 0.0)
