@@ -329,7 +329,7 @@ def _mixed_up(robot: Robot, samples: Sequence[_Sample]) -> str:
     read, sent = np.array([robot.positions(q) for _, q, _, _ in some]), np.array([sent for *_, sent in some])
     read, sent = read - read.mean(axis=0), sent - sent.mean(axis=0)
     own, theirs, products = np.sum(read**2, axis=0), np.sum(sent**2, axis=0), read.T @ sent
-    # an explanation leaves a tenth of what is left as it stands; one that exchanges joints must be better by a thousandth
+    # an explanation leaves a tenth of what is left as it stands; one that exchanges joints is better by a thousandth
     names, explanation, best = robot.joint_names, "", 0.1**2 * float(np.sum((read - sent) ** 2))
     own_order = 1e-3 * best * (1.0 - np.eye(robot.nv))
     for scale, unit in _SCALES.items():

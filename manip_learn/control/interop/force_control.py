@@ -12,6 +12,7 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -56,43 +57,8 @@ _FASTEST = 0.25
 # [m and rad] largest deviation of the other axes; it and the program's damping and gain, shares of the robot's own, are
 # the defaults of ur_msgs/SetForceMode
 DEVIATION = 0.01
-_PROGRAM = """\
-# The robot's TCP must be {frame!r}. zero_ftsensor and the gain's scaling: e-Series and later, not CB3.
-def {name}():
-{tcp}  global at = {at}
-  global selection = {given[selection_vector]}
-  global push = [0, 0, 0, 0, 0, 0]  # [N, N m] along compliant axes: 0 follows, more presses
-  global limits = {given[limits]}
-
-  # where a pose is, with the axes of another
-  def position_of(tcp, axes):
-    return p[tcp[0], tcp[1], tcp[2], axes[3], axes[4], axes[5]]
-  end
-
-  # a frame on an axis, turned about it until x points to the hand
-  def turned_to(tcp, axis):
-    out = pose_trans(pose_inv(axis), tcp)
-    return pose_trans(axis, p[0, 0, 0, 0, 0, atan2(out[1], out[0])])
-  end
-
-  thread keep_compliant():
-    while True:
-      force_mode({now}, selection, push, 2, limits)
-      sync()
-    end
-  end
-
-  zero_ftsensor()
-  force_mode_set_damping(0.025)
-  force_mode_set_gain_scaling(0.5)
-  global keeper = run keep_compliant()
-  # the task's own moves along what is free come here; a first one to try, slowly:
-  # now = {now}
-  # movel(pose_trans(pose_trans(now, {step}), pose_trans(pose_inv(now), get_actual_tcp_pose())), a=0.1, v=0.05)
-  kill keeper
-  end_force_mode()
-end
-"""
+# URScript with fields for `str.format`
+_PROGRAM = Path(__file__).with_name("force_mode.script")
 # how the frame's pose follows the hand, as an expression of URScript
 _FOLLOWS = {
     "no": "position_of(get_actual_tcp_pose(), at)",
@@ -143,7 +109,7 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
     tcp = np.linalg.inv(robot.pose(q, "tool0")) @ frame.hand if "tool0" in robot.frame_names else None
     at = pose_coordinates(np.linalg.inv(frame.hand) @ frame.pose) if frame.turns == "hand" else given["task_frame"]
     moves = np.diag([0.05] * 3 + [math.radians(10.0)] * 3)[frame.along("free")]  # 5 cm or 10 degrees along each
-    return _comments(frame, *textwrap.wrap(REASON, 100)) + _PROGRAM.format(
+    return _comments(frame, *textwrap.wrap(REASON, 100)) + _PROGRAM.read_text(encoding="utf-8").format(
         name="manip_learn_" + re.sub(r"[^A-Za-z0-9]+", "_", frame.frame),
         frame=frame.frame,
         tcp="" if tcp is None else f"  set_tcp({_vector(pose_coordinates(tcp))})\n",
