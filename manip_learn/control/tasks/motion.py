@@ -425,7 +425,7 @@ def motion(
             go = f"the {len(meant.targets)} recordings go to different targets, {meant.spread:.2g} m or rad apart"
             raise TargetError(f"{go}: name one{advice(' with {}', 'PointAttractor(target)', '--target')}")
         return PointAttractor(meant.target, meant.gain)  # type: ignore[return-value]  # of such rows alone
-    if (again and (shown is None or named is not None)) or None not in (distance, angle):
+    if (again and (shown is None or named is not None)) or (distance is not None and angle is not None):
         lacking = "the constraint does not know what was shown: " if again and shown is None else ""
         how = advice(": {}", "distance=0.3 [m] or angle=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
         raise TargetError(f"{lacking}say how far to go, once{how}")
