@@ -321,7 +321,7 @@ class FreeDirection(OneLook):
             late = t - self._begun - profile.duration  # [s]
             near = TAKEN if late < _SETTLING else _NOISY
             if late < 0.0 or self._shown.apart(self._motion.origin(q), self._course.origin) > near:
-                share = min(profile.at(t - self._begun)[0] / profile.distance, 1.0)
+                share = profile.at(t - self._begun)[0] / profile.distance
                 return Course(self._motion, chart.pose((share,))), 0.0, 0.0
         if self.way_begins is None:
             self.way_begins = t + self.pause
