@@ -26,6 +26,7 @@ from manip_learn.linalg import along_axes, complement_rows, finite
 from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors
 
 Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
+Direction = ArrayLike | str | None  # numbers along rows, the name of a row, or the only one that there is
 ChartAt = Callable[[Origin], Any]  # origin -> chart whose first coordinate is the distance from there
 _STILL = np.zeros(3)  # of a screw that does not travel, or does not turn
 _BESIDE = 0.02  # [m] along a path from where a hand should be, within which it is: some strokes of a wipe cross nearer
@@ -43,13 +44,7 @@ _DRIVEN = {  # rows that may be driven, in words
     "along": "along (the curve) [m]",
 }
 # a held row of several -> the one that it determines
-_COMBINED = {
-    "spherical": "radial",
-    "helical": "axial",
-    "screw": "slide",
-    "across-1": "radial",
-    "across-2": "tangential",
-}
+_FIXES = {"spherical": "radial", "helical": "axial", "screw": "slide", "across-1": "radial", "across-2": "tangential"}
 _HOW = {"m": "move along", "rad": "turn about", None: "move along"}
 
 
@@ -147,9 +142,7 @@ class _Line:
         return here - self.pose(s)
 
 
-def driven_motion(
-    constraint: Constraint, direction: ArrayLike | str | None, unit: Unit | None = None, straight: bool = False
-) -> DrivenMotion:
+def driven_motion(constraint: Constraint, direction: Direction, unit: Unit | None, straight: bool) -> DrivenMotion:
     """Return the motion along a free direction of a constraint.
 
     Args:
@@ -210,12 +203,12 @@ def _only(free: Any, words: str, python: str, flag: str) -> Any:
     """
     if len(free) > 1:
         how = advice(" with {}", f"direction={python}", f"--direction {flag}")
-        raise ConstraintError(f"the constraint leaves {len(free)} directions free ({words}): say which{how}")
+        raise ConstraintError(f"the constraint leaves {len(free)} directions free ({words}): name one{how}")
     return free[0]
 
 
 def _direction(
-    constraint: Constraint, direction: ArrayLike | None, unit: Unit | None, angular: np.ndarray
+    constraint: Constraint, direction: Direction, unit: Unit | None, angular: np.ndarray
 ) -> Float[np.ndarray, " p"]:
     """Return the free direction along constant rows, shape (p,), of unit length."""
     features, p, free = constraint.features, constraint.features.n_rows, complement_rows(constraint.selection)
@@ -243,9 +236,7 @@ def _direction(
     return moved / np.linalg.norm(moved)
 
 
-def _along_row(
-    constraint: Constraint, direction: ArrayLike | str | None, unit: Unit | None, straight: bool
-) -> DrivenMotion:
+def _along_row(constraint: Constraint, direction: Direction, unit: Unit | None, straight: bool) -> DrivenMotion:
     """Return the motion along a row of a mechanism, or of a curve, that is free."""
     rows: Any = constraint.features
     weights = constraint.selection.T @ constraint.selection
@@ -257,14 +248,14 @@ def _along_row(
         turn = finite(direction, 3)
         if turn is None or not turn.any():
             axis = advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
-            words = f"a ball leaves turns about every axis free: give the axis in the base frame{axis}, not all zero"
-            raise (ConstraintError if direction is None else TargetError)(f"{words}; got {direction!r}")
+            words = "a ball leaves turns about every axis free: give three numbers not all zero in the base frame"
+            raise (ConstraintError if direction is None else TargetError)(f"{words}{axis}; got {direction!r}")
         place = Place(turn / np.linalg.norm(turn), rows.geometry.point)
         rows, direction, unit = rows.about(place), None, "rad"
     g: Place = rows.geometry  # None of a curve
     is_firm = any(name.startswith("slide") or name == "screw" for name in held)
     names = ("along",) if g is None else ("turn", "slide") if is_firm else ("tangential", "axial", "radial")
-    rest = [name for name in names if name not in {*held, *(_COMBINED.get(name) for name in held)}]
+    rest = [name for name in names if name not in {*held, *(_FIXES.get(name) for name in held)}]
     driven = _free_row(held, rest, direction, unit)
     beside = [name for name in rest if name != driven] if straight and not is_firm else []
     kind = None if g is None else kind_of_rows(held)
@@ -285,7 +276,7 @@ def _along_row(
     return DrivenMotion(constraint, selected, one[-1], counts, features.twist.pose, chart_at, around=wide)
 
 
-def _free_row(held: list[str], rest: list[str], direction: ArrayLike | str | None, unit: Unit | None) -> str:
+def _free_row(held: list[str], rest: list[str], direction: Direction, unit: Unit | None) -> str:
     """Return the row to drive: the one named, or the only one of the unit that is free."""
     free = [name for name in rest if unit is None or f"[{unit}]" in _DRIVEN[name]]
     words = "; ".join(_DRIVEN[name] for name in free)

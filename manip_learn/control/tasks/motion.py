@@ -321,7 +321,7 @@ class FreeDirection(OneLook):
             late = t - self._begun - profile.duration  # [s]
             near = TAKEN if late < _SETTLING else _NOISY
             if late < 0.0 or self._shown.apart(self._motion.origin(q), self._course.origin) > near:
-                share = min(profile.at(t - self._begun)[0] / profile.distance, 1.0)
+                share = profile.at(t - self._begun)[0] / profile.distance
                 return Course(self._motion, chart.pose((share,))), 0.0, 0.0
         if self.way_begins is None:
             self.way_begins = t + self.pause
@@ -425,7 +425,7 @@ def motion(
             go = f"the {len(meant.targets)} recordings go to different targets, {meant.spread:.2g} m or rad apart"
             raise TargetError(f"{go}: name one{advice(' with {}', 'PointAttractor(target)', '--target')}")
         return PointAttractor(meant.target, meant.gain)  # type: ignore[return-value]  # of such rows alone
-    if (again and (shown is None or named is not None)) or None not in (distance, angle):
+    if (again and (shown is None or named is not None)) or (distance is not None and angle is not None):
         lacking = "the constraint does not know what was shown: " if again and shown is None else ""
         how = advice(": {}", "distance=0.3 [m] or angle=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
         raise TargetError(f"{lacking}say how far to go, once{how}")
