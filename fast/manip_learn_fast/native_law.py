@@ -10,8 +10,7 @@ import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Status
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.engine import native_law
+from manip_learn.control.controller import ResolvedRateController, native_law
 from manip_learn.control.law import Law
 from manip_learn.control.limits import Limits
 from manip_learn.control.rollout import Rollout

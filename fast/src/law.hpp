@@ -10,7 +10,7 @@ constexpr double ASIDE = 1e-3, STABLE_SLOPE = 0.5, AT_GOAL = 1e-6;
 constexpr double SOME = 0.1, SLIDING_AFTER = 0.1, STALLED_AFTER = 0.25, KEEPING_AFTER = 1.0, NEARBY = 2e-3;
 constexpr double SLIDING_BELOW = 0.5, GOING_ON = 0.9;
 constexpr double ROUNDING = 1e-9, STALLED_BELOW = 0.02, SCALED_BELOW = 0.999;
-constexpr int LAW_VERSION = 3;  // as in engine.py: it grows whenever a number of the law changes
+constexpr int LAW_VERSION = 3;  // as in controller.py: it grows whenever a number of the law changes
 // in the order of `Status`
 enum Status { OUTSIDE_LIMITS = 4, SINGULAR, STALLED, POSITION_LIMITED, VELOCITY_LIMITED, ACCELERATION_LIMITED, DAMPED,
               REROUTED, NULL_SCALED, OK };

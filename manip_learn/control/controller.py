@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import copy
+import logging
 import math
+import os
 from collections.abc import Callable
-from functools import cached_property
+from functools import cache, cached_property
+from importlib import import_module
 from typing import Any, Literal, final
 
 import numpy as np
@@ -13,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Controller, LimitedController, Status, Vector
-from manip_learn.control.engine import native_law
 from manip_learn.control.law import Law
 from manip_learn.control.limits import Limits
 from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing, policy_of
@@ -21,6 +23,9 @@ from manip_learn.control.tasks import Hold, Task
 from manip_learn.errors import ConfigurationError, ConstraintError, an
 from manip_learn.linalg import Inverse
 from manip_learn.robot.robot import Robot
+
+_LOGGER = logging.getLogger("manip_learn")
+LAW_VERSION = 3  # of the numbers that the law gives: fast/src/law.hpp has the same
 
 
 @final
@@ -139,7 +144,7 @@ class ResolvedRateController(LimitedController):
 
     @cached_property
     def native(self) -> Any:
-        """The compiled law, see `control.engine`; None where there is none."""
+        """The compiled law, see `native_law`; None where there is none."""
         return native_law(self._law, self.limits)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
@@ -228,3 +233,36 @@ class BoundedController(LimitedController):
     def with_limits(self, limits: Limits, lag: float = 0.0) -> BoundedController:
         """This controller with other limits; nothing makes up for a lag."""
         return BoundedController(self.controller, limits)
+
+
+@cache
+def _compiled() -> Any:
+    """The compiled module, or None; says once what is wrong with one that is there."""
+    try:
+        module = import_module("manip_learn_fast")
+        version = module.LAW_VERSION
+    except (ImportError, AttributeError, OSError) as error:  # the law in Python does the work
+        if isinstance(error, ModuleNotFoundError) and error.name == "manip_learn_fast":
+            return None
+        wrong = f"manip_learn_fast cannot be loaded ({error!r})"
+    else:
+        wrong = f"manip_learn_fast has version {version!r} of the law, this library needs {LAW_VERSION}"
+        if version == LAW_VERSION:
+            return module
+    _LOGGER.warning("%s: build it again with pip install ./fast; until then the law runs in Python", wrong)
+    return None
+
+
+def native_law(law: Law, limits: Limits | None) -> Any:
+    """Return the compiled law, `manip_learn_fast.NativeLaw`; None where the law in Python has to do the work.
+
+    `manip_learn_fast`, built from `fast/`, is never needed: the law in Python is the text, the compiled one follows it
+    section by section and gives the same numbers. What it does not know (rows, tasks and policies of users, ways) is
+    computed in Python and handed in.
+    """
+    module = None if os.environ.get("MANIP_LEARN_ENGINE") == "python" else _compiled()
+    try:
+        return None if module is None else module.NativeLaw(law, limits)
+    except LookupError as reason:
+        _LOGGER.debug("the law runs in Python: %s", reason)
+        return None

@@ -79,18 +79,14 @@ class Desired(NamedTuple):
     @property
     def is_lost(self) -> bool:
         """Whether A loses a direction: at a singularity, or with more rows than joints that b does not fit."""
-        s, nv = self.A.shape
-        if self.escape is None:
-            return False
-        if s > nv:
-            return self.progress(self.task) < SCALED_BELOW
-        return self.smallest <= SINGULAR_RATIO * float(np.abs(self.A).max())
+        if self.A.shape[0] > self.A.shape[1]:
+            return self.escape is not None and self.progress(self.task) < SCALED_BELOW
+        return self.escape is not None and self.smallest <= SINGULAR_RATIO * float(np.abs(self.A).max())
 
     @property
     def velocity(self) -> Vector:
         """u*, the sum of its parts [rad/s or m/s]."""
-        regular = self.task + self.null
-        return regular if self.escape is None else regular + self.escape
+        return self.task + self.null + (0.0 if self.escape is None else self.escape)
 
     def progress(self, u: Vector) -> float:
         """Velocity along b over the velocity asked for, b^T (A u + c) / |b|^2; 1 where nothing is asked for."""

@@ -13,7 +13,6 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIssue]
 
 from manip_learn.constraint.constraint import Constraint, Vjp
 from manip_learn.constraint.features.frame_jacobian import PoseRows
@@ -32,7 +31,6 @@ SEED_SPEED = 5e-4  # [rad/s] speed at which an exact singularity is left, where 
 # second at 1, 10 and 20 ms, 1 leaves 61, 61 and 58, 1.25 and more leave all; from 1.5 on arms that are pressed against
 # a singularity turn to and fro now and then
 GROWTH = 1.25
-_SAME = 1e-9  # share by which rates may differ that count as equal
 LAG = 3.0  # [cycles] in which a kept orientation is taken back at the fastest: readings may be two cycles late
 SETTLES = 0.1  # [s] and in which it is: as a task's own feedback, since faster is the noise of the encoders
 Decomposition = tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[np.ndarray, "n n"]]
@@ -453,24 +451,19 @@ def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Vector:
     there, and the leading right singular vector of M its steepest ascent.
     """
     U, sigma, Vt = decomposition
-    largest, *others = sigma.tolist()
-    rank = 1 + sum(x > SINGULAR_RATIO * largest for x in others) if largest > 0.0 else 0
+    rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
     Z = Vt[rank:]
     M = np.array([vjp(np.outer(u, z)) for u in U[:, rank:].T for z in Z])
-    flat = M.reshape(-1)
-    square = float(flat.dot(flat))
-    if square <= (SINGULAR_RATIO * largest) ** 2:  # rounding: the rows depend on each other everywhere
+    size = float(np.linalg.norm(M))
+    if size <= SINGULAR_RATIO * float(sigma[0]):  # rounding: the rows depend on each other everywhere
         return np.zeros(M.shape[1])
-    inside = M.dot(Z.T)
-    squares, vectors, failed = dsyev(inside.T.dot(inside))
-    # the largest rate of all is at most the root of `square`, and seldom less than half of it
-    if failed or not squares[-1] > 1e-12 * square:
-        squares, vectors, _ = dsyev(M.T.dot(M))
-        Z = unit(M.shape[1])
+    _, rates, directions = np.linalg.svd(M.dot(Z.T))
+    if not rates[0] > 1e-6 * size:
+        Z, (_, rates, directions) = unit(M.shape[1]), np.linalg.svd(M)
     # of directions along which it grows as fast, as at the saddle of a planar arm, that of the first joint with most
-    fastest = vectors[:, squares >= squares[-1] * (1.0 - _SAME)].T.dot(Z)
+    fastest = directions[: np.count_nonzero(rates >= rates[0] * (1.0 - 1e-9))].dot(Z)
     shares = (fastest * fastest).sum(axis=0)
-    joint = int(np.argmax(shares >= shares.max() - _SAME))
+    joint = int(np.argmax(shares >= shares.max() - 1e-9))
     return fastest[:, joint].dot(fastest) / math.sqrt(shares[joint])
 
 

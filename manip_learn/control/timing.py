@@ -12,14 +12,11 @@ from manip_learn.control.command import Vector
 from manip_learn.control.limits import Limits
 from manip_learn.errors import ConfigurationError
 
-LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
 LONGEST_AVERAGE = 5.0  # [s] a longer one delays the arm by seconds: the limits are meant otherwise
 # largest over smallest period of calls that count as regular, and over dt of a period that is not dt
 REGULAR = 1.25
-JITTER = 0.01  # share of a period by which a call may be early or late and still be in time
-WINDOW, ENOUGH = 100, 3  # periods that are compared, and how many suffice at the start
+WINDOW = 100  # periods that are compared
 _ROUNDING = 1e-6  # share of a period
-_MILLI = 0.1  # [decades] within which a ratio is a thousand
 
 
 def is_number(value: Any) -> bool:
@@ -37,12 +34,13 @@ def time_of(t: Any) -> float:
     Returns:
         The time [s].
     """
-    return float(t) if is_number(t) and abs(t) < LONGEST_TIME else math.nan
+    # steps of a larger number are longer than a period
+    return float(t) if is_number(t) and abs(t) < 1e15 else math.nan
 
 
 def in_milliseconds(time: float, seconds: float) -> bool:
     """Return whether `time` seems to count milliseconds where `seconds` [s] have passed."""
-    return time > 0.0 and abs(math.log10(time / seconds) - 3.0) < _MILLI
+    return time > 0.0 and abs(math.log10(time / seconds) - 3.0) < 0.1
 
 
 @final
@@ -129,26 +127,21 @@ class Timing(NamedTuple):
         since, dt = time - self.time, self.dt
         if since <= 0.0:
             return self.without(self.older)
+        new = self._replace(time=time, older=math.nan, since=0.0, silent=0.0, late=0.0, held=dt)
         if math.isinf(since):  # the first, or the first of a clock that was set back
-            return self._replace(time=time, older=math.nan, since=0.0, silent=0.0, late=0.0, held=dt)
+            return new
         late = since - commanded
-        late = late if abs(late) > JITTER * dt else 0.0
-        is_gap, waited = since > self.stale_after, self.waited + (since if stands else late)
-        held, usual, longest, recent, warning = dt, self.usual, self.longest, self.recent, self.warning
-        if not is_gap:
-            recent = (*recent[1 - WINDOW :], since)
-            is_in_time = dt * (1.0 - _ROUNDING) <= since <= REGULAR * dt
-            if not (is_in_time and longest == usual == dt):
-                held, usual, longest, warning = self._period(since, recent)
-        return Timing(
-            dt, self.stale_after, time, math.nan, since, 0.0, late, held, waited, usual, longest, recent, warning
-        )
+        late = late if abs(late) > 0.01 * dt else 0.0  # else it is in time
+        new = new._replace(since=since, late=late, waited=self.waited + (since if stands else late))
+        return new if since > self.stale_after else new._counted(since)
 
-    def _period(self, since: float, recent: tuple[float, ...]) -> tuple[float, float, float, str]:
-        """Return `held`, `usual`, `longest` and `warning` after a period `since` [s], the last of the `recent` ones."""
-        dt, warning = self.dt, self.warning
+    def _counted(self, since: float) -> Timing:
+        """Return the timing with how often the caller calls, after a period `since` [s]."""
+        dt, warning, recent = self.dt, self.warning, (*self.recent[1 - WINDOW :], since)
+        if self.longest == self.usual == dt and dt * (1.0 - _ROUNDING) <= since <= REGULAR * dt:
+            return self._replace(recent=recent)
         shortest, longest, mean = min(recent), max(recent), sum(recent) / len(recent)
-        is_regular = len(recent) >= ENOUGH and longest <= REGULAR * shortest
+        is_regular = len(recent) >= 3 and longest <= REGULAR * shortest
         usual = shortest if is_regular and shortest > REGULAR * dt else dt
         if not warning and (is_regular or len(recent) == WINDOW) and not dt / REGULAR <= mean <= REGULAR * dt:
             warning = (
@@ -156,7 +149,8 @@ class Timing(NamedTuple):
                 f"the mean ({1e3 * shortest:.4g} to {1e3 * longest:.4g}): give it that as dt"
             )
         held = usual if since >= usual * (1.0 - _ROUNDING) else since
-        return held, usual, longest if longest > REGULAR * usual else usual, warning
+        longest = longest if longest > REGULAR * usual else usual
+        return self._replace(recent=recent, held=held, usual=usual, longest=longest, warning=warning)
 
 
 @final
