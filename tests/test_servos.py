@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -275,6 +276,17 @@ def test_readings_that_are_slower_than_the_loop_are_said(every: float) -> None:
         assert loop.update(arm + rng.normal(0.0, 1e-5, 7), k * DT).status != "following-error", loop.stopped_by
     said = " ".join(loop.notes)
     assert f"readings change every {1e3 * every:.0f} ms, the loop runs at 2 ms" in said and "friction" not in said
+
+
+def test_an_arm_that_stands_remembers_no_more_and_more() -> None:
+    """After a start of 40 ms, too short to tell what its servos do, it stands for 2 s or 4 s and remembers as much."""
+    loop, arm, sizes = way(), Servos(), []
+    gone(loop, arm, 0.04)
+    loop.stop()
+    for _ in range(2):
+        gone(loop, arm, 2.0)
+        sizes.append(len(pickle.dumps(loop.state.following.servos)))
+    assert loop.state.following.servos.late is None and sizes[0] == sizes[1]
 
 
 def test_a_stiffness_that_is_not_told_is_said() -> None:

@@ -105,9 +105,8 @@ class Contact:
         units = ("newtons", 'newtons or "auto"', 'seconds or "auto"', 'newtons or "auto"')
         for (name, value), unit in zip(given.items(), units, strict=False):  # a stiffness is for a robot's joints
             is_auto = isinstance(value, str) and value == "auto" and "auto" in unit
-            if not is_auto and not (
-                is_number(value) and 0.0 <= float(value) < math.inf and (value or name in MEASURED)
-            ):
+            is_positive = is_number(value) and 0.0 <= float(value) < math.inf and (value or name in MEASURED)
+            if not (is_auto or is_positive):
                 raise ConfigurationError(f"{name} must be a positive number of {unit}, got {value!r}")
 
     @property
@@ -188,15 +187,14 @@ class FollowingError:
                 f"{robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of {STIFFNESS:g} "
                 f"N m/rad that is {held:g} N on the hand, on stiffer ones more: give Contact(stiffness=...)",
             )
-        self.force, self.tripped = np.zeros(3), ""
-        self.distance, self.load, self.sinks = zero, zero, False
+        self.distance, self.load, self.force, self.tripped, self.sinks = zero, zero, np.zeros(3), "", False
         # excess and distance of this period, and of those before, newest first
         self._now, self._found = (zero, zero), tuple[tuple[np.ndarray, np.ndarray], ...]()
         # velocity, and its change since inertia was looked at; between what servos lately gave way to that
         self._velocity, self._change, self._lasted, self._gave_way = zero, zero, 0.0, (zero, zero)
-        self._weight = 0.0  # [N]
-        self._pushed = zero  # how far the force on the hand pushes the joints [rad or m]
-        self._going, self._carried = 0.0, 0.0  # for how long the hand has been moving [s], and what that takes [N]
+        # how far the force on the hand pushes the joints [rad or m], and the weight that it seems to carry [N]; for how
+        # long it has been moving [s], and what that takes [N]
+        self._pushed, self._weight, self._going, self._carried = zero, 0.0, 0.0, 0.0
 
     def copied(self) -> FollowingError:
         """Return a copy; nothing that it is made of is changed in place."""
@@ -213,9 +211,9 @@ class FollowingError:
         self._lasted += max(time, 0.0)
         if over and time > 0.0 and self.servos.has_looked:
             # a servo gives way to M a as a spring and a damper do: by no more than lately, and for a while after
-            way = -self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
+            now = -self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
             lately, (low, high) = math.exp(-self._lasted / RINGING), self._gave_way
-            self._gave_way = np.minimum(lately * low, way), np.maximum(lately * high, way)
+            self._gave_way = np.minimum(lately * low, now), np.maximum(lately * high, now)
             self._change, self._lasted = np.zeros_like(velocity), 0.0
 
     @property
@@ -253,8 +251,8 @@ class FollowingError:
             Words on a payload that the drives do not know of; empty if there is none.
         """
         f = self._explained(off, self._yields(q))
-        forces = np.array([f, self.force if self.force.any() else f])
-        weighs, self.sinks = -forces[:, 2] > np.maximum(LEFT, _DOWN * np.linalg.norm(forces, axis=1))
+        forces = np.array([f, self.force if self.force.any() else f])  # now, and that which stopped the arm
+        weighs, self.sinks = (-forces[:, 2] > np.maximum(LEFT, _DOWN * np.linalg.norm(forces, axis=1))).tolist()
         self.load = weighs * off
         if not (weighs and self.sinks and -f[2] > self._heaviest):
             return ""
