@@ -41,7 +41,7 @@ _DRIVEN = {  # rows that may be driven, in words
     "tangential": "tangential (around the axis) [rad]",
     "axial": "axial (along the axis) [m]",
     "radial": "radial (away from the axis) [m]",
-    "along": "along (the curve) [m]",
+    "along": "along (the curve, forth, or back by a negative way) [m]",
 }
 # a held row of several -> the one that it determines
 _FIXES = {"spherical": "radial", "helical": "axial", "screw": "slide", "across-1": "radial", "across-2": "tangential"}
@@ -279,9 +279,10 @@ def _along_row(constraint: Constraint, direction: Direction, unit: Unit | None, 
 def _free_row(held: list[str], rest: list[str], direction: Direction, unit: Unit | None) -> str:
     """Return the row to drive: the one named, or the only one of the unit that is free."""
     free = [name for name in rest if unit is None or f"[{unit}]" in _DRIVEN[name]]
-    words = "; ".join(_DRIVEN[name] for name in free)
     if not free:
-        raise ConstraintError(f"the mechanism's rows {' '.join(held)} leave nothing free to {_HOW[unit]}")
+        words = f"the mechanism's rows {' '.join(held)} leave nothing free to do so"
+        raise ConstraintError(f"the hand does not {_HOW[unit]} anything: {words}")
+    words = "; ".join(_DRIVEN[name] for name in free)
     if direction is None:
         return _only(free, words, repr(free[0]), free[0])
     if not (isinstance(direction, str) and direction in free):
