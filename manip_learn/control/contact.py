@@ -22,34 +22,15 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
 STIFFNESS = 2000.0  # [N m/rad or N/m] of a stiff position servo of an arm that works beside people
-# [kg] weight that the hand may carry without the drives' knowing, and [s] of motion after which it is known
-PAYLOAD, WEIGHED = 2.0, 0.25
-_DRIVEN = 60.0  # [N] along what is driven, where nothing is known of it
 GRAVITY = 9.81  # [m/s2]
 LEFT = 3.0  # [N] that may be left on the hand of an arm that has let go
-_DOWN = 0.8  # share of a force that points down where it is a weight
 # [rad or m] what stays of a servo's error where friction, play and noise have been measured: 0.5 N m at 2,000 N m/rad
 RESOLUTION = 2.5e-4
-RINGING = 0.1  # [s] for which a servo feels an acceleration: three times sqrt(2 kg m2 / 2,000 N m/rad)
 LOOK_BACK = 0.01  # [s] over which the rise of a force is looked at, and by which it is carried on at the least
-_FARTHEST = 3.0  # times of that by which it is carried on at the most: noise grows with it
 # [s] of motion after which a hand goes, and for which that is remembered: stick and slip take turns faster
 BRIEFLY, GOING = 0.1, 0.5
-STOPPED = 0.8  # share of the way sent that a hand lacks which stands; one that lacks more was pushed back
-CARRYING = 0.2  # [s] in which what a motion takes is known
 # standard deviations of the force that count as noise, carried on as it is: four, times the square root of five
 QUIET = 9.0
-# times the limit of distances by which an arm may be behind until it is known how late it follows: 0.2 s at 0.5 rad/s,
-# and what a blocked arm is pressed with that starts at such a speed
-_LATE = 16.0
-_NOISY = 1.0 / 3.0  # share of `held` that noise may be; more readings are averaged until it is
-# share of a force along the way that may seem to be across it: joints differ, directions are known to 10 degrees
-LEAKS = 0.2
-_KNOWN = 0.7  # share by which friction is known: it depends on load and speed, and presses the hand itself
-_TURN = 0.1  # [rad] by which a full turn may seem to be less or more
-_POSTURES = 200  # for the longest lever of a joint
-
-MEASURED = ("latency", "resolution")  # what may be 0
 _FORMER = {"held": "max_lateral_force", "driven": "max_axial_force"}  # names of arguments, until 0.4
 
 
@@ -105,7 +86,9 @@ class Contact:
         units = ("newtons", 'newtons or "auto"', 'seconds or "auto"', 'newtons or "auto"')
         for (name, value), unit in zip(given.items(), units, strict=False):  # a stiffness is for a robot's joints
             is_auto = isinstance(value, str) and value == "auto" and "auto" in unit
-            is_positive = is_number(value) and 0.0 <= float(value) < math.inf and (value or name in MEASURED)
+            is_positive = (
+                is_number(value) and 0.0 <= float(value) < math.inf and (value or name in ("latency", "resolution"))
+            )
             if not (is_auto or is_positive):
                 raise ConfigurationError(f"{name} must be a positive number of {unit}, got {value!r}")
 
@@ -120,9 +103,7 @@ class Contact:
         return self.max_axial_force
 
 
-# shares of the commanded speed above which an arm is not slow, below which the first motion says so, and below which it
-# may stand
-_SLOW, _SURELY, _CREEPS = 0.95, 0.75, 0.15
+_CREEPS = 0.15  # share of the commanded speed below which an arm may stand
 Directions = Callable[[Posture], Float[np.ndarray, "k nv"]]
 
 
@@ -131,7 +112,7 @@ class FollowingError:
     """Distance between the commanded and the measured posture, and the force on the hand that explains it.
 
     Of the distance, what late servos with friction and play explain is no force (`Servos`), nor what the inertia of the
-    links does, nor a weight of up to `PAYLOAD`. The force is the one that explains the rest best,
+    links does, nor a weight of up to 2 kg. The force is the one that explains the rest best,
 
         f = (C C^T + (RESOLUTION / held)^2)^-1 C e,    C = J(q) / stiffness.
 
@@ -163,15 +144,16 @@ class FollowingError:
     def __init__(self, robot: Robot, contact: Contact, dt: float, acceleration: Vector, frame: str | None = None):
         # settings, which do not change
         self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
-        self._driven = _DRIVEN if isinstance(contact.max_axial_force, str) else float(contact.max_axial_force)
-        self._heaviest = GRAVITY * max(PAYLOAD, robot.payload)
+        # along what is driven, where nothing is known of it; what the hand may carry without the drives' knowing [N]
+        self._driven = 60.0 if isinstance(contact.max_axial_force, str) else float(contact.max_axial_force)
+        self._heaviest = GRAVITY * max(2.0, robot.payload)
         told = STIFFNESS if contact.stiffness is None else contact.stiffness
         self._stiffness = per_joint("stiffness", told, robot.joint_names)
         # links that are slower on servos softer than they are taken for give way by more: ten times at 200 N m/rad
         self._inertial = self._stiffness if contact.stiffness is not None else 0.1 * self._stiffness
         self._frame, rng = robot.frame(frame or default_tip(robot)), np.random.default_rng(0)
         # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
-        rows = [robot.jacobian(robot.random_configuration(rng), self._frame)[:3] for _ in range(_POSTURES)]
+        rows = [robot.jacobian(robot.random_configuration(rng), self._frame)[:3] for _ in range(200)]
         held = contact.max_lateral_force
         self.limit = held * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
         self._damping = (RESOLUTION / held) ** 2 * np.eye(3)
@@ -212,7 +194,8 @@ class FollowingError:
         if over and time > 0.0 and self.servos.has_looked:
             # a servo gives way to M a as a spring and a damper do: by no more than lately, and for a while after
             now = -self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
-            lately, (low, high) = math.exp(-self._lasted / RINGING), self._gave_way
+            # 0.1 s are three times sqrt(2 kg m2 / 2,000 N m/rad)
+            lately, (low, high) = math.exp(-self._lasted / 0.1), self._gave_way
             self._gave_way = np.minimum(lately * low, now), np.maximum(lately * high, now)
             self._change, self._lasted = np.zeros_like(velocity), 0.0
 
@@ -252,7 +235,8 @@ class FollowingError:
         """
         f = self._explained(off, self._yields(q))
         forces = np.array([f, self.force if self.force.any() else f])  # now, and that which stopped the arm
-        weighs, self.sinks = (-forces[:, 2] > np.maximum(LEFT, _DOWN * np.linalg.norm(forces, axis=1))).tolist()
+        # a weight is a force of which at least 80 % point down
+        weighs, self.sinks = (-forces[:, 2] > np.maximum(LEFT, 0.8 * np.linalg.norm(forces, axis=1))).tolist()
         self.load = weighs * off
         if not (weighs and self.sinks and -f[2] > self._heaviest):
             return ""
@@ -277,7 +261,7 @@ class FollowingError:
             parts = sum_in_words(row, constraint.features.row_names, "+.2g", 0.05)
             words = f"row {i + 1} of the constraint ({parts}) is {1e3 * off[i]:+.2g} {unit} off, {words}"
         share, stands = self.servos.pace()
-        if _CREEPS < share < _SLOW:
+        if _CREEPS < share < 0.95:
             return f"{words}{turns}; {_slow(share)}"
         still = "; no joint moves any more: look at brakes, control mode and emergency stop" if stands else ""
         return f"{words}{turns}{still}; {self.tripped}"
@@ -296,7 +280,8 @@ class FollowingError:
         gone = servos.gone(round(BRIEFLY / self._dt))
         if self.tripped or servos.repeats:
             return
-        if not is_known and np.any(np.abs(self.distance) > _LATE * self.limit):
+        # 16 times the limit: 0.2 s late at 0.5 rad/s, and what a blocked arm is pressed with that starts at such a speed
+        if not is_known and np.any(np.abs(self.distance) > 16.0 * self.limit):
             self.tripped = "the arm has not begun to move: it is blocked or switched off, or give Contact(latency=...)"
         elif excess.dot(excess) > RESOLUTION * RESOLUTION:  # with less no force can be larger than `held`
             self.tripped = self._judge(measured, excess, driven)
@@ -314,7 +299,7 @@ class FollowingError:
         rise, gains, sent = excess - before[0], self.distance - before[1], servos.gone(ago)
         # it rises until what is measured is seen, and, ever more slowly, until the arm stands
         ahead = servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
-        further = min(max(ahead / (math.ceil(LOOK_BACK / dt) * dt), 1.0), _FARTHEST)
+        further = min(max(ahead / (math.ceil(LOOK_BACK / dt) * dt), 1.0), 3.0)  # noise grows with it
         J = self._robot.jacobian(measured, self._frame)[:3]
         self.force, beside = self._force_of(excess + further * rise, J / self._stiffness)
         force, taken, step = math.sqrt(self.force.dot(self.force)), math.nan, J.dot(sent)
@@ -323,12 +308,13 @@ class FollowingError:
             taken = -float(J.dot(gains).dot(step)) / float(step.dot(step))
         moves, goes = bool(self._velocity.any()), taken < 0.5
         self._going = moves * min(GOING, max(0.0, self._going + (dt if goes else -dt)))
-        self._carried += moves * goes * min(1.0, dt / CARRYING) * (force - self._carried)
+        self._carried += moves * goes * min(1.0, dt / 0.2) * (force - self._carried)  # known within 0.2 s
         held, most = max(self.contact.max_lateral_force, self.resolution), max(self._driven, self.resolution)
         if force > held:
             rows = np.zeros((0, len(sent))) if driven is None else driven(measured)
             way, side = self._split(J, rows, servos.raw + further * gains)
-            if side > held + LEAKS * way:
+            # a fifth may seem to be across: joints differ, directions are known to 10 degrees
+            if side > held + 0.2 * way:
                 return (
                     f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.max_lateral_force): what was "
                     "learnt lies elsewhere, or something is in the way"
@@ -338,7 +324,8 @@ class FollowingError:
                     f"{way:.0f} N along what is driven, of {most:.0f} allowed (Contact.max_axial_force): it is locked, "
                     "or allow more"
                 )
-            if STOPPED < taken < 1.0 / STOPPED and self._going > BRIEFLY and way > self._carried + held:
+            # a hand that stands lacks 80 % of its way; one that lacks more than all of it was pushed back
+            if 0.8 < taken < 1.0 / 0.8 and self._going > BRIEFLY and way > self._carried + held:
                 return (
                     f"{way:.0f} N along what is driven, which was moving with {self._carried:.0f} and has stopped: "
                     "look what blocks it"
@@ -384,7 +371,7 @@ class FollowingError:
         f = self._explained(excess, C, sees)
         beside = (excess - f.dot(C)) * sees
         weight = min(max(0.0, -f[2]), self._heaviest)
-        if self.servos.moving <= WEIGHED:
+        if self.servos.moving <= 0.25:  # [s] after which a weight is known
             self._weight = max(self._weight, weight)
         f[2] += min(weight, self._weight)
         self._pushed = f.dot(C)
@@ -399,12 +386,14 @@ class FollowingError:
             float(np.linalg.norm(self._explained(np.diag(x), C)))
             for x in (np.sqrt(servos.variance), servos.width * servos.seen, dry)
         )
-        periods = max(1.0, 0.5 * (QUIET * noise / (_NOISY * held)) ** 2)
-        least, servos.smoothing = max(_KNOWN * width, QUIET * noise / math.sqrt(2.0 * periods)), 1.0 / periods
+        # readings are averaged until noise is a third of what is allowed. Friction is known to 70 %: it depends on load
+        # and speed, and presses the hand itself
+        periods = max(1.0, 0.5 * (3.0 * QUIET * noise / held) ** 2)
+        least, servos.smoothing = max(0.7 * width, QUIET * noise / math.sqrt(2.0 * periods)), 1.0 / periods
         if isinstance(self.contact.resolution, str):
             self.resolution = least
         share, late, seldom = servos.pace()[0], servos.late or 0.0, servos.every >= 2.0
-        slow = _CREEPS < share < _SURELY
+        slow = _CREEPS < share < 0.75
         cause = "an arm that is slower than it is sent" if slow else "friction, play and noise"
         cause = "readings that come late" if seldom else cause
         notes = {
@@ -422,7 +411,7 @@ class FollowingError:
 def other_turns(step: float, unit: str) -> str:
     """Return words on a step of a joint [rad or m] that is a number of full turns; empty where it is none."""
     turns = round(step / (2.0 * math.pi))
-    if not turns or unit != "rad" or abs(step - 2.0 * math.pi * turns) > _TURN:
+    if not turns or unit != "rad" or abs(step - 2.0 * math.pi * turns) > 0.1:
         return ""
     return f", which is {counted(abs(turns), 'full turn')}: the driver counts that joint's angle in other turns"
 

@@ -12,24 +12,14 @@ LATEST = 0.2  # [s] by which an arm may follow late: servoJ of a UR looks ahead 
 # samples of that motion after which lateness and friction may be known, and after which they are what they seem to be
 SOONEST, LATEST_SAMPLE = 16, 50
 _APART = 0.01  # [s] between two samples of that motion, and between the delays that are tried
-_WIDER = 0.5  # share by which a width may be more than was seen when its joint began to move
-_KNOWN = 0.25  # and than was seen in the first motion
+_KNOWN = 0.25  # share by which a width may be more than was seen in the first motion
 _FEWEST = 8  # samples of a joint that count
 # [N m or N] by which dry friction, of large arms, and together with play may hide what loads a joint: more is a force
 DRY, HIDDEN = 6.0, 15.0
-ENCODER = 1e-4  # [rad or m] standard deviation of the encoders until it is known
 STILL = 2e-4  # [rad or m] within which a joint may not have moved, whatever its encoder says
 NOISES = 6.0  # standard deviations that noise does not reach in a run of hours
 PACE = 0.002  # [s] by which joints follow more or less late than each other: dampers of 4 N m s/rad at 2,000 N m/rad
 ROUNDING = 1e-12  # [rad or m] of sums of steps
-OFTEN = 0.004  # [s] between two looks at what changes slowly
-AROUND = 0.25  # share of the delay by which it may be other than it was
-# periods by which an arm is later than it was from which it shows why, and whether it is about to stand
-_FEW, _MANY = 3, 12
-_QUIET = 5.0  # times the median step between readings above which a step is that of a new one
-_STOPS = 0.7  # share of its speed before below which an arm is about to stand
-_ON_PATH = 0.2  # share of the distance by which an arm is late that it may be off the path that was sent
-_DRAWS = 20.0  # variance of the third difference of independent noise, over its own: 1 + 9 + 9 + 1
 
 
 def copied(thing: Any) -> Any:
@@ -81,7 +71,7 @@ class Servos:
     def __init__(self, dt: float, latency: float, hidden: Float[np.ndarray, " nv"]):
         # settings, which do not change; what follows is the state, whose parts are replaced, never changed in place
         self._dt, self._hidden, self._dry = dt, hidden, DRY / HIDDEN * hidden
-        self._pace, self._often = max(1, round(PACE / dt)), max(1, round(OFTEN / dt))
+        self._pace, self._often = max(1, round(PACE / dt)), max(1, round(0.004 / dt))  # what is slow: every 4 ms
         longest = math.ceil(latency / dt - 1e-9) + 1
         lags = np.round(np.arange(0.0, LATEST + 0.5 * _APART, max(_APART, dt)) / dt).astype(np.int64)
         self._lags = np.unique(np.minimum(lags, longest))
@@ -91,7 +81,7 @@ class Servos:
         self._sent, self._reads, self._past = rows, rows, (zero,)
         self._since, self._over, self.moving, self._counted = 0.0, 0, 0.0, 0
         # what is known: where the arm is at rest, the mean of so many readings; servos
-        self.at_rest, self._rests, self.variance = zero, 0, np.full(len(hidden), ENCODER**2)
+        self.at_rest, self._rests, self.variance = zero, 0, np.full(len(hidden), 1e-4**2)
         self.seen, self.width, self.friction, self.late = zero > 0.0, hidden, zero, None
         self._samples: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...] = ()
         # periods since a reading was another than the one before, and the largest step between two that are the same,
@@ -184,12 +174,13 @@ class Servos:
             self.at_rest = self.at_rest + (y - self.at_rest) / self._rests
         if self.late is None and len(self._past) == 4:
             change = y - self._past[2] + 3.0 * (self._past[1] - self._past[0])
-            self.variance = self.variance + 0.02 * (change * change / _DRAWS - self.variance)
+            # the third difference of independent noise has 1 + 9 + 9 + 1 times its variance
+            self.variance = self.variance + 0.02 * (change * change / 20.0 - self.variance)
         went = (y - self.at_rest) * np.sign(c)
         new = ~self.seen & (went > NOISES * np.sqrt(self.variance) + STILL) & (np.abs(c) > STILL)
         if new.any():
             self.friction = np.where(new, np.minimum(np.abs(c) - went, self._hidden).clip(0.0), self.friction)
-            self.width = np.where(new, np.minimum((1.0 + _WIDER) * self.friction, self._hidden), self.width)
+            self.width = np.where(new, np.minimum(1.5 * self.friction, self._hidden), self.width)
             # what is more than friction is play, within which the other joints take each to and fro
             if np.any(new & (self.friction > self._dry + STILL)):
                 self.width = self._hidden
@@ -224,12 +215,12 @@ class Servos:
         own = np.abs(sent[:, at] - sent[:, at + 1]) * (PACE / self._dt / float(self._lags[at + 1] - self._lags[at]))
         self._learn_widths(beyond(turn * (between - y), -own, own), turn, moves)
         lag = float(np.interp(place, np.arange(len(self._lags)), self._lags))  # periods
-        around, self._at, self.late = math.ceil(AROUND * lag) + 1, round(lag), lag * self._dt
+        around, self._at, self.late = math.ceil(0.25 * lag) + 1, round(lag), lag * self._dt
         self._window = max(0, self._at - around), min(self._window[1], self._at + around)
         self._place, self._bounds = self._sent[self._at], (-self.width, self.width, np.zeros_like(self.width))
         # readings come slowly where some steps are far larger than others, and make up the motion
         steps = np.sqrt(self._steps)
-        quiet = _QUIET * float(np.median(steps)) + ROUNDING
+        quiet = 5.0 * float(np.median(steps)) + ROUNDING
         new, self._quiet = np.flatnonzero(steps > quiet), quiet * quiet
         if len(new) > 2 and float(steps[new].sum()) > 0.5 * float(np.linalg.norm(now - self.at_rest)):
             self.every = float(new[-1] - new[0]) / (len(new) - 1)
@@ -259,7 +250,8 @@ class Servos:
         late, off = self._behind(0)
         later = int(late - (self._at if self.late is None else self._window[1]))
         away = self._past[0] - self.at_rest - self._sent[self._at]
-        if later < _FEW or off > _ON_PATH * _ON_PATH * float(away.dot(away)):
+        # a delay of three periods more shows why, if the arm is no more than a fifth of that way off the path
+        if later < 3 or off > 0.2**2 * float(away.dot(away)):
             return math.nan, False
         # for so long an arm that stands has stood, and an arm that is slow has been slow all along
         reads = np.concatenate((self._past[0][None], self._reads[:later]))
@@ -268,7 +260,7 @@ class Servos:
         stands = bool(np.all(moved < NOISES * np.sqrt(self.variance) / math.sqrt(few)))
         before, then = self._behind(half)[0], self._behind(later)[0]
         first, second = 1.0 - (before - then) / (later - half), 1.0 - (late - before) / half
-        stops = later >= _MANY and second < _STOPS * first  # as filtered readings do
+        stops = later >= 12 and second < 0.7 * first  # as filtered readings do
         return (math.nan if stops else 1.0 - (late - then) / later), stands
 
     def _behind(self, ago: int) -> tuple[float, float]:
