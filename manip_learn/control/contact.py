@@ -280,7 +280,7 @@ class FollowingError:
         gone = servos.gone(round(BRIEFLY / self._dt))
         if self.tripped or servos.repeats:
             return
-        # 16 times the limit: 0.2 s late at 0.5 rad/s, and what a blocked arm is pressed with that starts at such a speed
+        # 16 times the limit: 0.2 s late at 0.5 rad/s, and what a blocked arm is pressed with that starts so fast
         if not is_known and np.any(np.abs(self.distance) > 16.0 * self.limit):
             self.tripped = "the arm has not begun to move: it is blocked or switched off, or give Contact(latency=...)"
         elif excess.dot(excess) > RESOLUTION * RESOLUTION:  # with less no force can be larger than `held`
