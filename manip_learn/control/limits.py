@@ -18,8 +18,6 @@ from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
 
 RETURN_SPEED = 0.25  # share of the velocity limit at which a joint that starts outside its position limits returns
-ACCELERATION_RATE = 5.0  # [1/s] default acceleration limit over velocity limit: full speed is reached in 0.2 s
-DEFAULT_ACCELERATION = 10.0  # [rad/s2 or m/s2] default limit of a joint that has no velocity limit
 OUTSIDE = 1e-9  # [rad or m] a joint is outside when it is more than this beyond a position limit
 FINE = 1e-13  # [rad/s or m/s] by how much rounding makes a velocity exceed a bound, as that of a joint at its limit
 
@@ -140,8 +138,8 @@ class Limits:
     Args:
         robot: The robot, for its position and velocity limits.
         velocity: shape (nv,) or a number [rad/s or m/s]; the robot's own by default.
-        acceleration: shape (nv,) or a number [rad/s2 or m/s2]; by default `ACCELERATION_RATE` times the velocity limit,
-            and `DEFAULT_ACCELERATION` for a joint without one. inf for none.
+        acceleration: shape (nv,) or a number [rad/s2 or m/s2]; by default 5 times the velocity limit, so that
+            full speed is reached in 0.2 s, and 10 for a joint without one. inf for none.
         jerk: shape (nv,) or a number [rad/s3 or m/s3]; None for none. A `ServoLoop` keeps it.
         position: False ignores the position limits.
         margin: Distance to keep from the position limits [rad or m].
@@ -189,7 +187,7 @@ class Limits:
         self.velocity = per_joint("velocity limit", robot.velocity_limit if velocity is None else velocity, names)
         if acceleration is None:
             bounded = np.isfinite(self.velocity)
-            acceleration = np.where(bounded, ACCELERATION_RATE * self.velocity, DEFAULT_ACCELERATION)
+            acceleration = np.where(bounded, 5.0 * self.velocity, 10.0)
         self.acceleration = per_joint("acceleration limit", acceleration, names)
         self.jerk = None if jerk is None else per_joint("jerk limit", jerk, names)
         if not (math.isfinite(margin) and margin >= 0.0):

@@ -31,8 +31,6 @@ SEED_SPEED = 5e-4  # [rad/s] speed at which an exact singularity is left, where 
 # second at 1, 10 and 20 ms, 1 leaves 61, 61 and 58, 1.25 and more leave all; from 1.5 on arms that are pressed against
 # a singularity turn to and fro now and then
 GROWTH = 1.25
-LAG = 3.0  # [cycles] in which a kept orientation is taken back at the fastest: readings may be two cycles late
-SETTLES = 0.1  # [s] and in which it is: as a task's own feedback, since faster is the noise of the encoders
 Decomposition = tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[np.ndarray, "n n"]]
 
 
@@ -357,7 +355,7 @@ class KeptOrientation(SampledPolicy):
     The wish descends theta^2 / (2 rms^2), theta the angle from the orientation that was shown and rms how well that was
     kept: a habit weighs as much as it was kept well, 1 / rms^2 beside grad log M of `RoomAscent`, with the same gain.
     The step is implicit, stable at any weight: with the rotation rows J of the hand, and
-    h = max(LAG dt, SETTLES) gain,
+    h = max(3 dt, 0.1 s) gain,
 
         pi = (I + h J^T J / rms^2)^-1 (pi_0 + gain J^T theta / rms^2)
 
@@ -395,7 +393,9 @@ class KeptOrientation(SampledPolicy):
         J, pose = self._features.twist_rows(q, False)[3:], self._features.pose(q)
         turn = rotation_vector(self._wanted() @ pose[:3, :3].T)
         u = u + (self.gain / self.rms**2) * J.T.dot(turn)
-        stiff = self.rms**2 / (max(LAG * dt, SETTLES) * self.gain) * np.eye(3) + J @ J.T
+        # taken back in three cycles at the fastest, for readings may be two cycles late, and as a task's own feedback in
+        # 0.1 s, since faster is the noise of the encoders
+        stiff = self.rms**2 / (max(3.0 * dt, 0.1) * self.gain) * np.eye(3) + J @ J.T
         return u - J.T.dot(np.linalg.solve(stiff, J.dot(u)))
 
     def beside(self, policy: NullSpacePolicy) -> KeptOrientation:

@@ -29,12 +29,7 @@ Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the featur
 Direction = ArrayLike | str | None  # numbers along rows, the name of a row, or the only one that there is
 ChartAt = Callable[[Origin], Any]  # origin -> chart whose first coordinate is the distance from there
 _STILL = np.zeros(3)  # of a screw that does not travel, or does not turn
-_BESIDE = 0.02  # [m] along a path from where a hand should be, within which it is: some strokes of a wipe cross nearer
-_AHEAD = 0.5  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
 _LEVER = 0.1  # [m] at which a turn of the hand counts as a way along a path: half the length of a hand
-_FREE = 0.1  # share of a direction that must be free for it to be meant
-# share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
-_PURE = 0.995
 _DRIVEN = {  # rows that may be driven, in words
     "turn": "turn (about the axis, with the hand) [rad]",
     "slide": "slide (along the axis) [m]",
@@ -214,8 +209,9 @@ def _direction(
     features, p, free = constraint.features, constraint.features.n_rows, complement_rows(constraint.selection)
     names = features.row_names
     if unit is not None and direction is None:
-        # a single twist that does both, of a hinge or a screw in the hand's axes, counts as what it mostly is
-        least = math.sqrt(0.5) if len(free) == 1 else _PURE
+        # a learnt direction leaks by its uncertainty, 0.1 at most; a single twist that does both, of a hinge or a screw in
+        # the hand's axes, counts as what it mostly is
+        least = math.sqrt(0.5) if len(free) == 1 else 0.995
         U, sigma, _ = np.linalg.svd(free[:, angular == (unit == "rad")])
         free = U.T[: int(np.count_nonzero(sigma > least))] @ free
     if not len(free):
@@ -231,7 +227,7 @@ def _direction(
         wanted = f"{p} finite numbers ({', '.join(names)}) that are not all zero, or 'shown' or 'back'"
         raise TargetError(f"the direction must be {wanted}, got {direction!r}")
     moved = free.T @ (free @ given)
-    if np.linalg.norm(moved) < _FREE * np.linalg.norm(given):
+    if np.linalg.norm(moved) < 0.1 * np.linalg.norm(given):
         raise TargetError(f"the constraint holds the direction {given.tolist()}; free is {words}")
     return moved / np.linalg.norm(moved)
 
@@ -339,9 +335,10 @@ class _Path:
     def coordinates(self, pose: Origin, near: float) -> Float[np.ndarray, " 1"]:
         """Return the place next to the hand, of those less than 2 cm along it from `near`: a path may cross itself."""
         turned = _LEVER * rotation_vector(pose[:3, :3] @ self.begin[:3, :3].T) * bool(self.table[:, 3:6].any())
-        here, some = np.append(pose[:3, 3], turned), np.flatnonzero(np.abs(self.ways - near) <= _BESIDE)
+        here, some = np.append(pose[:3, 3], turned), np.flatnonzero(np.abs(self.ways - near) <= 0.02)
         if len(some):
-            off = np.linalg.norm(self.table[some, :6] - here, axis=1) + _AHEAD * np.abs(self.ways[some] - near)
+            # a place must be nearer by half of its distance along the path
+            off = np.linalg.norm(self.table[some, :6] - here, axis=1) + 0.5 * np.abs(self.ways[some] - near)
             near = float(self.ways[some[int(np.argmin(off))]])
         place, tangent = self._at(near)
         return np.array([near + float((here - place) @ tangent)])

@@ -26,7 +26,6 @@ from manip_learn.linalg import finite
 from manip_learn.robot.robot import Robot
 
 HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
-TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m
 DONE = {"m": 1e-3, "rad": math.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
 RAMP = 0.5  # [s] from rest to the speed: 0.1 m/s with 0.3 m/s2 at most
 # mechanisms that do not move by a unit, what they do, and what to give in Python and as a flag
@@ -34,12 +33,8 @@ _UNMOVED = {
     "m": (("hinge", "screw", "ball"), "turns and does not slide", ("angle= [rad]", "--turn DEGREES")),
     "rad": (("line", "plane"), "slides and does not turn", ("distance= [m]", "--along METRES")),
 }
-# what a way may be longer than what was shown: the play of a drawer's rails, and two tenths of a degree
-BEYOND = {"m": 2e-3, "rad": math.radians(0.2)}
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
 _SETTLING = 0.5  # [s] at most until the hand is there after its way to the mechanism: e^-5 of a lag, at gain 10 /s
-_NOISY = 2e-3  # [m] what counts as there after that: measured postures with noise of 1e-3 rad come no nearer
-POSTURES, STILL = 20, 1e-6  # postures that show which rows an arm can move, and share of the largest that is none
 TAKEN = 2e-4  # [m] the hand is at the mechanism: a tenth of the 2 mm that it may be off it, twice the encoders' noise
 
 
@@ -319,7 +314,7 @@ class FreeDirection(OneLook):
         if self.way_begins is None and self._approach is not None and self._shown is not None:
             profile, chart = self._approach
             late = t - self._begun - profile.duration  # [s]
-            near = TAKEN if late < _SETTLING else _NOISY
+            near = TAKEN if late < _SETTLING else 2e-3  # postures with noise of 1e-3 rad come no nearer
             if late < 0.0 or self._shown.apart(self._motion.origin(q), self._course.origin) > near:
                 share = profile.at(t - self._begun)[0] / profile.distance
                 return Course(self._motion, chart.pose((share,))), 0.0, 0.0
@@ -342,9 +337,9 @@ def _held_by_the_grip(constraint: Constraint) -> Constraint:
         return constraint.about_its_mechanism()
     robot, twist = constraint.robot, constraint.features.twist
     features, selection = rows_of(KIND_BY_NAME[known.name], known.located(), None, twist)
-    some = np.array([robot.random_configuration(np.random.default_rng(k)) for k in range(POSTURES)])  # type: ignore[union-attr]
+    some = np.array([robot.random_configuration(np.random.default_rng(k)) for k in range(20)])  # type: ignore[union-attr]
     U, sizes, _ = np.linalg.svd(np.hstack([*(selection @ features.batch(some))]), full_matrices=False)
-    return Constraint(U[:, sizes > STILL * sizes[0]].T @ selection, features, learnt)
+    return Constraint(U[:, sizes > 1e-6 * sizes[0]].T @ selection, features, learnt)
 
 
 def _number(name: str, value: float, positive: bool = True) -> float:
@@ -439,7 +434,7 @@ def motion(
         raise ConstraintError(f"what was learnt {does} ({known.sentence})" + advice(": use {}", *instead))
     if speed is None:
         lever = 0.0 if known is None else known.radius or 0.0
-        speed = HAND_SPEED if unit == "m" else HAND_SPEED / max(lever, HAND_SPEED / TURN_SPEED)
+        speed = HAND_SPEED if unit == "m" else HAND_SPEED / max(lever, 0.2)  # nearer to the axis no faster
     asked: dict[str, Any] = {"direction": named, "unit": unit, "straight": True, "take_hold": True, "as_shown": again}
     task = FreeDirection(constraint, amount, speed, keep_orientation=keep_orientation, pause=pause, **asked)
     if not beyond_shown:
@@ -459,7 +454,8 @@ def _check_shown(task: FreeDirection) -> None:
     """Refuse a way that is longer than the places are apart at which it was shown, or than the arm can go."""
     shown, twist, wanted = task.learnt.shown, task.learnt.features.twist, abs(task.wanted)
     words = f"the way of {way_in_words(wanted, task.unit)} is longer than"
-    if shown is not None and shown.is_way and shown.unit == task.unit and wanted > shown.span + BEYOND[task.unit]:
+    beyond = 2e-3 if task.unit == "m" else math.radians(0.2)  # the play of a drawer's rails
+    if shown is not None and shown.is_way and shown.unit == task.unit and wanted > shown.span + beyond:
         more = advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")
         raise TargetError(f"{words} what was shown ({way_in_words(shown.span, task.unit)}): ask for no more{more}")
     if task.unit == "m" and twist is not None and wanted > (most := 2.0 * twist.robot.reach(twist.frame)):

@@ -17,9 +17,6 @@ from manip_learn.constraint.shown import Shown
 from manip_learn.control.tasks.driven_motion import DrivenMotion, Origin, screw
 from manip_learn.robot.rotations import angles_between, rotation_vector
 
-LEAST_TURN = 1e-3  # share of a rotation in a row: a learnt row of the place leaks less, and holds no turn
-HAND_LEVER = 0.2  # [m] between a hand and what it turns, so that an approach of 0.25 m/s turns by 1.25 rad/s at most
-
 
 def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = False) -> float:
     """1 where a task was shown to the positive side of a motion, -1 to the other; 0 if the recordings do not say.
@@ -63,7 +60,7 @@ class ShownPlaces:
         turning = motion.constraint.selection @ rows.weights_at(shown.chart.grasp[None])[0, :, 3:]
         # the hand is turned as it was shown, where a firm grip holds that; one that is kept by habit is free
         is_firm = mechanism is not None and mechanism.orientation != "free"
-        self._is_turned = is_firm and bool(np.any(np.abs(turning) > LEAST_TURN))
+        self._is_turned = is_firm and bool(np.any(np.abs(turning) > 1e-3))  # a learnt row of the place leaks less
         is_apart = (shown.hold is None or self._is_turned) and len(shown.grasps) > 0 and (shown.is_way or not anew)
         self._begins = shown.grasps if is_apart else shown.chart.grasp[None]
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
@@ -83,7 +80,8 @@ class ShownPlaces:
     def apart(self, one: Origin, other: Origin) -> float:
         """Distance of two origins [m]; where the hand's orientation counts, an angle at the lever of a hand."""
         turned = float(angles_between(one[:3, :3], other[None, :3, :3])[0]) if self._is_turned else 0.0
-        return max(float(np.linalg.norm(other[:3, 3] - one[:3, 3])), HAND_LEVER * turned)
+        # at 0.2 m between a hand and what it turns, an approach of 0.25 m/s turns by 1.25 rad/s at most
+        return max(float(np.linalg.norm(other[:3, 3] - one[:3, 3])), 0.2 * turned)
 
     def nearest(self, here: Origin, distance: float) -> tuple[Origin, float]:
         """Return the origin from which the way begins, and how far that is [m].
