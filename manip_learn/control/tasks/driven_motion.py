@@ -209,8 +209,8 @@ def _direction(
     features, p, free = constraint.features, constraint.features.n_rows, complement_rows(constraint.selection)
     names = features.row_names
     if unit is not None and direction is None:
-        # a learnt direction leaks by its uncertainty, 0.1 at most; a single twist that does both, of a hinge or a screw in
-        # the hand's axes, counts as what it mostly is
+        # a learnt direction leaks by its uncertainty, 0.1 at most; a single twist that does both, of a hinge or a screw
+        # in the hand's axes, counts as what it mostly is
         least = math.sqrt(0.5) if len(free) == 1 else 0.995
         U, sigma, _ = np.linalg.svd(free[:, angular == (unit == "rad")])
         free = U.T[: int(np.count_nonzero(sigma > least))] @ free
