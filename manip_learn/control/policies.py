@@ -393,8 +393,8 @@ class KeptOrientation(SampledPolicy):
         J, pose = self._features.twist_rows(q, False)[3:], self._features.pose(q)
         turn = rotation_vector(self._wanted() @ pose[:3, :3].T)
         u = u + (self.gain / self.rms**2) * J.T.dot(turn)
-        # taken back in three cycles at the fastest, for readings may be two cycles late, and in 0.1 s, as by a task's own
-        # feedback, since faster is the noise of the encoders
+        # taken back in three cycles at the fastest, for readings may be two cycles late, and in 0.1 s: faster is the
+        # noise of the encoders
         stiff = self.rms**2 / (max(3.0 * dt, 0.1) * self.gain) * np.eye(3) + J @ J.T
         return u - J.T.dot(np.linalg.solve(stiff, J.dot(u)))
 
