@@ -124,22 +124,24 @@ class Timing(NamedTuple):
             stands: True if the arm stood: a task that waits for the arm has then waited all the time.
             commanded: Time for which commands have moved the commanded posture since the newest reading [s].
         """
-        since, dt = time - self.time, self.dt
+        since, dt, periods = time - self.time, self.dt, {}
         if since <= 0.0:
             return self.without(self.older)
-        new = self._replace(time=time, older=math.nan, since=0.0, silent=0.0, late=0.0, held=dt)
         if math.isinf(since):  # the first, or the first of a clock that was set back
-            return new
+            return self._replace(time=time, older=math.nan, since=0.0, silent=0.0, late=0.0, held=dt)
         late = since - commanded
         late = late if abs(late) > 0.01 * dt else 0.0  # else it is in time
-        new = new._replace(since=since, late=late, waited=self.waited + (since if stands else late))
-        return new if since > self.stale_after else new._counted(since)
+        waited = self.waited + (since if stands else late)
+        if since <= self.stale_after:
+            periods = self._periods(since)
+        told = {"time": time, "older": math.nan, "since": since, "silent": 0.0, "late": late, "waited": waited}
+        return self._replace(**told, **({"held": dt} | periods))
 
-    def _counted(self, since: float) -> Timing:
-        """Return the timing with how often the caller calls, after a period `since` [s]."""
+    def _periods(self, since: float) -> dict[str, Any]:
+        """Return what follows for `held`, `usual`, `longest`, `recent` and `warning` from a period `since` [s]."""
         dt, warning, recent = self.dt, self.warning, (*self.recent[1 - WINDOW :], since)
         if self.longest == self.usual == dt and dt * (1.0 - _ROUNDING) <= since <= REGULAR * dt:
-            return self._replace(recent=recent)
+            return {"recent": recent}
         shortest, longest, mean = min(recent), max(recent), sum(recent) / len(recent)
         is_regular = len(recent) >= 3 and longest <= REGULAR * shortest
         usual = shortest if is_regular and shortest > REGULAR * dt else dt
@@ -150,7 +152,7 @@ class Timing(NamedTuple):
             )
         held = usual if since >= usual * (1.0 - _ROUNDING) else since
         longest = longest if longest > REGULAR * usual else usual
-        return self._replace(recent=recent, held=held, usual=usual, longest=longest, warning=warning)
+        return {"recent": recent, "held": held, "usual": usual, "longest": longest, "warning": warning}
 
 
 @final

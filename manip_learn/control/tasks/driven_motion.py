@@ -22,7 +22,7 @@ from manip_learn.constraint.place import Place, across
 from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.control.tasks.motion_profile import PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
-from manip_learn.linalg import along_axes, complement_rows, finite
+from manip_learn.linalg import along_axes, complement_rows, finite, unit
 from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors
 
 Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
@@ -95,12 +95,13 @@ class Course:
             near: How far it was last [m or rad]: of angles a turn apart the one next to this counts.
         """
         here, f = self.motion.origin(q), self.motion.driven
-        W = _weights(self.motion.constraint, here)
-        if self.motion.by_row:
-            place = near + float(f.dot(W.dot(self.chart.error(here, (near,))))) / float(f.dot(f))
-        else:
-            place = float(self.chart.coordinates(here, near)[0])
-        ahead, off = W.dot(self.chart.twist((place,), here)[:, 0]), W.dot(self.chart.error(here, (place,)))
+        place = near if self.motion.by_row else float(self.chart.coordinates(here, near)[0])
+        error, ahead = self.chart.error(here, (place,)), self.chart.twist((place,), here)[:, 0]
+        W = _weights(self.motion.constraint, here, len(error))
+        ahead, off = W.dot(ahead), W.dot(error)
+        if self.motion.by_row:  # along it the rows are as far off everywhere
+            step = float(f.dot(off)) / float(f.dot(f))
+            place, off = place + step, off - step * f
         if self._around is not None:
             held = self._around.held_error(here)
             off[: len(held)] = held
@@ -111,30 +112,40 @@ class Course:
         here, held = self.motion.origin(q), self.motion.held
         if self._around is not None:
             return float(np.linalg.norm(self._around.held_error(here)))
-        return float(np.linalg.norm(held.selection @ _weights(held, here) @ self.chart.error(here, (distance,))))
+        error = self.chart.error(here, (distance,))
+        return float(np.linalg.norm(held.selection @ _weights(held, here, len(error)) @ error))
 
 
-def _weights(constraint: Constraint, here: Origin) -> Float[np.ndarray, "p k"]:
-    """Return the weights of the rates of an origin in the rows of the features."""
+def _weights(constraint: Constraint, here: Origin, size: int) -> Float[np.ndarray, "p k"]:
+    """Return the weights of the first rates of an origin in the rows of the features."""
     features: Any = constraint.features
-    return features.weights_at(here[None])[0] if here.ndim == 2 else np.eye(len(here))
+    return features.weights_at(here[None])[0, :, :size] if here.ndim == 2 else unit(size)
 
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """Chart of a straight motion of coordinates r, r* = r0 + s f: those of features that have no frame."""
+    """Chart of a straight motion, r* = r0 + s f: of coordinates, or of the place of a hand whose turning is free."""
 
-    driven: Float[np.ndarray, " p"]
-    begin: Float[np.ndarray, " p"]
+    driven: Float[np.ndarray, " k"]
+    begin: Origin
 
-    def pose(self, s: tuple[float]) -> Float[np.ndarray, " p"]:
-        return self.begin + s[0] * self.driven
+    def pose(self, s: tuple[float]) -> Origin:
+        out = self.begin.copy()
+        _place(out)[:] += s[0] * self.driven
+        return out
 
-    def twist(self, _s: tuple[float], _here: Origin) -> Float[np.ndarray, "p 1"]:
+    def twist(self, _s: tuple[float], _here: Origin) -> Float[np.ndarray, "k 1"]:
         return self.driven[:, None]
 
-    def error(self, here: Origin, s: tuple[float]) -> Float[np.ndarray, " p"]:
-        return here - self.pose(s)
+    def error(self, here: Origin, s: tuple[float]) -> Float[np.ndarray, " k"]:
+        return _place(here) - _place(self.begin) - s[0] * self.driven
+
+    def heading(self, _pose: Origin) -> Float[np.ndarray, " 6"]:
+        return np.append(self.driven, _STILL)
+
+
+def _place(origin: Origin) -> Float[np.ndarray, " k"]:
+    return origin if origin.ndim == 1 else origin[:3, 3]
 
 
 def driven_motion(constraint: Constraint, direction: Direction, unit: Unit | None, straight: bool) -> DrivenMotion:
@@ -169,7 +180,8 @@ def driven_motion(constraint: Constraint, direction: Direction, unit: Unit | Non
     if features.twist is None or features.own_axes is None:
         return DrivenMotion(*driven, features.coordinates, partial(_Line, f), by_row=True)
     v, w = np.split(f @ np.eye(6)[[AXES.index(name) for name in features.row_names]], 2)
-    chart_at = partial(_in_hand, v, w) if features.own_axes else screw(v, spin=w)
+    line = partial(_Line, v) if features.only_linear else screw(v, spin=w)
+    chart_at = partial(_in_hand, v, w) if features.own_axes else line
     return DrivenMotion(*driven, features.twist.pose, chart_at, by_row=True)
 
 
