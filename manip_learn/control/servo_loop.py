@@ -15,7 +15,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,45 +47,6 @@ STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.S
 
 
 @final
-class Return(NamedTuple):
-    """The way of a commanded posture back to a measured one, within the velocity and acceleration limits.
-
-    Attributes:
-        limits: The limits.
-        posture: Where a position servo is sent.
-        load: Distance at which a weight keeps the arm from where it is sent [rad or m].
-        goal: Where it goes: where the arm was first measured, less its load; a newer reading has other noise.
-        speed: Share of the acceleration limits, times s, with which it moves [s].
-    """
-
-    limits: Limits
-    posture: Posture
-    load: Vector
-    goal: Posture | None = None
-    speed: float = 0.0
-
-    def step(self, measured: Posture, dt: float) -> Return | None:
-        """One period farther; None where the way ends.
-
-        All joints move along the straight way, faster by at most an acceleration for dt, and as fast as lets them stop
-        (`stopping_speed`).
-        """
-        limits = self.limits
-        goal = limits.robot.integrate(measured, -self.load) if self.goal is None else self.goal
-        away = limits.robot.difference(self.posture, goal)
-        acceleration = np.minimum(limits.acceleration, 1e6)
-        far = float(np.max(np.abs(away) / acceleration))  # [s^2] at unit acceleration
-        if far <= 0.5 * dt * dt:
-            return None
-        direction = away / far
-        fastest = float(np.min(limits.velocity / np.maximum(np.abs(direction), 1e-12)))
-        stopping = float(stopping_speed(np.array([far]), np.ones(1), dt)[0])
-        speed = min(self.speed + dt, stopping, fastest, far / dt)
-        posture = limits.robot.integrate(self.posture, dt * speed * direction)
-        return self._replace(posture=posture, goal=goal, speed=speed)
-
-
-@final
 @dataclass(eq=False)
 class State:
     """All that a loop remembers from one period to the next; it is not changed any more once a step has returned it.
@@ -98,7 +59,7 @@ class State:
         velocity: shape (nv,), of the controller's posture [rad/s or m/s].
         sent: shape (nv,), of the posture that is sent.
         reference: Posture of the controller; None before the first reading.
-        output: Posture that is sent: `reference` but for the average.
+        position: Posture that is sent: `reference` but for the average.
         measured: Newest posture that was read; None before the first.
         last: Newest command; None before the first.
         stopped_by: What last stopped the arm, in words; None where nothing has.
@@ -109,7 +70,8 @@ class State:
         refused: For how long readings have come that no joint can have moved to [s]; after `stale_after` they count.
         jumped: What was said of the newest of them, and its time [s].
         runs_on: Whether the arm goes on between late calls, as a velocity servo does.
-        way_back: How the posture that is sent goes back to where the arm is, after a following error.
+        way_back: While the posture that is sent goes back to where the arm is, after a following error: distance at
+            which a weight keeps the arm [rad or m], where it goes, and share of the acceleration limits, times s.
         relief: Posture to which an arm goes that lets go; None before it is blocked.
         pressed: Commanded and measured posture when it was blocked, and by how much it may let go.
         renewed: How often it has gone on letting go.
@@ -125,7 +87,7 @@ class State:
     velocity: Vector
     sent: Vector
     reference: Posture | None = None
-    output: Posture | None = None
+    position: Posture | None = None
     measured: Posture | None = None
     last: Command | None = None
     stopped_by: str | None = None
@@ -137,7 +99,7 @@ class State:
     refused: float = 0.0
     jumped: tuple[str, float] = ("", -math.inf)
     runs_on: bool = False
-    way_back: Return | None = None
+    way_back: tuple[Vector, Posture | None, float] | None = None
     relief: Posture | None = None
     pressed: tuple[Any, Any, Any] = (None, None, None)
     renewed: int = 0
@@ -151,11 +113,6 @@ class State:
         other = copied(self)
         other.following = self.following.copied()
         return other
-
-    @property
-    def position(self) -> Posture | None:
-        """The posture that is sent; None before the first reading."""
-        return self.output if self.way_back is None else self.way_back.posture
 
 
 @final
@@ -217,8 +174,9 @@ class LoopRules:
         if jump and s.refused <= self.stale_after:
             if s.alone:  # a first reading that the second one is not near: nothing starts from it
                 self.controller.reset()
+                new = self.begin(s, measured if s.way_back is None else s.position)
                 kept = {"is_stopped": s.is_stopped, "way_back": s.way_back, "measured": measured, "alone": True}
-                vars(s).update(vars(self.begin(s, measured)) | kept)
+                vars(s).update(vars(new) | kept)
                 timing = s.timing._replace(time=time)
             s.timing = timing.without(timing.older)
             s.refused += self.dt
@@ -232,18 +190,17 @@ class LoopRules:
         if timing.late and not timing.is_stale:
             self._catch_up(s, measured, stood)
         period = timing.held
-        if s.reference is None or s.output is None:
-            s.reference = s.output = measured
+        if s.reference is None or s.position is None:
+            s.reference = s.position = measured
         if s.way_back is not None:
-            sent, s.way_back = s.way_back.posture, s.way_back.step(measured, period)
-            s.reference = s.output = sent
+            self._go_back(s, s.position, measured, *s.way_back, period)
             return self.brake(s, Status.FOLLOWING_ERROR, period)
         if timing.silent == 0.0:  # a state that is not new says nothing of the commands since
-            s.following.compare(s.output, measured, self.controller.driven_motions)
+            s.following.compare(s.position, measured, self.controller.driven_motions)
         if s.following.tripped:
             # the average would go on pressing for its own length
-            s.reference, s.velocity = s.output, s.sent
-            return self._unloading(s, s.output, measured, period)
+            s.reference, s.velocity = s.position, s.sent
+            return self._unloading(s, s.position, measured, period)
         if timing.is_stale:
             s.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
             if in_milliseconds(timing.since, self.dt):
@@ -258,6 +215,26 @@ class LoopRules:
             return self._sent_on(s, _within(same, self._bounds(s, s.reference, self.dt)), self.dt)
         return self._sent_on(s, self._command(s, s.reference, self.clock(s, time), period), period)
 
+    def _go_back(
+        self, s: State, sent: Posture, measured: Posture, load: Vector, goal: Posture | None, speed: float, dt: float
+    ) -> None:
+        """Move the posture that is sent to where the arm was first measured, less its load: a newer reading has noise.
+
+        All joints move along the straight way, faster by at most an acceleration for dt, and as fast as lets them stop
+        (`stopping_speed`).
+        """
+        robot, limits, s.way_back = self.robot, self.limits, None
+        goal = robot.integrate(measured, -load) if goal is None else goal
+        away, acceleration = robot.difference(sent, goal), np.minimum(limits.acceleration, 1e6)
+        far = float(np.max(np.abs(away) / acceleration))  # [s^2] at unit acceleration
+        if far > 0.5 * dt * dt:
+            direction = away / far
+            fastest = float(np.min(limits.velocity / np.maximum(np.abs(direction), 1e-12)))
+            stopping = float(stopping_speed(np.array([far]), np.ones(1), dt)[0])
+            speed = min(speed + dt, stopping, fastest, far / dt)
+            s.reference = s.position = robot.integrate(sent, dt * speed * direction)
+            s.way_back = load, goal, speed
+
     def _catch_up(self, s: State, measured: Posture, stood: bool) -> None:
         """Take the motion that the arm made because a call was late, or did not because it was early.
 
@@ -265,8 +242,8 @@ class LoopRules:
         share of the motion that the last velocity makes in this time which the arm has made tells them apart.
         """
         timing, followed, square = s.timing, 0.0, float(s.sent.dot(s.sent))
-        if s.output is not None and square > 0.0 and not s.following.tripped:
-            away = self.robot.difference(s.output, measured)
+        if s.position is not None and square > 0.0 and not s.following.tripped:
+            away = self.robot.difference(s.position, measured)
             followed = min(1.0, max(0.0, float(away.dot(s.sent)) / (timing.late * square)))
         s.runs_on = s.runs_on or (timing.late > 0.0 and followed > 0.5)
         # an early call takes back no more than it goes on by: the posture never moves against the velocity
@@ -404,9 +381,9 @@ class LoopRules:
             # joined by straight lines, as in the average; what holding the mean adds to its own line is not lost
             moved = 0.5 * (before + moved + s.sent - sent)
             late = s.timing.longest
-            if s.runs_on and late > s.timing.usual and s.output is not None:
+            if s.runs_on and late > s.timing.usual and s.position is not None:
                 # the mean comes to rest in as many calls, however long these last: it gives way to position limits
-                slower = self._careful(s, s.output, late).after(sent, self.limits.acceleration * held).nearest(s.sent)
+                slower = self._careful(s, s.position, late).after(sent, self.limits.acceleration * held).nearest(s.sent)
                 moved, s.sent = moved - (s.sent - slower), slower
         self._advance(s, held, moved)
         b, task, null = (np.array(part) for part in (command.task_velocity, command.task_part, command.null_part))
@@ -416,14 +393,14 @@ class LoopRules:
 
     def _advance(self, s: State, time: float, velocity: np.ndarray) -> None:
         """Move the commanded posture on by a time [s]."""
-        if s.reference is None or s.output is None:
+        if s.reference is None or s.position is None:
             return
-        s.following.moved(s.output, time, s.sent)
+        s.following.moved(s.position, time, s.sent)
         s.commanded += time
         if velocity.any() or s.sent.any():
-            together = s.output is s.reference and s.average is None
+            together = s.position is s.reference and s.average is None
             s.reference = self.robot.integrate(s.reference, time * velocity)
-            s.output = s.reference if together else self.robot.integrate(s.output, time * s.sent)
+            s.position = s.reference if together else self.robot.integrate(s.position, time * s.sent)
 
 
 def _within(command: Command, bounds: Bounds) -> Command:
@@ -550,12 +527,12 @@ class ServoLoop:
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
-        before = self._state
-        state = self.rules.begin(before, None if q is None else np.array(self.robot.checked_posture(q)))
-        if q is None and before.following.tripped and before.position is not None:  # a position servo holds it there
-            state.way_back = Return(self.limits, before.position, before.following.load)
-        elif q is None:
-            state.way_back = before.way_back
+        before, back = self._state, None
+        if q is None and before.position is not None:  # a position servo holds it there
+            back = (before.following.load, None, 0.0) if before.following.tripped else before.way_back
+        place = before.position if back else None if q is None else np.array(self.robot.checked_posture(q))
+        state = self.rules.begin(before, place)
+        state.alone, state.way_back = q is None, back
         self._state, self._is_stopped = state, False
         self.rules.controller.reset()
 
