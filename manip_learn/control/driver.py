@@ -26,7 +26,6 @@ LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in
 # [rad or m] by which no arm goes off that is sent to where it is: brakes that open, a payload and a push of 20 N give a
 # few hundredths at most; and by which first readings may differ, from each other and from where a motion starts
 _AWAY = 0.05
-_SCALES = {1.0: "", math.degrees(1.0): "degrees", math.radians(1.0): "degrees", 1e3: "mm", 1e-3: "mm"}
 # a cycle: its time [s], what was measured, the command, and the joint positions that were sent before
 _Sample = tuple[float, Posture, Command, Vector]
 _LOGGER = logging.getLogger("manip_learn")
@@ -185,8 +184,7 @@ class _Cycle:
         while True:
             t = pace.wait()
             ending.stop(pace.fault)
-            if t >= duration - 0.5 * pace.period:
-                ending.stop(f"the {duration:g} s were over", True)
+            ending.stop(f"the {duration:g} s were over" if t >= duration - 0.5 * pace.period else "", True)
             try:
                 ending.stop(until() if ending.raised is None else "", True)
             except BaseException as error:  # whatever it is, SystemExit too: an arm in motion must brake
@@ -298,17 +296,15 @@ class _Cycle:
 
     def record(self) -> RunRecord:
         """What was done."""
-        loop, pace, rows = self._loop, self._pace, self._samples
-        q = np.array([q for _, q, _, _ in rows]).reshape(len(rows), -1 if rows else self._robot.nv)
-        time, errors = np.array([t for t, *_ in rows]), np.array([loop.task_error(q, t) for t, q, _, _ in rows])
-        rollout = rollout_of(self._robot, loop, time, q, [command for _, _, command, _ in rows], errors)
+        loop, pace = self._loop, self._pace
+        rollout = rollout_of(loop.robot, loop, [(t, q, c, loop.task_error(q, t)) for t, q, c, _ in self._samples])
         return RunRecord(rollout, pace.cycles, pace.overruns, pace.longest_delay, *self.ending.outcome)
 
 
 def _numbers(robot: Robot, q: Any) -> Posture | None:
     """Return a reading if it is as many finite numbers as a posture has, else None."""
-    x = finite(q, *np.shape(q))
-    return x if x is not None and x.shape in ((robot.nq,), (robot.nv,)) else None
+    positions = finite(q, robot.nv)
+    return finite(q, robot.nq) if positions is None else positions
 
 
 def _apart(robot: Robot, place: Posture | None, q: Posture, most: Vector | float, words: str) -> str:
@@ -332,7 +328,8 @@ def _mixed_up(robot: Robot, samples: Sequence[_Sample]) -> str:
     # an explanation leaves a tenth of what is left as it stands; one that exchanges joints is better by a thousandth
     names, explanation, best = robot.joint_names, "", 0.1**2 * float(np.sum((read - sent) ** 2))
     own_order = 1e-3 * best * (1.0 - np.eye(robot.nv))
-    for scale, unit in _SCALES.items():
+    degrees, radians = math.degrees(1.0), math.radians(1.0)
+    for scale, unit in ((1.0, ""), (degrees, "degrees"), (radians, "degrees"), (1e3, "mm"), (1e-3, "mm")):
         # what each joint leaves of each path that was sent, in either sense
         left = np.maximum(own[:, None] + scale**2 * theirs - 2.0 * scale * np.abs(products), 0.0)
         pairs = linear_sum_assignment(left + own_order)

@@ -32,6 +32,7 @@ _BLOCKED = {Status.STALLED, Status.POSITION_LIMITED, Status.REROUTED, Status.OUT
 
 Start = Sequence[float] | Posture
 Starts = Sequence[Sequence[float]]
+Sample = tuple[float, Posture, Command, float]  # time [s], posture, command, distance to the task's goal [m or rad]
 
 
 @overload
@@ -112,14 +113,14 @@ def simulate(
     for block in np.split(starts, range(256, len(starts), 256)) if len(starts) else ():
         whole = repeat(None) if native is None else native.rollouts(controller, block, dt, steps, own)
         for start, rollout in zip(block, whole, strict=False):  # None where single steps are needed
-            rollouts.append(rollout or _stepped(robot, controller, start, np.arange(steps + 1) * dt, dt, own))
+            rollouts.append(rollout or _stepped(robot, controller, start, steps, dt, own))
             if table and progress is not None:
                 progress("simulating", len(rollouts) / len(starts))
     return tuple(rollouts) if table else rollouts[0]
 
 
 def _stepped(
-    robot: Robot | None, controller: Any, q: Posture, time: Float[np.ndarray, " T"], dt: float, report: Progress | None
+    robot: Robot | None, controller: Any, q: Posture, steps: int, dt: float, report: Progress | None
 ) -> Rollout:
     """Return the rollout from one start, step by step: in a servo loop, which the library's controllers get anyhow."""
     step, task_error = (lambda q, t: controller(q, t, dt)), getattr(controller, "task_error", lambda q, t: np.nan)
@@ -128,42 +129,32 @@ def _stepped(
         step = controller.update
     elif isinstance(controller, LimitedController) and controller.limits is not None:
         step = ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
-    postures, errors, commands = np.empty((len(time), len(q))), np.empty(len(time)), list[Command]()
-    for i, t in enumerate(time.tolist()):
+    samples = list[Sample]()
+    for t in (np.arange(steps + 1) * dt).tolist():
         command = step(q, t)
-        postures[i], errors[i] = q, task_error(q, t)
-        commands.append(command)
-        if len(commands) < len(time):
+        samples.append((t, q, command, task_error(q, t)))
+        if len(samples) <= steps:
             q = q + dt * command.velocity if robot is None else robot.integrate(q, dt * command.velocity)
         if report is not None:
-            report("simulating", len(commands) / len(time))
-    return rollout_of(robot, controller, time, postures, commands, errors)
+            report("simulating", len(samples) / (steps + 1))
+    return rollout_of(robot, controller, samples)
 
 
-def rollout_of(
-    robot: Robot | None,
-    controller: Controller | ServoLoop,
-    time: Float[np.ndarray, " T"],
-    q: Float[np.ndarray, "T n"],
-    commands: Sequence[Command],
-    errors: Float[np.ndarray, " T"],
-) -> Rollout:
-    """Return what was done, sample by sample, with what guided it.
+def rollout_of(robot: Robot | None, controller: Controller | ServoLoop, samples: Sequence[Sample]) -> Rollout:
+    """Return what was done, with what guided it.
 
     Args:
         robot: The robot, or None.
         controller: What gave the commands.
-        time: shape (T,) [s].
-        q: shape (T, n), postures.
-        commands: T of them.
-        errors: shape (T,), of the task [m or rad].
+        samples: T of them; without a robot one at least.
     """
+    time, q, commands, errors = zip(*samples, strict=True) if samples else ((),) * 4
     names = tuple(f"q{i}" for i in range(len(commands[0].velocity))) if robot is None else robot.joint_names
-    u = np.array([c.velocity for c in commands]).reshape(len(commands), len(names))
+    q, u = (np.reshape(x, (len(samples), -1 if samples else len(names))) for x in (q, [c.velocity for c in commands]))
     mu, following = (np.array([getattr(c, name) for c in commands]) for name in ("manipulability", "following_error"))
     told = guided(controller) | {"robot": None if robot is None else RobotIdentity.of(robot)}
     told |= {"following_error": following} if isinstance(controller, ServoLoop) else {}
-    return Rollout(time, q, u, mu, tuple(c.status for c in commands), names, errors, **told)
+    return Rollout(np.array(time), q, u, mu, tuple(c.status for c in commands), names, np.array(errors), **told)
 
 
 def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
@@ -171,8 +162,7 @@ def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
     law = controller.controller if isinstance(controller, ServoLoop) else controller
     if not isinstance(law, LimitedController) or law.law is None:
         return {}
-    written = written_constraint(law.constraint)
-    return {"frame": law.frame or "", "target": law.law.task.goal(), "constraint": written}
+    return {"frame": law.frame or "", "target": law.law.task.goal(), "constraint": written_constraint(law.constraint)}
 
 
 @final
@@ -280,13 +270,11 @@ def _places_of(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray,
     # a path may come back to where it was: the goal says on which part it is
     for i, step in enumerate(np.diff(meant[first:], prepend=meant[first : first + 1]).tolist(), first):
         places[i] = place = task.progress_near(rollout.q[i], place + step)
-    there = np.flatnonzero(np.abs(places - task.wanted) <= done)
-    if len(there):
-        return places, float(time[there[0]]) + AT_REST
+    there = np.abs(places - task.wanted) <= done
     # 2 s without progress count as stopped, for a singular start is left within one; 1e-9 s against rounding
     before = np.interp(time - 2.0 + 1e-9, time, places, left=np.nan)
-    still = np.flatnonzero((np.abs(places - before) < done) & (np.abs(places - meant) > done))  # and not as shown
-    return places, float(time[still[0]]) if len(still) else None
+    still = (np.abs(places - before) < done) & (np.abs(places - meant) > done)  # and not as shown
+    return places, next(iter([*(time[there] + AT_REST), *time[still]]), None)
 
 
 def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " T"], robot: Robot) -> WayDone:
