@@ -14,8 +14,6 @@ from typing import Any, Protocol, final
 
 from manip_learn.control.timing import in_milliseconds
 
-_SIGNALS = [s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP")]  # Windows has no SIGHUP
-
 
 class Clock(Protocol):
     """Where a cycle takes its time from."""
@@ -33,13 +31,11 @@ class Clock(Protocol):
 class ComputerClock:
     """The time that passes here."""
 
-    @staticmethod
-    def now() -> float:
+    def now(self) -> float:
         """Since an arbitrary moment [s]."""
         return time.perf_counter()
 
-    @staticmethod
-    def wait_until(moment: float) -> None:
+    def wait_until(self, moment: float) -> None:
         """Sleep, then spin: sleeping may wake up 0.2 ms late."""
         time.sleep(max(0.0, moment - time.perf_counter() - 2e-4))
         while time.perf_counter() < moment:
@@ -72,7 +68,7 @@ class Pace:
 
     def begin(self) -> None:
         """Count the time of a clock from the next cycle on."""
-        self._start, self._began = self._due, ComputerClock.now()
+        self._start, self._began = self._due, ComputerClock().now()
 
     @property
     def time(self) -> float:
@@ -92,7 +88,7 @@ class Pace:
         # where half of the periods of a second were missed, the period cannot be held
         self._missed += (missed / (missed + 1.0) - self._missed) * min(1.0, (missed + 1.0) * period)
         if self._missed > 0.5 * (1.0 - math.exp(-1.0)):
-            seconds = ComputerClock.now() - self._began
+            seconds = ComputerClock().now() - self._began
             self.fault = f"the period of {1e3 * period:g} ms cannot be held: cycles begin {1e3 * late:.2g} ms late"
             if in_milliseconds(time, seconds):
                 self.fault += f"; the clock went on by {time:.3g} in {seconds:.1g} s: it is to count seconds"
@@ -181,8 +177,8 @@ class OrderlyEnd:
 
     def __enter__(self) -> None:
         atexit.register(self._interpreter_ends)
-        in_main_thread = threading.current_thread() is threading.main_thread()
-        for number in _SIGNALS if in_main_thread else ():
+        names = ("SIGINT", "SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
+        for number in [number for number in signal.Signals if number.name in names]:  # Windows has no SIGHUP
             before = signal.getsignal(number)  # None where it is not Python's to put back
             if before is not None and (before != signal.SIG_IGN or number == signal.SIGINT):
                 self._before[number] = signal.signal(number, self._receive)

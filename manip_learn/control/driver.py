@@ -26,6 +26,7 @@ LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in
 # [rad or m] by which no arm goes off that is sent to where it is: brakes that open, a payload and a push of 20 N give a
 # few hundredths at most; and by which first readings may differ, from each other and from where a motion starts
 _AWAY = 0.05
+_SCALES = {1.0: "", math.degrees(1.0): "degrees", math.radians(1.0): "degrees", 1e3: "mm", 1e-3: "mm"}
 # a cycle: its time [s], what was measured, the command, and the joint positions that were sent before
 _Sample = tuple[float, Posture, Command, Vector]
 _LOGGER = logging.getLogger("manip_learn")
@@ -328,8 +329,7 @@ def _mixed_up(robot: Robot, samples: Sequence[_Sample]) -> str:
     # an explanation leaves a tenth of what is left as it stands; one that exchanges joints is better by a thousandth
     names, explanation, best = robot.joint_names, "", 0.1**2 * float(np.sum((read - sent) ** 2))
     own_order = 1e-3 * best * (1.0 - np.eye(robot.nv))
-    degrees, radians = math.degrees(1.0), math.radians(1.0)
-    for scale, unit in ((1.0, ""), (degrees, "degrees"), (radians, "degrees"), (1e3, "mm"), (1e-3, "mm")):
+    for scale, unit in _SCALES.items():
         # what each joint leaves of each path that was sent, in either sense
         left = np.maximum(own[:, None] + scale**2 * theirs - 2.0 * scale * np.abs(products), 0.0)
         pairs = linear_sum_assignment(left + own_order)

@@ -149,11 +149,11 @@ def rollout_of(robot: Robot | None, controller: Controller | ServoLoop, samples:
         samples: T of them; without a robot one at least.
     """
     time, q, commands, errors = zip(*samples, strict=True) if samples else ((),) * 4
-    names = tuple(f"q{i}" for i in range(len(commands[0].velocity))) if robot is None else robot.joint_names
+    names = tuple(f"q{i}" for i in range(len(samples[0][2].velocity))) if robot is None else robot.joint_names
     q, u = (np.reshape(x, (len(samples), -1 if samples else len(names))) for x in (q, [c.velocity for c in commands]))
     mu, following = (np.array([getattr(c, name) for c in commands]) for name in ("manipulability", "following_error"))
-    told = guided(controller) | {"robot": None if robot is None else RobotIdentity.of(robot)}
-    told |= {"following_error": following} if isinstance(controller, ServoLoop) else {}
+    told, identity = guided(controller), None if robot is None else RobotIdentity.of(robot)
+    told |= {"robot": identity, "following_error": following if isinstance(controller, ServoLoop) else None}
     return Rollout(np.array(time), q, u, mu, tuple(c.status for c in commands), names, np.array(errors), **told)
 
 
