@@ -188,11 +188,10 @@ class OrderlyEnd:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self._collected:
             gc.enable()
-        hold = getattr(self._driver, "hold", None) if self.holds or kind is not None else None
         try:
-            if hold is not None:
+            if self.holds or kind is not None:
                 with self.waiting("hold"):
-                    hold()
+                    getattr(self._driver, "hold", lambda: None)()
         except Exception as error:  # whatever a driver raises, what was recorded is kept
             self.failed["hold"] = f"the driver's hold() failed: {type(error).__name__}: {error}"
         finally:

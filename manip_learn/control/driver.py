@@ -146,10 +146,8 @@ def run(
     if duration is not None and not 0.0 <= duration < math.inf:
         raise ConfigurationError(f"duration must be a number of seconds, got {duration!r}")
     if not math.isclose(driver.period, loop.dt, rel_tol=0.01):
-        raise ConfigurationError(
-            f"the driver's period is {1e3 * driver.period:g} ms and the loop's {1e3 * loop.dt:g} ms: "
-            f"make the loop with ServoLoop(controller, dt={driver.period:g})"
-        )
+        periods = f"the driver's period is {1e3 * driver.period:g} ms and the loop's {1e3 * loop.dt:g} ms"
+        raise ConfigurationError(f"{periods}: make the loop with ServoLoop(controller, dt={driver.period:g})")
     cycle = _Cycle(loop, _Arm(loop.robot, driver), clock or ComputerClock())
     loop.reset(loop.position)
     for note in loop.notes:
@@ -233,9 +231,8 @@ class _Cycle:
         elif before is None:
             words = "one reading alone"
         self._doubted += 1
-        is_late = self._doubted * self._pace.period > 1.0  # [s]
-        if (outside := far_outside(robot, self._place)) or (words and is_late):
-            self.ending.stop(outside or words)
+        outside, is_late = far_outside(robot, self._place), self._doubted * self._pace.period > 1.0  # [s]
+        self.ending.stop(outside or (words if is_late else ""))
         return outside or words
 
     def _goes_astray(self, q: Any, tripped: bool) -> str:
@@ -249,10 +246,8 @@ class _Cycle:
             return ""
         _, first, _, start = self._samples[0]
         went = float(np.abs(self._robot.difference(start, self._place)).max())
-        words = (
-            f"at first, and was sent by {went:.1g} rad or m at most: it was in motion or is pushed, or "
-            "the driver reads other joints, units or senses than it commands"
-        )
+        causes = "it was in motion or is pushed, or the driver reads other joints, units or senses than it commands"
+        words = f"at first, and was sent by {went:.1g} rad or m at most: {causes}"
         # an arm that was sent by less than 0.02 rad or m, and is four times as far away, has gone by itself
         most = max(0.0 if tripped else _AWAY, 4.0 * went)
         away = _apart(self._robot, first, q, most, words) if went < 0.02 else ""

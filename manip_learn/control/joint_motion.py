@@ -171,17 +171,13 @@ class _Path:
         time, q = np.array(motion.time, dtype=np.float64), np.array(motion.q, dtype=np.float64)
         names = tuple(motion.joint_names)
         if names not in ((), robot.joint_names):
-            missing = [name for name in robot.joint_names if name not in names]
+            missing = ", ".join(name for name in robot.joint_names if name not in names)
             if missing or q.shape[1:] != (len(names),):
-                raise ConfigurationError(
-                    f"the motion's joints are {', '.join(names)}: robot {robot.name!r} also has {', '.join(missing)}"
-                )
+                raise ConfigurationError(f"the motion has joints {', '.join(names)}: {robot.name!r} also has {missing}")
             q = q[:, [names.index(name) for name in robot.joint_names]]
         if not (len(q) == len(time) >= 2 and np.all(np.isfinite(time)) and np.all(np.diff(time) > 0.0)):
-            raise ConfigurationError(
-                f"a motion has two or more samples at increasing, finite times and {robot.nv} joints; got times of "
-                f"shape {time.shape} and positions of shape {q.shape}"
-            )
+            wanted = f"a motion has two or more samples at increasing, finite times and {robot.nv} joints"
+            raise ConfigurationError(f"{wanted}; got times of shape {time.shape} and positions of shape {q.shape}")
         # without whole turns between samples
         ways = map(robot.difference, q[:-1], q[1:])
         self.time, x = time - time[0], np.cumsum([robot.positions(q[0]), *ways], axis=0)
@@ -235,6 +231,7 @@ class JointMotion(Task):
 
     Attributes:
         start: shape (nv,), the first posture [rad or m].
+        duration: How long the motion takes where no limit slows it down [s].
 
     Raises:
         ConfigurationError: Postures that are not finite or of another size.
@@ -258,12 +255,9 @@ class JointMotion(Task):
         legs = [table][: len(table) - 1] if through else [table[i : i + 2] for i in range(len(table) - 1)]
         self._legs = [_leg(limits, leg, share) for leg in legs]
         self._ends = np.cumsum([profile.duration for _, profile in self._legs])
+        # half a second for a gripper to close or to open
+        self.duration = max([0.5 if gripper else 0.0, *self._ends.tolist()])
         self.start, self._last = table[0], table[-1]
-
-    @property
-    def duration(self) -> float:
-        """How long the motion takes where no limit slows it down [s]."""
-        return max([0.5 if self.gripper else 0.0, *self._ends.tolist()])  # half a second to close or to open it
 
     def at(self, t: float) -> tuple[Vector, Vector]:
         """Where the joints should be t [s] after the start, and how fast [rad or m, rad/s or m/s]."""
@@ -327,12 +321,13 @@ class LawSequence(LimitedController):
     Attributes:
         laws: The same.
         robot: The robot of all.
+        limits: Limits of the first law; those of all in a loop.
         number: Which law is in force, counted from 0.
         began: Time at which that law took over [s]; None before the first call.
     """
 
     def __init__(self, *laws: ResolvedRateController):
-        self.laws, self.robot = laws, laws[-1].robot
+        self.laws, self.robot, self.limits = laws, laws[-1].robot, laws[0].limits
         self.reset()
 
     def reset(self) -> None:
@@ -345,11 +340,6 @@ class LawSequence(LimitedController):
     def gripper(self) -> Gripping | None:
         """What a gripper was last told, `"close"` or `"open"`; None before that."""
         return next((law.task.gripper for law in reversed(self.laws[: self.number + 1]) if law.task.gripper), None)
-
-    @property
-    def limits(self) -> Limits | None:
-        """Those of the law in force."""
-        return self.law.limits
 
     @property
     def law(self) -> ResolvedRateController:
