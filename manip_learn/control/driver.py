@@ -284,12 +284,10 @@ class OrderlyEnd:
     def __init__(self, driver: object, brake: Callable[[], object], patience: float, clock: Clock):
         self._driver, self._brake, self._patience, self._clock = driver, brake, patience, clock
         self.reason, self.ordered, self.holds, self._collected = "", False, True, gc.isenabled()
-        self.failed: dict[str, str] = {}
+        self.failed, self.signals, self._before = dict[str, str](), list[int](), dict[int, Any]()  # handlers before
         self.raised: BaseException | None = None
-        self.signals: list[int] = []
-        self._called = math.inf  # when the driver was called that has not returned yet [s]
-        self._before: dict[int, Any] = {}  # handlers of signals
-        self._over = threading.Event()
+        # when the driver was called that has not returned yet [s]; set when the cycle is over
+        self._called, self._over = math.inf, threading.Event()
 
     def stop(self, reason: str, ordered: bool = False) -> None:
         """Brake, and end when the arm stands; the first reason counts, an empty one is none."""
@@ -385,12 +383,10 @@ class _Cycle:
         self.ending = OrderlyEnd(arm, loop.stop, loop.stale_after, clock)
         own = loop.begins
         self._start, self._within = (loop.position, np.maximum(_AWAY, loop.yields)) if own is None else (own, _AWAY)
-        self._samples: list[_Sample] = []
-        self._stride = 1  # cycles from one sample to the next
+        self._samples, self._stride = list[_Sample](), 1  # and cycles from one sample to the next
         self._place = np.zeros(loop.robot.nv)  # first positions that were read, and later those that were sent last
         self._doubted = self._astray = 0  # first readings; readings in turn that say that the arm goes off
-        self._words = ""  # of the loop, on what stopped the arm
-        self._told: str | None = None  # to the gripper
+        self._words = self._told = ""  # of the loop, on what stopped the arm; to the gripper
         self._continuous = np.array([b.kind == "continuous" for b in loop.robot.blocks for _ in b.coordinate_names])
 
     def run(self, duration: float, until: Callable[[], str]) -> None:

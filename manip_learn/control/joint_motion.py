@@ -224,7 +224,7 @@ class JointMotion(Task):
 
     Args:
         limits: Of the robot's joints and tip.
-        postures: shape (k, nv), joint positions [rad or m], the start first.
+        path: shape (k, nv), postures as joint positions [rad or m], the start first.
         share: Of the joints' velocity limits that is used at most.
         gripper: What a gripper does meanwhile, `"close"` or `"open"`, for which it has half a second at least.
         through: One leg, a spline through all postures, in place of a straight one between each two.
@@ -241,15 +241,9 @@ class JointMotion(Task):
     gain = 10.0  # [1/s] rate at which deviations are taken back, as of a way
 
     def __init__(
-        self,
-        limits: Limits,
-        postures: ArrayLike,
-        share: float = 1.0,
-        gripper: Gripping | None = None,
-        *,
-        through: bool = False,
+        self, limits: Limits, path: ArrayLike, share: float = 1, gripper: Gripping | None = None, through: bool = False
     ):
-        self._robot, table = limits.robot, np.array(checked_postures(limits.robot, postures))
+        self._robot, table = limits.robot, np.array(checked_postures(limits.robot, path))
         self.gripper: Gripping | None = gripper
         table = table[np.append(True, np.any(np.diff(table, axis=0) != 0.0, axis=1))]  # those of rest are no legs
         legs = [table][: len(table) - 1] if through else [table[i : i + 2] for i in range(len(table) - 1)]

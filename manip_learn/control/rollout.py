@@ -215,8 +215,7 @@ class Rollout:
         Raises:
             RecordingError: No such file, another kind of file, or another robot.
         """
-        path = Path(path)
-        motion = read_saved(path)
+        path, motion = Path(path), read_saved(Path(path))
         header = motion.header
         if header.kind != "rollout":
             fix = spoken(": load_demonstrations reads it", ": name a file that `manip-learn control --out` wrote")

@@ -103,10 +103,9 @@ def simulate(
         fix = advice("take {}", "a shorter duration or a larger dt", "a shorter --duration or a larger --dt")
         raise ConfigurationError(f"{duration / dt:.3g} steps take {size / 1e9:.3g} GB of memory: {fix}") from error
     steps, table = round(duration / dt), np.ndim(q0) == 2
-    if robot is None:
-        starts = np.array(q0, dtype=np.float64, ndmin=2)
-    else:  # names the row before any work is done
-        starts = np.array(checked_postures(robot, q0) if table else [robot.checked_posture(q0)])
+    # a wrong row is named before any work is done
+    checked = q0 if robot is None else checked_postures(robot, q0) if table else robot.checked_posture(q0)
+    starts = np.array(checked, dtype=np.float64, ndmin=2)
     native = controller.native if isinstance(controller, ResolvedRateController) and controller.robot is robot else None
     rollouts, own = list[Rollout](), None if table else progress
     # 256 of a table together: more hold memory twice, fewer leave cores idle at the end of each block
@@ -119,10 +118,8 @@ def simulate(
     return tuple(rollouts) if table else rollouts[0]
 
 
-def _stepped(
-    robot: Robot | None, controller: Any, q: Posture, steps: int, dt: float, report: Progress | None
-) -> Rollout:
-    """Return the rollout from one start, step by step: in a servo loop, which the library's controllers get anyhow."""
+def _stepped(robot: Robot | None, controller: Any, q: Posture, n: int, dt: float, report: Progress | None) -> Rollout:
+    """Return the rollout from one start, in n steps: in a servo loop, which the library's controllers get anyhow."""
     step, task_error = (lambda q, t: controller(q, t, dt)), getattr(controller, "task_error", lambda q, t: np.nan)
     if isinstance(controller, ServoLoop):
         controller.reset(q)
@@ -130,13 +127,13 @@ def _stepped(
     elif isinstance(controller, LimitedController) and controller.limits is not None:
         step = ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
     samples = list[Sample]()
-    for t in (np.arange(steps + 1) * dt).tolist():
+    for t in (np.arange(n + 1) * dt).tolist():
         command = step(q, t)
         samples.append((t, q, command, task_error(q, t)))
-        if len(samples) <= steps:
+        if len(samples) <= n:
             q = q + dt * command.velocity if robot is None else robot.integrate(q, dt * command.velocity)
         if report is not None:
-            report("simulating", len(samples) / (steps + 1))
+            report("simulating", len(samples) / (n + 1))
     return rollout_of(robot, controller, samples)
 
 
@@ -250,18 +247,17 @@ def simulate_way(
     for length in sorted(lengths) if duration is None else [duration]:
         rollout = simulate(robot, controller, q0, length, dt, progress=progress)
         places, end = _places_of(task, rollout)
-        if end is not None:
+        if end < np.inf:
             break
-    if end is not None and duration is None:
-        rollout = rollout.until(end)
+    rollout = rollout.until(end if duration is None else np.inf)
     done = _way_done(task, rollout, places[: len(rollout)], robot)
     return replace(rollout, ways=(done.to_dict(),)), done
 
 
-def _places_of(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray, " T"], float | None]:
+def _places_of(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray, " T"], float]:
     """Return how far the way had come at each sample [m or rad], NaN before it began, and when it ended [s].
 
-    It ends a moment after it was done, or when the hand stood still for good; None if it goes on.
+    It ends a moment after it was done, or when the hand stood still for good; inf if it goes on.
     """
     time, places, done = rollout.time, np.full(len(rollout), np.nan), DONE[task.unit]
     first = len(time) if task.way_begins is None else int(np.searchsorted(time, task.way_begins - 1e-9))
@@ -274,7 +270,7 @@ def _places_of(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray,
     # 2 s without progress count as stopped, for a singular start is left within one; 1e-9 s against rounding
     before = np.interp(time - 2.0 + 1e-9, time, places, left=np.nan)
     still = (np.abs(places - before) < done) & (np.abs(places - meant) > done)  # and not as shown
-    return places, next(iter([*(time[there] + AT_REST), *time[still]]), None)
+    return places, next(iter([*(time[there] + AT_REST), *time[still]]), np.inf)
 
 
 def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " T"], robot: Robot) -> WayDone:

@@ -29,9 +29,9 @@ from manip_learn.recordings.writers.write_motion import yaml_text
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 
+# elsewhere: along axes that are free, which the controller moves, and along those not known
 REASON = (
-    "compliant along axes that the environment holds, so that an error of the frame does not turn into force; "
-    "stiff along those that are free, which the controller moves, and along those not known"
+    "compliant where the environment holds, so that an error of the frame does not turn into force; stiff elsewhere"
 )
 
 # [m] and [rad] that a planner may leave a held axis by: half a centimetre is what a gripper's fingers give way, and
@@ -122,10 +122,9 @@ def impedance(
     values = np.where(frame.along("held"), np.repeat(compliant, 3), np.repeat(stiff, 3))
     X = frame.from_hand
     K = X.T @ np.diag(values) @ X
-    M = robot.hand_inertia(q, frame.frame)
-    if M is None:  # the description has no inertias: 1 kg and 1 kg m2, damping 2 sqrt(stiffness), as often used
-        M = np.eye(6)
-    root = np.real(sqrtm(M))
+    inertia = robot.hand_inertia(q, frame.frame)
+    # where the description has none, 1 kg and 1 kg m2: damping 2 sqrt(stiffness), as often used
+    root = np.real(sqrtm(np.eye(6) if inertia is None else inertia))
     back = np.linalg.inv(root)
     D = 2.0 * damping_ratio * root @ np.real(sqrtm(back @ K @ back)) @ root
     about = {"reason": REASON, "base": robot.frame_names[0], "frame": frame.frame}
