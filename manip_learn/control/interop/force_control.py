@@ -30,9 +30,7 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 
 # elsewhere: along axes that are free, which the controller moves, and along those not known
-REASON = (
-    "compliant where the environment holds, so that an error of the frame does not turn into force; stiff elsewhere"
-)
+REASON = "compliant where the environment holds, so that no error of the frame turns into force; stiff elsewhere"
 
 # [m] and [rad] that a planner may leave a held axis by: half a centimetre is what a gripper's fingers give way, and
 # samplers need some room; three uncertainties at the end of the task where that is more
