@@ -25,7 +25,7 @@ from when_cases import ARMS, PAUSE, TASKS, Case, cases_of, exists, posture, robo
 from when_runs import run
 
 import manip_learn as ml
-from manip_learn.control.way import simulate_way
+from manip_learn.control.simulation import simulate_way
 
 SHORT_ARMS, SHORT_TASKS = ("panda", "sawyer", "xarm7"), ("drawer 0.3 m", "door 60 deg", "wipe 0.4 x 0.3 m")
 SHORT_STARTS = 3  # of each arm and task, with either hand

@@ -25,7 +25,7 @@ from table_file import put
 
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES, shipped_recordings
-from manip_learn.control.way import STRAY, WayDone, simulate_way
+from manip_learn.control.simulation import STRAY, WayDone, simulate_way
 
 SHUT = 0.75  # [m] where the handle is along the drawer's line when it is shut: the middle of the recorded starts
 HEIGHTS = (0.2, 0.35, 0.5)  # [m] of the three recorded drawers

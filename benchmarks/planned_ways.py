@@ -24,7 +24,7 @@ import numpy as np
 from table_file import put
 
 import manip_learn as ml
-from manip_learn.control.way import WayDone, simulate_way
+from manip_learn.control.simulation import WayDone, simulate_way
 from manip_learn.planning.clearance import links_of
 from manip_learn.planning.stations import Stations
 from manip_learn.planning.ways import marches_of

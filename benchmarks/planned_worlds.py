@@ -32,7 +32,7 @@ from scipy.interpolate import CubicSpline
 
 import manip_learn as ml
 from manip_learn.control.limits import Limits
-from manip_learn.control.way import simulate_way
+from manip_learn.control.simulation import simulate_way
 from manip_learn.planning.clearance import Clearance, Surroundings, hand_of, links_of
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.plan import FOLLOWING, SPARE, PathPolicy

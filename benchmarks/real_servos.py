@@ -22,7 +22,7 @@ from typing import Any, final
 import numpy as np
 
 import manip_learn as ml
-from manip_learn.control.way import simulate_way
+from manip_learn.control.simulation import simulate_way
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 from drawer_physics import PERIOD, ArmPhysics, drawer

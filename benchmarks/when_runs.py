@@ -14,7 +14,7 @@ from controller_cases import plain_urdf
 from when_cases import PAUSE, Case
 
 import manip_learn as ml
-from manip_learn.control.way import AT_REST, DONE, SLACK, STRAY, WayDone, simulate_way
+from manip_learn.control.simulation import AT_REST, DONE, SLACK, STRAY, WayDone, simulate_way
 from manip_learn.planning.clearance import links_of
 
 GAIN, DURATION, THERE = 2.0, 5.0, 1e-3  # [1/s] and [s] of reaching, and what may be missing of it [m or rad]

@@ -29,8 +29,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.simulation import simulate
-from manip_learn.control.way import WayDone
+from manip_learn.control.simulation import WayDone, simulate
 from manip_learn.learning.audit import EpisodeAudit, audit_episodes
 from manip_learn.recordings.load import RecordingSource
 from manip_learn.robot import load_robot

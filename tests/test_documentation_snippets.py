@@ -44,7 +44,7 @@ def test_snippets_run(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
     if fakes := vendors(page.stem):
-        monkeypatch.setattr("manip_learn.control.cycle.time", Clock())  # 500 Hz is too much for a busy machine
+        monkeypatch.setattr("manip_learn.control.driver.time", Clock())  # 500 Hz is too much for a busy machine
         for name, module in fakes.items():
             monkeypatch.setitem(sys.modules, name, module)
     found = names()

@@ -56,7 +56,7 @@ IMPORTED_AS = {"pin": "pinocchio"}
 # user's own, or a driver, raises; a live view goes on, and logs, whatever a program's function raises in its thread;
 # parsers of meshes and expressions of xacro files are code of others
 LAST_LINES_OF_DEFENCE = (
-    *("cli.py", "control/servo_loop.py", "control/driver.py", "control/cycle.py"),
+    *("cli.py", "control/servo_loop.py", "control/driver.py"),
     *("robot/visuals/meshes.py", "robot/description/xacro_expansion.py"),
     *("drivers/record.py", "commands/record.py", "teach/worker.py", "playback/live_viewer.py"),
 )

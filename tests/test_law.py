@@ -26,7 +26,7 @@ from manip_learn.control.policies import (
     NullSpacePolicy,
     SampledPolicy,
 )
-from manip_learn.control.way import simulate_way
+from manip_learn.control.simulation import simulate_way
 
 DT = 0.01
 ARMS = ["planar3", "sawyer", "kinova", "gantry", "tree", "wrist"]

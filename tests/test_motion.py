@@ -11,8 +11,8 @@ from task_sets import learnt_from, shipped
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian, MechanismRows
+from manip_learn.control.simulation import DONE, WayDone, joint_at_limit, leads_away, simulate_way
 from manip_learn.control.tasks.motion import motion_to
-from manip_learn.control.way import DONE, WayDone, joint_at_limit, leads_away, simulate_way
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"

@@ -16,9 +16,8 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.constraint.shown import Shown
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.simulation import simulate
+from manip_learn.control.simulation import simulate, simulate_way
 from manip_learn.control.tasks import FreeDirection
-from manip_learn.control.way import simulate_way
 from manip_learn.playback import LiveViewer, replay
 from manip_learn.playback.palette import COLOURS
 from manip_learn.playback.recorded_motion import key_frames

@@ -15,7 +15,7 @@ from task_sets import generated, learnt_from
 
 import manip_learn as ml
 from manip_learn.constraint.intention import Intention
-from manip_learn.control.way import simulate_way
+from manip_learn.control.simulation import simulate_way
 from manip_learn.errors import ConstraintError, TargetError
 from manip_learn.robot.rotations import angles_between
 

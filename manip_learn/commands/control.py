@@ -17,10 +17,9 @@ from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
-from manip_learn.control.simulation import simulate
+from manip_learn.control.simulation import WayDone, leads_away, simulate, simulate_way
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
 from manip_learn.control.tasks.motion import motion_to, null_policy
-from manip_learn.control.way import WayDone, leads_away, simulate_way
 from manip_learn.errors import TargetError
 from manip_learn.linalg import complement_rows
 from manip_learn.planning.plan import Plan, plan

@@ -13,10 +13,9 @@ from manip_learn.commands.options import DemoOptions, LearnOptions, PlanOptions,
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
-from manip_learn.control.simulation import simulate
+from manip_learn.control.simulation import WayDone, simulate, simulate_way
 from manip_learn.control.tasks import PointAttractor, Task, motion
 from manip_learn.control.tasks.motion import null_policy
-from manip_learn.control.way import WayDone, simulate_way
 from manip_learn.errors import UnknownNameError
 from manip_learn.planning.plan import Plan
 from manip_learn.playback import ReplayResult, replay

@@ -1,10 +1,16 @@
-"""An arm behind a small protocol, and the cycle that runs a servo loop on it."""
+"""An arm behind a small protocol, and the cycle that runs a servo loop on it: its clock, and its end in order."""
 
 from __future__ import annotations
 
+import atexit
+import gc
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol, final
 
@@ -12,10 +18,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from manip_learn.control.command import Command, Posture, Status, Vector
-from manip_learn.control.cycle import Clock, ComputerClock, OrderlyEnd, Pace
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import rollout_of
+from manip_learn.control.timing import in_milliseconds
 from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import finite
 from manip_learn.recordings.checks import far_outside
@@ -146,10 +152,8 @@ def run(
     if duration is not None and not 0.0 <= duration < math.inf:
         raise ConfigurationError(f"duration must be a number of seconds, got {duration!r}")
     if not math.isclose(driver.period, loop.dt, rel_tol=0.01):
-        raise ConfigurationError(
-            f"the driver's period is {1e3 * driver.period:g} ms and the loop's {1e3 * loop.dt:g} ms: "
-            f"make the loop with ServoLoop(controller, dt={driver.period:g})"
-        )
+        periods = f"the driver's period is {1e3 * driver.period:g} ms and the loop's {1e3 * loop.dt:g} ms"
+        raise ConfigurationError(f"{periods}: make the loop with ServoLoop(controller, dt={driver.period:g})")
     cycle = _Cycle(loop, _Arm(loop.robot, driver), clock or ComputerClock())
     loop.reset(loop.position)
     for note in loop.notes:
@@ -162,6 +166,214 @@ def run(
     return cycle.record()
 
 
+class Clock(Protocol):
+    """Where a cycle takes its time from."""
+
+    def now(self) -> float:
+        """The time [s]; it never falls."""
+        ...
+
+    def wait_until(self, moment: float) -> object:
+        """Return at a time [s], or at once where that is over."""
+        ...
+
+
+@final
+class ComputerClock:
+    """The time that passes here."""
+
+    def now(self) -> float:
+        """Since an arbitrary moment [s]."""
+        return time.perf_counter()
+
+    def wait_until(self, moment: float) -> None:
+        """Sleep, then spin: sleeping may wake up 0.2 ms late."""
+        time.sleep(max(0.0, moment - time.perf_counter() - 2e-4))
+        while time.perf_counter() < moment:
+            pass
+
+
+@final
+class Pace:
+    """Cycles of a driver, one per period; the clock of a simulated driver is their number.
+
+    Args:
+        driver: Its `period`, and whether it is `simulated`.
+        clock: Where the time of other drivers comes from.
+
+    Attributes:
+        period: Between two cycles [s].
+        simulated: True if the cycles are not waited for.
+        cycles: Number of cycles, counted by the caller.
+        overruns: Number of cycles that began late by more than half a period.
+        longest_delay: Of the beginning of a cycle [s].
+        fault: Why the period is not held, in words; empty if it is.
+    """
+
+    def __init__(self, driver: Any, clock: Clock):
+        self._driver, self._clock, self.period = driver, clock, float(driver.period)
+        self.simulated = bool(getattr(driver, "simulated", False))
+        self.cycles, self.overruns, self.longest_delay, self.fault = 0, 0, 0.0, ""
+        self._missed, self._due = 0.0, clock.now()  # share of the periods of late that were missed, next cycle [s]
+        self.begin()
+
+    def begin(self) -> None:
+        """Count the time of a clock from the next cycle on."""
+        self._start, self._began = self._due, ComputerClock().now()
+
+    @property
+    def time(self) -> float:
+        """Time since `begin`, that of a simulated driver since its first cycle [s]."""
+        return self.cycles * self.period if self.simulated else self._clock.now() - self._start
+
+    def wait(self) -> float:
+        """Wait for the next cycle and return when it begins [s]; a period that was missed is not made up for."""
+        period, time, late = self.period, self.time, 0.0
+        if not self.simulated:
+            self._clock.wait_until(self._due)
+            time = self.time
+            late = time + self._start - self._due
+        self.longest_delay = max(self.longest_delay, late)
+        self.overruns += late > 0.5 * period
+        missed = int(max(0.0, late) / period)
+        # where half of the periods of a second were missed, the period cannot be held
+        self._missed += (missed / (missed + 1.0) - self._missed) * min(1.0, (missed + 1.0) * period)
+        if self._missed > 0.5 * (1.0 - math.exp(-1.0)):
+            seconds = ComputerClock().now() - self._began
+            self.fault = f"the period of {1e3 * period:g} ms cannot be held: cycles begin {1e3 * late:.2g} ms late"
+            if in_milliseconds(time, seconds):
+                self.fault += f"; the clock went on by {time:.3g} in {seconds:.1g} s: it is to count seconds"
+        if self._driver.period != period:
+            self.fault = f"the driver's period changed from {1e3 * period:g} to {1e3 * self._driver.period:g} ms"
+        self._due += period * (missed + 1)
+        return time
+
+
+@final
+class GivenUp(KeyboardInterrupt):
+    """A signal while a call of the driver was not returning; its argument says for how long [s]."""
+
+
+@final
+class OrderlyEnd:
+    """However a cycle ends, the arm holds itself: by a signal, an exception, or with the interpreter.
+
+    Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal) ask the cycle to end, wherever it is. They come
+    to the main thread; a cycle in another one, which would be killed with a daemon thread, is asked when the
+    interpreter ends, and waited for. A program that was started to ignore SIGTERM or SIGHUP, as by nohup, goes on
+    ignoring it. After one of these two, once the cycle has ended, the program's own handler is called; where there is
+    none, the program ends by `SystemExit` with 128 and the number of the signal. What cannot be caught (kill -9, a loss
+    of power) needs a watchdog in the driver or in the arm. Meanwhile no garbage is collected: that was seen to take
+    260 ms.
+
+    Args:
+        driver: Its `hold()`, where it has one, is called at the end.
+        brake: Called once, when there is a reason to end.
+        patience: Time that a call of the driver may take [s]; a signal after that gives the call up.
+        clock: Measures that time.
+
+    Attributes:
+        reason: Why the cycle is to end, in words; empty so far.
+        ordered: Whether it ends for that reason as it was meant to.
+        signals: Those that have come; the end of the interpreter counts as Ctrl-C.
+        holds: Whether `hold()` is to be called; a driver that has not returned from one call is not asked for another.
+        failed: Call that was given up, or `hold()` that raised -> what went wrong, in words.
+        raised: What is to be raised when the arm stands.
+    """
+
+    def __init__(self, driver: object, brake: Callable[[], object], patience: float, clock: Clock):
+        self._driver, self._brake, self._patience, self._clock = driver, brake, patience, clock
+        self.reason, self.ordered, self.holds, self._collected = "", False, True, gc.isenabled()
+        self.failed, self.signals, self._before = dict[str, str](), list[int](), dict[int, Any]()  # handlers before
+        self.raised: BaseException | None = None
+        # when the driver was called that has not returned yet [s]; set when the cycle is over
+        self._called, self._over = math.inf, threading.Event()
+
+    def stop(self, reason: str, ordered: bool = False) -> None:
+        """Brake, and end when the arm stands; the first reason counts, an empty one is none."""
+        if reason and not self.reason:
+            self.reason, self.ordered = reason, ordered
+            self._brake()
+
+    @property
+    def outcome(self) -> tuple[str, bool]:
+        """Why the cycle ended and what failed then, in words; and whether it ended as it was meant to."""
+        return "; ".join((self.reason, *self.failed.values())), self.ordered and not self.failed
+
+    @contextmanager
+    def waiting(self, call: str) -> Iterator[None]:
+        """A call of the driver, which a signal gives up if it does not return, as does a second Ctrl-C."""
+        self._called = self._clock.now()
+        try:
+            yield
+        except GivenUp as error:
+            self.failed[call] = f"the driver's {call}() had not returned for {error.args[0]:.2g} s"
+        finally:
+            self._called = math.inf
+
+    def ask(self, call: str, *arguments: Any) -> Any:
+        """Return the driver's answer; None where it has no such call, or one that does not return or raises."""
+        try:
+            if call not in self.failed and (function := getattr(self._driver, call, None)) is not None:
+                with self.waiting(call):
+                    return function(*arguments)
+        except KeyboardInterrupt:
+            self.stop("Ctrl-C", True)
+        except BaseException as error:  # whatever it is, an arm in motion must brake: it is raised when the arm stands
+            self.stop(f"the driver's {call}() failed: {type(error).__name__}: {error}")
+            self.raised = self.raised if isinstance(error, Exception) else error
+        return None
+
+    def __enter__(self) -> None:
+        atexit.register(self._interpreter_ends)
+        names = ("SIGINT", "SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
+        for number in [number for number in signal.Signals if number.name in names]:  # Windows has no SIGHUP
+            before = signal.getsignal(number)  # None where it is not Python's to put back
+            if before is not None and (before != signal.SIG_IGN or number == signal.SIGINT):
+                self._before[number] = signal.signal(number, self._receive)
+        gc.collect()
+        gc.disable()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._collected:
+            gc.enable()
+        try:
+            if self.holds or kind is not None:
+                with self.waiting("hold"):
+                    getattr(self._driver, "hold", lambda: None)()
+        except Exception as error:  # whatever a driver raises, what was recorded is kept
+            self.failed["hold"] = f"the driver's hold() failed: {type(error).__name__}: {error}"
+        finally:
+            self._over.set()
+            atexit.unregister(self._interpreter_ends)
+            for number, handler in self._before.items():
+                signal.signal(number, handler)
+        for number in [number for number in self.signals if number != signal.SIGINT][-1:]:
+            if not callable(handler := self._before[number]):
+                raise SystemExit(128 + number)  # as a shell says it
+            handler(number, None)
+
+    def _interpreter_ends(self) -> None:
+        """The main thread is over: brake, before this thread is killed."""
+        self.signals.append(signal.SIGINT)
+        self.stop("the interpreter ended", True)
+        self._over.wait(12.0)  # [s] for the arm to brake and to hold itself
+
+    def _receive(self, number: int, frame: object) -> None:
+        """Stop; in a call of the driver that does not return, give that call up.
+
+        Raises:
+            GivenUp: In the call of the driver.
+        """
+        by_hand = number == signal.SIGINT
+        again = by_hand and number in self.signals  # not of a SIGHUP, which kernel and shell may both send
+        self.signals.append(number)
+        self.stop("Ctrl-C" if by_hand else signal.Signals(number).name, True)
+        taken = self._clock.now() - self._called  # negative if no call is under way
+        if taken > self._patience or (again and taken >= 0.0):
+            raise GivenUp(taken)
+
+
 @final
 class _Cycle:
     """The state of a run."""
@@ -171,12 +383,10 @@ class _Cycle:
         self.ending = OrderlyEnd(arm, loop.stop, loop.stale_after, clock)
         own = loop.begins
         self._start, self._within = (loop.position, np.maximum(_AWAY, loop.yields)) if own is None else (own, _AWAY)
-        self._samples: list[_Sample] = []
-        self._stride = 1  # cycles from one sample to the next
+        self._samples, self._stride = list[_Sample](), 1  # and cycles from one sample to the next
         self._place = np.zeros(loop.robot.nv)  # first positions that were read, and later those that were sent last
         self._doubted = self._astray = 0  # first readings; readings in turn that say that the arm goes off
-        self._words = ""  # of the loop, on what stopped the arm
-        self._told: str | None = None  # to the gripper
+        self._words = self._told = ""  # of the loop, on what stopped the arm; to the gripper
         self._continuous = np.array([b.kind == "continuous" for b in loop.robot.blocks for _ in b.coordinate_names])
 
     def run(self, duration: float, until: Callable[[], str]) -> None:
@@ -185,8 +395,7 @@ class _Cycle:
         while True:
             t = pace.wait()
             ending.stop(pace.fault)
-            if t >= duration - 0.5 * pace.period:
-                ending.stop(f"the {duration:g} s were over", True)
+            ending.stop(f"the {duration:g} s were over" if t >= duration - 0.5 * pace.period else "", True)
             try:
                 ending.stop(until() if ending.raised is None else "", True)
             except BaseException as error:  # whatever it is, SystemExit too: an arm in motion must brake
@@ -234,9 +443,8 @@ class _Cycle:
         elif before is None:
             words = "one reading alone"
         self._doubted += 1
-        is_late = self._doubted * self._pace.period > 1.0  # [s]
-        if (outside := far_outside(robot, self._place)) or (words and is_late):
-            self.ending.stop(outside or words)
+        outside, is_late = far_outside(robot, self._place), self._doubted * self._pace.period > 1.0  # [s]
+        self.ending.stop(outside or (words if is_late else ""))
         return outside or words
 
     def _goes_astray(self, q: Any, tripped: bool) -> str:
@@ -250,10 +458,8 @@ class _Cycle:
             return ""
         _, first, _, start = self._samples[0]
         went = float(np.abs(self._robot.difference(start, self._place)).max())
-        words = (
-            f"at first, and was sent by {went:.1g} rad or m at most: it was in motion or is pushed, or "
-            "the driver reads other joints, units or senses than it commands"
-        )
+        causes = "it was in motion or is pushed, or the driver reads other joints, units or senses than it commands"
+        words = f"at first, and was sent by {went:.1g} rad or m at most: {causes}"
         # an arm that was sent by less than 0.02 rad or m, and is four times as far away, has gone by itself
         most = max(0.0 if tripped else _AWAY, 4.0 * went)
         away = _apart(self._robot, first, q, most, words) if went < 0.02 else ""
@@ -298,17 +504,15 @@ class _Cycle:
 
     def record(self) -> RunRecord:
         """What was done."""
-        loop, pace, rows = self._loop, self._pace, self._samples
-        q = np.array([q for _, q, _, _ in rows]).reshape(len(rows), -1 if rows else self._robot.nv)
-        time, errors = np.array([t for t, *_ in rows]), np.array([loop.task_error(q, t) for t, q, _, _ in rows])
-        rollout = rollout_of(self._robot, loop, time, q, [command for _, _, command, _ in rows], errors)
+        loop, pace = self._loop, self._pace
+        rollout = rollout_of(loop.robot, loop, [(t, q, c, loop.task_error(q, t)) for t, q, c, _ in self._samples])
         return RunRecord(rollout, pace.cycles, pace.overruns, pace.longest_delay, *self.ending.outcome)
 
 
 def _numbers(robot: Robot, q: Any) -> Posture | None:
     """Return a reading if it is as many finite numbers as a posture has, else None."""
-    x = finite(q, *np.shape(q))
-    return x if x is not None and x.shape in ((robot.nq,), (robot.nv,)) else None
+    positions = finite(q, robot.nv)
+    return finite(q, robot.nq) if positions is None else positions
 
 
 def _apart(robot: Robot, place: Posture | None, q: Posture, most: Vector | float, words: str) -> str:

@@ -30,10 +30,6 @@ from manip_learn.robot.robot import Robot
 
 # [rad or m] of all joints together: a posture is reached, the hand within a millimetre of where it should be
 ARRIVED = 1e-3
-_RAMP = 0.5  # [s] from rest to the speed, as that of a way
-LOOKED = 8  # places on each piece of a path at which its speed is looked at
-CLOSING = 0.5  # [s] that a gripper takes to close or to open
-_SETTLING = 1.0  # [s] after which the way begins anyhow, with what encoder noise leaves
 
 
 @final
@@ -84,14 +80,11 @@ class FollowMotion(LimitedController):
         self.robot, self.motion, self.limits, self.ahead = robot, motion, limits or Limits(robot), float(ahead)
         self._path = path = _Path(robot, motion, self.limits.velocity)
         self.duration, sentences = float(path.time[-1]), list[str]()
-        is_jump = path.last[:-1] == np.arange(len(path.time) - 1)[:, None]
-        steps = np.abs(np.diff(path.pieces[0], axis=0)) * is_jump
-        for j in np.flatnonzero(is_jump.any(axis=0)).tolist():
-            k, times = int(steps[:, j].argmax()), counted(int(is_jump[:, j].sum()), "time")
-            sentences.append(
-                f"joint {robot.joint_names[j]} of the motion jumps {times}, at most by {steps[k, j]:.3g} "
-                f"{robot.joint_units[j]} at {path.time[k]:.3g} s: it catches up as fast as its limits let it"
-            )
+        for name, unit, steps in zip(robot.joint_names, robot.joint_units, path.jumps.T, strict=True):
+            k, times = int(steps.argmax()), counted(np.count_nonzero(steps), "time")
+            farthest = f"at most by {steps[k]:.3g} {unit} at {path.time[k]:.3g} s"
+            words = f"joint {name} of the motion jumps {times}, {farthest}: it catches up as fast as its limits let it"
+            sentences += [words] if steps[k] > 0.0 else []
         self.jumps = self.notes = tuple(sentences)
         self.reset()
 
@@ -137,9 +130,15 @@ class FollowMotion(LimitedController):
         # the clock runs slower for the motion within the limits of the joints, all of the wish within the tip's
         most, frames = float(np.max(np.abs(rate) / limits.velocity, initial=1.0)), limits.barriers
         self._rate /= max(most, frames.fastest(q, wish) / frames.speed)
-        wish, _ = self._wish(q, dt)
         fastest = limits.velocity * (RETURN_SPEED if self._clock < 0.0 else 1.0)
-        return self._within(q, np.clip(wish, -fastest, fastest), dt, previous)
+        wish, bounds = np.clip(self._wish(q, dt)[0], -fastest, fastest), limits.bounds(q, dt, previous)
+        u, barriers = bounds.nearest(wish), frames.at(q, dt, limits.acceleration, previous)
+        if barriers.broken(u) is not None:
+            W = np.zeros((0, len(wish)))
+            u = barriers.solution(u, None, lambda rows: nearest_within(wish, W, bounds, rows))
+        j, cause = bounds.binding(u, wish)
+        status = Status.OUTSIDE_LIMITS if bounds.outside > 0.0 else Status.OK if j < 0 else slowed_by(cause)
+        return Command.of_joints(u, status, outside=bounds.outside, limiting_joint=j)
 
     def _wish(self, q: np.ndarray, dt: float) -> tuple[Vector, Vector]:
         """Velocity of the motion, with that which closes the distance to it in the shortest time, and without."""
@@ -147,17 +146,6 @@ class FollowMotion(LimitedController):
         rate = rate * self._rate
         away = self.robot.difference(q, goal) - dt * rate
         return rate + np.sign(away) * stopping_speed(np.abs(away), self.limits.acceleration, dt), rate
-
-    def _within(self, q: np.ndarray, wish: np.ndarray, dt: float, previous: np.ndarray | None) -> Command:
-        """The velocity nearest to a wish that is within all limits."""
-        limits, bounds = self.limits, self.limits.bounds(q, dt, previous)
-        u, barriers = bounds.nearest(wish), limits.barriers.at(q, dt, limits.acceleration, previous)
-        if barriers.broken(u) is not None:
-            W = np.zeros((0, len(wish)))
-            u = barriers.solution(u, None, lambda rows: nearest_within(wish, W, bounds, rows))
-        j, cause = bounds.binding(u, wish)
-        status = Status.OUTSIDE_LIMITS if bounds.outside > 0.0 else Status.OK if j < 0 else slowed_by(cause)
-        return Command.of_joints(u, status, outside=bounds.outside, limiting_joint=j)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Largest distance of a joint from where the motion is now [rad or m]."""
@@ -176,37 +164,35 @@ class _Path:
         pieces: shape (4, T, nv), coefficients of the positions after each sample, by powers of the time since then;
             those of joints without limits go on over whole turns.
         last: shape (T, nv), number of the last sample before the next jump of the joint.
+        jumps: shape (T - 1, nv), length of the jump after each sample [rad or m], 0 where there is none.
     """
 
     def __init__(self, robot: Robot, motion: Trajectory | Rollout, fastest: Vector):
         time, q = np.array(motion.time, dtype=np.float64), np.array(motion.q, dtype=np.float64)
         names = tuple(motion.joint_names)
         if names not in ((), robot.joint_names):
-            missing = [name for name in robot.joint_names if name not in names]
+            missing = ", ".join(name for name in robot.joint_names if name not in names)
             if missing or q.shape[1:] != (len(names),):
-                raise ConfigurationError(
-                    f"the motion's joints are {', '.join(names)}: robot {robot.name!r} also has {', '.join(missing)}"
-                )
+                raise ConfigurationError(f"the motion has joints {', '.join(names)}: {robot.name!r} also has {missing}")
             q = q[:, [names.index(name) for name in robot.joint_names]]
         if not (len(q) == len(time) >= 2 and np.all(np.isfinite(time)) and np.all(np.diff(time) > 0.0)):
-            raise ConfigurationError(
-                f"a motion has two or more samples at increasing, finite times and {robot.nv} joints; got times of "
-                f"shape {time.shape} and positions of shape {q.shape}"
-            )
+            wanted = f"a motion has two or more samples at increasing, finite times and {robot.nv} joints"
+            raise ConfigurationError(f"{wanted}; got times of shape {time.shape} and positions of shape {q.shape}")
         # without whole turns between samples
-        steps = [robot.difference(before, after) for before, after in zip(q, q[1:], strict=False)]
-        self.time, x = time - time[0], np.cumsum([robot.positions(q[0]), *steps], axis=0)
-        jumps = np.abs(np.diff(x, axis=0)) > fastest * np.diff(time)[:, None]
+        ways = map(robot.difference, q[:-1], q[1:])
+        self.time, x = time - time[0], np.cumsum([robot.positions(q[0]), *ways], axis=0)
+        steps = np.abs(np.diff(x, axis=0))
+        self.jumps = np.where(steps > fastest * np.diff(time)[:, None], steps, 0.0)
         slope, self.last = np.zeros_like(x), np.empty(x.shape, dtype=np.int64)
         for j in range(robot.nv):
-            for part in np.split(np.arange(len(time)), np.flatnonzero(jumps[:, j]) + 1):
+            for part in np.split(np.arange(len(time)), np.flatnonzero(self.jumps[:, j]) + 1):
                 self.last[part, j] = part[-1]
                 if len(part) > 1:
                     slope[part, j] = PchipInterpolator(time[part], x[part, j]).derivative()(time[part])
         slope[-1], self.pieces = 0.0, np.zeros((4, *x.shape))
         self.pieces[:2] = x, slope
         # without bends a joint that jumps goes on along the tangent, and at the end stays
-        self.pieces[2:, :-1] = CubicHermiteSpline(time, x, slope).c[1::-1] * ~jumps
+        self.pieces[2:, :-1] = CubicHermiteSpline(time, x, slope).c[1::-1] * (self.jumps == 0.0)
 
     def at(self, s: float, ahead: float) -> tuple[Vector, Vector]:
         """Where the motion that is going on at time s is a little later, and its velocity.
@@ -221,9 +207,8 @@ class _Path:
 
 def every_joint(robot: Robot) -> Constraint:
     """A(q) = I: a row for the velocity of each joint."""
-    nv, one, none = robot.nv, np.eye(robot.nv), np.zeros((robot.nv,) * 3)
-    same = partial(_same, one)
-    return Constraint(one, CustomFeatures(same, robot.joint_names, nv, derivative=partial(_same, none), robot=robot))
+    one, rates = np.eye(robot.nv), partial(_same, np.zeros((robot.nv,) * 3))
+    return Constraint(one, CustomFeatures(partial(_same, one), robot.joint_names, derivative=rates, robot=robot))
 
 
 def _same(value: np.ndarray, _q: np.ndarray) -> np.ndarray:
@@ -239,13 +224,14 @@ class JointMotion(Task):
 
     Args:
         limits: Of the robot's joints and tip.
-        postures: shape (k, nv), joint positions [rad or m], the start first.
+        path: shape (k, nv), postures as joint positions [rad or m], the start first.
         share: Of the joints' velocity limits that is used at most.
         gripper: What a gripper does meanwhile, `"close"` or `"open"`, for which it has half a second at least.
         through: One leg, a spline through all postures, in place of a straight one between each two.
 
     Attributes:
         start: shape (nv,), the first posture [rad or m].
+        duration: How long the motion takes where no limit slows it down [s].
 
     Raises:
         ConfigurationError: Postures that are not finite or of another size.
@@ -255,26 +241,17 @@ class JointMotion(Task):
     gain = 10.0  # [1/s] rate at which deviations are taken back, as of a way
 
     def __init__(
-        self,
-        limits: Limits,
-        postures: ArrayLike,
-        share: float = 1.0,
-        gripper: Gripping | None = None,
-        *,
-        through: bool = False,
+        self, limits: Limits, path: ArrayLike, share: float = 1, gripper: Gripping | None = None, through: bool = False
     ):
-        self._robot, table = limits.robot, np.array(checked_postures(limits.robot, postures))
+        self._robot, table = limits.robot, np.array(checked_postures(limits.robot, path))
         self.gripper: Gripping | None = gripper
         table = table[np.append(True, np.any(np.diff(table, axis=0) != 0.0, axis=1))]  # those of rest are no legs
         legs = [table][: len(table) - 1] if through else [table[i : i + 2] for i in range(len(table) - 1)]
         self._legs = [_leg(limits, leg, share) for leg in legs]
         self._ends = np.cumsum([profile.duration for _, profile in self._legs])
+        # half a second for a gripper to close or to open
+        self.duration = max([0.5 if gripper else 0.0, *self._ends.tolist()])
         self.start, self._last = table[0], table[-1]
-
-    @property
-    def duration(self) -> float:
-        """How long the motion takes where no limit slows it down [s]."""
-        return max([CLOSING if self.gripper else 0.0, *self._ends.tolist()])
 
     def at(self, t: float) -> tuple[Vector, Vector]:
         """Where the joints should be t [s] after the start, and how fast [rad or m, rad/s or m/s]."""
@@ -293,7 +270,7 @@ class JointMotion(Task):
     def is_over(self, q: ArrayLike, t: float) -> bool:
         """Whether it has arrived at posture q at time t [s]; after a second more, with what encoder noise leaves."""
         late, off = t - self.duration, self._robot.difference(np.asarray(q, dtype=np.float64), self._last)
-        return late >= 0.0 and (late >= _SETTLING or float(np.linalg.norm(off)) < ARRIVED)
+        return late >= 0.0 and (late >= 1.0 or float(np.linalg.norm(off)) < ARRIVED)
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """How far the joints are from the last posture [rad or m]."""
@@ -320,8 +297,9 @@ def _leg(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> tupl
     steps = np.diff(knots, axis=0)
     times = np.append(0.0, np.cumsum(needed(knots[:-1] + 0.5 * steps, steps)))
     path = CubicSpline(times / times[-1], knots, bc_type="natural")
-    fine = np.linspace(0.0, 1.0, LOOKED * max(4, len(steps)) + 1)  # the law keeps what is between
-    return path, MotionProfile(1.0, 1.0 / float(np.max(needed(path(fine), path(fine, 1)))), _RAMP)
+    fine = np.linspace(0.0, 1.0, 8 * max(4, len(steps)) + 1)  # the law keeps what is between
+    # half a second from rest to the speed, as a way takes
+    return path, MotionProfile(1.0, 1.0 / float(np.max(needed(path(fine), path(fine, 1)))), 0.5)
 
 
 @final
@@ -337,12 +315,13 @@ class LawSequence(LimitedController):
     Attributes:
         laws: The same.
         robot: The robot of all.
+        limits: Limits of the first law; those of all in a loop.
         number: Which law is in force, counted from 0.
         began: Time at which that law took over [s]; None before the first call.
     """
 
     def __init__(self, *laws: ResolvedRateController):
-        self.laws, self.robot = laws, laws[-1].robot
+        self.laws, self.robot, self.limits = laws, laws[-1].robot, laws[0].limits
         self.reset()
 
     def reset(self) -> None:
@@ -355,11 +334,6 @@ class LawSequence(LimitedController):
     def gripper(self) -> Gripping | None:
         """What a gripper was last told, `"close"` or `"open"`; None before that."""
         return next((law.task.gripper for law in reversed(self.laws[: self.number + 1]) if law.task.gripper), None)
-
-    @property
-    def limits(self) -> Limits | None:
-        """Those of the law in force."""
-        return self.law.limits
 
     @property
     def law(self) -> ResolvedRateController:

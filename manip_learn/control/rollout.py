@@ -138,9 +138,8 @@ class Rollout:
             RecordingError: Postures that are no joint positions (nq differs from nv) have no column names.
             MissingExtraError: pandas is not installed.
         """
-        table: Any = pandas_frame_of([self.trajectory()])
-        told = {"mu": self.mu, "task_error": self.task_error, "status": list(map(str, self.status))}
-        return table.drop(columns=TRAJECTORY).assign(**told)
+        table: Any = pandas_frame_of([self.trajectory()]).drop(columns=TRAJECTORY)
+        return table.assign(mu=self.mu, task_error=self.task_error, status=list(map(str, self.status)))
 
     def until(self, end: float) -> Rollout:
         """The samples up to a time [s]."""
@@ -216,8 +215,7 @@ class Rollout:
         Raises:
             RecordingError: No such file, another kind of file, or another robot.
         """
-        path = Path(path)
-        motion = read_saved(path)
+        path, motion = Path(path), read_saved(Path(path))
         header = motion.header
         if header.kind != "rollout":
             fix = spoken(": load_demonstrations reads it", ": name a file that `manip-learn control --out` wrote")
@@ -227,16 +225,15 @@ class Rollout:
             made, has = (", ".join(names) for names in (header.joint_names, robot.joint_names))
             text = f"it was made with the joints {made}, robot {robot.name!r} has {has}"
             raise refusal(path, "other-robot", f"{text}: load the robot it was made with, with the same locked joints")
-        known = {str(status): status for status in Status}
-        for number, word in enumerate(words := motion.arrays["status"].tolist()):
-            if word not in known:
-                text = f"the status is {word!r:.40}, it must be one of {', '.join(known)}"
-                raise refusal(path, "status", text, where=f"{path.name} sample {number}")
+        known, words = set(Status), motion.arrays["status"].tolist()
+        if (number := next((i for i, word in enumerate(words) if word not in known), None)) is not None:
+            text = f"the status is {words[number]!r:.40}, it must be one of {', '.join(Status)}"
+            raise refusal(path, "status", text, where=f"{path.name} sample {number}")
         told = {name: getattr(header, name) for name in (*_HEADER, "target")}
         told |= {name: motion.arrays[name] for name in _CURVES if name in motion.arrays}
         phases = tuple((name, float(start), float(end)) for name, start, end in header.phases or ())
         told |= {"phases": phases, "ways": tuple(header.ways or ()), "around": tuple(header.around or ())}
-        told["status"] = tuple(known[word] for word in words)
+        told["status"] = tuple(map(Status, words))
         return Rollout(**told), notes
 
 
@@ -244,8 +241,7 @@ def written_constraint(constraint: Constraint) -> Mapping[str, Any] | None:
     """A constraint as a rollout keeps it; None if its features, or what it came from, cannot be written."""
     provenance = {k: v for k, v in constraint.provenance.items() if k not in ("phases", "odd_trajectories")}
     try:
-        content = constraint.to_dict() | {"provenance": provenance}
         json.dumps(provenance, allow_nan=False)
+        return constraint.to_dict() | {"provenance": provenance}
     except (FeatureError, TypeError, ValueError):  # Python functions; an entry of the user's own
         return None
-    return content

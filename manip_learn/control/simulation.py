@@ -1,32 +1,38 @@
-"""Simulation: a controller run in time, from one start or many."""
+"""Simulation: a controller run in time, from one start or many, and a way along what was learnt to its end."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import repeat
-from typing import Any, overload
+from typing import Any, final, overload
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller, LimitedController, Posture
+from manip_learn.control.command import Command, Controller, LimitedController, Posture, Status, Vector
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
+from manip_learn.control.tasks.driven_motion import Unit
+from manip_learn.control.tasks.motion import DONE, FreeDirection
 from manip_learn.errors import ConfigurationError, advice, an
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
-# rollouts of a table that are made together: more hold memory twice, fewer leave cores idle at the end of each block
-_STARTS = 256
-
+# [m or rad] that a hand may be off what holds it: the play of a drawer's rails; 5 mm press with 18 N on a stiff arm
+STRAY = 2e-3
+SLACK = 1.5  # [s] beyond the time that a way takes where nothing slows it down
+AT_REST = 0.3  # [s] that a motion is shown after its end
+_BLOCKED = {Status.STALLED, Status.POSITION_LIMITED, Status.REROUTED, Status.OUTSIDE_LIMITS, Status.NULL_SCALED}
 
 Start = Sequence[float] | Posture
 Starts = Sequence[Sequence[float]]
+Sample = tuple[float, Posture, Command, float]  # time [s], posture, command, distance to the task's goal [m or rad]
 
 
 @overload
@@ -80,11 +86,9 @@ def simulate(
         >>> rollout.q.shape, rollout.u.shape
         ((201, 3), (201, 3))
     """
-    can_run = (callable(controller) or isinstance(controller, ServoLoop)) and not isinstance(
-        controller, Constraint | type
-    )
+    runs = isinstance(controller, ServoLoop) or (callable(controller) and not isinstance(controller, Constraint | type))
     is_start = not (q0 is None or callable(q0) or isinstance(q0, Robot | str))
-    if not ((robot is None or isinstance(robot, Robot)) and can_run and is_start):
+    if not ((robot is None or isinstance(robot, Robot)) and runs and is_start):
         raise ConfigurationError(
             f"call simulate(robot, controller, q0): got {an(robot)}, {an(controller)} and {an(q0)}, in this order"
         )
@@ -99,69 +103,55 @@ def simulate(
         fix = advice("take {}", "a shorter duration or a larger dt", "a shorter --duration or a larger --dt")
         raise ConfigurationError(f"{duration / dt:.3g} steps take {size / 1e9:.3g} GB of memory: {fix}") from error
     steps, table = round(duration / dt), np.ndim(q0) == 2
-    if robot is None:
-        starts = np.array(q0, dtype=np.float64, ndmin=2)
-    else:  # names the row before any work is done
-        starts = np.array(checked_postures(robot, q0) if table else [robot.checked_posture(q0)])
+    # a wrong row is named before any work is done
+    checked = q0 if robot is None else checked_postures(robot, q0) if table else robot.checked_posture(q0)
+    starts = np.array(checked, dtype=np.float64, ndmin=2)
     native = controller.native if isinstance(controller, ResolvedRateController) and controller.robot is robot else None
     rollouts, own = list[Rollout](), None if table else progress
-    for first in range(0, len(starts), _STARTS):
-        block = starts[first : first + _STARTS]
+    # 256 of a table together: more hold memory twice, fewer leave cores idle at the end of each block
+    for block in np.split(starts, range(256, len(starts), 256)) if len(starts) else ():
         whole = repeat(None) if native is None else native.rollouts(controller, block, dt, steps, own)
         for start, rollout in zip(block, whole, strict=False):  # None where single steps are needed
-            rollouts.append(rollout or _stepped(robot, controller, start, np.arange(steps + 1) * dt, dt, own))
+            rollouts.append(rollout or _stepped(robot, controller, start, steps, dt, own))
             if table and progress is not None:
                 progress("simulating", len(rollouts) / len(starts))
     return tuple(rollouts) if table else rollouts[0]
 
 
-def _stepped(
-    robot: Robot | None, controller: Any, q: Posture, time: Float[np.ndarray, " T"], dt: float, report: Progress | None
-) -> Rollout:
-    """Return the rollout from one start, step by step: in a servo loop, which the library's controllers get anyhow."""
+def _stepped(robot: Robot | None, controller: Any, q: Posture, n: int, dt: float, report: Progress | None) -> Rollout:
+    """Return the rollout from one start, in n steps: in a servo loop, which the library's controllers get anyhow."""
     step, task_error = (lambda q, t: controller(q, t, dt)), getattr(controller, "task_error", lambda q, t: np.nan)
     if isinstance(controller, ServoLoop):
         controller.reset(q)
         step = controller.update
     elif isinstance(controller, LimitedController) and controller.limits is not None:
         step = ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
-    postures, errors, commands = np.empty((len(time), len(q))), np.empty(len(time)), list[Command]()
-    for i, t in enumerate(time.tolist()):
+    samples = list[Sample]()
+    for t in (np.arange(n + 1) * dt).tolist():
         command = step(q, t)
-        postures[i], errors[i] = q, task_error(q, t)
-        commands.append(command)
-        if len(commands) < len(time):
+        samples.append((t, q, command, task_error(q, t)))
+        if len(samples) <= n:
             q = q + dt * command.velocity if robot is None else robot.integrate(q, dt * command.velocity)
         if report is not None:
-            report("simulating", len(commands) / len(time))
-    return rollout_of(robot, controller, time, postures, commands, errors)
+            report("simulating", len(samples) / (n + 1))
+    return rollout_of(robot, controller, samples)
 
 
-def rollout_of(
-    robot: Robot | None,
-    controller: Controller | ServoLoop,
-    time: Float[np.ndarray, " T"],
-    q: Float[np.ndarray, "T n"],
-    commands: Sequence[Command],
-    errors: Float[np.ndarray, " T"],
-) -> Rollout:
-    """Return what was done, sample by sample, with what guided it.
+def rollout_of(robot: Robot | None, controller: Controller | ServoLoop, samples: Sequence[Sample]) -> Rollout:
+    """Return what was done, with what guided it.
 
     Args:
         robot: The robot, or None.
         controller: What gave the commands.
-        time: shape (T,) [s].
-        q: shape (T, n), postures.
-        commands: T of them.
-        errors: shape (T,), of the task [m or rad].
+        samples: T of them; without a robot one at least.
     """
-    names = tuple(f"q{i}" for i in range(len(commands[0].velocity))) if robot is None else robot.joint_names
-    u = np.array([c.velocity for c in commands]).reshape(len(commands), len(names))
+    time, q, commands, errors = zip(*samples, strict=True) if samples else ((),) * 4
+    names = tuple(f"q{i}" for i in range(len(samples[0][2].velocity))) if robot is None else robot.joint_names
+    q, u = (np.reshape(x, (len(samples), -1 if samples else len(names))) for x in (q, [c.velocity for c in commands]))
     mu, following = (np.array([getattr(c, name) for c in commands]) for name in ("manipulability", "following_error"))
-    told, status = guided(controller), tuple(c.status for c in commands)
-    told["robot"] = None if robot is None else RobotIdentity.of(robot)
-    told["following_error"] = following if isinstance(controller, ServoLoop) else None
-    return Rollout(time, q, u, mu, status, names, errors, **told)
+    told, identity = guided(controller), None if robot is None else RobotIdentity.of(robot)
+    told |= {"robot": identity, "following_error": following if isinstance(controller, ServoLoop) else None}
+    return Rollout(np.array(time), q, u, mu, tuple(c.status for c in commands), names, np.array(errors), **told)
 
 
 def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
@@ -169,5 +159,155 @@ def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
     law = controller.controller if isinstance(controller, ServoLoop) else controller
     if not isinstance(law, LimitedController) or law.law is None:
         return {}
-    written = written_constraint(law.constraint)
-    return {"frame": law.frame or "", "target": law.law.task.goal(), "constraint": written}
+    return {"frame": law.frame or "", "target": law.law.task.goal(), "constraint": written_constraint(law.constraint)}
+
+
+@final
+@dataclass(frozen=True)
+class WayDone:
+    """What became of a way.
+
+    Attributes:
+        wanted: The whole way [m or rad].
+        done: How far it came [m or rad], with the sign of `wanted` if it went the right way.
+        unit: `"m"` or `"rad"`.
+        begins: Time at which the hand was at the mechanism [s]; None if it never was.
+        seconds: Time from there until the way was done [s]; None if it was not.
+        deviation: Largest distance off the held rows on the way [m or rad].
+        least_manipulability: Of the rows held and driven, on the way.
+        fastest: Name of the joint that came nearest to its velocity limit, and its speed as a share of that limit.
+        stopped_by: What ended it before it was done, in words; None if it was done.
+    """
+
+    wanted: float
+    done: float
+    unit: Unit
+    begins: float | None
+    seconds: float | None
+    deviation: float
+    least_manipulability: float
+    fastest: tuple[str, float]
+    stopped_by: str | None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the whole way was done, to a millimetre or 0.2 degrees."""
+        return self.stopped_by is None
+
+    @property
+    def strays(self) -> bool:
+        """Whether the hand left what holds it by more than that gives way."""
+        return self.deviation > STRAY
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer: lengths in m, angles in degrees."""
+        size, unit = (1.0, "m") if self.unit == "m" else (float(np.degrees(1.0)), "deg")
+        told = vars(self) | {"wanted": size * self.wanted, "done": size * self.done, "unit": unit}
+        name, share = told.pop("fastest")
+        return told | {"fastest_joint": {"name": name, "share_of_limit": share}}
+
+
+def leads_away(handle: Float[np.ndarray, " 3"], way: Float[np.ndarray, " 3"]) -> bool:
+    """Whether a hand goes away from the robot's base: it pushes a drawer in, for chests face who opens them."""
+    out = handle * [1.0, 1.0, 0.0]
+    return bool(way @ out > 0.5 * np.linalg.norm(way) * np.linalg.norm(out))  # cosine of the angle between them
+
+
+def simulate_way(
+    robot: Robot,
+    controller: ResolvedRateController,
+    q0: Start,
+    dt: float = 0.01,
+    duration: float | None = None,
+    *,
+    progress: Progress | None = None,
+) -> tuple[Rollout, WayDone]:
+    """Simulate a controller whose task is a `FreeDirection`, until its way is done or no more of it comes.
+
+    Args:
+        robot: The robot.
+        controller: Its task is the way.
+        q0: Start posture.
+        dt: Step [s].
+        duration: [s]; None for as long as the way needs.
+        progress: As for `simulate`.
+
+    Returns:
+        The rollout, cut shortly after the way was done or stood still, and what became of the way, as it keeps it.
+
+    Raises:
+        ConfigurationError: Another task; or as `simulate` raises it.
+    """
+    task = controller.task
+    if not isinstance(task, FreeDirection):
+        raise ConfigurationError(f"the task must be a way along what is free, as motion() makes it, not {task!r}")
+    nominal = task.duration_from(robot.checked_posture(q0))
+    longest = max(4.0 * nominal, nominal + SLACK)  # [s] after which it counts as stopped
+    lengths = {min(times * (nominal + SLACK), longest) for times in (1.0, 2.0, 4.0)}
+    for length in sorted(lengths) if duration is None else [duration]:
+        rollout = simulate(robot, controller, q0, length, dt, progress=progress)
+        places, end = _places_of(task, rollout)
+        if end < np.inf:
+            break
+    rollout = rollout.until(end if duration is None else np.inf)
+    done = _way_done(task, rollout, places[: len(rollout)], robot)
+    return replace(rollout, ways=(done.to_dict(),)), done
+
+
+def _places_of(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray, " T"], float]:
+    """Return how far the way had come at each sample [m or rad], NaN before it began, and when it ended [s].
+
+    It ends a moment after it was done, or when the hand stood still for good; inf if it goes on.
+    """
+    time, places, done = rollout.time, np.full(len(rollout), np.nan), DONE[task.unit]
+    first = len(time) if task.way_begins is None else int(np.searchsorted(time, task.way_begins - 1e-9))
+    meant = np.array([task.meant(t) for t in time.tolist()])
+    place = 0.0
+    # a path may come back to where it was: the goal says on which part it is
+    for i, step in enumerate(np.diff(meant[first:], prepend=meant[first : first + 1]).tolist(), first):
+        places[i] = place = task.progress_near(rollout.q[i], place + step)
+    there = np.abs(places - task.wanted) <= done
+    # 2 s without progress count as stopped, for a singular start is left within one; 1e-9 s against rounding
+    before = np.interp(time - 2.0 + 1e-9, time, places, left=np.nan)
+    still = (np.abs(places - before) < done) & (np.abs(places - meant) > done)  # and not as shown
+    return places, next(iter([*(time[there] + AT_REST), *time[still]]), np.inf)
+
+
+def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " T"], robot: Robot) -> WayDone:
+    """Return what became of a way, by how far it had come at each sample."""
+    time, on = rollout.time, np.flatnonzero(np.isfinite(places))
+    there = np.abs(places - task.wanted) <= DONE[task.unit]
+    shares = np.max(np.abs(rollout.u) / robot.velocity_limit, axis=0)
+    fastest = int(np.argmax(shares))
+    return WayDone(
+        task.counts * task.wanted,
+        task.counts * float(places[-1] if len(on) else 0.0),
+        task.unit,
+        float(time[on[0]]) if len(on) else None,
+        float(time[np.argmax(there)] - time[on[0]]) if there[-1] else None,
+        max((task.deviation(rollout.q[i], places[i]) for i in on), default=0.0),
+        float(np.min(rollout.manipulability[on if len(on) else [-1]])),
+        (robot.joint_names[fastest], float(shares[fastest])),
+        None if there[-1] else _reason(task, rollout, robot),
+    )
+
+
+def joint_at_limit(robot: Robot, positions: Vector) -> str | None:
+    """The first joint that stands at a position limit, in words; None if none does."""
+    for i, name in enumerate(robot.joint_names):
+        for side, limit in (("lower", robot.position_lower[i]), ("upper", robot.position_upper[i])):
+            if abs(positions[i] - limit) < 2e-3:  # [rad or m] braking is exponential in the end
+                return f"joint {name!r} at its {side} limit of {limit:.4g} {robot.joint_units[i]}"
+    return None
+
+
+def _reason(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:
+    """What stops the arm at the end of a rollout, in words."""
+    last = rollout.status[-max(1, len(rollout) // 20) :]
+    short = "" if task.way_begins is not None else "on its way to the mechanism: "
+    joint = joint_at_limit(robot, robot.positions(rollout.q[-1]))
+    if joint is not None and _BLOCKED.intersection(last):
+        return short + joint
+    if {Status.SINGULAR, Status.DAMPED, Status.STALLED}.intersection(last):
+        return f"{short}a singularity, or the end of the arm's reach"
+    return f"{short}the time: still moving after {rollout.time[-1]:.4g} s"

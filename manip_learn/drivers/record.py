@@ -19,8 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.atomic_write import check_folder, has_no_room
-from manip_learn.control.cycle import Clock, ComputerClock, OrderlyEnd, Pace
-from manip_learn.control.driver import Driver
+from manip_learn.control.driver import Clock, ComputerClock, Driver, OrderlyEnd, Pace
 from manip_learn.errors import ConfigurationError, OutputError, counted
 from manip_learn.linalg import finite
 from manip_learn.recordings.saved_motion import column_line

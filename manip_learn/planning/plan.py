@@ -22,10 +22,9 @@ from manip_learn.control.joint_motion import ARRIVED, JointMotion, LawSequence, 
 from manip_learn.control.limits import Limits, check_inside
 from manip_learn.control.policies import NullSpacePolicy
 from manip_learn.control.rollout import Rollout
-from manip_learn.control.simulation import simulate
+from manip_learn.control.simulation import WayDone, joint_at_limit, simulate, simulate_way
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import FreeDirection
-from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
 from manip_learn.planning import ways
 from manip_learn.planning.clearance import Clearance, Links, Surroundings

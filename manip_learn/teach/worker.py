@@ -241,8 +241,8 @@ def _plan(
 def _simulated(robot: Robot, named: Mapping[str, str], way: TaughtWay, start: np.ndarray) -> list[dict[str, Any]]:
     """Rollouts of some policies, as the page plays them."""
     from manip_learn.control.controller import ResolvedRateController
+    from manip_learn.control.simulation import simulate_way
     from manip_learn.control.tasks.motion import null_policy
-    from manip_learn.control.way import simulate_way
     from manip_learn.playback.palette import rollout_colours
 
     ghosts = []

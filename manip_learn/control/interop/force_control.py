@@ -29,42 +29,12 @@ from manip_learn.recordings.writers.write_motion import yaml_text
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 
-REASON = (
-    "compliant along axes that the environment holds, so that an error of the frame does not turn into force; "
-    "stiff along those that are free, which the controller moves, and along those not known"
-)
-
-# ---- Cartesian impedance ---------------------------------------------------------------------------------------------
-
-# [N/m] and [N m/rad] of stiff axes: at 15 N, the loop's own limit of force, they give way by 15 mm; 50 N m/rad are as
-# stiff for a force 0.22 m off the axis
-STIFF = (1000.0, 50.0)
-# of compliant ones a tenth: a drawer whose axis was 5 degrees wrong cost 1.8 N at 100 N/m, 30 N at 2,000 (measured)
-COMPLIANT = (100.0, 5.0)
-
-# ---- MoveIt: moveit_msgs/Constraints ---------------------------------------------------------------------------------
+# elsewhere: along axes that are free, which the controller moves, and along those not known
+REASON = "compliant where the environment holds, so that no error of the frame turns into force; stiff elsewhere"
 
 # [m] and [rad] that a planner may leave a held axis by: half a centimetre is what a gripper's fingers give way, and
 # samplers need some room; three uncertainties at the end of the task where that is more
 TOLERANCE = (0.005, math.radians(2.0))
-EXTENT = 1.0  # [m] to either side of the hand along free axes: more than a table-top arm does in one task
-BOX, _ROTATION_VECTOR = 1, 1  # of shape_msgs/SolidPrimitive and moveit_msgs/OrientationConstraint
-
-# ---- URScript: force_mode(task_frame, selection_vector, wrench, type, limits), type 2: the frame as given ------------
-
-# [m/s and rad/s] of compliant axes: the reduced speed of ISO 10218-1, and a turn that moves a tip at 1 m as fast
-_FASTEST = 0.25
-# [m and rad] largest deviation of the other axes; it and the program's damping and gain, shares of the robot's own, are
-# the defaults of ur_msgs/SetForceMode
-DEVIATION = 0.01
-# URScript with fields for `str.format`
-_PROGRAM = Path(__file__).with_name("force_mode.script")
-# how the frame's pose follows the hand, as an expression of URScript
-_FOLLOWS = {
-    "no": "position_of(get_actual_tcp_pose(), at)",
-    "hand": "pose_trans(get_actual_tcp_pose(), at)",
-    "axis": "turned_to(get_actual_tcp_pose(), at)",
-}
 
 
 def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
@@ -84,16 +54,14 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
         ConstraintError: No task frame, or one seen from another moving frame.
     """
     frame, robot = _frame_and_robot(constraint, q, "force_mode takes")
-    held = frame.along("held")
+    selection = [int(held) for held in frame.along("held")]
     # from the base of the robot's description to that of a UR controller
     base = np.linalg.inv(robot.pose(q, "base")) if "base" in robot.frame_names else np.eye(4)
-    return {
-        "task_frame": pose_coordinates(base @ frame.pose).tolist(),
-        "selection_vector": [int(compliant) for compliant in held],
-        "wrench": [0.0] * 6,
-        "type": 2,
-        "limits": [_FASTEST if compliant else DEVIATION for compliant in held],
-    }
+    pose = pose_coordinates(base @ frame.pose).tolist()
+    # of compliant axes [m/s and rad/s] the reduced speed of ISO 10218-1, and a turn that moves a tip at 1 m as fast; of
+    # the others [m and rad] the default of ur_msgs/SetForceMode, as the program's damping and gain are
+    limits = [0.25 if compliant else 0.01 for compliant in selection]
+    return {"task_frame": pose, "selection_vector": selection, "wrench": [0.0] * 6, "type": 2, "limits": limits}
 
 
 def urscript(constraint: Constraint, q: ArrayLike) -> str:
@@ -108,14 +76,16 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
     given, (frame, robot) = force_mode(constraint, q), _frame_and_robot(constraint, q)
     tcp = np.linalg.inv(robot.pose(q, "tool0")) @ frame.hand if "tool0" in robot.frame_names else None
     at = pose_coordinates(np.linalg.inv(frame.hand) @ frame.pose) if frame.turns == "hand" else given["task_frame"]
+    follows = {"no": "position_of", "hand": "pose_trans", "axis": "turned_to"}  # functions of URScript
     moves = np.diag([0.05] * 3 + [math.radians(10.0)] * 3)[frame.along("free")]  # 5 cm or 10 degrees along each
-    return _comments(frame, *textwrap.wrap(REASON, 100)) + _PROGRAM.read_text(encoding="utf-8").format(
+    program = Path(__file__).with_name("force_mode.script").read_text(encoding="utf-8")
+    return _comments(frame, *textwrap.wrap(REASON, 100)) + program.format(
         name="manip_learn_" + re.sub(r"[^A-Za-z0-9]+", "_", frame.frame),
         frame=frame.frame,
         tcp="" if tcp is None else f"  set_tcp({_vector(pose_coordinates(tcp))})\n",
         at=_vector(at),
         given=given,
-        now=_FOLLOWS[frame.turns],
+        follows=follows[frame.turns],
         step=_vector(next(iter(moves), np.zeros(6)), ".6g"),
     )
 
@@ -124,8 +94,8 @@ def impedance(
     constraint: Constraint,
     q: ArrayLike,
     *,
-    stiff: Sequence[float] = STIFF,
-    compliant: Sequence[float] = COMPLIANT,
+    stiff: Sequence[float] = (1000.0, 50.0),
+    compliant: Sequence[float] = (100.0, 5.0),
     damping_ratio: float = 1.0,
 ) -> dict[str, Any]:
     """Stiffness K and damping D of a Cartesian impedance controller, shape (6, 6), as plain numbers.
@@ -137,8 +107,10 @@ def impedance(
     Args:
         constraint: The task.
         q: Posture.
-        stiff: Of axes that are free or not known [N/m, N m/rad].
-        compliant: Of axes that are held [N/m, N m/rad].
+        stiff: Of axes that are free or not known [N/m, N m/rad]. At 15 N, the loop's own limit of force, the default
+            gives way by 15 mm; 50 N m/rad are as stiff for a force 0.22 m off the axis.
+        compliant: Of axes that are held [N/m, N m/rad]: by default a tenth. A drawer whose axis was 5 degrees wrong
+            cost 1.8 N at 100 N/m, 30 N at 2,000 (measured).
         damping_ratio: z, 1 for critical damping.
 
     Raises:
@@ -148,21 +120,15 @@ def impedance(
     values = np.where(frame.along("held"), np.repeat(compliant, 3), np.repeat(stiff, 3))
     X = frame.from_hand
     K = X.T @ np.diag(values) @ X
-    M = robot.hand_inertia(q, frame.frame)
-    if M is None:  # the description has no inertias: 1 kg and 1 kg m2, damping 2 sqrt(stiffness), as often used
-        M = np.eye(6)
-    root = np.real(sqrtm(M))
+    inertia = robot.hand_inertia(q, frame.frame)
+    # where the description has none, 1 kg and 1 kg m2: damping 2 sqrt(stiffness), as often used
+    root = np.real(sqrtm(np.eye(6) if inertia is None else inertia))
     back = np.linalg.inv(root)
     D = 2.0 * damping_ratio * root @ np.real(sqrtm(back @ K @ back)) @ root
-    return {
-        "reason": REASON,
-        "base": robot.frame_names[0],
-        "frame": frame.frame,
-        "stiffness": (0.5 * (K + K.T)).tolist(),
-        "damping": (0.5 * (D + D.T)).tolist(),
-        "stiffness_along_axes": dict(zip(AXES, values.tolist(), strict=True)),
-        "task_frame": frame.to_dict(),
-    }
+    about = {"reason": REASON, "base": robot.frame_names[0], "frame": frame.frame}
+    stiffness, damping = ((0.5 * (matrix + matrix.T)).tolist() for matrix in (K, D))
+    along = {"stiffness_along_axes": dict(zip(AXES, values.tolist(), strict=True)), "task_frame": frame.to_dict()}
+    return about | {"stiffness": stiffness, "damping": damping} | along
 
 
 def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
@@ -182,7 +148,8 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
     content: dict[str, Any] = {"name": "manip_learn", "position_constraints": [], "orientation_constraints": []}
     poses, size = _boxes(frame)
     if poses:
-        region = {"primitives": [{"type": BOX, "dimensions": size} for _ in poses], "primitive_poses": poses}
+        # type 1: shape_msgs/SolidPrimitive.BOX
+        region = {"primitives": [{"type": 1, "dimensions": size}] * len(poses), "primitive_poses": poses}
         offset = _xyzw(of_link[:3, :3] @ frame.point + of_link[:3, 3])
         content["position_constraints"].append(about | {"target_point_offset": offset, "constraint_region": region})
     if any(frame.along("held")[3:]):
@@ -190,7 +157,7 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
         wide = np.minimum(TOLERANCE[1] + math.pi * np.linalg.norm(free, axis=1), math.pi)
         tolerances = {f"absolute_{n}_axis_tolerance": w for n, w in zip("xyz", wide.tolist(), strict=True)}
         orientation = _xyzw(Rotation.from_matrix(frame.hand[:3, :3]).as_quat())
-        kept = {"orientation": orientation, "parameterization": _ROTATION_VECTOR}
+        kept = {"orientation": orientation, "parameterization": 1}  # moveit_msgs/OrientationConstraint.ROTATION_VECTOR
         content["orientation_constraints"].append(about | kept | tolerances)
     return _comments(frame) + yaml_text(content, indent=1) + "\n"
 
@@ -201,7 +168,8 @@ def _boxes(frame: TaskFrame) -> tuple[list[dict[str, dict[str, float]]], list[fl
     lever, known = float(np.linalg.norm(frame.point - origin)), frame.mechanism
     if not held.any() or (lever > 0.0 and (known is None or known.axis is None)):
         return [], []
-    half = np.where(held, np.maximum(TOLERANCE[0], 3.0 * EXTENT * frame.uncertainty[:3]), EXTENT)
+    # 1 m to either side of the hand along free axes: more than a table-top arm does in one task
+    half = np.where(held, np.maximum(TOLERANCE[0], 3.0 * frame.uncertainty[:3]), 1.0)
     poses, angles, pitch = [], np.zeros(1), (known and known.pitch) or 0.0
     if lever > 0.0:
         # as few boxes as have the whole circle inside: the arc of one is off its middle by half a thickness
