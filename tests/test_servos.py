@@ -150,7 +150,7 @@ def test_a_blocked_arm_lets_go() -> None:
     assert "following-error" in words and words.index("following-error") < 60
     C = ROBOT.jacobian(held, FRAME)[:3] / STIFFNESS
     left = [np.linalg.lstsq(C.T, q - held)[0] for q in (np.array(arm.sent[500 + 60]), np.array(arm.sent[-1]))]
-    assert np.linalg.norm(left[1]) < 3.0 and not loop.lets_go
+    assert np.linalg.norm(left[1]) < 3.0 and not loop.state.lets_go
 
 
 @pytest.mark.parametrize("mass", [4.0, 6.0])
@@ -167,7 +167,7 @@ def test_an_arm_under_a_weight_stands(stiffness: float, mass: float, since: floa
             arm.read(weight)
     words = gone(loop, arm, 2.0, lambda t: weight * (t >= since))
     trip = words.index("following-error")
-    assert abs(DT * trip - since) < 0.3 and words[-1] == "following-error" and not loop.lets_go
+    assert abs(DT * trip - since) < 0.3 and words[-1] == "following-error" and not loop.state.lets_go
     said = loop.stopped_by or ""
     assert "payload of about" in said and f"'{FRAME}'" in said
     about = float(said.split("payload of about ")[1].split()[0])

@@ -607,26 +607,6 @@ class ServoLoop:
         return self._state.stopped_by
 
     @property
-    def lets_go(self) -> bool:
-        """Whether the arm is letting go of what blocked it."""
-        return self._state.lets_go
-
-    @property
-    def silent(self) -> float:
-        """Time in which no state has come that was one and new [s]."""
-        return self._state.timing.silent
-
-    @property
-    def begins(self) -> Vector | None:
-        """Joint positions at which the motion of the controller begins [rad or m]; None if it begins anywhere."""
-        return self.rules.controller.start
-
-    @property
-    def yields(self) -> Vector:
-        """By how much servos give way to the largest force that is allowed, shape (nv,) [rad or m]."""
-        return self._state.following.farthest()
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """What is known of the arm and of the motion, in sentences: how late it follows, which forces are seen."""
         return (*self._state.following.notes, *self.rules.controller.notes)
