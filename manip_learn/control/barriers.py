@@ -101,12 +101,10 @@ class KeptClear:
             around = _hulls_of(robot, shapes).with_obstacles(around.obstacles(robot), own=shapes != "links")
         if around.robot is not robot:
             raise ConfigurationError(
-                f"clear_of is of another {around.robot.name!r}; give pairs of the robot of the limits"
+                f"clear_of is of another {around.robot.name!r}: give pairs of the robot of the limits"
             )
         if not (math.isfinite(clearance) and clearance >= 0.0):
-            raise ConfigurationError(
-                f"clearance is {clearance!r}; a distance of at least 0 is expected [m]; correct it"
-            )
+            raise ConfigurationError(f"clearance is {clearance!r}: give a distance of at least 0 [m]")
         self.pairs, self.clearance, self._robot = around, float(clearance), robot
         q, n = robot.neutral(), len(around.levers)
         # a posture, distances there or less, and which of them are known
@@ -286,10 +284,8 @@ class Barriers:
         if box is not None:
             sides, unit = np.array(box, dtype=np.float64), np.eye(3)
             if sides.shape != (2, 3) or not np.all(sides[0] < sides[1]):
-                raise ConfigurationError(
-                    "a box is two rows, lowest and highest x, y, z [m], the first below the second; "
-                    f"got {sides.tolist()}"
-                )
+                wanted = "two rows, lowest and highest x, y, z [m], the first below the second"
+                raise ConfigurationError(f"a box is {wanted}; got {sides.tolist()}")
             faces = np.vstack((np.column_stack((-unit, -sides[0])), np.column_stack((unit, sides[1]))))
             rows = np.vstack((faces[np.isfinite(faces[:, 3])], rows))
         if frames is None:

@@ -79,9 +79,9 @@ class ResolvedRateController(LimitedController):
     ):
         fits = null_policy is None or (callable(null_policy) and not isinstance(null_policy, Task | Constraint))
         if not (isinstance(constraint, Constraint) and (task is None or isinstance(task, Task)) and fits):
+            got = f"{an(constraint)}, {an(task)} and {an(null_policy)}"
             raise ConstraintError(
-                "call ResolvedRateController(constraint, task, null_policy): got "
-                f"{an(constraint)}, {an(task)} and {an(null_policy)}, in this order"
+                f"call ResolvedRateController(constraint, task, null_policy): got {got}, in this order"
             )
         if inverse not in ("exact", "truncated", "damped"):
             raise ConstraintError(f"inverse must be 'exact', 'truncated' or 'damped', not {inverse!r}")

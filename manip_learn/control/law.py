@@ -18,8 +18,8 @@ from manip_learn.constraint.manipulability import LEAST_SINGULAR_RATIO, SINGULAR
 from manip_learn.control.barriers import Barrier, approach_bound
 from manip_learn.control.command import ACCELERATION, VELOCITY, Command, Posture, Status, Vector, slowed_by
 from manip_learn.control.limits import FINE, Bounds, Limits
-from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullSpacePolicy
-from manip_learn.control.tasks import Task
+from manip_learn.control.policies import SEED_SPEED, Decomposition, ManipulabilityAscent, NullSpacePolicy
+from manip_learn.control.tasks.point_attractor import Task, VelocityAndJacobian
 from manip_learn.errors import ConfigurationError, TargetError, advice
 from manip_learn.linalg import Inverse, inverse_singular_values, unit
 
@@ -239,10 +239,9 @@ class Law:
                 Y = (U[:, : len(sigma)] * gains).dot(V)
                 task = b.dot(Y)
             if not math.isfinite(sum(task.tolist())):
-                raise ConfigurationError(
-                    f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {smallest:.1e}): "
-                    + advice("use {}", "inverse='damped'", "--inverse damped")
-                )
+                fix = advice("use {}", "inverse='damped'", "--inverse damped")
+                words = f"the {self.inverse!r} inverse overflows (smallest singular value {smallest:.1e})"
+                raise ConfigurationError(f"{words}: {fix}")
             V = V[gains > 0.0]
             escape = None if is_regular else np.zeros(nv)
             return Desired(rows, b, task, w - V.dot(w).dot(V), escape, mu, smallest, V, Y, own=A)
@@ -288,10 +287,8 @@ class Law:
         c = c if size <= most else c * (most / size)
         return law._replace(task=law.task - c.dot(law.gain), bend=c)
 
-    def task_velocity(
-        self, q: np.ndarray, t: float, dt: float
-    ) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s nv"] | None]:
-        """b for the time dt [s] that begins at t, in the rows' units per second, and E (see `Task.error_jacobian`).
+    def task_velocity(self, q: np.ndarray, t: float, dt: float) -> VelocityAndJacobian:
+        """Return b for the time dt [s] that begins at t, in units per second, and E (see `Task.error_jacobian`).
 
         Raises:
             TargetError: The task's target does not fit the constraint, or b is not finite.
@@ -308,9 +305,7 @@ class Law:
         """
         return _checked(self.null_policy.over_step(q, t, dt), self.constraint.nv, "the null-space policy's velocity")
 
-    def _damping(
-        self, q: np.ndarray, decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], b: np.ndarray, dt: float
-    ) -> float:
+    def _damping(self, q: np.ndarray, decomposition: Decomposition, b: np.ndarray, dt: float) -> float:
         """Return lambda^2, larger for a task that presses into a singularity, so that explicit steps of dt can follow.
 
         At the singularity A^T w / lambda^2, w the part of b along what is nearly lost, has the slope
@@ -426,10 +421,8 @@ class Law:
         return (slope[None], np.array([-bound])) if bound < math.inf else None
 
 
-def _slowed_drive(
-    law: Desired, D: Float[np.ndarray, "d s"], limits: Limits, barrier: Barrier | None
-) -> tuple[Vector, Vector]:
-    """The rest of u*, and its part that drives the task, slowed down to velocity limits and a singularity's approach.
+def _slowed_drive(law: Desired, D: np.ndarray, limits: Limits, barrier: Barrier | None) -> tuple[Vector, Vector]:
+    """Return the rest of u*, and its part that drives the task, slowed down to velocities and a singularity's approach.
 
     Motion in the null space makes no room for more. D are the rows that are driven.
     """

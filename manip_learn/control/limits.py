@@ -202,7 +202,7 @@ class Limits:
             j = int(narrow[0])
             width = robot.position_upper[j] - robot.position_lower[j]
             raise ConfigurationError(
-                f"a margin of {margin:g} leaves no room to joint {names[j]!r}, whose range is {width:g} wide"
+                f"margin={margin:g} leaves no room to joint {names[j]!r}, whose range is {width:g} wide"
             )
         for array in (self.lower, self.upper):
             array.setflags(write=False)

@@ -486,10 +486,8 @@ class PolicyFunction(NullSpacePolicy):
                 takes.bind(*range(number))
                 fits.add(number)
         if not fits:
-            raise ConfigurationError(
-                f"a null-space policy is a function of q, or of q and t; this one takes {takes}: write lambda q: ... "
-                "or lambda q, t: ..."
-            )
+            wanted = "write lambda q: ... or lambda q, t: ..."
+            raise ConfigurationError(f"a null-space policy takes q, or q and t; this one takes {takes}: {wanted}")
         self._timed = 2 in fits and (1 not in fits or "t" in takes.parameters)
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:

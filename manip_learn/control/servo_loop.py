@@ -43,6 +43,7 @@ _REMOVED = {
     "following_error_limit": ": give contact=Contact(stiffness=...), forces on the hand stop the arm",
     "correction_time": ": load the robot with its payload, robot.with_payload(...)",
 }
+WayBack = tuple[Vector, Posture | None, float]  # of the posture that is sent, see `State`
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
 
 
@@ -99,7 +100,7 @@ class State:
     refused: float = 0.0
     jumped: tuple[str, float] = ("", -math.inf)
     runs_on: bool = False
-    way_back: tuple[Vector, Posture | None, float] | None = None
+    way_back: WayBack | None = None
     relief: Posture | None = None
     pressed: tuple[Any, Any, Any] = (None, None, None)
     renewed: int = 0
@@ -193,7 +194,7 @@ class LoopRules:
         if s.reference is None or s.position is None:
             s.reference = s.position = measured
         if s.way_back is not None:
-            self._go_back(s, s.position, measured, *s.way_back, period)
+            self._go_back(s, s.position, s.way_back, measured, period)
             return self.brake(s, Status.FOLLOWING_ERROR, period)
         if timing.silent == 0.0:  # a state that is not new says nothing of the commands since
             s.following.compare(s.position, measured, self.controller.driven_motions)
@@ -215,15 +216,13 @@ class LoopRules:
             return self._sent_on(s, _within(same, self._bounds(s, s.reference, self.dt)), self.dt)
         return self._sent_on(s, self._command(s, s.reference, self.clock(s, time), period), period)
 
-    def _go_back(
-        self, s: State, sent: Posture, measured: Posture, load: Vector, goal: Posture | None, speed: float, dt: float
-    ) -> None:
+    def _go_back(self, s: State, sent: Posture, way: WayBack, measured: Posture, dt: float) -> None:
         """Move the posture that is sent to where the arm was first measured, less its load: a newer reading has noise.
 
         All joints move along the straight way, faster by at most an acceleration for dt, and as fast as lets them stop
         (`stopping_speed`).
         """
-        robot, limits, s.way_back = self.robot, self.limits, None
+        (load, goal, speed), robot, limits, s.way_back = way, self.robot, self.limits, None
         goal = robot.integrate(measured, -load) if goal is None else goal
         away, acceleration = robot.difference(sent, goal), np.minimum(limits.acceleration, 1e6)
         far = float(np.max(np.abs(away) / acceleration))  # [s^2] at unit acceleration
@@ -386,10 +385,8 @@ class LoopRules:
                 slower = self._careful(s, s.position, late).after(sent, self.limits.acceleration * held).nearest(s.sent)
                 moved, s.sent = moved - (s.sent - slower), slower
         self._advance(s, held, moved)
-        b, task, null = (np.array(part) for part in (command.task_velocity, command.task_part, command.null_part))
-        return command._replace(
-            velocity=s.sent.copy(), task_velocity=b, task_part=task, null_part=null, following_error=error
-        )
+        own = {name: np.array(getattr(command, name)) for name in ("task_velocity", "task_part", "null_part")}
+        return command._replace(velocity=s.sent.copy(), following_error=error, **own)
 
     def _advance(self, s: State, time: float, velocity: np.ndarray) -> None:
         """Move the commanded posture on by a time [s]."""
@@ -492,9 +489,8 @@ class ServoLoop:
             if not 0.0 < time_of(value) < math.inf:
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
         if not dt < stale_after:
-            raise ConfigurationError(
-                f"a state is stale after {stale_after:g} s and the period is {dt:g} s: give stale_after={3.0 * dt:g}"
-            )
+            words = f"a state is stale after {stale_after:g} s and the period is {dt:g} s"
+            raise ConfigurationError(f"{words}: give stale_after={3.0 * dt:g}")
         own = robot or getattr(controller, "robot", None)
         if not isinstance(own, Robot):
             raise ConfigurationError("the controller has no robot whose limits count: ServoLoop(..., robot=robot)")

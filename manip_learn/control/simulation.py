@@ -89,9 +89,8 @@ def simulate(
     runs = isinstance(controller, ServoLoop) or (callable(controller) and not isinstance(controller, Constraint | type))
     is_start = not (q0 is None or callable(q0) or isinstance(q0, Robot | str))
     if not ((robot is None or isinstance(robot, Robot)) and runs and is_start):
-        raise ConfigurationError(
-            f"call simulate(robot, controller, q0): got {an(robot)}, {an(controller)} and {an(q0)}, in this order"
-        )
+        got = f"{an(robot)}, {an(controller)} and {an(q0)}"
+        raise ConfigurationError(f"call simulate(robot, controller, q0): got {got}, in this order")
     if not (np.isfinite(dt) and dt > 0.0 and np.isfinite(duration) and duration >= 0.0):
         raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
     if removed and removed != {"method": "euler"}:
