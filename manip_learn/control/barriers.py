@@ -100,9 +100,7 @@ class KeptClear:
             shapes = known_shapes(robot)  # capsules along links overlap where these are joined
             around = _hulls_of(robot, shapes).with_obstacles(around.obstacles(robot), own=shapes != "links")
         if around.robot is not robot:
-            raise ConfigurationError(
-                f"clear_of is of another {around.robot.name!r}: give pairs of the robot of the limits"
-            )
+            raise ConfigurationError(f"clear_of is of another {around.robot.name!r}: give pairs of the limits' robot")
         if not (math.isfinite(clearance) and clearance >= 0.0):
             raise ConfigurationError(f"clearance is {clearance!r}: give a distance of at least 0 [m]")
         self.pairs, self.clearance, self._robot = around, float(clearance), robot

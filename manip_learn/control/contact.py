@@ -86,10 +86,11 @@ class Contact:
         units = ("newtons", 'newtons or "auto"', 'seconds or "auto"', 'newtons or "auto"')
         for (name, value), unit in zip(given.items(), units, strict=False):  # a stiffness is for a robot's joints
             is_auto = isinstance(value, str) and value == "auto" and "auto" in unit
-            is_positive = (
-                is_number(value) and 0.0 <= float(value) < math.inf and (value or name in ("latency", "resolution"))
+            is_size, may_be_none = (
+                is_number(value) and 0.0 <= float(value) < math.inf,
+                name in ("latency", "resolution"),
             )
-            if not (is_auto or is_positive):
+            if not (is_auto or (is_size and (value or may_be_none))):
                 raise ConfigurationError(f"{name} must be a positive number of {unit}, got {value!r}")
 
     @property
@@ -242,10 +243,10 @@ class FollowingError:
             return ""
         self._pushed = np.zeros_like(off)
         mass = "..." if self.contact.stiffness is None else f"{-f[2] / GRAVITY:.2g}"
-        return (
-            f"; that looks like a payload of about {mass} kg, which the drives do not know of: load the robot with it, "
-            f"robot.with_payload({mass}, {self._frame.name!r})"
+        words = (
+            f"; that looks like a payload of about {mass} kg, which the drives do not know of: load the robot with it"
         )
+        return f"{words}, robot.with_payload({mass}, {self._frame.name!r})"
 
     def sentence(self, constraint: Constraint | None, q: Posture) -> str:
         """What was blocked and by how much: the row of the constraint, if it is known, the joint, and what to do."""
@@ -313,23 +314,16 @@ class FollowingError:
         if force > held:
             rows = np.zeros((0, len(sent))) if driven is None else driven(measured)
             way, side = self._split(J, rows, servos.raw + further * gains)
+            along = f"{way:.0f} N along what is driven"
             # a fifth may seem to be across: joints differ, directions are known to 10 degrees
             if side > held + 0.2 * way:
-                return (
-                    f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.max_lateral_force): what was "
-                    "learnt lies elsewhere, or something is in the way"
-                )
+                across = f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.max_lateral_force)"
+                return f"{across}: what was learnt lies elsewhere, or something is in the way"
             if way > most:
-                return (
-                    f"{way:.0f} N along what is driven, of {most:.0f} allowed (Contact.max_axial_force): it is locked, "
-                    "or allow more"
-                )
+                return f"{along}, of {most:.0f} allowed (Contact.max_axial_force): it is locked, or allow more"
             # a hand that stands lacks 80 % of its way; one that lacks more than all of it was pushed back
             if 0.8 < taken < 1.0 / 0.8 and self._going > BRIEFLY and way > self._carried + held:
-                return (
-                    f"{way:.0f} N along what is driven, which was moving with {self._carried:.0f} and has stopped: "
-                    "look what blocks it"
-                )
+                return f"{along}, which was moving with {self._carried:.0f} and has stopped: look what blocks it"
         j = int((np.abs(beside) / self.limit).argmax())
         load, name = abs(float(beside[j] * self._stiffness[j])), self._robot.joint_names[j]
         words = f"joint {name} is pushed by {load:.0f} N m beside what the hand is: look what touches the arm"
@@ -382,10 +376,8 @@ class FollowingError:
         servos, held, C, ms = self.servos, self.contact.max_lateral_force, self._yields(q), 1e3 * self._dt
         # what was sent from one new reading to the next is no friction
         dry = np.maximum(servos.width - np.abs(servos.gone(round(servos.every - 1.0))), 0.0) * servos.seen
-        noise, width, friction = (
-            float(np.linalg.norm(self._explained(np.diag(x), C)))
-            for x in (np.sqrt(servos.variance), servos.width * servos.seen, dry)
-        )
+        sizes = np.sqrt(servos.variance), servos.width * servos.seen, dry
+        noise, width, friction = (float(np.linalg.norm(self._explained(np.diag(x), C))) for x in sizes)
         # readings are averaged until noise is a third of what is allowed. Friction is known to 70 %: it depends on load
         # and speed, and presses the hand itself
         periods = max(1.0, 0.5 * (3.0 * QUIET * noise / held) ** 2)

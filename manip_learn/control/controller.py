@@ -79,10 +79,8 @@ class ResolvedRateController(LimitedController):
     ):
         fits = null_policy is None or (callable(null_policy) and not isinstance(null_policy, Task | Constraint))
         if not (isinstance(constraint, Constraint) and (task is None or isinstance(task, Task)) and fits):
-            got = f"{an(constraint)}, {an(task)} and {an(null_policy)}"
-            raise ConstraintError(
-                f"call ResolvedRateController(constraint, task, null_policy): got {got}, in this order"
-            )
+            got = f"got {an(constraint)}, {an(task)} and {an(null_policy)}, in this order"
+            raise ConstraintError(f"call ResolvedRateController(constraint, task, null_policy): {got}")
         if inverse not in ("exact", "truncated", "damped"):
             raise ConstraintError(f"inverse must be 'exact', 'truncated' or 'damped', not {inverse!r}")
         self.task: Task = task or Hold()
@@ -188,10 +186,8 @@ class ResolvedRateController(LimitedController):
         return Limits(self.robot) if limits and self.robot is not None else None
 
     def __repr__(self) -> str:
-        return (
-            f"ResolvedRateController({self.constraint!r}, task={self.task!r}, null_policy={self.null_policy!r}, "
-            f"inverse={self.inverse!r})"
-        )
+        given = f"task={self.task!r}, null_policy={self.null_policy!r}, inverse={self.inverse!r}"
+        return f"ResolvedRateController({self.constraint!r}, {given})"
 
 
 @final

@@ -382,9 +382,8 @@ class _Cycle:
         self._loop, self._robot, self._arm, self._pace = loop, loop.robot, arm, Pace(arm, clock)
         self.ending = OrderlyEnd(arm, loop.stop, loop.stale_after, clock)
         own = loop.rules.controller.start
-        self._start, self._within = (
-            (loop.position, np.maximum(_AWAY, loop.state.following.farthest())) if own is None else (own, _AWAY)
-        )
+        yields = np.maximum(_AWAY, loop.state.following.farthest())  # to the largest force that is allowed
+        self._start, self._within = (loop.position, yields) if own is None else (own, _AWAY)
         self._samples, self._stride = list[_Sample](), 1  # and cycles from one sample to the next
         self._place = np.zeros(loop.robot.nv)  # first positions that were read, and later those that were sent last
         self._doubted = self._astray = 0  # first readings; readings in turn that say that the arm goes off
@@ -489,10 +488,8 @@ class _Cycle:
     def _stands(self, command: Command) -> bool:
         """Whether the arm stands for a reason to end; gives the reason where it is the loop's."""
         loop, ending, patience, period = self._loop, self.ending, self._loop.stale_after, self._pace.period
-        stands, is_blocked = (
-            not (command.velocity.any() or loop.state.lets_go),
-            command.status is Status.FOLLOWING_ERROR,
-        )
+        stands = not (command.velocity.any() or loop.state.lets_go)
+        is_blocked = command.status is Status.FOLLOWING_ERROR
         is_silent = stands and command.status in (Status.INVALID_INPUT, Status.STALE)
         # a driver that is not ready yet, or one wrong reading, is waited for
         is_silent &= self._pace.cycles * period >= patience and not 0.0 < loop.state.timing.silent < patience

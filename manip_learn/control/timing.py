@@ -146,9 +146,9 @@ class Timing(NamedTuple):
         is_regular = len(recent) >= 3 and longest <= REGULAR * shortest
         usual = shortest if is_regular and shortest > REGULAR * dt else dt
         if not warning and (is_regular or len(recent) == WINDOW) and not dt / REGULAR <= mean <= REGULAR * dt:
+            every = f"every {1e3 * mean:.4g} ms in the mean ({1e3 * shortest:.4g} to {1e3 * longest:.4g})"
             warning = (
-                f"the servo loop was made for a period of {1e3 * dt:.4g} ms and is called every {1e3 * mean:.4g} ms in "
-                f"the mean ({1e3 * shortest:.4g} to {1e3 * longest:.4g}): give it that as dt"
+                f"the servo loop was made for a period of {1e3 * dt:.4g} ms and is called {every}: give it that as dt"
             )
         held = usual if since >= usual * (1.0 - _ROUNDING) else since
         longest = longest if longest > REGULAR * usual else usual
@@ -183,10 +183,8 @@ class VelocityAverage(NamedTuple):
         """
         needed = 0.0 if limits.jerk is None else float(np.max(2.0 * limits.acceleration / limits.jerk))
         if not needed <= LONGEST_AVERAGE:
-            raise ConfigurationError(
-                f"the jerk limits need an average over {needed:g} s, 2 acceleration / jerk: "
-                f"lower the acceleration limits, or raise the jerk limits, to {LONGEST_AVERAGE:g} s or less"
-            )
+            fix = f"lower the acceleration limits, or raise the jerk limits, to {LONGEST_AVERAGE:g} s or less"
+            raise ConfigurationError(f"the jerk limits need an average over {needed:g} s, 2 acceleration / jerk: {fix}")
         time, rest = dt * max(1, math.ceil(needed / dt - 1e-9)), np.zeros((2, limits.robot.nv))
         return VelocityAverage(time, np.array([time, 0.0]), rest, rest[0]) if time > dt else None
 

@@ -497,9 +497,7 @@ def motion_to(
     task = motion(constraint, angle=angle, speed=speed, keep_orientation=keep_orientation, beyond_shown=True)
     task = task.with_distance(angle)  # about the axis, whichever way was shown
     if (far := task.hold(q)) > 0.0:
-        how = advice(
-            ", or say how far to turn with {}, which goes there first", "motion(constraint, angle=...)", "--turn"
-        )
+        how = advice(", or say how far with {}, which goes there first", "motion(constraint, angle=...)", "--turn")
         raise TargetError(f"the hand is {far:.3g} m away from the {known.type}: start on it{how}")
     return task
 
