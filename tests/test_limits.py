@@ -101,12 +101,14 @@ def test_defaults_and_settings(robot_of: RobotOf) -> None:
     """The default acceleration is documented; every limit can be given, as one number or one per joint."""
     robot = robot_of("sawyer")
     np.testing.assert_array_equal(Limits(robot).acceleration, 5.0 * robot.velocity_limit)
-    assert Limits(robot).weakest == 5.0 * robot.velocity_limit.min()
+    assert Limits(robot).acceleration.min() == 5.0 * robot.velocity_limit.min()
     unbounded = Limits(robot, velocity=np.where(np.arange(7) == 2, np.inf, 1.0)).acceleration
     np.testing.assert_array_equal(unbounded, np.where(np.arange(7) == 2, 10.0, 5.0))
     other = Limits(robot, jerk=100.0).with_rates(2.0, None)
     np.testing.assert_array_equal([other.acceleration, other.jerk], [np.full(7, 2.0), np.full(7, 100.0)])
-    assert other.weakest == 2.0 and other.bounds(np.zeros(7), 0.01, np.zeros(7)).high[0] == pytest.approx(0.02)
+    assert other.acceleration.min() == 2.0 and other.bounds(np.zeros(7), 0.01, np.zeros(7)).high[0] == pytest.approx(
+        0.02
+    )
     own = Limits(robot, velocity=0.5, acceleration=np.arange(1.0, 8.0), jerk=100.0, margin=0.05)
     np.testing.assert_array_equal(own.velocity, np.full(7, 0.5))
     np.testing.assert_array_equal(own.upper, robot.position_upper - 0.05)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, final
 
 import numpy as np
@@ -42,7 +43,7 @@ class NativeLaw:
         described = description(law, limits)
         self._unknown = tuple(described[part] is None for part in ("rows", "task", "policy"))
         self._engine = Engine(described, Command, list(Status))
-        self._clears = None if limits is None or limits.barriers.clear is None else limits.barriers
+        self._clears = None if limits is None else limits.barriers.clear
         self._whole = not any(self._unknown) and self._clears is None
         self.step: Callable[..., Command | None] = self._engine.step if self._whole else _left_to_python
 
@@ -63,7 +64,7 @@ class NativeLaw:
             w = plain(law.policy_velocity(q, t, dt))
         clear = None
         if self._clears is not None and self._limits is not None:
-            clear = self._clears.clear_at(q, dt, self._limits.acceleration, previous)
+            clear = partial(self._clears.rows, q, dt, self._limits.acceleration, previous)
         return self._engine.command(plain(x), dt, previous, slide, b, E, D, w, A, rates, bend, clear)
 
     def rollouts(

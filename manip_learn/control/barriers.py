@@ -49,9 +49,7 @@ def approach_bound(smallest: float, slope: Vector, acceleration: Vector, dt: flo
     as 1 / sigma until they flip from step to step; with the bound it comes to rest there.
     """
     length = math.sqrt(slope.dot(slope))
-    if length == 0.0:
-        return math.inf
-    return 5e-4 * length + approach_rate(smallest, slope, acceleration, dt)
+    return 5e-4 * length + approach_rate(smallest, slope, acceleration, dt) if length > 0.0 else math.inf
 
 
 class Standing(Protocol):
@@ -297,7 +295,8 @@ class Barriers:
     def at(self, q: Posture, dt: float, acceleration: Vector, previous: Vector | None) -> BarriersAt:
         """Return the barriers at a posture, for a step of dt [s] after a velocity; arguments as for `Limits.bounds`."""
         jacobians = [self._robot.jacobian(q, frame)[:3] for frame in self.frames]
-        clear, G, left = self.clear_at(q, dt, acceleration, previous), np.empty((0, self._robot.nv)), np.empty(0)
+        clear = None if self.clear is None else partial(self.clear.rows, q, dt, acceleration, previous)
+        G, left = np.empty((0, self._robot.nv)), np.empty(0)
         if self.walls.size and jacobians:
             normals, offsets = self.walls[:, :3], self.walls[:, 3]
             G = np.vstack([normals.dot(J) for J in jacobians])
@@ -307,12 +306,6 @@ class Barriers:
         if previous is not None:
             least = np.minimum(least, BRAKING_SHARE * dt * np.abs(G).dot(acceleration) - G.dot(previous))
         return BarriersAt(self.speed, jacobians, -G, least, clear)
-
-    def clear_at(
-        self, q: Posture, dt: float, acceleration: Vector, previous: Vector | None
-    ) -> Callable[[Vector], Barrier | None] | None:
-        """Return `BarriersAt.clear`; arguments as for `at`."""
-        return None if self.clear is None else partial(self.clear.rows, q, dt, acceleration, previous)
 
     @property
     def pace(self) -> float:

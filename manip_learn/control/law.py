@@ -397,7 +397,7 @@ class Law:
         there is exceeds it, the task waits in proportion. |dA[u] u| is at most about |A| |u| sum_j |u_j|.
         """
         square, size = max(float(u.dot(u)) for u in (law.velocity, previous)), float((law.A * law.A).sum())
-        if math.sqrt(law.A.shape[1] * size) * square * square <= 8.0 * _ASIDE * limits.weakest**2:
+        if math.sqrt(law.A.shape[1] * size) * square * square <= 8.0 * _ASIDE * float(limits.acceleration.min()) ** 2:
             return 1.0
         (_, vjp), share = self.constraint.value_and_vjp(q), 1.0
         for u, power in ((wish, 0.25), (previous, 1.0)):

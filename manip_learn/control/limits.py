@@ -47,11 +47,10 @@ def check_inside(robot: Robot, positions: Vector) -> None:
     outside = (positions < robot.position_lower - OUTSIDE) | (positions > robot.position_upper + OUTSIDE)
     if np.any(outside):
         i = int(np.argmax(outside))
-        raise TargetError(
-            f"the start puts joint {robot.joint_names[i]!r} at {positions[i]:.4g}, outside its limits "
-            f"{robot.position_lower[i]:.4g} .. {robot.position_upper[i]:.4g} {robot.joint_units[i]}: give positions in "
-            f"{robot.joint_units[i]}, not in degrees or mm"
-        )
+        low, high, unit = robot.position_lower[i], robot.position_upper[i], robot.joint_units[i]
+        where = f"at {positions[i]:.4g}, outside its limits {low:.4g} .. {high:.4g} {unit}"
+        fix = f"give positions in {unit}, not in degrees or mm"
+        raise TargetError(f"the start puts joint {robot.joint_names[i]!r} {where}: {fix}")
 
 
 @final
@@ -107,13 +106,10 @@ class Bounds(NamedTuple):
         slowest, fastest = previous - change, previous + change
         low, high = np.maximum(self.low, slowest), np.minimum(self.high, fastest)
         only = np.where(high < slowest, slowest, fastest)
-        return Bounds(
-            np.where(low > high, only, low),
-            np.where(low > high, only, high),
-            np.where(slowest > self.low, ACCELERATION, self.low_cause),
-            np.where(fastest < self.high, ACCELERATION, self.high_cause),
-            self.outside,
-        )
+        low_cause = np.where(slowest > self.low, ACCELERATION, self.low_cause)
+        high_cause = np.where(fastest < self.high, ACCELERATION, self.high_cause)
+        low, high = (np.where(low > high, only, x) for x in (low, high))
+        return Bounds(low, high, low_cause, high_cause, self.outside)
 
 
 @final
@@ -207,11 +203,6 @@ class Limits:
         for array in (self.lower, self.upper):
             array.setflags(write=False)
 
-    @property
-    def weakest(self) -> float:
-        """Smallest acceleration limit of a joint [rad/s2 or m/s2]."""
-        return float(self.acceleration.min())
-
     def bounds(self, q: Posture, dt: float, previous: Vector | None) -> Bounds:
         """Return the bounds on the velocity of the next step.
 
@@ -263,13 +254,10 @@ class Limits:
         Raises:
             ConfigurationError: A limit that is not positive or has the wrong size.
         """
-        if acceleration is None and jerk is None:
-            return self
-        other = copy.copy(self)
+        other, names = copy.copy(self), self.robot.joint_names
         if acceleration is not None:
-            other.acceleration = per_joint("acceleration limit", acceleration, self.robot.joint_names)
-        if jerk is not None:
-            other.jerk = per_joint("jerk limit", jerk, self.robot.joint_names)
+            other.acceleration = per_joint("acceleration limit", acceleration, names)
+        other.jerk = self.jerk if jerk is None else per_joint("jerk limit", jerk, names)
         return other
 
     def with_tip_speed(self, speed: float, frames: Sequence[str]) -> Limits:
@@ -304,7 +292,9 @@ class Limits:
             dt: Step [s].
         """
         rate = min(APPROACH_RATE, 0.5 / dt) * smallest
-        return square * size >= min(2.0 * BRAKING_SHARE * self.weakest * math.sqrt(size) * smallest, rate * rate)
+        return square * size >= min(
+            2.0 * BRAKING_SHARE * float(self.acceleration.min()) * math.sqrt(size) * smallest, rate * rate
+        )
 
     def freer_sense(self, q: Posture, direction: Vector) -> Vector:
         """Return a direction, or its opposite where position limits leave that more room."""

@@ -8,7 +8,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -120,12 +120,10 @@ class JointAttractor(NullSpacePolicy):
         Raises:
             TargetError: q and the rest posture have different sizes.
         """
-        if self.robot is not None:
-            return self.gain * self.robot.difference(q, self.rest)
         here = np.asarray(q, dtype=np.float64)
-        if here.shape != self.rest.shape:
+        if self.robot is None and here.shape != self.rest.shape:
             raise TargetError(f"the rest posture has {self.rest.size} numbers, the posture has shape {here.shape}")
-        return self.gain * (self.rest - here)
+        return self.gain * (self.rest - here if self.robot is None else self.robot.difference(here, self.rest))
 
     def __repr__(self) -> str:
         return f"JointAttractor({np.array2string(self.rest, precision=3)}, gain={self.gain:g})"
@@ -398,10 +396,6 @@ class KeptOrientation(SampledPolicy):
         stiff = self.rms**2 / (max(3.0 * dt, 0.1) * self.gain) * np.eye(3) + J @ J.T
         return u - J.T.dot(np.linalg.solve(stiff, J.dot(u)))
 
-    def beside(self, policy: NullSpacePolicy) -> KeptOrientation:
-        """Return the same wish beside another policy."""
-        return KeptOrientation(policy, self._features, self._wanted, self.rms, self.gain)
-
     def __repr__(self) -> str:
         return f"KeptOrientation({self.policy!r}, rms={self.rms:.3g} rad, gain={self.gain:g})"
 
@@ -508,13 +502,12 @@ def policy_of(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePo
 
 
 def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
-    """This policy, its ascents of one constraint climbing the manipulability of another."""
+    """Return a policy, its ascents of one constraint climbing the manipulability of another."""
+    other: Any = copy.copy(policy)
     if isinstance(policy, _Ascent) and policy.constraint is before:
-        other = copy.copy(policy)
         other.constraint = after
-        return other
-    if isinstance(policy, KeptOrientation):
-        return policy.beside(climbing(policy.policy, before, after))
-    if isinstance(policy, WeightedPolicies):
-        return WeightedPolicies([climbing(part, before, after) for part in policy.policies], policy.weights)
-    return policy
+    elif isinstance(policy, KeptOrientation):
+        other.policy = climbing(policy.policy, before, after)
+    elif isinstance(policy, WeightedPolicies):
+        other.policies = tuple(climbing(part, before, after) for part in policy.policies)
+    return other if isinstance(policy, _Ascent | KeptOrientation | WeightedPolicies) else policy

@@ -37,21 +37,15 @@ class Readings:
         Args:
             reading: Anything.
         """
-        q = reading
-        if type(q) is not np.ndarray or q.dtype.char != "d":
-            try:
-                q = np.asarray(q)
-            except (TypeError, ValueError, OverflowError):
-                return None
-            if q.dtype.kind not in "fiu":
-                return None
-            q = q.astype(np.float64)
         try:
-            if q.ndim != 1 or not np.all(np.abs(self.robot.checked_posture(q)) < self.farthest):
+            q = np.asarray(reading)
+            if q.dtype.kind not in "fiu" or q.ndim != 1:
                 return None
+            q = self.robot.checked_posture(q.astype(np.float64))
             # (cos, sin) of any length but 0
-            return np.array(q if q.shape[0] == self.robot.nv else self.robot.configuration(q))
-        except ConfigurationError:
+            within = bool(np.all(np.abs(q) < self.farthest))
+            return (q if q.shape[0] == self.robot.nv else self.robot.configuration(q)) if within else None
+        except (TypeError, ValueError, OverflowError, ConfigurationError):
             return None
 
     def refusal(self, reading: Any) -> str:

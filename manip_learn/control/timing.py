@@ -85,8 +85,7 @@ class Timing(NamedTuple):
 
     def again(self) -> Timing:
         """Return the timing before the first reading of another motion: how often the caller calls is known."""
-        known = {"usual": self.usual, "longest": self.longest, "recent": self.recent, "warning": self.warning}
-        return Timing.begin(self.dt, self.stale_after)._replace(**known)
+        return self.without(math.nan)._replace(time=-math.inf, silent=0.0, waited=0.0)
 
     @property
     def is_stale(self) -> bool:
