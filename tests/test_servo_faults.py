@@ -78,6 +78,19 @@ def test_reset_after_a_trip_ramps_back(robot_of: RobotOf) -> None:
     np.testing.assert_allclose(places[-2], q, rtol=0, atol=1e-5)
 
 
+def test_a_false_reading_after_a_reset_is_no_place_to_go_back_to(robot_of: RobotOf) -> None:
+    """Zeros that a driver reads once, before its first state, lead `position` nowhere: it goes to where the arm is."""
+    robot = robot_of("sawyer")
+    (arm, _), q = tripped(robot), start_of(robot)
+    arm.calls(300, q)
+    arm.loop.reset()
+    loop, q = arm.loop, q + 0.02
+    readings = [np.zeros(7), *[q] * 600]
+    places = [loop.position for k, reading in enumerate(readings) if loop.update(reading, k * DT)]
+    assert np.max(np.abs(np.array(places) - q)) < 0.05
+    np.testing.assert_allclose(places[-1], q, rtol=0, atol=1e-5)
+
+
 @pytest.mark.parametrize("first", [0.0, 1.0])
 def test_a_first_reading_that_is_wrong_moves_nothing(first: float, robot_of: RobotOf) -> None:
     """Zeros, or an old posture, once before the first state: `position` is where the arm is from the second reading on,

@@ -175,8 +175,9 @@ class LoopRules:
         if jump and s.refused <= self.stale_after:
             if s.alone:  # a first reading that the second one is not near: nothing starts from it
                 self.controller.reset()
-                new = self.begin(s, measured if s.way_back is None else s.position)
-                kept = {"is_stopped": s.is_stopped, "way_back": s.way_back, "measured": measured, "alone": True}
+                back = None if s.way_back is None else (s.way_back[0], None, 0.0)
+                new = self.begin(s, measured if back is None else s.position)
+                kept = {"is_stopped": s.is_stopped, "way_back": back, "measured": measured, "alone": True}
                 vars(s).update(vars(new) | kept)
                 timing = s.timing._replace(time=time)
             s.timing = timing.without(timing.older)
