@@ -379,7 +379,7 @@ class _Cycle:
     """The state of a run."""
 
     def __init__(self, loop: ServoLoop, arm: _Arm, clock: Clock):
-        self._loop, self._robot, self._arm, self._pace = loop, loop.robot, arm, Pace(arm, clock)
+        self._loop, self._robot, self._arm, self._clock = loop, loop.robot, arm, clock
         self.ending = OrderlyEnd(arm, loop.stop, loop.stale_after, clock)
         own = loop.rules.controller.start
         yields = np.maximum(_AWAY, loop.state.following.farthest())  # to the largest force that is allowed
@@ -392,7 +392,8 @@ class _Cycle:
 
     def run(self, duration: float, until: Callable[[], str]) -> None:
         """Until the arm stands after a reason to stop."""
-        loop, pace, ending, last = self._loop, self._pace, self.ending, math.inf
+        loop, ending, last = self._loop, self.ending, math.inf
+        self._pace = pace = Pace(self._arm, self._clock)  # which counts from here on: collecting garbage takes time
         while True:
             t = pace.wait()
             ending.stop(pace.fault)

@@ -28,11 +28,6 @@ from manip_learn.robot.robot import Robot
 HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
 DONE = {"m": 1e-3, "rad": math.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
 RAMP = 0.5  # [s] from rest to the speed: 0.1 m/s with 0.3 m/s2 at most
-# mechanisms that do not move by a unit, what they do, and what to give in Python and as a flag
-_UNMOVED = {
-    "m": (("hinge", "screw", "ball"), "turns and does not slide", ("angle= [rad]", "--turn DEGREES")),
-    "rad": (("line", "plane"), "slides and does not turn", ("distance= [m]", "--along METRES")),
-}
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
 _SETTLING = 0.5  # [s] at most until the hand is there after its way to the mechanism: e^-5 of a lag, at gain 10 /s
 TAKEN = 2e-4  # [m] the hand is at the mechanism: a tenth of the 2 mm that it may be off it, twice the encoders' noise
@@ -426,7 +421,14 @@ def motion(
         raise TargetError(f"{lacking}say how far to go, once{how}")
     unit: Unit = "m" if angle is None else "rad"
     amount: Any = distance if angle is None else angle
-    types, does, instead = _UNMOVED[unit]
+    # mechanisms that do not move by this unit, what they do, and what to give in Python and as a flag
+    types, does, instead = ("line", "plane"), "slides and does not turn", ("distance= [m]", "--along METRES")
+    if unit == "m":
+        types, does, instead = (
+            ("hinge", "screw", "ball"),
+            "turns and does not slide",
+            ("angle= [rad]", "--turn DEGREES"),
+        )
     if again and shown is not None:
         unit, amount = shown.unit, shown.extent
         speed = amount / max(shown.seconds - RAMP, RAMP) if speed is None else speed
