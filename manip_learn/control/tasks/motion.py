@@ -421,19 +421,17 @@ def motion(
         raise TargetError(f"{lacking}say how far to go, once{how}")
     unit: Unit = "m" if angle is None else "rad"
     amount: Any = distance if angle is None else angle
-    # mechanisms that do not move by this unit, what they do, and what to give in Python and as a flag
-    types, does, instead = ("line", "plane"), "slides and does not turn", ("distance= [m]", "--along METRES")
+    # mechanisms that do not move by this unit, what they do, and what to give
+    types, does = ("line", "plane"), "slides and does not turn"
+    instead = advice(": use {}", "distance= [m]", "--along METRES")
     if unit == "m":
-        types, does, instead = (
-            ("hinge", "screw", "ball"),
-            "turns and does not slide",
-            ("angle= [rad]", "--turn DEGREES"),
-        )
+        types, does = ("hinge", "screw", "ball"), "turns and does not slide"
+        instead = advice(": use {}", "angle= [rad]", "--turn DEGREES")
     if again and shown is not None:
         unit, amount = shown.unit, shown.extent
         speed = amount / max(shown.seconds - RAMP, RAMP) if speed is None else speed
     elif known is not None and known.type in types:
-        raise ConstraintError(f"what was learnt {does} ({known.sentence})" + advice(": use {}", *instead))
+        raise ConstraintError(f"what was learnt {does} ({known.sentence}){instead}")
     if speed is None:
         lever = 0.0 if known is None else known.radius or 0.0
         speed = HAND_SPEED if unit == "m" else HAND_SPEED / max(lever, 0.2)  # nearer to the axis no faster
