@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from numpy.typing import ArrayLike
 
 from manip_learn.control.barriers import APPROACH_RATE, BRAKING_SHARE, CLEARANCE, Barriers, KeptClear, Standing
@@ -203,7 +203,7 @@ class Limits:
         for array in (self.lower, self.upper):
             array.setflags(write=False)
 
-    def bounds(self, q: Posture, dt: float, previous: Vector | None) -> Bounds:
+    def bounds(self, q: Posture, dt: float, previous: Vector | None, share: float = 1.0) -> Bounds:
         """Return the bounds on the velocity of the next step.
 
         Args:
@@ -211,20 +211,21 @@ class Limits:
             dt: Step [s].
             previous: Velocity that was commanded in the step before [rad/s or m/s]; without one no acceleration is
                 bounded.
+            share: Of the acceleration limits, with which a joint brakes before its position limits.
         """
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
         left = np.stack((x - self.lower, self.upper - x))  # above the lower limits, and below the upper ones
-        fastest = self._braking_speed(left, dt, 0.0 if previous is None else self.stopping_time(previous))
+        fastest = self._braking_speed(left, dt, 0.0 if previous is None else self.stopping_time(previous), share)
         cause = np.where(fastest < self.velocity, POSITION, VELOCITY)
         low, high = np.minimum(fastest, self.velocity)
         outside = -float(left.min(initial=0.0))
         bounds = Bounds(-low, high, cause[0], cause[1], outside if outside > OUTSIDE else 0.0)
         return bounds if previous is None else bounds.after(previous, self.acceleration * dt)
 
-    def _braking_speed(self, distance: Float[np.ndarray, "2 nv"], dt: float, together: float) -> np.ndarray:
+    def _braking_speed(self, distance: np.ndarray, dt: float, together: float, share: float) -> np.ndarray:
         """Return brake(d), at most d / T; negative outside, where a joint returns."""
         # a joint without a limit has one that is never met: braking distances stay finite
-        a, rate = BRAKING_SHARE * np.minimum(self.acceleration, 1e12), min(APPROACH_RATE, 0.5 / dt)
+        a, rate = share * BRAKING_SHARE * np.minimum(self.acceleration, 1e12), min(APPROACH_RATE, 0.5 / dt)
         joined = a / rate - 0.5 * a * dt  # speed at d1
         linear = joined / rate
         offset = linear - joined * (joined + a * dt) / (2.0 * a)

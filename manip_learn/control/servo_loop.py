@@ -267,8 +267,7 @@ class LoopRules:
 
     def _careful(self, s: State, q: np.ndarray, late: float) -> Bounds:
         """Bounds from which a joint stops however late the calls are, without those of its acceleration."""
-        slower = self.limits.with_rates(s.timing.usual / late * self.limits.acceleration, None)
-        return slower.bounds(q, late, None)
+        return self.limits.bounds(q, late, None, s.timing.usual / late)
 
     def _command(self, s: State, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits and clear of what stands around; else the arm brakes.

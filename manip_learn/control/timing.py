@@ -123,7 +123,7 @@ class Timing(NamedTuple):
             stands: True if the arm stood: a task that waits for the arm has then waited all the time.
             commanded: Time for which commands have moved the commanded posture since the newest reading [s].
         """
-        since, dt, periods = time - self.time, self.dt, {}
+        since, dt = time - self.time, self.dt
         if since <= 0.0:
             return self.without(self.older)
         if math.isinf(since):  # the first, or the first of a clock that was set back
@@ -131,16 +131,16 @@ class Timing(NamedTuple):
         late = since - commanded
         late = late if abs(late) > 0.01 * dt else 0.0  # else it is in time
         waited = self.waited + (since if stands else late)
-        if since <= self.stale_after:
-            periods = self._periods(since)
-        told = {"time": time, "older": math.nan, "since": since, "silent": 0.0, "late": late, "waited": waited}
-        return self._replace(**told, **({"held": dt} | periods))
+        calls = dt, self.usual, self.longest, self.recent, self.warning
+        held, usual, longest, recent, words = self._calls(since) if since <= self.stale_after else calls
+        stale = self.stale_after
+        return Timing(dt, stale, time, math.nan, since, 0.0, late, held, waited, usual, longest, recent, words)
 
-    def _periods(self, since: float) -> dict[str, Any]:
-        """Return what follows for `held`, `usual`, `longest`, `recent` and `warning` from a period `since` [s]."""
+    def _calls(self, since: float) -> tuple[float, float, float, tuple[float, ...], str]:
+        """Return `held`, `usual`, `longest`, `recent` and `warning` after a period `since` [s]."""
         dt, warning, recent = self.dt, self.warning, (*self.recent[1 - WINDOW :], since)
         if self.longest == self.usual == dt and dt * (1.0 - _ROUNDING) <= since <= REGULAR * dt:
-            return {"recent": recent}
+            return dt, dt, dt, recent, warning
         shortest, longest, mean = min(recent), max(recent), sum(recent) / len(recent)
         is_regular = len(recent) >= 3 and longest <= REGULAR * shortest
         usual = shortest if is_regular and shortest > REGULAR * dt else dt
@@ -150,8 +150,7 @@ class Timing(NamedTuple):
                 f"the servo loop was made for a period of {1e3 * dt:.4g} ms and is called {every}: give it that as dt"
             )
         held = usual if since >= usual * (1.0 - _ROUNDING) else since
-        longest = longest if longest > REGULAR * usual else usual
-        return {"recent": recent, "held": held, "usual": usual, "longest": longest, "warning": warning}
+        return held, usual, longest if longest > REGULAR * usual else usual, recent, warning
 
 
 @final
