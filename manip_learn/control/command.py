@@ -113,7 +113,7 @@ POSITION, VELOCITY, ACCELERATION = range(3)
 
 
 def slowed_by(cause: int) -> Status:
-    """The status of a task that a limit slows down, POSITION, VELOCITY or ACCELERATION; -1 is a singularity."""
+    """Return the status of a task that a limit slows down, POSITION, VELOCITY or ACCELERATION; -1 is a singularity."""
     return (Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED, Status.DAMPED)[cause]
 
 

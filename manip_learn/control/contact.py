@@ -206,7 +206,7 @@ class FollowingError:
         return float(np.abs(self.servos.raw).max(initial=0.0))
 
     def relief(self) -> Vector:
-        """Way to a commanded posture at which the servos no longer press, shape (nv,) [rad or m].
+        """Return the way to a commanded posture at which the servos no longer press, shape (nv,) [rad or m].
 
         To where the arm was measured, less its load (a weight presses nothing), and on in the sense of the force by
         what friction would go on holding.
@@ -215,7 +215,7 @@ class FollowingError:
         return self.distance - self.load + held
 
     def farthest(self) -> Vector:
-        """By how much it makes sense to let go, shape (nv,) [rad or m]: the measurement may be wrong.
+        """Return by how much it makes sense to let go, shape (nv,) [rad or m]: the measurement may be wrong.
 
         What the largest force makes of the limits, friction, and what was commanded within the delay.
         """
@@ -223,7 +223,7 @@ class FollowingError:
         return largest + self.servos.moved_lately + self.servos.width
 
     def left(self, q: Posture) -> float:
-        """Force on the hand that is left in a measured posture, beyond what friction holds [N]."""
+        """Return the force on the hand that is left in a measured posture, beyond what friction holds [N]."""
         friction = self.servos.friction
         off = beyond(self.distance - self.load, -friction, friction)
         return float(np.linalg.norm(self._force_of(off, self._yields(q))[0]))
@@ -249,7 +249,7 @@ class FollowingError:
         return f"{words}, robot.with_payload({mass}, {self._frame.name!r})"
 
     def sentence(self, constraint: Constraint | None, q: Posture) -> str:
-        """What was blocked and by how much: the row of the constraint, if it is known, the joint, and what to do."""
+        """Say what was blocked and by how much: the row of the constraint, if known, the joint, and what to do."""
         j = int(np.abs(self.distance).argmax())
         unit = self._robot.joint_units[j]
         turns = other_turns(float(self.distance[j]), unit)

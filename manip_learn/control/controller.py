@@ -146,11 +146,11 @@ class ResolvedRateController(LimitedController):
         return native_law(self._law, self.limits)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Distance to the task's goal along the constrained rows [m or rad]."""
+        """Return the distance to the task's goal along the constrained rows [m or rad]."""
         return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)
 
     def with_task(self, task: Task, constraint: Constraint) -> ResolvedRateController:
-        """This controller with another task along the rows of another constraint.
+        """Return this controller with another task along the rows of another constraint.
 
         A null-space ascent of the constraint, or of the rows driven, becomes one of the new.
         """
@@ -172,7 +172,7 @@ class ResolvedRateController(LimitedController):
         return (self,)
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> ResolvedRateController:
-        """This controller with other limits; nothing makes up for a lag."""
+        """Return this controller with other limits; nothing makes up for a lag."""
         other = copy.copy(self)
         other.limits = other._limits_of(limits)
         vars(other).pop("native", None)
@@ -227,7 +227,7 @@ class BoundedController(LimitedController):
         return command._replace(velocity=velocity, status=status, outside=bounds.outside)
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> BoundedController:
-        """This controller with other limits; nothing makes up for a lag."""
+        """Return this controller with other limits; nothing makes up for a lag."""
         return BoundedController(self.controller, limits)
 
 

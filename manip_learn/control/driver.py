@@ -59,7 +59,7 @@ class Driver(Protocol):
     period: float
 
     def read(self) -> tuple[Posture, Posture | None, Posture | None]:
-        """The newest measured joint positions [rad or m], velocities and efforts, or None where there are none.
+        """Return the newest measured joint positions [rad or m], velocities and efforts, or None where there are none.
 
         Each is an array in the order of the joints, or a mapping from joint names.
         """
@@ -170,7 +170,7 @@ class Clock(Protocol):
     """Where a cycle takes its time from."""
 
     def now(self) -> float:
-        """The time [s]; it never falls."""
+        """Return the time [s]; it never falls."""
         ...
 
     def wait_until(self, moment: float) -> object:
@@ -183,7 +183,7 @@ class ComputerClock:
     """The time that passes here."""
 
     def now(self) -> float:
-        """Since an arbitrary moment [s]."""
+        """Return the time since an arbitrary moment [s]."""
         return time.perf_counter()
 
     def wait_until(self, moment: float) -> None:
@@ -302,7 +302,7 @@ class OrderlyEnd:
 
     @contextmanager
     def waiting(self, call: str) -> Iterator[None]:
-        """A call of the driver, which a signal gives up if it does not return, as does a second Ctrl-C."""
+        """Guard a call of the driver, which a signal gives up if it does not return, as does a second Ctrl-C."""
         self._called = self._clock.now()
         try:
             yield
@@ -391,7 +391,7 @@ class _Cycle:
         self._continuous = np.array([b.kind == "continuous" for b in loop.robot.blocks for _ in b.coordinate_names])
 
     def run(self, duration: float, until: Callable[[], str]) -> None:
-        """Until the arm stands after a reason to stop."""
+        """Run until the arm stands after a reason to stop."""
         loop, ending, last = self._loop, self.ending, math.inf
         self._pace = pace = Pace(self._arm, self._clock)  # which counts from here on: collecting garbage takes time
         while True:
@@ -506,7 +506,7 @@ class _Cycle:
         return stands and bool(ending.reason)
 
     def record(self) -> RunRecord:
-        """What was done."""
+        """Return what was done."""
         loop, pace = self._loop, self._pace
         rollout = rollout_of(loop.robot, loop, [(t, q, c, loop.task_error(q, t)) for t, q, c, _ in self._samples])
         return RunRecord(rollout, pace.cycles, pace.overruns, pace.longest_delay, *self.ending.outcome)

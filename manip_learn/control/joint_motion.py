@@ -98,7 +98,7 @@ class FollowMotion(LimitedController):
         return np.eye(self.robot.nv)
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> FollowMotion:
-        """This motion within other limits; what is known ahead makes up for a lag [s]."""
+        """Return this motion within other limits; what is known ahead makes up for a lag [s]."""
         return FollowMotion(self.robot, self.motion, limits, ahead=lag)
 
     def reset(self) -> None:
@@ -106,7 +106,7 @@ class FollowMotion(LimitedController):
         self._clock, self._since, self._rate, self.delay = -math.inf, math.inf, 0.0, 0.0
 
     def at(self, s: float) -> Vector:
-        """Where the motion is s [s] after its first sample, joint positions [rad or m]."""
+        """Return where the motion is s [s] after its first sample, joint positions [rad or m]."""
         return self._path.at(s, 0.0)[0]
 
     def __call__(
@@ -148,7 +148,7 @@ class FollowMotion(LimitedController):
         return rate + np.sign(away) * stopping_speed(np.abs(away), self.limits.acceleration, dt), rate
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Largest distance of a joint from where the motion is now [rad or m]."""
+        """Return the largest distance of a joint from where the motion is now [rad or m]."""
         return float(np.max(np.abs(self.robot.difference(q, self.at(max(self._clock, 0.0)))), initial=0.0))
 
     def __repr__(self) -> str:
@@ -195,7 +195,7 @@ class _Path:
         self.pieces[2:, :-1] = CubicHermiteSpline(time, x, slope).c[1::-1] * (self.jumps == 0.0)
 
     def at(self, s: float, ahead: float) -> tuple[Vector, Vector]:
-        """Where the motion that is going on at time s is a little later, and its velocity.
+        """Return where the motion that is going on at time s is a little later, and its velocity.
 
         A jump in between is not foreseen: the joint goes on along its tangent.
         """
@@ -206,7 +206,7 @@ class _Path:
 
 
 def every_joint(robot: Robot) -> Constraint:
-    """A(q) = I: a row for the velocity of each joint."""
+    """Return A(q) = I: a row for the velocity of each joint."""
     one, rates = np.eye(robot.nv), partial(_same, np.zeros((robot.nv,) * 3))
     return Constraint(one, CustomFeatures(partial(_same, one), robot.joint_names, derivative=rates, robot=robot))
 
@@ -254,7 +254,7 @@ class JointMotion(Task):
         self.start, self._last = table[0], table[-1]
 
     def at(self, t: float) -> tuple[Vector, Vector]:
-        """Where the joints should be t [s] after the start, and how fast [rad or m, rad/s or m/s]."""
+        """Return where the joints should be t [s] after the start, and how fast [rad or m, rad/s or m/s]."""
         leg = int(np.searchsorted(self._ends, t))
         if leg == len(self._legs):
             return self._last, np.zeros_like(self._last)
@@ -263,21 +263,21 @@ class JointMotion(Task):
         return path(share), rate * path(share, 1)
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Vector:
-        """b of every joint."""
+        """Return b of every joint."""
         goal, rate = self.at(t)
         return rate + self.gain * self._robot.difference(q, goal)
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
-        """Whether it has arrived at posture q at time t [s]; after a second more, with what encoder noise leaves."""
+        """Return whether it has arrived at posture q at time t [s]; after a second more, but for encoder noise."""
         late, off = t - self.duration, self._robot.difference(np.asarray(q, dtype=np.float64), self._last)
         return late >= 0.0 and (late >= 1.0 or float(np.linalg.norm(off)) < ARRIVED)
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """How far the joints are from the last posture [rad or m]."""
+        """Return how far the joints are from the last posture [rad or m]."""
         return float(np.linalg.norm(self._robot.difference(q, self._last)))
 
     def goal(self) -> Vector:
-        """The last posture."""
+        """Return the last posture."""
         return self._last.copy()
 
     def __repr__(self) -> str:
@@ -369,11 +369,11 @@ class LawSequence(LimitedController):
         return command if law is way else command._replace(manipulability=manipulability(way.constraint, q))
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Distance to the goal of the law in force [m or rad]."""
+        """Return the distance to the goal of the law in force [m or rad]."""
         return self.law.task_error(q, t - (self.began or 0.0))
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> LawSequence:
-        """These laws with other limits; nothing makes up for a lag."""
+        """Return these laws with other limits; nothing makes up for a lag."""
         return LawSequence(*(law.with_limits(limits) for law in self.laws))
 
     def __repr__(self) -> str:

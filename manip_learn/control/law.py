@@ -89,7 +89,7 @@ class Desired(NamedTuple):
         return self.task + self.null + (0.0 if self.escape is None else self.escape)
 
     def progress(self, u: Vector) -> float:
-        """Velocity along b over the velocity asked for, b^T (A u + c) / |b|^2; 1 where nothing is asked for."""
+        """Return velocity along b over that which is asked for, b^T (A u + c) / |b|^2; 1 where nothing is asked for."""
         square = float(self.b.dot(self.b))
         return float(self.b.dot(self.A.dot(u) + self.bend)) / square if square > AT_GOAL * AT_GOAL else 1.0
 
@@ -298,7 +298,7 @@ class Law:
         return _checked(b, self.constraint.n_constraints, "the task's velocity b"), E
 
     def policy_velocity(self, q: np.ndarray, t: float, dt: float) -> Vector:
-        """w for the time dt [s] that begins at t [rad/s or m/s].
+        """Return w for the time dt [s] that begins at t [rad/s or m/s].
 
         Raises:
             TargetError: It has another size, or is not finite.
@@ -442,7 +442,7 @@ def _slowed_drive(law: Desired, D: np.ndarray, limits: Limits, barrier: Barrier 
 
 
 def nearest_within(wish: Vector, W: Float[np.ndarray, "s nv"], bounds: Bounds, barrier: Barrier | None) -> Vector:
-    """argmin |W (u - wish)|^2 + |u - wish|^2 within the bounds, and with G u >= least where the bounds allow that.
+    """Return argmin |W (u - wish)|^2 + |u - wish|^2 within bounds, and with G u >= least where these allow that.
 
     With R^T R = 1 + W^T W it is solved for z = R (u - wish): the metric itself, whose condition is the square of that
     of R, would cost eight digits.

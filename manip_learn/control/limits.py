@@ -23,7 +23,7 @@ FINE = 1e-13  # [rad/s or m/s] by how much rounding makes a velocity exceed a bo
 
 
 def stopping_speed(distance: Vector, acceleration: Vector, dt: float) -> Vector:
-    """The speed now with which a joint covers a distance to rest in the fewest steps of dt.
+    """Return the speed now with which a joint covers a distance to rest in the fewest steps of dt.
 
     At unit acceleration the steps x, x - 1, x - 2, ... > 0 [dt^2] are as long together as the way that is left.
     """

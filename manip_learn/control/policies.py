@@ -439,7 +439,7 @@ class WeightedPolicies(SampledPolicy):
 
 
 def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Vector:
-    """Unit vector along which the lost singular values grow fastest, in the null space of A if they grow there.
+    """Return the unit vector along which lost singular values grow fastest, in the null space if they grow there.
 
     With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step, with matrix M; mu is a cone
     there, and the leading right singular vector of M its steepest ascent.
@@ -497,7 +497,7 @@ class PolicyFunction(NullSpacePolicy):
 
 
 def policy_of(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePolicy:
-    """A policy as it is, a function as one."""
+    """Return a policy as it is, a function as one."""
     return policy if isinstance(policy, NullSpacePolicy) else PolicyFunction(policy)
 
 

@@ -128,11 +128,11 @@ class Rollout:
         ]
 
     def trajectory(self, name: str = "rollout") -> Trajectory:
-        """The motion as a demonstration, so that it can be learnt from again."""
+        """Return the motion as a demonstration, so that it can be learnt from again."""
         return Trajectory(self.time, self.q, self.u, self.joint_names, name, exact=True)
 
     def to_frame(self) -> PandasFrame:
-        """One row per sample: `time`, joint positions and velocities by name, `mu`, `task_error` and `status`.
+        """Return one row per sample: `time`, joint positions and velocities by name, `mu`, `task_error` and `status`.
 
         Raises:
             RecordingError: Postures that are no joint positions (nq differs from nv) have no column names.
@@ -142,12 +142,12 @@ class Rollout:
         return table.assign(mu=self.mu, task_error=self.task_error, status=list(map(str, self.status)))
 
     def until(self, end: float) -> Rollout:
-        """The samples up to a time [s]."""
+        """Return the samples up to a time [s]."""
         n = int(np.searchsorted(self.time, end + 1e-9))
         return replace(self, **{name: values[:n] for name, values in self._curves().items()})
 
     def followed_by(self, other: Rollout) -> Rollout:
-        """This motion and another one of the same robot that begins where it ends, as one; phases and ways of both."""
+        """Join this motion and another one of the same robot that begins where it ends; phases and ways of both."""
         shift = float(self.time[-1])
         time, status = np.concatenate([self.time[:-1], other.time + shift]), (*self.status[:-1], *other.status)
         joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in _CURVES[1:5]}
@@ -169,7 +169,7 @@ class Rollout:
         return np.linalg.norm(np.einsum("tij,tj->ti", A, self.u), axis=1)
 
     def manipulability_of(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
-        """mu of another constraint along the same motion."""
+        """Return mu of another constraint along the same motion."""
         return np.array([manipulability(constraint, q) for q in self.q])
 
     def save(self, path: str | Path) -> Path:
@@ -210,7 +210,7 @@ class Rollout:
 
     @staticmethod
     def load_with_notes(path: str | Path, robot: Robot | None = None) -> tuple[Rollout, tuple[str, ...]]:
-        """As `load`, but what it warns of is returned, in sentences.
+        """Read as `load` does, but what it warns of is returned, in sentences.
 
         Raises:
             RecordingError: No such file, another kind of file, or another robot.
@@ -238,7 +238,7 @@ class Rollout:
 
 
 def written_constraint(constraint: Constraint) -> Mapping[str, Any] | None:
-    """A constraint as a rollout keeps it; None if its features, or what it came from, cannot be written."""
+    """Return a constraint as a rollout keeps it; None if its features, or what it came from, cannot be written."""
     provenance = {k: v for k, v in constraint.provenance.items() if k not in ("phases", "odd_trajectories")}
     try:
         json.dumps(provenance, allow_nan=False)

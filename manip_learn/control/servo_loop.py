@@ -253,7 +253,7 @@ class LoopRules:
         s.timing = timing._replace(waited=timing.waited - (0.0 if stood else moved))
 
     def clock(self, s: State, time: float) -> float:
-        """Time for the controller: that of the state, less that for which a task that waits for the arm has waited."""
+        """Return the time for the controller [s], less that for which a task that waits for the arm has waited."""
         return time - s.timing.waited if self.controller.waits else time
 
     def _bounds(self, s: State, q: np.ndarray, held: float) -> Bounds:
@@ -287,7 +287,7 @@ class LoopRules:
         return command
 
     def brake(self, s: State, status: Status, held: float | None = None) -> Command:
-        """The arm brakes along the motion it was in, as hard as the acceleration limits allow in a time [s]."""
+        """Brake along the motion it was in, as hard as the acceleration limits allow in a time [s]."""
         dt = self.dt if held is None else held
         return self._beside_the_law(s, self._braking(s, dt), status, dt)
 
@@ -541,7 +541,7 @@ class ServoLoop:
         self._is_stopped = False
 
     def set_task(self, task: Task) -> None:
-        """Another task, in motion: the velocity goes over into that of the new task within the acceleration limits.
+        """Set another task, in motion: the velocity goes over into that of the new task within the acceleration limits.
 
         A `ManipulabilityAscent` of the rows driven so far climbs those driven from now on.
 
@@ -552,7 +552,7 @@ class ServoLoop:
         self._exchange(task, None)
 
     def set_target(self, target: ArrayLike) -> None:
-        """Another target of a `PointAttractor`, in motion, as for `set_task`.
+        """Set another target of a `PointAttractor`, in motion, as for `set_task`.
 
         Raises:
             ConfigurationError: The task is another one.
@@ -564,7 +564,7 @@ class ServoLoop:
         self._exchange(PointAttractor(target, task.gain, task.max_speed, driven=task.driven), None)
 
     def set_constraint(self, constraint: Constraint) -> None:
-        """Another constraint for the same task, in motion, as for `set_task`.
+        """Set another constraint for the same task, in motion, as for `set_task`.
 
         Raises:
             ConfigurationError: The controller is no `ResolvedRateController`.
@@ -618,7 +618,7 @@ class ServoLoop:
         return None if sent is None else sent.copy()
 
     def update(self, q: Any, t: Any) -> Command:
-        """The command of the next period. Never raises.
+        """Return the command of the next period. Never raises.
 
         Args:
             q: Measured posture: a configuration or joint positions.
@@ -633,7 +633,7 @@ class ServoLoop:
             return self.rules.brake(self._state, Status.INVALID_INPUT)
 
     def step(self, q: ArrayLike, t: float) -> Command:
-        """The command of the next period, as `update` gives it; errors of controller, task and policy are raised.
+        """Return the command of the next period, as `update` does; errors of controller, task and policy are raised.
 
         Raises:
             ManipLearnError: What the controller raises.
@@ -648,7 +648,7 @@ class ServoLoop:
         return command
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Distance to the task's goal along the constrained rows [m or rad]; NaN if the controller knows none."""
+        """Return the distance to the task's goal along the rows [m or rad]; NaN if the controller knows none."""
         error = getattr(self.controller, "task_error", None)
         return math.nan if error is None else float(error(q, self.rules.clock(self._state, t)))
 

@@ -111,7 +111,7 @@ class Servos:
         return self._over % self._often == 1 % self._often
 
     def gone(self, periods: int) -> Float[np.ndarray, " nv"]:
-        """How far the commanded posture has moved in the last periods [rad or m]."""
+        """Return how far the commanded posture has moved in the last periods [rad or m]."""
         return self._sent[0] - self._sent[min(periods, len(self._sent) - 1)]
 
     @property
@@ -120,7 +120,7 @@ class Servos:
         return np.abs(self._sent[: self._window[1] + 1] - self._sent[0]).max(axis=0)
 
     def excess(self, distance: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
-        """How far the arm is from where the servos may have brought it, by how far it is from where it was sent."""
+        """Return how far the arm is from where servos may have brought it, by how far it is from where it was sent."""
         y = self._sent[0] + distance
         step = y - self._past[0]
         square = float(step.dot(step))

@@ -199,7 +199,7 @@ class WayDone:
         return self.deviation > STRAY
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON answer: lengths in m, angles in degrees."""
+        """Return the JSON answer: lengths in m, angles in degrees."""
         size, unit = (1.0, "m") if self.unit == "m" else (float(np.degrees(1.0)), "deg")
         told = vars(self) | {"wanted": size * self.wanted, "done": size * self.done, "unit": unit}
         name, share = told.pop("fastest")
@@ -207,7 +207,7 @@ class WayDone:
 
 
 def leads_away(handle: Float[np.ndarray, " 3"], way: Float[np.ndarray, " 3"]) -> bool:
-    """Whether a hand goes away from the robot's base: it pushes a drawer in, for chests face who opens them."""
+    """Return whether a hand goes away from the robot's base: it pushes a drawer in, for chests face who opens them."""
     out = handle * [1.0, 1.0, 0.0]
     return bool(way @ out > 0.5 * np.linalg.norm(way) * np.linalg.norm(out))  # cosine of the angle between them
 
@@ -292,7 +292,7 @@ def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, "
 
 
 def joint_at_limit(robot: Robot, positions: Vector) -> str | None:
-    """The first joint that stands at a position limit, in words; None if none does."""
+    """Return the first joint that stands at a position limit, in words; None if none does."""
     for i, name in enumerate(robot.joint_names):
         for side, limit in (("lower", robot.position_lower[i]), ("upper", robot.position_upper[i])):
             if abs(positions[i] - limit) < 2e-3:  # [rad or m] braking is exponential in the end

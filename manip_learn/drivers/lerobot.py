@@ -144,7 +144,7 @@ class LeRobotDriver:
         return assigned
 
     def read(self) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"] | None, Float[np.ndarray, " nv"] | None]:
-        """Joint positions [rad or m], and velocities [rad/s] and efforts [N m] of arms that measure them.
+        """Return the joint positions [rad or m], and velocities [rad/s] and efforts [N m] of arms that measure them.
 
         Raises:
             ConfigurationError: A position is missing or no finite number.
@@ -189,7 +189,7 @@ class LeRobotDriver:
         self._send(goals | self._held)
 
     def gripper(self, word: Literal["close", "open"]) -> None:
-        """From the next command on the motors of grippers among the others go to 0, or to 100."""
+        """Send the motors of grippers among the others to 0, or to 100, from the next command on."""
         if not self._held:
             self._observed()
         for motor in self._held:
@@ -271,11 +271,11 @@ class _Scale:
     bounds: tuple[tuple[float, float, str], ...]
 
     def joint(self, value: float) -> float:
-        """Joint position of a motor position."""
+        """Return the joint position of a motor position."""
         return self.zero + self.per_unit * (value - self.centre)
 
     def motor_position(self, position: float) -> float:
-        """Motor position of a joint position.
+        """Return the motor position of a joint position.
 
         Raises:
             ConfigurationError: It is outside the bounds.

@@ -124,7 +124,7 @@ class MuJoCoDriver:
         self._seen = deque([self._state() for _ in range(back + 1)], back + 1)
 
     def read(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Joint positions with the noise of their encoders, velocities, and what the servos exert."""
+        """Return the joint positions with the noise of their encoders, velocities, and what the servos exert."""
         return self._seen[0]
 
     def _state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

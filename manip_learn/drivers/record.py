@@ -191,7 +191,7 @@ class _Session:
             self._notes.append(str(error))
 
     def run(self, duration: float, pace: Pace, key: Callable[[], Key], shown: Shown, began: Began) -> None:
-        """Until there is a reason to end."""
+        """Run until there is a reason to end."""
         self._shown, self._began, ending, heard = shown, began, self._ending, 0.0
         while not ending.reason:
             t = pace.wait()
@@ -284,7 +284,7 @@ class _Session:
         self._samples, self._written = self._samples + 1, sample.time
 
     def finish(self) -> None:
-        """The file is complete."""
+        """Complete the file."""
         if (file := self._file) is None:
             return
         file.close()
@@ -296,7 +296,7 @@ class _Session:
             self._ending.stop(f"{counted(self._motions, 'motion')} recorded", True)
 
     def record(self) -> RecordedFiles:
-        """The files and numbers, and what went wrong when the arm was to hold itself."""
+        """Return the files and numbers, and what went wrong when the arm was to hold itself."""
         ending, numbers = self._ending, (self._samples, self._lost, self._gap)
         notes = (*self._notes, *(words for call, words in ending.failed.items() if call == "hold"))
         return RecordedFiles(tuple(self._files), *numbers, ending.reason, ending.ordered, notes, self._names)
@@ -326,7 +326,7 @@ class _GrowingFile:
         self._thread.start()
 
     def add(self, line: str) -> None:
-        """A line with its end; returns at once."""
+        """Add a line with its end; returns at once."""
         self._waiting.append(line)
 
     def close(self) -> None:

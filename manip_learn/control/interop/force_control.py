@@ -38,7 +38,7 @@ TOLERANCE = (0.005, math.radians(2.0))
 
 
 def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
-    """The arguments of `force_mode` at a posture, for programs that call it themselves.
+    """Return the arguments of `force_mode` at a posture, for programs that call it themselves.
 
     Args:
         constraint: The task.
@@ -65,7 +65,7 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
 
 
 def urscript(constraint: Constraint, q: ArrayLike) -> str:
-    """A program that puts a UR arm into force mode along what the task holds, and leaves the rest to its moves.
+    """Write a program that puts a UR arm into force mode along what the task holds, and leaves the rest to its moves.
 
     The frame follows the hand: with the hand's own axes, or about the axis of a hinge. Written after the script manual,
     not run on a controller.
@@ -98,7 +98,7 @@ def impedance(
     compliant: Sequence[float] = (100.0, 5.0),
     damping_ratio: float = 1.0,
 ) -> dict[str, Any]:
-    """Stiffness K and damping D of a Cartesian impedance controller, shape (6, 6), as plain numbers.
+    """Return the stiffness K and damping D of a Cartesian impedance controller, shape (6, 6), as plain numbers.
 
     The wrench K dx - D (v, w) is that on the hand's origin along the axes of the robot's base, dx the displacement to
     where it should be and its rotation vector [m, rad]. With M the inertia that the hand has at this posture,
@@ -132,7 +132,7 @@ def impedance(
 
 
 def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
-    """Path constraints of a plan that does the task: a `moveit_msgs/Constraints` as YAML.
+    """Write the path constraints of a plan that does the task: a `moveit_msgs/Constraints` as YAML.
 
     The held point stays in a box, flat along held axes, or in one of several boxes along the circle or the helix about
     an axis; no region is given for a sphere. The link turns by no more than the tolerance about held axes. MoveIt
@@ -193,7 +193,7 @@ WRITERS: Mapping[str, Callable[[Constraint, ArrayLike], str]] = {
 
 
 def as_json(described: Mapping[str, Any]) -> str:
-    """Plain numbers and words as the text of a file."""
+    """Write plain numbers and words as the text of a file."""
     return json.dumps(described, indent=2, allow_nan=False) + "\n"
 
 

@@ -84,11 +84,11 @@ class PinkConstraintTask(_RobotTask):
         self.constraint, self.task = constraint, task
 
     def compute_error(self, configuration: Any) -> Float[np.ndarray, " s"]:
-        """-dt b at the configuration."""
+        """Return -dt b at the configuration."""
         return -self.dt * self.task.velocity(self.constraint, self._posture(configuration), self.time)
 
     def compute_jacobian(self, configuration: Any) -> Float[np.ndarray, "s nv"]:
-        """A in the columns of the joints that it acts on."""
+        """Return A in the columns of the joints that it acts on."""
         return self._widened(configuration, self.constraint(self._posture(configuration)))
 
     def __repr__(self) -> str:
@@ -121,11 +121,11 @@ class PinkPolicyTask(_RobotTask):
         self.policy = policy
 
     def compute_error(self, configuration: Any) -> Float[np.ndarray, " n"]:
-        """-dt pi at the configuration."""
+        """Return -dt pi at the configuration."""
         return -self.dt * self.policy(self._posture(configuration), self.time)
 
     def compute_jacobian(self, configuration: Any) -> Float[np.ndarray, "n nv"]:
-        """The identity, in the columns of the joints that the policy moves."""
+        """Return the identity, in the columns of the joints that the policy moves."""
         return self._widened(configuration, np.eye(self.robot.nv))
 
     def __repr__(self) -> str:

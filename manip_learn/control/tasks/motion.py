@@ -160,7 +160,7 @@ class FreeDirection(OneLook):
         self._place, self._ahead = 0.0, self._motion.driven
 
     def hold(self, q: ArrayLike) -> float:
-        """How far a hand at posture q has to go to the mechanism [m]; 0 if it is on it, or if that is not known."""
+        """Return how far a hand at posture q has to go to the mechanism [m]; 0 if it is there, or if not known."""
         return self._begins(q)[2]
 
     def _begins(self, q: ArrayLike) -> tuple[Origin, Origin, float]:
@@ -169,7 +169,7 @@ class FreeDirection(OneLook):
         return here, *((here, 0.0) if self._shown is None else self._shown.nearest(here, self.wanted))
 
     def duration_from(self, q: ArrayLike) -> float:
-        """How long the motion takes from posture q where no limit slows it down [s]."""
+        """Return how long the motion takes from posture q where no limit slows it down [s]."""
         far = self.hold(q)
         to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._profile.ramp).duration + _SETTLING
         return self.pause + self._profile.duration + to_hold
@@ -177,7 +177,7 @@ class FreeDirection(OneLook):
     def table(
         self, start: ArrayLike, period: float, fewest: int, most: int
     ) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, " L"], list[np.ndarray]]:
-        """The way as it is meant to go, from where the hand takes hold: times [s], distances [m or rad] and goals.
+        """Return the way as it is meant to go, from where the hand takes hold: times [s], distances and goals.
 
         Args:
             start: Posture before the motion.
@@ -192,7 +192,7 @@ class FreeDirection(OneLook):
         return time, distance, [chart.pose((s,)) for s in distance.tolist()]
 
     def ascent(self, gain: float = policies.ASCENT_GAIN) -> policies.SampledPolicy:
-        """The policy that climbs the room left on the way: of the rows held and driven, and of the joints' ranges.
+        """Return the policy that climbs the room left on the way: of rows held and driven, and of joints' ranges.
 
         The rows that are held do not say how well the hand can move along the way: the manipulability of these alone
         may rise while the driven direction is being lost. With it the hand turns as it was shown, where that was kept
@@ -214,15 +214,15 @@ class FreeDirection(OneLook):
         return policies.KeptOrientation(policy, self.learnt.features.twist, wanted, rms)
 
     def with_distance(self, distance: float) -> FreeDirection:
-        """This motion by another distance [m or rad], from a start of its own."""
+        """Return this motion by another distance [m or rad], from a start of its own."""
         return self._with(_profile=replace(self._profile, distance=_number("distance", distance, positive=False)))
 
     def slowed(self, times: float) -> FreeDirection:
-        """This motion slowed down by a factor, from a start of its own."""
+        """Return this motion slowed down by a factor, from a start of its own."""
         return self._with(_profile=replace(self._profile, speed=self._profile.peak / times))
 
     def taking_hold(self, grasp: Origin) -> FreeDirection:
-        """This motion for a hand that takes hold at a pose (4, 4), from a start of its own."""
+        """Return this motion for a hand that takes hold at a pose (4, 4), from a start of its own."""
         return self._with(_shown=None if self._shown is None else self._shown.only(grasp))
 
     def _with(self, **others: Any) -> FreeDirection:
@@ -232,28 +232,28 @@ class FreeDirection(OneLook):
         return other
 
     def progress(self, q: ArrayLike) -> float:
-        """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
+        """Return how far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
         return 0.0 if self.way_begins is None and self._begun < math.inf else self.progress_near(q, self._place)
 
     def meant(self, t: float) -> float:
-        """How far the way should have come at a time [m or rad]; 0 before it began."""
+        """Return how far the way should have come at a time [m or rad]; 0 before it began."""
         return 0.0 if self.way_begins is None else self._profile.at(t - self.way_begins)[0]
 
     def progress_near(self, q: ArrayLike, near: float) -> float:
-        """Progress of a posture on the way [m or rad]; of angles a turn apart the one next to `near`."""
+        """Return the progress of a posture on the way [m or rad]; of angles a turn apart the one next to `near`."""
         return 0.0 if self._course is None else self._course.look(q, near)[0]
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
-        """Whether the whole way is done at posture q, and its time is over at t [s]."""
+        """Return whether the whole way is done at posture q, and its time is over at t [s]."""
         is_late = self.way_begins is not None and t - self.way_begins >= self._profile.duration
         return is_late and abs(self.wanted - self.progress(q)) <= DONE[self.unit]
 
     def deviation(self, q: ArrayLike, progress: float = 0.0) -> float:
-        """How far the rows of the constraint are from where they are held, that much of the way done [m or rad]."""
+        """Return how far the rows are from where they are held, that much of the way done [m or rad]."""
         return 0.0 if self._course is None else self._course.deviation(q, progress)
 
     def rows(self, constraint: Constraint) -> Constraint:
-        """The constrained rows and the driven one.
+        """Return the constrained rows and the driven one.
 
         Raises:
             ConstraintError: Another constraint than that of the task.
@@ -263,7 +263,7 @@ class FreeDirection(OneLook):
         return self.constraint
 
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
-        """b and E from one look at the pose: along the motion and onto it, from where the hand is.
+        """Return b and E from one look at the pose: along the motion and onto it, from where the hand is.
 
         Where limits or a singularity stop the way, the hand so does not follow a goal that goes on without it.
         """
@@ -276,14 +276,14 @@ class FreeDirection(OneLook):
         return rows.dot(rate * self._ahead - self.gain * off), None if E is None else rows.dot(E)
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
-        """The row along the motion; all rows on the way to the mechanism."""
+        """Return the row along the motion; all rows on the way to the mechanism."""
         if self.way_begins is None:
             return super().driven_rows(constraint)
         row = self.constraint.selection.dot(self._ahead if self._ahead.any() else self._motion.driven)
         return row[None] / math.sqrt(row.dot(row))
 
     def goal(self) -> Origin | None:
-        """Where the motion ends; None before the first call, unless `start` was given."""
+        """Return where the motion ends; None before the first call, unless `start` was given."""
         if self._course is None:
             return None
         end, names = self._course.chart.pose((self.wanted,)), self.constraint.features.row_names
@@ -291,7 +291,7 @@ class FreeDirection(OneLook):
         return end[[AXES.index(name) for name in names], 3] if is_place else end
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Way that is left, and the deviation of the constrained coordinates, as one norm [m or rad]."""
+        """Return the way that is left, and the deviation of the constrained coordinates, as one norm [m or rad]."""
         course, _, _ = self._now(q, t)
         place = course.look(q, self._place)[0]
         return math.hypot(self.wanted - place, course.deviation(q, place))
@@ -358,7 +358,7 @@ def motion(
     along: float | None = None,
     turn: float | None = None,
 ) -> FreeDirection:
-    """A task: the hand goes along what the constraint leaves free, and holds what it holds.
+    """Return a task: the hand goes along what the constraint leaves free, and holds what it holds.
 
     With nothing named it does what was shown: it takes hold where the contacts of the recordings began, and goes the
     way that they went, as far (the median), in the time that they took; on a surface it follows the path of the most
@@ -470,7 +470,7 @@ def motion_to(
     speed: float | None = None,
     keep_orientation: bool = False,
 ) -> FreeDirection:
-    """A task: a hand on a hinge or a screw turns it until it is as near to a point as the mechanism allows.
+    """Return a task: a hand on a hinge or a screw turns it until it is as near to a point as the mechanism allows.
 
     Args:
         constraint: Of rows of a mechanism.
@@ -505,7 +505,7 @@ def motion_to(
 def null_policy(
     name: str, task: Task, constraint: Constraint, robot: Robot, gain: float | None, rest: ArrayLike | None
 ) -> policies.NullSpacePolicy:
-    """A null-space policy by its name on the command line, with its own gain if none is given.
+    """Return a null-space policy by its name on the command line, with its own gain if none is given.
 
     Raises:
         ManipLearnError: Unknown name.

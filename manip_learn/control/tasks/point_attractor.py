@@ -41,32 +41,32 @@ class Task(ABC):
 
     @abstractmethod
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """b along the constraint's rows, in their units per second."""
+        """Return b along the constraint's rows, in their units per second."""
 
     @abstractmethod
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Distance to the goal along the constraint's rows (Euclidean norm)."""
+        """Return the distance to the goal along the constraint's rows (Euclidean norm)."""
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
-        """Whether another task may go on from posture q at time t [s]; never, unless the task says otherwise."""
+        """Return whether another task may go on from posture q at time t [s]; never, unless the task says otherwise."""
         return False
 
     def reset(self) -> None:  # noqa: B027  most tasks remember nothing
         """Forget the past, before another motion."""
 
     def rows(self, constraint: Constraint) -> Constraint:
-        """The constraint along whose rows b is given: the controller's own, unless the task drives further rows."""
+        """Return the constraint along whose rows b is given: the controller's, unless the task drives further rows."""
         return constraint
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
-        """Orthonormal combinations of the rows that are driven; what is across them is held, and gives way last.
+        """Return orthonormal combinations of the rows that are driven; what is across them is held, and gives way last.
 
         All rows, unless the task says otherwise. Asked for after `velocity_and_jacobian`, for the same instant.
         """
         return unit(constraint.n_constraints)
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q), as for positions.
+        """Return E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q), as for positions.
 
         With E in the place of A in u = E^+ b + N pi the error decays as the task asks, and motion in the null space of
         E leaves it alone. The rate of an orientation error is not the angular velocity; at a target that is a pose
@@ -75,14 +75,14 @@ class Task(ABC):
         return None
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
-        """Where the frame is to arrive: numbers for the features' rows (p,) or the constraint's (s,), or a pose (4, 4).
+        """Return where the frame is to arrive: numbers for features' rows (p,) or the constraint's (s,), or a pose.
 
         None where there is no such place, or where it depends on a start that is not known yet.
         """
         return None
 
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
-        """b (s,) and E together, cheaper than one by one where a child shares work."""
+        """Return b (s,) and E together, cheaper than one by one where a child shares work."""
         return self.velocity(constraint, q, t), self.error_jacobian(constraint, q, t)
 
 
@@ -90,11 +90,11 @@ class OneLook(Task):
     """A task whose child defines `velocity_and_jacobian`, which says all."""
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """b along the rows, in their units per second."""
+        """Return b along the rows, in their units per second."""
         return self.velocity_and_jacobian(constraint, q, t)[0]
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q) (see `Task`)."""
+        """Return E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q) (see `Task`)."""
         return self.velocity_and_jacobian(constraint, q, t)[1]
 
 
@@ -103,15 +103,15 @@ class Hold(Task):
     """b = 0: nothing moves along the constrained rows, all motion is in the null space."""
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """Zeros, shape (s,)."""
+        """Return zeros, shape (s,)."""
         return np.zeros(constraint.n_constraints)
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
-        """None: all of them are held."""
+        """Return none: all of them are held."""
         return unit(constraint.n_constraints)[:0]
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Always 0: there is no goal to reach."""
+        """Return 0: there is no goal to reach."""
         return 0.0
 
     def __repr__(self) -> str:
@@ -169,7 +169,7 @@ class PointAttractor(Task):
         return self.target.shape in ((features.n_rows,), (4, 4))
 
     def rows(self, constraint: Constraint) -> Constraint:
-        """The constraint's rows, or all rows of its features.
+        """Return the constraint's rows, or all rows of its features.
 
         Raises:
             TargetError: All rows are to be driven, and the target has not a number for each of them.
@@ -187,7 +187,7 @@ class PointAttractor(Task):
         return every  # the same one at each call, so that a policy that climbs it shares the controller's work
 
     def displacement(self, constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " s"]:
-        """Lambda (r* - r(q)).
+        """Return Lambda (r* - r(q)).
 
         Raises:
             TargetError: The target has the wrong size.
@@ -209,19 +209,19 @@ class PointAttractor(Task):
         return way, None if E is None else rows.dot(E)
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
-        """The target."""
+        """Return the target."""
         return self.target
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
+        """Return E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
         return self._toward(constraint, q)[1]
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """gain * displacement, scaled down to max_speed."""
+        """Return gain * displacement, scaled down to max_speed."""
         return self._attraction(self.displacement(constraint, q))
 
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
-        """b and E from one look at the pose."""
+        """Return b and E from one look at the pose."""
         if type(self) is not PointAttractor:  # a child's own velocity counts
             return super().velocity_and_jacobian(constraint, q, t)
         displacement, E = self._toward(constraint, q)
@@ -234,7 +234,7 @@ class PointAttractor(Task):
         return b
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Distance to the target along the constrained rows [m or rad]."""
+        """Return the distance to the target along the constrained rows [m or rad]."""
         return float(np.linalg.norm(self.displacement(constraint, q)))
 
     def __repr__(self) -> str:
@@ -276,7 +276,7 @@ class Track(OneLook):
     def velocity_and_jacobian(
         self, constraint: Constraint, q: np.ndarray, t: float, dt: float = 0.0
     ) -> VelocityAndJacobian:
-        """b for the time dt [s] that begins at t, and E."""
+        """Return b for the time dt [s] that begins at t, and E."""
         ahead, E = PointAttractor(self._target(t))._toward(constraint, q)
         b = self.gain * ahead
         if self._rate is not None:
@@ -286,7 +286,7 @@ class Track(OneLook):
         return b, E
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Distance to the target's position at time t."""
+        """Return the distance to the target's position at time t."""
         return PointAttractor(self._target(t)).error(constraint, q, t)
 
     def __repr__(self) -> str:

@@ -19,7 +19,7 @@ from manip_learn.robot.rotations import angles_between, rotation_vector
 
 
 def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = False) -> float:
-    """1 where a task was shown to the positive side of a motion, -1 to the other; 0 if the recordings do not say.
+    """Return 1 where a task was shown to the positive side of a motion, -1 to the other; 0 if that is not known.
 
     With `of_most`, the side of most recordings counts where they went to both.
     """
@@ -78,7 +78,7 @@ class ShownPlaces:
         return np.vstack([self._shown.along(np.array([self._begins[0], begin]))[1] for begin in self._begins])
 
     def apart(self, one: Origin, other: Origin) -> float:
-        """Distance of two origins [m]; where the hand's orientation counts, an angle at the lever of a hand."""
+        """Return the distance of two origins [m]; where orientation counts, an angle at the lever of a hand."""
         turned = float(angles_between(one[:3, :3], other[None, :3, :3])[0]) if self._is_turned else 0.0
         # at 0.2 m between a hand and what it turns, an approach of 0.25 m/s turns by 1.25 rad/s at most
         return max(float(np.linalg.norm(other[:3, 3] - one[:3, 3])), 0.2 * turned)
