@@ -151,8 +151,8 @@ def test_a_gripper_closes_at_the_handle_and_opens_at_the_end_of_the_way(by: str,
         assert_allclose(again.rollout.q[inside, -1], 0.012, atol=1e-3)
         assert again.rollout.q[0, -1] == again.rollout.q[np.searchsorted(again.rollout.time, 0.5), -1] == start[-1]
     arm = Arm(robot, tip, start)
-    ml.run(ml.ServoLoop(again.controller, dt=0.01), arm, again.rollout.time[-1] + 2.0)
-    assert [word for word, _ in arm.told] == ["close", "open"]
+    done = ml.run(ml.ServoLoop(again.controller, dt=0.01), arm, again.rollout.time[-1] + 2.0)
+    assert [word for word, _ in arm.told] == ["close", "open"] and "whether a handle stayed" in done.notes[0]
     (_, closed), (_, opened) = arm.told
     assert np.linalg.norm(closed - thing.hold) < 2e-3
     assert np.linalg.norm(opened - again_end(again, tip)) < 3e-3

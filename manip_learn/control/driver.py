@@ -82,6 +82,7 @@ class RunRecord:
         longest_delay: Of the beginning of a cycle [s].
         ended: Why it ended, a sentence.
         ordered: Whether it ended as it was meant to: after its duration, for the caller's reason, or by a signal.
+        notes: What the run cannot tell, in sentences.
     """
 
     rollout: Rollout
@@ -90,6 +91,7 @@ class RunRecord:
     longest_delay: float
     ended: str
     ordered: bool
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         late = f"{self.overruns:,} late, at most {1e3 * self.longest_delay:.2g} ms"
@@ -509,7 +511,9 @@ class _Cycle:
         """Return what was done."""
         loop, pace = self._loop, self._pace
         rollout = rollout_of(loop.robot, loop, [(t, q, c, loop.task_error(q, t)) for t, q, c, _ in self._samples])
-        return RunRecord(rollout, pace.cycles, pace.overruns, pace.longest_delay, *self.ending.outcome)
+        slips = "whether a handle stayed in the fingers is not known, positions do not tell it: look at the fixture"
+        numbers = pace.cycles, pace.overruns, pace.longest_delay
+        return RunRecord(rollout, *numbers, *self.ending.outcome, () if self._told is None else (slips,))
 
 
 def _numbers(robot: Robot, q: Any) -> Posture | None:
