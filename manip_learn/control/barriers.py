@@ -106,6 +106,7 @@ class KeptClear:
         # a posture, distances there or less, and which of them are known
         self._known = q, np.full(n, -math.inf), np.zeros(n, dtype=bool)
         self._nearest: tuple[float, tuple[str, str]] | None = None
+        self._clear = q, q  # posture and velocity that were last found clear
 
     def rows(self, q: Posture, dt: float, acceleration: Vector, before: Vector | None, u: Vector) -> Barrier | None:
         """Return what must hold of v so that no pair comes too near; None if u itself leads nowhere near.
@@ -154,8 +155,15 @@ class KeptClear:
                 # 2 % of the way until then: surfaces may be 1 % of it nearer between the postures that are looked at
                 away = allowed - pair.distance + 2e-5 * time / longest + 0.02 * time * float(reach[pair.number])
                 least.append(float(rows[-1].dot(u)) - (1.0 - at / time) * rate + away / time)
-        self._nearest = nearest or self._nearest
-        return None if nearest is None else (np.array(rows), np.array(least))
+        if nearest is None:
+            self._clear = q.copy(), u.copy()
+            return None
+        self._nearest = nearest
+        return np.array(rows), np.array(least)
+
+    def was_clear(self, q: Posture, u: Vector) -> bool:
+        """Return whether this velocity at this posture is the latest for which there were no rows."""
+        return np.array_equal(self._clear[0], q) and np.array_equal(self._clear[1], u)
 
     def words(self) -> str | None:
         """Return which two things were the nearest ones and how near, if that stops the arm."""
@@ -194,8 +202,10 @@ class BarriersAt:
             u: Velocity [rad/s or m/s].
             slack: By which a wall may be approached too fast [m/s].
         """
-        broken = self.G.dot(u) < self.least - slack
-        rows, least = list(self.G[broken]), self.least[broken].tolist()
+        rows, least = list[Vector](), list[float]()
+        if len(self.least):
+            broken = self.G.dot(u) < self.least - slack
+            rows, least = list(self.G[broken]), self.least[broken].tolist()
         if self.clear is not None and (near := self.clear(u)) is not None:
             rows, least = [*rows, *near[0]], [*least, *near[1]]
         cause = POSITION if rows else VELOCITY
@@ -291,9 +301,12 @@ class Barriers:
         self.frames = tuple(robot.frame(name) for name in names)
         self.walls = rows / np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
         self.clear, self._robot = clear, robot
+        self._none = BarriersAt(self.speed, (), np.empty((0, robot.nv)), np.empty(0), None)
 
     def at(self, q: Posture, dt: float, acceleration: Vector, previous: Vector | None) -> BarriersAt:
         """Return the barriers at a posture, for a step of dt [s] after a velocity; arguments as for `Limits.bounds`."""
+        if not self.frames and self.clear is None:
+            return self._none
         jacobians = [self._robot.jacobian(q, frame)[:3] for frame in self.frames]
         clear = None if self.clear is None else partial(self.clear.rows, q, dt, acceleration, previous)
         G, left = np.empty((0, self._robot.nv)), np.empty(0)

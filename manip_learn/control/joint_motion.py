@@ -8,7 +8,6 @@ from typing import final
 
 import numpy as np
 from jaxtyping import Float
-from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
 
@@ -129,9 +128,11 @@ class FollowMotion(LimitedController):
         wish, rate = self._wish(q, dt)
         # the clock runs slower for the motion within the limits of the joints, all of the wish within the tip's
         most, frames = float(np.max(np.abs(rate) / limits.velocity, initial=1.0)), limits.barriers
-        self._rate /= max(most, frames.fastest(q, wish) / frames.speed)
+        if (times := max(most, frames.fastest(q, wish) / frames.speed)) > 1.0:
+            self._rate /= times
+            wish, _ = self._wish(q, dt)
         fastest = limits.velocity * (RETURN_SPEED if self._clock < 0.0 else 1.0)
-        wish, bounds = np.clip(self._wish(q, dt)[0], -fastest, fastest), limits.bounds(q, dt, previous)
+        wish, bounds = np.clip(wish, -fastest, fastest), limits.bounds(q, dt, previous)
         u, barriers = bounds.nearest(wish), frames.at(q, dt, limits.acceleration, previous)
         if barriers.broken(u) is not None:
             W = np.zeros((0, len(wish)))
@@ -201,8 +202,8 @@ class _Path:
         """
         now, then = np.maximum(np.searchsorted(self.time, (s, s + ahead), side="right") - 1, 0)
         piece = np.minimum(then, self.last[now])
-        c, since = self.pieces[:, piece, np.arange(len(piece))], s + ahead - self.time[piece]
-        return polyval(since, c, tensor=False), polyval(since, polyder(c), tensor=False)
+        (x, v, c, d), since = self.pieces[:, piece, np.arange(len(piece))], s + ahead - self.time[piece]
+        return x + since * (v + since * (c + since * d)), v + since * (2.0 * c + 3.0 * since * d)
 
 
 def every_joint(robot: Robot) -> Constraint:

@@ -503,11 +503,14 @@ def policy_of(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePo
 
 def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
     """Return a policy, its ascents of one constraint climbing the manipulability of another."""
-    other: Any = copy.copy(policy)
     if isinstance(policy, _Ascent) and policy.constraint is before:
-        other.constraint = after
+        changed: dict[str, Any] = {"constraint": after}
     elif isinstance(policy, KeptOrientation):
-        other.policy = climbing(policy.policy, before, after)
+        changed = {"policy": climbing(policy.policy, before, after)}
     elif isinstance(policy, WeightedPolicies):
-        other.policies = tuple(climbing(part, before, after) for part in policy.policies)
-    return other if isinstance(policy, _Ascent | KeptOrientation | WeightedPolicies) else policy
+        changed = {"policies": tuple(climbing(part, before, after) for part in policy.policies)}
+    else:
+        return policy
+    other = copy.copy(policy)
+    vars(other).update(changed)
+    return other

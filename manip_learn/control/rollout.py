@@ -150,7 +150,8 @@ class Rollout:
         """Join this motion and another one of the same robot that begins where it ends; phases and ways of both."""
         shift = float(self.time[-1])
         time, status = np.concatenate([self.time[:-1], other.time + shift]), (*self.status[:-1], *other.status)
-        joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in _CURVES[1:5]}
+        arrays = ("q", "u", "manipulability", "task_error")
+        joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in arrays}
         phases = (*self.phases, *((name, start + shift, end + shift) for name, start, end in other.phases))
         later = ({**way, "begins": None if way["begins"] is None else way["begins"] + shift} for way in other.ways)
         around = dict[str, Mapping[str, Any]]()  # of what stands around in both, where the arm comes nearer to it

@@ -280,7 +280,8 @@ class LoopRules:
             command = _within(command, self._bounds(s, q, held))
         if clear is None:
             return command
-        if clear.rows(q, held, self.limits.acceleration, s.velocity, command.velocity) is not None:
+        at = q, held, self.limits.acceleration, s.velocity
+        if not clear.was_clear(q, command.velocity) and clear.rows(*at, command.velocity) is not None:
             command = _held_back(command, self._braking(s, held))._replace(limiting_joint=-1)
         if command.limiting_joint < 0 and command.status in (Status.POSITION_LIMITED, Status.STALLED):
             s.stopped_by = clear.words() or s.stopped_by

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
@@ -69,10 +70,11 @@ class ShownPlaces:
     def only(self, grasp: Origin) -> ShownPlaces:
         """Return these places for a hand that takes hold at one pose."""
         other = copy.copy(self)
+        vars(other).pop("_ahead", None)
         other._begins, other._anew = grasp[None], True
         return other
 
-    @property
+    @cached_property
     def _ahead(self) -> Float[np.ndarray, "n k"]:
         """How far along what is free each beginning is from the first [m or rad]."""
         return np.vstack([self._shown.along(np.array([self._begins[0], begin]))[1] for begin in self._begins])
