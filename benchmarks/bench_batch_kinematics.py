@@ -20,7 +20,6 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.robot import Robot, load_robot
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(600)]
 N = 8192
@@ -95,7 +94,7 @@ def test_rows_derivatives_and_manipulability(robot: Robot, q: np.ndarray) -> Non
         "frame's own axes, numpy": lambda: own.batch(q),
         "with derivative, numpy": lambda: pose.batch_with_derivative(q),
         "mu and gradient, numpy": lambda: manipulability_batch(constraint, q),
-        "poses, numpy": lambda: batch_kinematics(robot, xyz.frame).pose(q),
+        "poses, numpy": lambda: robot.frame_kinematics(xyz.frame).poses(q),
     }
     report("7-joint arm", rounds_of(candidates, 1, 20), dict.fromkeys(candidates, N))
 

@@ -13,7 +13,7 @@ from rounding import rounding
 
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import ConfigurationError
-from manip_learn.robot.batch.batch_kinematics import POSTURE_CHUNK, batch_kinematics
+from manip_learn.robot.frame_kinematics import DERIVATIVE_CHUNK
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -21,10 +21,6 @@ ROBOTS = [*URDFS, *TIPS]
 AXES = ["xyz", "pose", "planar", "ry z", "rotation"]
 REFERENCES = ["world", "local"]
 TOLERANCE = 1e-12
-
-
-def fast(robot: Robot, frame: str) -> bool:
-    return batch_kinematics(robot, robot.frame(frame)).fast
 
 
 def positions(robot: Robot, rng: np.random.Generator, n: int) -> np.ndarray:
@@ -36,29 +32,20 @@ def test_poses_are_those_of_each(name: str, robot_of: RobotOf, rng: np.random.Ge
     """Poses of a batch are Pinocchio's to 1e-12; its Jacobians and derivatives are compared in test_gradients.py."""
     robot = robot_of(name)
     q, frame = positions(robot, rng, 5), robot.frame(tip_of(name))
-    got = batch_kinematics(robot, frame).pose(q)
+    got = robot.frame_kinematics(frame).poses(q)
     np.testing.assert_allclose(got, [robot.pose(x, frame) for x in q], rtol=0, atol=TOLERANCE)
-
-
-def test_arms_do_not_need_the_loop(robot_of: RobotOf) -> None:
-    """Chains of revolute, continuous and prismatic joints run in bulk; floating and planar bases are Pinocchio's."""
-    for name in ROBOTS:
-        with case(name):
-            robot = robot_of(name)
-            kinds = {block.kind for block in robot.blocks}
-            assert fast(robot, tip_of(name)) == kinds.isdisjoint({"floating", "planar", "other"})
 
 
 def test_chunks_leave_no_seam(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Any number of postures, including zero: each row is the result of its own posture."""
-    for n in [0, 1, POSTURE_CHUNK - 1, POSTURE_CHUNK, POSTURE_CHUNK + 1, 2 * POSTURE_CHUNK + 3]:
+    for n in [0, 1, DERIVATIVE_CHUNK - 1, DERIVATIVE_CHUNK, DERIVATIVE_CHUNK + 1, 2 * DERIVATIVE_CHUNK + 3]:
         with case(n):
             robot = robot_of("sawyer")
             q = rng.uniform(-2.0, 2.0, (n, robot.nv))
             features = FrameJacobian(robot, "right_hand", "x rz")
             Phi, dPhi = features.batch_with_derivative(q)
             assert features.batch(q).shape == (n, 2, 7) and Phi.shape == (n, 2, 7) and dPhi.shape == (n, 2, 7, 7)
-            assert batch_kinematics(robot, features.frame).pose(q).shape == (n, 4, 4)
+            assert robot.frame_kinematics(features.frame).poses(q).shape == (n, 4, 4)
             for i in {0, n // 2, n - 1} if n else ():
                 np.testing.assert_allclose(features.batch(q)[i], features(q[i]), rtol=0, atol=TOLERANCE)
                 np.testing.assert_allclose(dPhi[i], features.derivative(q[i]), rtol=0, atol=TOLERANCE)
@@ -72,10 +59,25 @@ def test_nearly_parallel_axes_lose_nothing() -> None:
         joints = [("revolute", "0 0 1", "0.3 0.1 0.2", f"{tilt} 0 0.4")] * 4
         robot = Robot(pin.buildModelFromXML(chain_urdf("nearly", joints)))
         features = FrameJacobian(robot, "tip", "pose")
-        assert batch_kinematics(robot, features.frame).fast
         q = np.array([[0.3, -1.0, 2.0, 0.7]])
         known = rounding(8 * 4, q, 2.0)  # [m] long
         np.testing.assert_allclose(features.batch(q)[0], features(q[0]), rtol=0, atol=known)
+
+
+def test_a_table_that_changes_is_seen(robot_of: RobotOf) -> None:
+    """Numbers of the last table are kept, for this table only; a caller that changes its arrays spoils nothing."""
+    robot = robot_of("sawyer")
+    kinematics, q = robot.frame_kinematics("right_hand"), np.linspace(-1.0, 1.0, 21).reshape(3, 7)
+    first = kinematics.poses(q), kinematics.jacobians(q), kinematics.jacobians(q, "local")
+    for array in (kinematics.poses(q), kinematics.jacobians(q), kinematics.jacobians_and_derivatives(q)[0]):
+        array[:] = 7.0
+    for a, b in zip(
+        first, (kinematics.poses(q), kinematics.jacobians(q), kinematics.jacobians(q, "local")), strict=True
+    ):
+        np.testing.assert_array_equal(a, b)
+    q[1, 2] += 0.1
+    assert not np.allclose(kinematics.poses(q)[1], first[0][1]) and np.array_equal(kinematics.poses(q)[2], first[0][2])
+    np.testing.assert_allclose(kinematics.jacobians(q)[1], robot.jacobian(q[1], "right_hand"), rtol=0, atol=TOLERANCE)
 
 
 def test_not_finite_names_row_and_joint(robot_of: RobotOf) -> None:
@@ -93,7 +95,7 @@ def test_not_finite_names_row_and_joint(robot_of: RobotOf) -> None:
                 with pytest.raises(ConfigurationError, match=rf"row 1234, joint '{robot.joint_names[5]}'"):
                     call(q)
             with pytest.raises(ConfigurationError, match="row 1234"):
-                batch_kinematics(robot, robot.frame("right_hand")).pose(q)
+                robot.frame_kinematics("right_hand").poses(q)
 
 
 def test_wrong_tables_are_refused(robot_of: RobotOf) -> None:

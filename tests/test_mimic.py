@@ -15,7 +15,6 @@ from rounding import rounding
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability import manipulability_gradient
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.joints import Mimic
 from manip_learn.robot.loading import load_robot, robot_from_text
@@ -141,9 +140,7 @@ def test_followers_beside_the_chain_change_nothing(rng):
     for robot in (arm, whole):
         features = FrameJacobian(robot, "panda_hand_tcp", "xyz", "world")
         constraint = Constraint([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]], features)
-        kinematics = batch_kinematics(robot, robot.frame("panda_hand_tcp"))
-        assert kinematics.fast
-        built.append((constraint, kinematics))
+        built.append((constraint, robot.frame_kinematics("panda_hand_tcp")))
     for _ in range(5):
         q = arm.random_configuration(rng)
         both = np.append(q, 0.02)
@@ -151,18 +148,23 @@ def test_followers_beside_the_chain_change_nothing(rng):
         np.testing.assert_allclose(
             manipulability_gradient(large, both), np.append(manipulability_gradient(small, q), 0.0), atol=1e-12
         )
-        np.testing.assert_allclose(whole_table.jacobian(both[None])[0][:, :7], table.jacobian(q[None])[0], atol=1e-13)
-        assert not np.any(whole_table.jacobian(both[None])[0][:, 7])
+        np.testing.assert_allclose(whole_table.jacobians(both[None])[0][:, :7], table.jacobians(q[None])[0], atol=1e-13)
+        assert not np.any(whole_table.jacobians(both[None])[0][:, 7])
 
 
 def test_a_follower_in_the_chain_without_its_leader_is_no_free_joint(rng):
     """One that copies its leader exactly, alone in the chain, moves with the leader's column."""
     robot = load({"c": ("d", 1.0, 0.0)})
     frame = robot.frame("l3")  # a, b and the follower c; the leader d is beyond it
-    kinematics = batch_kinematics(robot, frame)
     q = robot.random_configuration(rng)
-    np.testing.assert_allclose(kinematics.jacobian(q[None])[0], robot.jacobian(q, frame), atol=1e-12)
+    np.testing.assert_allclose(
+        robot.frame_kinematics(frame).jacobians(q[None])[0], robot.jacobian(q, frame), atol=1e-12
+    )
     assert np.any(robot.jacobian(q, frame)[:, robot.joint_index("d")])
+    offset, free = load({"c": ("d", 1.0, 0.4)}), load({})
+    moved = free.configuration([q[0], q[1], q[2] + 0.4, 0.0])  # the follower as a joint of its own
+    np.testing.assert_allclose(offset.pose(q, "l3"), free.pose(moved, "l3"), atol=1e-12)
+    np.testing.assert_allclose(offset.frame_kinematics("l3").poses(q[None])[0], free.pose(moved, "l3"), atol=1e-12)
 
 
 def test_every_derivative_is_exact_with_followers(tmp_path, rng):
@@ -203,7 +205,7 @@ def test_every_derivative_is_exact_with_followers(tmp_path, rng):
                 lift.T @ whole.inertial_effort(full, lift @ acceleration),
                 atol=1e-12,
             )
-            batch = batch_kinematics(robot, robot.frame("l4"))
+            batch = robot.frame_kinematics("l4")
             np.testing.assert_allclose(
                 robot.jacobian(q, "l4")[:3], slopes(lambda x, r=robot: r.position(x, "l4")), atol=1e-9
             )
@@ -212,7 +214,7 @@ def test_every_derivative_is_exact_with_followers(tmp_path, rng):
                 by_steps = slopes(lambda x, r=robot, ref=reference: r.jacobian(x, "l4", ref))
                 np.testing.assert_allclose(derivative, by_steps, atol=1e-9)
                 np.testing.assert_allclose(
-                    batch.jacobian_and_derivative(q[None], reference)[1][0], derivative, atol=1e-12
+                    batch.jacobians_and_derivatives(q[None], reference)[1][0], derivative, atol=1e-12
                 )
         assert robot.mass == pytest.approx(8.0)
         assert all(robot.moves(leader, "l4") for leader in robot.joint_names)

@@ -6,7 +6,6 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import pinocchio as pin
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, goal_rotation
@@ -17,7 +16,7 @@ from manip_learn.control.limits import Limits, farthest_positions
 from manip_learn.control.tasks import Hold, PointAttractor, Task
 from manip_learn.errors import TargetError
 from manip_learn.robot.frame_kinematics import FrameKinematics
-from manip_learn.robot.joints import Frame, motion_along
+from manip_learn.robot.joints import Frame, joint_motions
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -62,11 +61,10 @@ def _chain_of(kinematics: FrameKinematics) -> dict[str, Any] | None:
     chain = kinematics.chain
     if chain is None or np.any(np.count_nonzero(chain.lift, axis=1) > 1):
         return None
-    model, data = chain.model, chain.model.createData()
-    pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
+    model, motions = chain.model, joint_motions(chain.model)
     joints, turned = [], np.eye(3)
     for j in range(1, model.njoints):
-        along, column = motion_along(data.joints[j].S), int(np.argmax(np.abs(chain.lift[j - 1])))
+        along, column = motions[j], int(np.argmax(np.abs(chain.lift[j - 1])))
         if along is None:
             return None
         placement, turn = model.jointPlacements[j], _to_z(along[1])

@@ -18,7 +18,6 @@ from scipy.linalg.lapack import dgesdd  # pyright: ignore[reportAttributeAccessI
 from manip_learn.constraint.constraint import Constraint, Vjp
 from manip_learn.errors import ConstraintError, an
 from manip_learn.linalg import EPS
-from manip_learn.robot.batch.postures import checked_postures
 
 # below this ratio to the largest singular value the left singular vectors of zero and non-zero are mixed by rounding
 SINGULAR_RATIO = 64.0 * EPS
@@ -122,7 +121,7 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
     selection, features = constraint_first(constraint, q).selection, constraint.features
     postures, nv = np.asarray(q, dtype=np.float64), constraint.nv
     if constraint.robot is not None:
-        checked_postures(constraint.robot, postures)  # here, where a row's number is that of the caller
+        constraint.robot.checked_postures(postures)  # here, where a row's number is that of the caller
     n, s = len(postures), len(selection)
     out = ManipulabilityBatch(np.zeros(n), np.zeros((n, nv)), np.zeros(n))
     for start in range(0, n if s <= nv else 0, GRADIENT_CHUNK):

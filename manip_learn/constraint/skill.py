@@ -16,7 +16,6 @@ from manip_learn.constraint.constraint import Constraint, damaged, read_constrai
 from manip_learn.constraint.shown import Shown
 from manip_learn.errors import DAMAGE, counted
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.robot import Robot
 
 TAKE_KNOTS = 24, 40, 16  # of a take before, during and after the contact: 4 kB of a file for an arm
@@ -56,7 +55,7 @@ class Take:
             end: When it ended, likewise.
             until: When the next one begins [s].
         """
-        time, q = whole.time, unwound(robot, whole.q)
+        time, q = whole.time, robot.unwrapped(whole.q)
         parts = (since <= time) & (time <= begin), (begin <= time) & (time <= end), (end <= time) & (time <= until)
         thin = [_thinned(time[part] - begin, q[part], n) for part, n in zip(parts, TAKE_KNOTS, strict=True)]
         knots = np.concatenate([thin[0][:-1], thin[1], thin[2][1:]])

@@ -24,7 +24,6 @@ from manip_learn.control.tasks import Task
 from manip_learn.control.tasks.motion_profile import MotionProfile
 from manip_learn.errors import ConfigurationError, counted
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.robot import Robot
 
 # [rad or m] of all joints together: a posture is reached, the hand within a millimetre of where it should be
@@ -244,7 +243,7 @@ class JointMotion(Task):
     def __init__(
         self, limits: Limits, path: ArrayLike, share: float = 1, gripper: Gripping | None = None, through: bool = False
     ):
-        self._robot, table = limits.robot, np.array(checked_postures(limits.robot, path))
+        self._robot, table = limits.robot, np.array(limits.robot.checked_postures(path))
         self.gripper: Gripping | None = gripper
         table = table[np.append(True, np.any(np.diff(table, axis=0) != 0.0, axis=1))]  # those of rest are no legs
         legs = [table][: len(table) - 1] if through else [table[i : i + 2] for i in range(len(table) - 1)]

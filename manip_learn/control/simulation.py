@@ -20,7 +20,6 @@ from manip_learn.control.tasks.driven_motion import Unit
 from manip_learn.control.tasks.motion import DONE, FreeDirection
 from manip_learn.errors import ConfigurationError, advice, an
 from manip_learn.recordings.load import Progress
-from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
@@ -103,7 +102,7 @@ def simulate(
         raise ConfigurationError(f"{duration / dt:.3g} steps take {size / 1e9:.3g} GB of memory: {fix}") from error
     steps, table = round(duration / dt), np.ndim(q0) == 2
     # a wrong row is named before any work is done
-    checked = q0 if robot is None else checked_postures(robot, q0) if table else robot.checked_posture(q0)
+    checked = q0 if robot is None else robot.checked_postures(q0) if table else robot.checked_posture(q0)
     starts = np.array(checked, dtype=np.float64, ndmin=2)
     native = controller.native if isinstance(controller, ResolvedRateController) and controller.robot is robot else None
     rollouts, own = list[Rollout](), None if table else progress

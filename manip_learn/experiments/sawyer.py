@@ -32,7 +32,6 @@ from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.load import load_demonstrations
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory, subsample
 from manip_learn.recordings.velocities import with_velocities
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 
@@ -126,10 +125,10 @@ def motions(
 ) -> paper.Motions:
     """Return postures and velocities of n motions at 100 Hz, from random starts to random targets of the grip."""
     axes = ["xyz".index(axis) for axis in true.features.row_names]
-    kinematics = batch_kinematics(sawyer_arm(), sawyer_arm().frame(FRAME))
+    kinematics = sawyer_arm().frame_kinematics(FRAME)
     starts = rng.uniform(_START_LOW, _START_HIGH, size=(n, 7))
     targets = rng.uniform(-1.0, 1.0, size=(n, len(axes)))
-    return paper.reach(true, policy, lambda q: kinematics.pose(q)[:, axes, 3], starts, targets, points, _STEP, damping)
+    return paper.reach(true, policy, lambda q: kinematics.poses(q)[:, axes, 3], starts, targets, points, _STEP, damping)
 
 
 def drawn(case: SawyerCase, rng: Generator) -> tuple[Demonstrations, Demonstrations]:

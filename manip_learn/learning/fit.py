@@ -31,7 +31,6 @@ from manip_learn.learning.table import ArmErrors, Settings, Stretch, View, displ
 from manip_learn.linalg import complement_rows, turned
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.recordings.velocities import positions_along
-from manip_learn.robot.batch.batch_kinematics import link_twists
 
 MOST, LEAST = 4000, 60  # samples of all stretches, and of each
 LEAST_RAD = 4e-5  # less is no difference: rails, tables and encoders are no better
@@ -147,7 +146,7 @@ def changes_by_links(
         place[block.v] = behind.get(block.index, -1)
     V, W, out = np.einsum("nij,nj->ni", J, u), features.weights_at(poses), [none]
     dW = features.weights(poses[:, :3, 3])[1] if isinstance(features, WeighedVelocity) else None
-    twists = link_twists(robot, frame, q)
+    twists = robot.frame_kinematics(frame).link_twists(q)
     for link, E in enumerate(() if twists is None else twists):
         own = place > link
         moved = np.einsum("nij,nj->ni", J[:, :, own], u[:, own])

@@ -32,7 +32,6 @@ from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
 from manip_learn.planning.stations import Margins, Postures, Stations, margins_of
 from manip_learn.recordings.load import Progress
-from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.robot import Robot
 
 _CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than 0.01 (benchmarks/planned_ways.py)
@@ -425,7 +424,7 @@ class _Problem:
         law = self._law(motion, stations.time, path)
         way, outcome = simulate_way(self.robot, law, came.q[-1], self.dt)
         begins, end = outcome.begins, float(way.time[-1])
-        if not outcome.is_done or outcome.strays or begins is None or not clear.of_way(unwound(self.robot, way.q)):
+        if not outcome.is_done or outcome.strays or begins is None or not clear.of_way(self.robot.unwrapped(way.q)):
             return None
         if take is not None:
             notes = (*notes, f"follows {take.name}, the approach {how}")

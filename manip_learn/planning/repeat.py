@@ -28,7 +28,6 @@ from manip_learn.planning.plan import LOOKED_AT, Around, Plan, approach, plan
 from manip_learn.planning.stations import Stations
 from manip_learn.planning.ways import carried, joined, nearest_turn
 from manip_learn.recordings.load import Progress
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
@@ -239,7 +238,7 @@ def _limited(limits: Limits, tip_speed: TipSpeed, skill: Skill, q: Float[np.ndar
 
 def _tip_speed(robot: Robot, frame: Frame, take: Take) -> float:
     """The largest speed of the tip in a recording, but for one in fifty of its samples [m/s]."""
-    places = batch_kinematics(robot, frame).pose(take.q)[:, :3, 3]
+    places = robot.frame_kinematics(frame).poses(take.q)[:, :3, 3]
     steps, times = np.linalg.norm(np.diff(places, axis=0), axis=1), np.diff(take.time)
     return float(np.quantile(steps[times > 0.0] / times[times > 0.0], 0.98)) if np.any(times > 0.0) else 0.0
 
@@ -351,7 +350,7 @@ class _Again:
         """The whole motion."""
         robot, whole = self.limits.robot, cast("Rollout", self.whole)  # a skill has a way
         whole = replace(whole, constraint=whole.ways[0]["constraint"], target=None)  # not those of its last part
-        tip = batch_kinematics(robot, self.skill.constraints[0].features.frame)  # type: ignore[attr-defined]  # as above
+        tip = robot.frame_kinematics(self.skill.constraints[0].features.frame)  # type: ignore[attr-defined]  # as above
         far = np.linalg.norm(np.diff(tip.pose(whole.q)[:, :3, 3], axis=0), axis=1)
         numbers = float(np.sum(far)), float(np.max(far / np.diff(whole.time)))
         return Repetition(self.skill, whole, tuple(self.done), LawSequence(*self.laws), *numbers, tuple(self.notes))

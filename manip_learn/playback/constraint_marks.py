@@ -17,7 +17,6 @@ from manip_learn.linalg import null_basis, row_basis
 from manip_learn.playback.guided_motion import MotionSamples
 from manip_learn.playback.page_writer import packed, unpacked
 from manip_learn.recordings.trajectory import evenly
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
@@ -131,9 +130,9 @@ def constraint_marks(
         return None
     # H J_v J_v^T H in the axes of the directions: semi-axes are the tip's speeds along what is held, at |u| = 1, and of
     # rows that only move the singular values of A, since this is Lambda^T A A^T Lambda
-    J = batch_kinematics(robot, ruled.frame).jacobian(q, "world")[:, :3]
+    J = robot.frame_kinematics(ruled.frame).jacobians(q, "world")[:, :3]
     if ruled.axes is not None:
-        J = batch_kinematics(robot, ruled.axes).pose(q)[:, :3, :3].transpose(0, 2, 1) @ J
+        J = robot.frame_kinematics(ruled.axes).poses(q)[:, :3, :3].transpose(0, 2, 1) @ J
     driven = ruled.held @ J
     names = {"held": "held", "free": "free", "heldTurns": "held_turns", "freeTurns": "free_turns"}
     return {

@@ -23,7 +23,6 @@ from manip_learn.playback.mechanism_drawing import Furniture, furniture_of
 from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import LEADING, WAY, PhaseBand, own_bands
 from manip_learn.recordings.trajectory import Trajectory, evenly
-from manip_learn.robot.batch.postures import positions_of
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
@@ -94,7 +93,7 @@ def tracks_of(
     bounded = np.isfinite(low) & np.isfinite(high) & (high > low)
     shares = samples.u / np.where(limited, fastest, 1.0)
     # 0 at the lower limit of a joint, 1 at the upper one
-    places = (positions_of(robot, samples.q) - low) / np.where(bounded, high - low, 1.0)
+    places = (robot.unwrapped(samples.q) - low) / np.where(bounded, high - low, 1.0)
     tracks: list[_Track | None] = []
     if guidance.constraint is not None:  # singular values of A(q), largest first
         A = guidance.constraint.selection @ guidance.constraint.features.batch(samples.q)

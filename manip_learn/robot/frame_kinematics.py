@@ -1,51 +1,57 @@
-"""Kinematics of one frame: its pose, its Jacobian and the derivative, from one pass over the joints that carry it.
+"""Kinematics of one frame at one posture or at many: its pose, its Jacobian and the derivative, by Pinocchio.
 
 Pinocchio 4.1 hands `getFrameKinematicHessian` out with the right shape (6, nv, nv) and scrambled entries: a
-column-major buffer read as row-major. It is put into the right order behind a self-test. `closed_form` needs no Hessian
-and serves as the judge, and as the substitute should a Pinocchio release change the memory order.
+column-major buffer read as row-major. It is put into the right order behind a self-test. `closed_form` needs no
+Hessian: it serves as the judge, as the substitute should Pinocchio change the memory order, and for many postures.
 """
 
 from __future__ import annotations
 
 import threading
-from math import isfinite
+from collections.abc import Iterator, Sequence
 from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 
 from manip_learn.robot.joints import CarryingJoints, Frame, carrying_joints
 
 PINOCCHIO_REFERENCES = {"world": pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, "local": pin.ReferenceFrame.LOCAL}
 DOUBLE = np.dtype(np.float64)  # of this machine's byte order
+ALL_ROWS = (0, 1, 2, 3, 4, 5)  # of a twist
+KEPT_POSTURES = 32_768  # largest table whose numbers are kept, 16 MB for 7 joints
+DERIVATIVE_CHUNK = 256  # postures; dJ/dq has as many numbers for each column as the chain has joints
 
 
 def closed_form(
-    J: Float[np.ndarray, "6 nv"], joint_of_column: Int[np.ndarray, " nv"], reference: str
-) -> Float[np.ndarray, "6 nv nv"]:
-    """dJ_i/dq_k from the Jacobian's own columns; entry [i, j, k] = d J_ij / d q_k.
+    J: Float[np.ndarray, "*n 6 nv"], joint_of_column: Int[np.ndarray, " nv"], reference: str
+) -> Float[np.ndarray, "*n 6 nv nv"]:
+    """Return dJ_i/dq_k from the Jacobian's own columns; entry [i, j, k] = d J_ij / d q_k.
 
     With columns (v_i, w_i) at the frame's origin along world axes, for joint k at or above joint i on the chain:
     d v_i / d q_k = w_k x v_i and d w_i / d q_k = w_k x w_i; for k below i: d v_i / d q_k = w_i x v_k, d w_i = 0.
     In the frame's own axes: dS_i / dq_k = S_i x S_k for k below i, else 0 (motion cross product).
 
     Args:
-        J: Frame Jacobian, linear rows first.
+        J: Frame Jacobians, linear rows first.
         joint_of_column: Pinocchio joint id of each column; columns outside the frame's chain are zero in J.
         reference: `"world"` (LOCAL_WORLD_ALIGNED) or `"local"`.
+
+    Returns:
+        One derivative for each Jacobian [m or rad per unit joint velocity and rad or m].
     """
-    v, w = J[:3].T, J[3:].T
-    i, k = joint_of_column[:, None], joint_of_column[None, :]
+    v, w = (np.moveaxis(rows, -1, 0) for rows in (J[..., :3, :], J[..., 3:, :]))
+    is_below = (joint_of_column[None, :] > joint_of_column[:, None]).reshape(len(v), len(v), *[1] * (J.ndim - 1))
+    turned_v, turned_w = (np.cross(w[:, None], columns[None, :]) for columns in (v, w))  # [i, k]: w_i x v_k, w_i x w_k
     if reference == "world":
-        above = (k <= i)[..., None]
-        dv = np.where(above, np.cross(w[None, :], v[:, None]), np.cross(w[:, None], v[None, :]))
-        dw = np.where(above, np.cross(w[None, :], w[:, None]), 0.0)
+        dv = np.where(is_below, turned_v, turned_v.swapaxes(0, 1))
+        dw = np.where(is_below, 0.0, turned_w.swapaxes(0, 1))
     else:
-        below = (k > i)[..., None]
-        dv = np.where(below, np.cross(w[:, None], v[None, :]) + np.cross(v[:, None], w[None, :]), 0.0)
-        dw = np.where(below, np.cross(w[:, None], w[None, :]), 0.0)
-    return np.concatenate([dv, dw], axis=2).transpose(2, 0, 1)
+        dv = np.where(is_below, turned_v - turned_v.swapaxes(0, 1), 0.0)
+        dw = np.where(is_below, turned_w, 0.0)
+    return np.moveaxis(np.concatenate([dv, dw], axis=-1), (0, 1), (-2, -1))
 
 
 def centre_of_mass_derivative(
@@ -110,7 +116,7 @@ def is_plain(q: np.ndarray) -> bool:
 
 @final
 class _Pass:
-    """The last pass of one thread; no number depends on what was asked before."""
+    """Last results of one thread; no number depends on what was asked before."""
 
     def __init__(self, model: pin.Model, index: int):
         self.data = model.createData()
@@ -118,6 +124,7 @@ class _Pass:
         placement = self.data.oMf[index]
         # views into Pinocchio's own memory: they follow every pass
         self.position, self.rotation = placement.translation, placement.rotation
+        self.table, self.swept = np.empty((0, 0)), (np.empty((0, 6, 0)), np.empty((0, 4, 4)))
 
 
 @final
@@ -126,13 +133,18 @@ class FrameKinematics:
 
     Where all joints between the base and the frame have one degree of freedom, only these are computed: a hand beside
     the chain, or a second arm, costs nothing. The placement of the posture asked for last is kept: a task that asks for
-    the pose where the Jacobian has just been computed gets it without another pass.
+    the pose where the Jacobian has just been computed gets it without another pass. So are the Jacobians and poses of
+    the last table of postures, which come from one pass.
 
     One object can be used from many threads: each has its own Pinocchio data.
 
     Args:
         robot: The `Robot`, whose module imports this one.
         frame: One of its frames.
+
+    Attributes:
+        chain: The joints that carry the frame; None where one of them has more than one degree of freedom.
+        model: Pinocchio model of these joints, or of the whole robot.
     """
 
     def __init__(self, robot: Any, frame: Frame):
@@ -141,39 +153,27 @@ class FrameKinematics:
 
     def _build(self) -> None:
         robot, frame = self._robot, self._frame
-        chain = carrying_joints(robot.pinocchio_model, frame, robot.blocks, robot.coupling)
-        self._chain = chain
-        self.model, self._index = (robot.pinocchio_model, frame.index) if chain is None else (chain.model, chain.index)
-        self.nv, self._shape = robot.nv, (robot.nv,)
-        self._columns: Any = None
-        self._lift: np.ndarray | None = None
-        if chain is None:
-            self._lift = None if robot.coupling is None else robot.coupling.lift
-        elif chain.columns is None:
-            self._lift = chain.lift
-        elif not (isinstance(chain.columns, slice) and chain.columns == slice(0, robot.nv)):
-            self._columns = chain.columns
-        self._plain = chain is not None and self._lift is None and self._columns is None
+        self.chain: CarryingJoints | None = carrying_joints(robot.pinocchio_model, frame, robot.blocks, robot.coupling)
+        lift: np.ndarray | None
+        if self.chain is None:
+            self.model, self._index = robot.pinocchio_model, frame.index
+            lift = None if robot.coupling is None else robot.coupling.lift
+        else:
+            self.model, self._index, lift = self.chain.model, self.chain.index, self.chain.lift
+            if np.array_equal(lift, np.eye(robot.nv)) and not self.chain.offset.any():
+                lift = None
+        self._lift = lift  # from the robot's velocities to the model's; None where they are the same
         self._fast_hessian = pinocchio_order_is_known(self.model)
         self._columns_to_joints = columns_to_joints(self.model)
         self._local = threading.local()
 
-    @property
-    def chain(self) -> CarryingJoints | None:
-        """The joints that carry the frame; None where one of them has more than one degree of freedom."""
-        return self._chain
-
-    # ---- one posture ------------------------------------------------------------------------------------------------
-
     def _configuration(self, q: np.ndarray) -> Float[np.ndarray, " n"]:
         """Configuration of the model from a checked posture."""
-        chain = self._chain
+        chain, robot = self.chain, self._robot
         if chain is None:
-            return self._robot.pinocchio_configuration(q)
-        positions = q if q.shape[0] == self.nv else self._robot.positions(q)
-        if self._lift is not None:
-            return chain.lift.dot(positions) + chain.offset
-        return positions if self._columns is None else positions[self._columns]
+            return robot.pinocchio_configuration(q)
+        positions = q if q.shape[0] == robot.nv else robot.positions(q)
+        return positions if self._lift is None else chain.lift.dot(positions) + chain.offset
 
     def _pass(self) -> _Pass:
         try:
@@ -181,6 +181,8 @@ class FrameKinematics:
         except AttributeError:
             self._local.last = last = _Pass(self.model, self._index)
             return last
+
+    # ---- one posture ------------------------------------------------------------------------------------------------
 
     def _placed(self, q: Any) -> _Pass:
         """The pass of a posture, with the frame placed."""
@@ -193,24 +195,25 @@ class FrameKinematics:
             last.posture = q.tobytes()
         return last
 
-    def position(self, q: Any) -> Float[np.ndarray, " 3"]:
-        """Origin of the frame in the robot's base [m]."""
+    def position(self, q: ArrayLike) -> Float[np.ndarray, " 3"]:
+        """Return the origin of the frame in the robot's base [m]."""
         return self._placed(q).position.copy()
 
-    def placement(self, q: Any) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-        """Origin of the frame in the robot's base [m] and rotation to the base, until the next call for this frame."""
+    def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
+        """Return the origin of the frame in the base [m] and its rotation to the base, valid until the next call."""
         last = self._placed(q)
         return last.position, last.rotation
 
-    def pose(self, q: Any) -> Float[np.ndarray, "4 4"]:
-        """Homogeneous transform from the frame to the robot's base [m]."""
+    def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
+        """Return the homogeneous transform from the frame to the robot's base [m]."""
         last, out = self._placed(q), np.eye(4)
         out[:3, :3], out[:3, 3] = last.rotation, last.position
         return out
 
-    def jacobian(self, q: Any, reference: str) -> Float[np.ndarray, "6 nv"]:
-        """Frame Jacobian, linear rows first; an array of its own."""
-        return self._public(self._model_jacobian(q, reference))
+    def jacobian(self, q: ArrayLike, reference: str) -> Float[np.ndarray, "6 nv"]:
+        """Return the frame Jacobian, linear rows first; an array of its own."""
+        J = self._model_jacobian(q, reference)
+        return J if self._lift is None else J.dot(self._lift)
 
     def _model_jacobian(self, q: Any, reference: str) -> Float[np.ndarray, "6 n"]:
         last, checked = self._pass(), self._robot.checked_posture(q)
@@ -221,47 +224,121 @@ class FrameKinematics:
             last.posture = checked.tobytes()
         return J if J.ndim == 2 else J.reshape(6, 1)  # nv == 1
 
-    def jacobian_and_derivative(self, q: Any, reference: str) -> tuple[np.ndarray, np.ndarray]:
-        """J (6, nv) and dJ/dq (6, nv, nv)."""
+    def jacobian_and_derivative(self, q: ArrayLike, reference: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return J (6, nv) and dJ/dq (6, nv, nv)."""
         if self._fast_hessian:
-            model, data, ref = self.model, self._differentiated(q).data, PINOCCHIO_REFERENCES[reference]
-            J = pin.getFrameJacobian(model, data, self._index, ref).reshape(6, -1)  # nv == 1
-            H = reordered(pin.getFrameKinematicHessian(model, data, self._index, ref), model.nv)
+            model, index, ref = self.model, self._index, PINOCCHIO_REFERENCES[reference]
+            last, checked = self._pass(), self._robot.checked_posture(q)
+            last.posture = None
+            pin.computeJointKinematicHessians(model, last.data, self._configuration(checked))
+            pin.updateFramePlacement(model, last.data, index)
+            last.posture = checked.tobytes()
+            J = pin.getFrameJacobian(model, last.data, index, ref).reshape(6, -1)  # nv == 1
+            H = reordered(pin.getFrameKinematicHessian(model, last.data, index, ref), model.nv)
         else:  # a robot without joints, too, for which Pinocchio's getters crash
             J = self._model_jacobian(q, reference)
             H = closed_form(J, self._columns_to_joints, reference)
-        if self._lift is not None:
-            return J @ self._lift, self._lift.T @ (H @ self._lift)
-        if self._columns is None:
-            return J, H
-        out = np.zeros((6, self.nv, self.nv))
-        columns = np.arange(self.nv)[self._columns]
-        out[:, columns[:, None], columns] = H
-        return self._public(J), out
+        return (J, H) if self._lift is None else (J @ self._lift, self._lift.T @ (H @ self._lift))
 
-    # ---- internals --------------------------------------------------------------------------------------------------
+    # ---- many postures ----------------------------------------------------------------------------------------------
 
-    def _differentiated(self, q: Any) -> _Pass:
-        """The pass of a posture, with Jacobians, their derivatives and the frame's placement."""
-        last, checked = self._pass(), q
-        if not (q.__class__ is np.ndarray and q.shape == self._shape and is_plain(q) and isfinite(sum(q.tolist()))):
-            checked = self._robot.checked_posture(q)
-        last.posture = None
-        x = checked if self._plain and checked.shape[0] == self.nv else self._configuration(checked)
-        pin.computeJointKinematicHessians(self.model, last.data, x)
-        pin.updateFramePlacement(self.model, last.data, self._index)
-        last.posture = checked.tobytes()
-        return last
+    def _configurations(self, table: Float[np.ndarray, "n width"]) -> Iterator[Float[np.ndarray, " n"]]:
+        """Yield the configuration of the model for each checked posture."""
+        if self.chain is None or table.shape[1] != self._robot.nv:
+            return map(self._configuration, table)
+        return iter(table if self._lift is None else table @ self.chain.lift.T + self.chain.offset)
 
-    def _public(self, rows: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k nv"]:
-        """Columns of the model's joints as columns of the robot's."""
-        if self._lift is not None:
-            return rows.dot(self._lift)
-        if self._columns is None:
-            return rows
-        out = np.zeros((rows.shape[0], self.nv))
-        out[:, self._columns] = rows
-        return out
+    def _sweep(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n 6 m"], Float[np.ndarray, "n 4 4"]]:
+        """Jacobians of the model along the base axes, and poses, at each posture."""
+        table, last = self._robot.checked_postures(q), self._pass()
+        if table.shape == last.table.shape and np.array_equal(table, last.table):
+            return last.swept
+        model, data, index = self.model, last.data, self._index
+        world = PINOCCHIO_REFERENCES["world"]
+        J, T = np.zeros((len(table), 6, model.nv)), np.tile(np.eye(4), (len(table), 1, 1))
+        R, p, last.posture = T[:, :3, :3], T[:, :3, 3], None
+        for i, x in enumerate(self._configurations(table)):
+            J[i] = pin.computeFrameJacobian(model, data, x, index, world).reshape(6, -1)  # which places the frame, too
+            R[i], p[i] = last.rotation, last.position
+        if len(table) <= KEPT_POSTURES:
+            last.table, last.swept = table.copy(), (J, T)
+        return J, T
+
+    def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
+        """Return the homogeneous transforms from the frame to the robot's base [m].
+
+        Args:
+            q: Postures, one per row: configurations (nq) or joint positions (nv) [rad or m].
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
+        return self._sweep(q)[1].copy()
+
+    def jacobians(
+        self, q: ArrayLike, reference: str = "world", rows: Sequence[int] = ALL_ROWS
+    ) -> Float[np.ndarray, "n p nv"]:
+        """Return frame Jacobians, linear rows first [m/s, rad/s per unit joint velocity].
+
+        Args:
+            q: Postures, one per row: configurations (nq) or joint positions (nv) [rad or m].
+            reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
+            rows: Which of x y z rx ry rz, as 0 .. 5.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
+        J = self._referred(*self._sweep(q), reference)[:, list(rows)]
+        return J if self._lift is None else J @ self._lift
+
+    def _referred(self, J: Float[np.ndarray, "n 6 m"], T: Float[np.ndarray, "n 4 4"], reference: str) -> np.ndarray:
+        """Jacobians along the base axes, seen along those of a reference."""
+        if reference == "world":
+            return J
+        return (T[:, None, :3, :3].swapaxes(2, 3) @ J.reshape(len(J), 2, 3, -1)).reshape(J.shape)
+
+    def jacobians_and_derivatives(
+        self, q: ArrayLike, reference: str = "world", rows: Sequence[int] = ALL_ROWS
+    ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
+        """Return frame Jacobians J and dJ/dq; entry [n, i, j, k] = d J_ij / d q_k along tangent coordinate k, exact.
+
+        Arguments and errors as for `jacobians`.
+        """
+        J, chosen = self._referred(*self._sweep(q), reference), list(rows)
+        H = np.empty((len(J), len(chosen), self.model.nv, self.model.nv))
+        for i in range(0, len(J), DERIVATIVE_CHUNK):
+            part = slice(i, i + DERIVATIVE_CHUNK)
+            H[part] = closed_form(J[part], self._columns_to_joints, reference)[:, chosen]
+        lift = self._lift
+        return (J[:, chosen], H) if lift is None else (J[:, chosen] @ lift, lift.T @ (H @ lift))
+
+    def link_twists(self, q: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "l n 6 6"] | None:
+        """Return the twists of the frame that unit errors of each of the l links on its chain make.
+
+        Args:
+            q: Joint positions, one posture per row [rad or m].
+
+        Returns:
+            Twists along the base's axes and at the frame's origin: of three displacements of the link's end along the
+            axes of its joint, and of three turns about them. None where other joints than those that turn or slide
+            carry the frame.
+        """
+        if self.chain is None:
+            return None
+        model, data = self.model, self._pass().data
+        self._pass().posture = None
+        joints = [(data.oMi[j].rotation, data.oMi[j].translation) for j in range(1, model.njoints)]
+        turn, place = np.empty((len(joints), len(q), 3, 3)), np.empty((len(joints), len(q), 3))
+        for i, x in enumerate(self._configurations(q)):
+            pin.forwardKinematics(model, data, x)
+            for j, (rotation, translation) in enumerate(joints):
+                turn[j, i], place[j, i] = rotation, translation
+        tip = self.poses(q)[:, :3, 3]
+        lever = tip - np.concatenate([place[1:], tip[None]])  # of a link, its end is where the next joint is
+        twists = np.zeros((len(joints), len(q), 6, 6))
+        twists[..., :3, :3] = twists[..., 3:, 3:] = turn
+        twists[..., :3, 3:] = np.cross(turn, lever[..., None], axisa=2, axisb=2, axisc=2)
+        return twists
 
     def __getstate__(self) -> dict[str, Any]:
         return {"_robot": self._robot, "_frame": self._frame}

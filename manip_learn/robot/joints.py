@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 JointKind = Literal["revolute", "prismatic", "continuous", "floating", "planar", "other"]
 
@@ -78,13 +78,6 @@ class Coupling:
         self.lift.setflags(write=False)
         self.offset.setflags(write=False)
 
-    def columns_of(self, rows: Int[np.ndarray, " j"]) -> Int[np.ndarray, " j"] | None:
-        """Independent joint of each of these joints, given by their rows; None if one of them follows another."""
-        lift = self.lift[rows]
-        columns = np.argmax(lift, axis=1)
-        alone = np.array_equal(lift, np.eye(lift.shape[1])[columns]) and len(set(columns.tolist())) == len(columns)
-        return columns if alone and not np.any(self.offset[rows]) else None
-
 
 @final
 @dataclass(frozen=True)
@@ -108,6 +101,11 @@ class JointBlock:
     v: slice
     pin_q: slice
     pin_v: slice
+
+    @property
+    def direction(self) -> slice:
+        """The part of a configuration that has length 1, of a continuous, floating or planar joint."""
+        return slice(self.q.stop - (4 if self.kind == "floating" else 2), self.q.stop)
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
@@ -215,15 +213,12 @@ class CarryingJoints(NamedTuple):
     Attributes:
         model: Pinocchio model of these joints and the frame alone.
         index: Number of the frame in that model.
-        columns: The public joint of each joint of the chain, as a slice where they lie side by side; None where mimic
-            joints are among them.
         lift: shape (n, nv).
         offset: shape (n,) [rad or m].
     """
 
     model: pin.Model
     index: int
-    columns: slice | np.ndarray | None
     lift: Float[np.ndarray, "n nv"]
     offset: Float[np.ndarray, " n"]
 
@@ -231,47 +226,42 @@ class CarryingJoints(NamedTuple):
 def carrying_joints(
     model: pin.Model, frame: Frame, blocks: tuple[JointBlock, ...], coupling: Coupling | None
 ) -> CarryingJoints | None:
-    """The joints between the base and a frame.
+    """Return the joints between the base and a frame.
 
-    None if there are none, or one of them has more than one degree of freedom (a floating base).
+    None if there are none, or one of them does not just turn or slide (a floating base).
     """
     chain = [j for j in model.supports[frame.parent_joint] if j > 0]
-    independent = {block.index: block for block in blocks}
-    single = ("revolute", "continuous", "prismatic")
-    if not chain or any(j in independent and independent[j].kind not in single for j in chain):
-        return None
-    if any(j not in independent and model.joints[j].nv != 1 for j in chain):
-        return None
-    data = model.createData()
-    pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
+    motions = joint_motions(model)
     alone, parent = pin.Model(), 0
     for j in chain:
-        if (along := motion_along(data.joints[j].S)) is None:
+        if (motion := motions[j]) is None:
             return None
-        kind, axis = along
-        letter = next((letter for letter, unit in zip("XYZ", np.eye(3), strict=True) if np.array_equal(axis, unit)), "")
-        if letter:
-            joint = getattr(pin, f"JointModel{kind}{letter}")()
+        kind, axis = motion
+        aligned = np.flatnonzero(np.all(axis == np.eye(3), axis=1))
+        if aligned.size:  # these keep the last digit, and are faster
+            joint = getattr(pin, f"JointModel{kind}{'XYZ'[aligned[0]]}")()
         else:
             joint = pin.JointModelPrismaticUnaligned(axis) if kind == "P" else pin.JointModelRevoluteUnaligned(axis)
         parent = alone.addJoint(parent, joint, model.jointPlacements[j], model.names[j])
+    if not chain:
+        return None
     placement = model.frames[frame.index].placement
     index = alone.addFrame(pin.Frame(frame.name, parent, 0, placement, pin.FrameType.OP_FRAME))
-    rows = np.array([model.joints[j].idx_v for j in chain])
+    rows = [model.joints[j].idx_v for j in chain]
     coupling = coupling or full_coupling(model, blocks, ())
-    columns = coupling.columns_of(rows)
-    if columns is not None and np.array_equal(columns, np.arange(columns[0], columns[0] + len(columns))):
-        columns = slice(int(columns[0]), int(columns[0]) + len(columns))  # makes views where numbers copy
-    return CarryingJoints(alone, index, columns, np.array(coupling.lift[rows]), np.array(coupling.offset[rows]))
+    return CarryingJoints(alone, index, coupling.lift[rows], coupling.offset[rows])
 
 
-def motion_along(S: np.ndarray) -> tuple[Literal["R", "P"], Float[np.ndarray, " 3"]] | None:
-    """Whether a joint turns ("R") or slides ("P"), and along which axis, read off its motion subspace.
+def joint_motions(model: pin.Model) -> list[tuple[Literal["R", "P"], Float[np.ndarray, " 3"]] | None]:
+    """Return whether each joint of a model turns ("R") or slides ("P"), and along which axis of its own frame.
 
-    None for a joint of more degrees of freedom, and where a turn slides as well.
+    None for the world, for a joint of more degrees of freedom, and where a turn slides as well.
     """
-    motion = np.array(S, dtype=np.float64).reshape(-1)
-    linear, angular = motion[:3], motion[3:]
-    if motion.shape != (6,) or (np.any(linear) and np.any(angular)):
-        return None
-    return ("P", linear) if np.any(linear) else ("R", angular)
+    data, out = model.createData(), list[tuple[Literal["R", "P"], np.ndarray] | None]([None])
+    pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
+    for j in range(1, model.njoints):
+        motion = np.array(data.joints[j].S, dtype=np.float64).reshape(-1)  # its motion subspace
+        linear, angular = motion[:3], motion[3:6]
+        is_one = motion.shape == (6,) and not (np.any(linear) and np.any(angular))
+        out.append((("P", linear) if np.any(linear) else ("R", angular)) if is_one else None)
+    return out

@@ -17,7 +17,7 @@ import pinocchio as pin
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from manip_learn.robot.joints import motion_along
+from manip_learn.robot.joints import joint_motions
 from manip_learn.robot.robot import Robot
 
 # corners of a solid about the ball of radius 1: its faces are 0.8866 away where its corners are at 1
@@ -50,11 +50,10 @@ def plain_urdf(
         ValueError: A joint that neither turns nor slides, or does both.
     """
     model, out = robot.pinocchio_model, ["<robot name='copy'><link name='l000'/>"]
-    data, mimics = model.createData(), {m.joint: m for m in robot.mimics}
-    pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
+    mimics, motions = {m.joint: m for m in robot.mimics}, joint_motions(model)
     ends = {b.name: (lower[b.v][0], upper[b.v][0]) for b in robot.blocks}
     for j, name in list(enumerate(model.names))[1:]:
-        if (along := motion_along(data.joints[j].S)) is None:
+        if (along := motions[j]) is None:
             raise ValueError(f"joint {name!r} does more than turn or slide")
         least, most = ends.get(name, (-1e3, 1e3))  # a joint that follows another has its limits
         inside = f"<axis xyz='{_words(along[1])}'/><limit lower='{least}' upper='{most}' velocity='1' effort='1'/>"

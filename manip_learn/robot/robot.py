@@ -6,7 +6,6 @@ import copy
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal, final
 
@@ -33,7 +32,6 @@ from manip_learn.robot.joints import (
 
 Reference = Literal["world", "local"]
 MOST_NAMES = 14  # of joints that a `repr` shows
-MOST_INERTIA = 1e3  # [kg or kg m2] of a hand in directions in which the arm cannot move: more than any arm weighs
 
 
 @final
@@ -133,7 +131,10 @@ class Robot:
         self.blocks = tuple(blocks)
         self.nq, self.nv, self._shape = nq, nv, (nv,)
         self.joint_names: tuple[str, ...] = tuple(n for b in blocks for n in b.coordinate_names)
-        self._places = np.concatenate([[], *(np.arange(b.pin_q.start, b.pin_q.stop) for b in blocks)]).astype(np.int64)
+        self._places, self._columns = (
+            np.array([i for part in parts for i in range(part.start, part.stop)], dtype=np.intp)
+            for parts in ([b.pin_q for b in blocks], [b.pin_v for b in blocks])
+        )  # of the independent joints in Pinocchio's configuration and velocity
         self._coupling = full_coupling(model, blocks, self.mimics) if self.mimics else None
         joints = [model.joints[model.getJointId(m.joint)] for m in self.mimics]
         self._followers = [(joint.idx_v, slice(joint.idx_q, joint.idx_q + joint.nq)) for joint in joints]
@@ -220,40 +221,57 @@ class Robot:
         return out
 
     def checked_posture(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
-        """A posture as it is, configuration or joint positions, once its size and its numbers have been checked.
+        """Return a posture as it is, configuration or joint positions, once its size and its numbers have been checked.
 
         Raises:
-            ConfigurationError: Wrong size, NaN or infinity.
+            ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
         """
         if type(q) is np.ndarray and q.shape == self._shape and is_plain(q) and math.isfinite(sum(q.tolist())):
             return q  # the case of every control step
-        vector = _float_vector(q, "a configuration")
-        if vector.ndim != 1 or vector.shape[0] not in (self.nq, self.nv):
-            sizes = f"{self.nv}" if self.nq == self.nv else f"{self.nq} (configuration) or {self.nv} (joint positions)"
+        return self._checked(q, "a posture", 1, (self.nq, self.nv))
+
+    def checked_postures(self, q: ArrayLike) -> Float[np.ndarray, "n width"]:
+        """Return postures, one per row, once they have been checked; see `checked_posture`.
+
+        Raises:
+            ConfigurationError: Not a table of nq or nv columns, NaN or infinity; names the first bad row and joint.
+        """
+        return self._checked(q, "a table of postures", 2, (self.nq, self.nv))
+
+    def _checked(self, values: ArrayLike, what: str, n_axes: int, sizes: tuple[int, ...]) -> np.ndarray:
+        try:
+            out = np.ascontiguousarray(values, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(f"{what} must be numbers, not {type(values).__name__}: {error}") from error
+        if out.ndim != n_axes or out.shape[-1] not in sizes:
+            both = f"{self.nq} (configuration) or {self.nv} (joint positions)"
             raise ConfigurationError(
-                f"a posture of {self.name!r} has {sizes} numbers, this one has shape {vector.shape}; "
-                f"joints in order: {', '.join(self.joint_names)}"
+                f"{what} of {self.name!r} has {both if len(set(sizes)) > 1 else sizes[0]} "
+                f"{'numbers' if n_axes == 1 else 'columns'}, this one has shape {out.shape}; joints in order: "
+                f"{', '.join(self.joint_names)}"
             )
-        if not _all_finite(vector):
-            i = int(np.argmin(np.isfinite(vector)))
-            where = f"joint {self.joint_names[i]!r}" if vector.shape[0] == self.nv else f"entry {i}"
-            raise ConfigurationError(
-                f"configuration of {self.name!r}: {where} is {vector[i]}, a finite number is needed"
-            )
-        return vector
+        is_configuration, table, fault = out.shape[-1] != self.nv, out.reshape(-1, out.shape[-1]), None
+        if not np.isfinite(out).all():
+            row, entry = (int(i) for i in np.argwhere(~np.isfinite(table))[0])
+            names = [b.name for b in self.blocks for _ in range(b.q.start, b.q.stop)]
+            joint = f"{names[entry]!r} (entry {entry})" if is_configuration else f"{self.joint_names[entry]!r}"
+            fault = row, f"joint {joint} is {table[row, entry]}, a finite number is needed"
+        for b in self._unit_blocks if is_configuration else ():
+            if fault is not None:
+                break
+            short = np.flatnonzero(np.linalg.norm(table[:, b.direction], axis=1) < 1e-6)  # which has no direction
+            if short.size:
+                part = "quaternion" if b.kind == "floating" else "(cos, sin)"
+                fault = int(short[0]), f"joint {b.name!r}: its {part} is {table[short[0], b.direction]}, without length"
+        if fault is not None:
+            where = f"row {fault[0]}, " if n_axes == 2 else ""
+            raise ConfigurationError(f"{what} of {self.name!r}: {where}{fault[1]}")
+        return out
 
     def _normalised(self, q: np.ndarray) -> np.ndarray:
         q = q.copy()
         for b in self._unit_blocks:
-            width = 4 if b.kind == "floating" else 2
-            part = slice(b.q.stop - width, b.q.stop)
-            norm = float(np.linalg.norm(q[part]))
-            if norm < 1e-6:
-                raise ConfigurationError(
-                    f"joint {b.name!r}: its {'quaternion' if b.kind == 'floating' else '(cos, sin)'} is {q[part]}, "
-                    "which has no direction; it must have length 1"
-                )
-            q[part] /= norm
+            q[b.direction] /= np.linalg.norm(q[b.direction])
         return q
 
     def positions(self, q: ArrayLike) -> Float[np.ndarray, " nv"]:
@@ -279,6 +297,20 @@ class Robot:
             else:
                 out[b.v] = x
         return out
+
+    def unwrapped(self, q: ArrayLike) -> Float[np.ndarray, "n nv"]:
+        """Return the joint positions of a motion, without jumps by full turns where configurations have none.
+
+        Args:
+            q: Configurations (nq) or joint positions (nv), one posture per row, in order of time.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
+        table = self.checked_postures(q)
+        if table.shape[1] == self.nv:
+            return table
+        return np.unwrap(np.array([self.positions(row) for row in table]).reshape(-1, self.nv), axis=0)
 
     def neutral(self) -> Float[np.ndarray, " nq"]:
         """A posture inside the limits: zero where that is allowed, else the middle of the range."""
@@ -312,12 +344,7 @@ class Robot:
         if vector.shape[0] == self.nv and self.positions_add_up:
             return vector + step
         lifted = step if self._coupling is None else self._coupling.lift @ step
-        configuration = self.configuration(vector)
-        if self._plain:
-            out = configuration + step
-        else:
-            full = pin.integrate(self._model, self._expanded(configuration), lifted)
-            out = full if self._coupling is None else np.concatenate([full[:0], *(full[b.pin_q] for b in self.blocks)])
+        out = pin.integrate(self._model, self._expanded(self.configuration(vector)), lifted)[self._places]
         return self.positions(out) if vector.shape[0] == self.nv else out
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Float[np.ndarray, " nv"]:
@@ -326,13 +353,8 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        a, b = self.configuration(q0), self.configuration(q1)
-        if self._plain:
-            return b - a
-        full = pin.difference(self._model, self._expanded(a), self._expanded(b))
-        if self._coupling is None:
-            return full
-        return np.concatenate([full[k.pin_v] for k in self.blocks])
+        both = (self._expanded(self.configuration(q)) for q in (q0, q1))
+        return pin.difference(self._model, *both)[self._columns]
 
     def velocity(self, v: ArrayLike) -> Float[np.ndarray, " nv"]:
         """A checked tangent velocity (nv).
@@ -340,25 +362,13 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        vector = _float_vector(v, "a velocity")
-        if vector.shape != (self.nv,):
-            raise ConfigurationError(
-                f"a velocity of {self.name!r} has {self.nv} numbers, this one has shape {vector.shape}"
-            )
-        if not _all_finite(vector):
-            bad = int(np.argmin(np.isfinite(vector)))
-            raise ConfigurationError(
-                f"velocity of joint {self.joint_names[bad]!r} is {vector[bad]}, a finite number is needed"
-            )
-        return vector
+        return self._checked(v, "a velocity", 1, (self.nv,))
 
     def pinocchio_configuration(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
         """Configuration of the underlying Pinocchio model, mimic joints included."""
-        if self._plain:
-            return self.checked_posture(q)
-        if self._coupling is None:
-            return self.configuration(q)
         vector = self.checked_posture(q)
+        if self._plain:
+            return vector
         # of joint positions the full turns count: a follower at half speed is elsewhere after one
         return self._expanded(self.configuration(vector), vector if vector.shape[0] == self.nv else None)
 
@@ -468,12 +478,10 @@ class Robot:
 
         Zero for a description without masses.
         """
-        model, data = self._model, self._data
+        model, data, x, a = self._model, self._data, self.pinocchio_configuration(q), acceleration
         lift = None if self._coupling is None else self._coupling.lift
-        M = pin.crba(model, data, self.pinocchio_configuration(q))  # its upper triangle
-        a = acceleration if lift is None else lift @ acceleration
-        upper = M * _upper_triangle(model.nv)
-        effort = upper.dot(a) + a.dot(upper) - M.diagonal() * a
+        effort = pin.rnea(model, data, x, np.zeros(model.nv), a if lift is None else lift @ a)
+        effort = effort - pin.computeGeneralizedGravity(model, data, x)
         return effort if lift is None else lift.T @ effort
 
     def with_payload(self, mass: float, frame: FrameLike, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Robot:
@@ -516,11 +524,10 @@ class Robot:
         """
         if not all(inertia.mass > 0.0 for inertia in list(self._model.inertias)[1:]):
             return None
-        lift = np.eye(self.nv) if self._coupling is None else self._coupling.lift
-        M = np.triu(pin.crba(self._model, self._model.createData(), self.pinocchio_configuration(q)))
-        M = lift.T @ (M + np.triu(M, 1).T) @ lift
+        M = np.array([self.inertial_effort(q, a) for a in np.eye(self.nv)])
         J = self.jacobian(q, frame)
-        return np.linalg.inv(J @ np.linalg.solve(M, J.T) + np.eye(6) / MOST_INERTIA)
+        most = 1e3  # [kg or kg m2] in directions in which the arm cannot move: more than any arm weighs
+        return np.linalg.inv(J @ np.linalg.solve(M, J.T) + np.eye(6) / most)
 
     # ---- internals -------------------------------------------------------------------------------------------------
 
@@ -553,21 +560,3 @@ class Robot:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._local = threading.local()
-
-
-@cache
-def _upper_triangle(size: int) -> Float[np.ndarray, "n n"]:
-    return np.triu(np.ones((size, size)))
-
-
-def _float_vector(values: ArrayLike, what: str) -> np.ndarray:
-    try:
-        return np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(f"{what} must be numbers, not {type(values).__name__}: {error}") from error
-
-
-def _all_finite(vector: np.ndarray) -> bool:
-    # a fifth of the time of NumPy's own for a handful of numbers, and on the path of every call
-    numbers = vector.tolist()
-    return math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))

@@ -30,7 +30,6 @@ from manip_learn.constraint.place import AXES, AXIS_UNITS
 from manip_learn.constraint.reading import Read, hinge_or_screw, of_point_rows, of_twists, on_twist
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.linalg import null_basis
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
@@ -160,10 +159,10 @@ class PoseRows(FeatureMap):
 
     def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
         """Return the poses of `pose` at n postures, the rows of q [m]."""
-        poses = batch_kinematics(self.robot, self.frame).pose(q)
+        poses = self.robot.frame_kinematics(self.frame).poses(q)
         if self.relative_to is None:
             return poses
-        return np.linalg.inv(batch_kinematics(self.robot, self.relative_to).pose(q)) @ poses
+        return np.linalg.inv(self.robot.frame_kinematics(self.relative_to).poses(q)) @ poses
 
     def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
         """Return position [m] and rotation of `pose`."""
@@ -321,11 +320,11 @@ class FrameJacobian(PoseRows):
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        return batch_kinematics(self.robot, self.frame).jacobian(q, self.reference, self._row_numbers)
+        return self._kinematics.jacobians(q, self.reference, self._row_numbers)
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n postures, in bulk; arguments and errors as for `batch`."""
-        return batch_kinematics(self.robot, self.frame).jacobian_and_derivative(q, self.reference, self._row_numbers)
+        return self._kinematics.jacobians_and_derivatives(q, self.reference, self._row_numbers)
 
     def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
         """Position [m] and rotation of the frame in the robot's base."""
@@ -381,13 +380,13 @@ class RelativeFrameJacobian(PoseRows):
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        both = (batch_kinematics(self.robot, frame) for frame in (self.frame, self.relative_to))
-        return _seen(*[(each.pose(q), each.jacobian(q)) for each in both])[0][:, self._rows]
+        both = (self.robot.frame_kinematics(frame) for frame in (self.frame, self.relative_to))
+        return _seen(*[(each.poses(q), each.jacobians(q)) for each in both])[0][:, self._rows]
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Return Phi and dPhi/dq at n configurations; errors as for `batch`."""
-        both = (batch_kinematics(self.robot, frame) for frame in (self.frame, self.relative_to))
-        Phi, dPhi = _seen(*[(each.pose(q), *each.jacobian_and_derivative(q)) for each in both])
+        both = (self.robot.frame_kinematics(frame) for frame in (self.frame, self.relative_to))
+        Phi, dPhi = _seen(*[(each.poses(q), *each.jacobians_and_derivatives(q)) for each in both])
         return Phi[:, self._rows], dPhi[:, self._rows]
 
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:

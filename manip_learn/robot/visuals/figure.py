@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.robot.joints import motion_along
+from manip_learn.robot.joints import joint_motions
 
 _THICK = 0.043  # radius at the base, share of the reach, as of arms that are sold
 TAPER = 0.55  # radius at the last joint, share of the radius at the base
@@ -43,10 +43,7 @@ def bones(model: pin.Model, radius: Float[np.ndarray, " J"]) -> tuple[Bone, ...]
         model: The robot.
         radius: At each joint [m].
     """
-    data, found = model.createData(), list[Bone]()
-    pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
-    turned = [motion_along(data.joints[j].S) if j else None for j in range(model.njoints)]
-    axes = [along[1] if along else np.zeros(3) for along in turned]
+    found, axes = list[Bone](), [motion[1] if motion else np.zeros(3) for motion in joint_motions(model)]
     axes[0] = np.array([0.0, 0.0, 1.0])  # what stands on the floor rises first
     targets = [(int(model.parents[c]), c, model.jointPlacements[c]) for c in range(1, model.njoints)]
     targets += [(i, 0, pin.SE3(np.eye(3), end)) for i, end in link_ends(model).items()]

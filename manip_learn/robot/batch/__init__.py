@@ -1,1 +1,0 @@
-"""Kinematics of one frame at many configurations at once."""
