@@ -109,11 +109,6 @@ def columns_to_joints(model: pin.Model) -> Int[np.ndarray, " nv"]:
     return owner
 
 
-def is_plain(q: np.ndarray) -> bool:
-    """Whether an array can be handed to Pinocchio as it is: another layout would change the last digit."""
-    return q.dtype is DOUBLE and q.flags.c_contiguous
-
-
 @final
 class _Pass:
     """Last results of one thread; no number depends on what was asked before."""

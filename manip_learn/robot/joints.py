@@ -17,16 +17,6 @@ COORDINATE_SUFFIXES: dict[str, tuple[str, ...]] = {
     "floating": (".x", ".y", ".z", ".rx", ".ry", ".rz"),
     "planar": (".x", ".y", ".rz"),
 }
-# of Pinocchio's short names by how they begin, the first that fits
-PINOCCHIO_KINDS: tuple[tuple[str, JointKind], ...] = (
-    ("JointModelRUB", "continuous"),
-    ("JointModelRevoluteUnbounded", "continuous"),
-    ("JointModelR", "revolute"),
-    ("JointModelPlanar", "planar"),
-    ("JointModelP", "prismatic"),
-    ("JointModelFreeFlyer", "floating"),
-    ("", "other"),
-)
 
 
 @final
@@ -122,6 +112,30 @@ class JointBlock:
         if self.kind in COORDINATE_SUFFIXES:
             return tuple("rad" if "r" in suffix else "m" for suffix in COORDINATE_SUFFIXES[self.kind])
         return ("m" if self.kind == "prismatic" else "rad",) * (self.v.stop - self.v.start)
+
+
+def joint_blocks(model: pin.Model, mimics: Sequence[Mimic]) -> tuple[JointBlock, ...]:
+    """Return the independent joints of a model in its order, those that move and follow no other."""
+    kinds: tuple[tuple[str, JointKind], ...] = (
+        ("JointModelRUB", "continuous"),
+        ("JointModelRevoluteUnbounded", "continuous"),
+        ("JointModelR", "revolute"),
+        ("JointModelPlanar", "planar"),
+        ("JointModelP", "prismatic"),
+        ("JointModelFreeFlyer", "floating"),
+        ("", "other"),
+    )  # of Pinocchio's short names by how they begin, the first that fits
+    followers, blocks, nq, nv = {m.joint for m in mimics}, list[JointBlock](), 0, 0
+    for index in range(1, model.njoints):
+        joint, name = model.joints[index], model.names[index]
+        if name in followers or joint.nv == 0:
+            continue
+        kind = next(kind for begin, kind in kinds if joint.shortname().startswith(begin))
+        own = slice(nq, nq + joint.nq), slice(nv, nv + joint.nv)
+        of_model = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
+        blocks.append(JointBlock(name, kind, index, *own, *of_model))
+        nq, nv = own[0].stop, own[1].stop
+    return tuple(blocks)
 
 
 @final

@@ -17,16 +17,13 @@ from numpy.typing import ArrayLike
 from manip_learn.errors import ConfigurationError, UnknownNameError, printable
 from manip_learn.linalg import finite
 from manip_learn.robot import html_card
-from manip_learn.robot.frame_kinematics import FrameKinematics, centre_of_mass_derivative, columns_to_joints, is_plain
+from manip_learn.robot.frame_kinematics import DOUBLE, FrameKinematics, centre_of_mass_derivative, columns_to_joints
 from manip_learn.robot.joints import (
-    PINOCCHIO_KINDS,
-    Coupling,
     Frame,
     FrameLike,
-    JointBlock,
-    JointKind,
     Mimic,
     full_coupling,
+    joint_blocks,
     joint_limits,
 )
 
@@ -62,6 +59,9 @@ class Robot:
         warnings: What was repaired or ignored while loading, one sentence each.
         description: Text of the URDF as it was read, xacro expanded; None if there was none.
         locked: Joints that are held still, and where [rad or m].
+        pinocchio_model: The underlying Pinocchio model. It has mimic joints as joints of their own; do not change it.
+        blocks: The independent joints, with their slices of the vectors.
+        coupling: How mimic joints follow, in Pinocchio's joint order; None without mimic joints.
         objects: Names of things that are no part of the robot and whose pose is recorded: floating joints.
         payload: What its hand carries, see `with_payload` [kg].
 
@@ -89,7 +89,7 @@ class Robot:
         locked: Mapping[str, float] | None = None,
         objects: Sequence[str] = (),
     ):
-        self._model, self._bare, self.payload = model, model, 0.0
+        self.pinocchio_model, self._bare, self.payload = model, model, 0.0
         self.name: str = name or model.name
         self.source = source
         self.package_dirs = tuple(package_dirs)
@@ -98,8 +98,22 @@ class Robot:
         self.description = description
         self.locked: dict[str, float] = dict(locked or {})
         self.objects: tuple[str, ...] = tuple(objects)
-        self._build_blocks()
-        limits, said = joint_limits(model, self.blocks, self.mimics)
+        self.blocks = blocks = joint_blocks(model, self.mimics)
+        nq, nv = max((b.q.stop for b in blocks), default=0), max((b.v.stop for b in blocks), default=0)
+        self.nq, self.nv, self._shape = nq, nv, (nv,)
+        self.joint_names: tuple[str, ...] = tuple(n for b in blocks for n in b.coordinate_names)
+        self._places, self._columns = (
+            np.array([i for part in parts for i in range(part.start, part.stop)], dtype=np.intp)
+            for parts in ([b.pin_q for b in blocks], [b.pin_v for b in blocks])
+        )  # of the independent joints in Pinocchio's configuration and velocity
+        self.coupling = full_coupling(model, blocks, self.mimics) if self.mimics else None
+        joints = [model.joints[model.getJointId(m.joint)] for m in self.mimics]
+        self._followers = [(joint.idx_v, slice(joint.idx_q, joint.idx_q + joint.nq)) for joint in joints]
+        # a plain robot's configuration IS Pinocchio's: the hot path skips all conversions
+        self._plain = nq == nv == model.nq and self.coupling is None
+        self.positions_add_up = all(b.kind not in ("floating", "planar", "other") for b in blocks)
+        self._unit_blocks = tuple(b for b in blocks if b.kind in ("continuous", "floating", "planar"))
+        limits, said = joint_limits(model, blocks, self.mimics)
         self.position_lower, self.position_upper, self.velocity_limit = limits
         self.warnings = tuple(map(printable, (*warnings, *said)))
         self._frames: dict[str, Frame] = {}
@@ -108,40 +122,8 @@ class Robot:
             if f.name != "universe" and (f.name not in self._frames or f.type == pin.FrameType.BODY):
                 self._frames[f.name] = Frame(f.name, index, int(f.parentJoint))
         self.frame_names: tuple[str, ...] = tuple(self._frames)
-        self._columns_to_joints = columns_to_joints(model)
         self._frame_kinematics: dict[int, FrameKinematics] = {}
         self._local = threading.local()
-
-    # ---- building -------------------------------------------------------------------------------------------------
-
-    def _build_blocks(self) -> None:
-        model = self._model
-        followers = {m.joint for m in self.mimics}
-        blocks: list[JointBlock] = []
-        nq = nv = 0
-        for index in range(1, model.njoints):
-            joint, name = model.joints[index], model.names[index]
-            if name in followers or joint.nv == 0:
-                continue
-            kinds: list[JointKind] = [kind for begin, kind in PINOCCHIO_KINDS if joint.shortname().startswith(begin)]
-            own = slice(nq, nq + joint.nq), slice(nv, nv + joint.nv)
-            of_model = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
-            blocks.append(JointBlock(name, kinds[0], index, *own, *of_model))
-            nq, nv = nq + joint.nq, nv + joint.nv
-        self.blocks = tuple(blocks)
-        self.nq, self.nv, self._shape = nq, nv, (nv,)
-        self.joint_names: tuple[str, ...] = tuple(n for b in blocks for n in b.coordinate_names)
-        self._places, self._columns = (
-            np.array([i for part in parts for i in range(part.start, part.stop)], dtype=np.intp)
-            for parts in ([b.pin_q for b in blocks], [b.pin_v for b in blocks])
-        )  # of the independent joints in Pinocchio's configuration and velocity
-        self._coupling = full_coupling(model, blocks, self.mimics) if self.mimics else None
-        joints = [model.joints[model.getJointId(m.joint)] for m in self.mimics]
-        self._followers = [(joint.idx_v, slice(joint.idx_q, joint.idx_q + joint.nq)) for joint in joints]
-        # a plain robot's configuration IS Pinocchio's: the hot path skips all conversions
-        self._plain = nq == nv == model.nq and self._coupling is None
-        self.positions_add_up = all(b.kind not in ("floating", "planar", "other") for b in blocks)
-        self._unit_blocks = tuple(b for b in blocks if b.kind in ("continuous", "floating", "planar"))
 
     # ---- names ----------------------------------------------------------------------------------------------------
 
@@ -174,7 +156,7 @@ class Robot:
 
     def reach(self, frame: FrameLike) -> float:
         """A distance from the base that no place of a frame exceeds [m]: its links, laid end to end."""
-        known, model = self.frame(frame), self._model
+        known, model = self.frame(frame), self.pinocchio_model
         links = [model.jointPlacements[j].translation for j in model.supports[known.parent_joint] if j]
         links.append(model.frames[known.index].placement.translation)
         ends = np.maximum(np.abs(self.position_lower), np.abs(self.position_upper)).tolist()
@@ -191,7 +173,7 @@ class Robot:
         index = self.joint_index(joint)
         block = next(b for b in self.blocks if b.v.start <= index < b.v.stop)
         movers = {block.name, *(m.joint for m in self.mimics if m.leader == block.name)}
-        model = self._model
+        model = self.pinocchio_model
         return any(model.names[j] in movers for j in model.supports[self.frame(frame).parent_joint])
 
     # ---- configurations -------------------------------------------------------------------------------------------
@@ -226,8 +208,9 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
         """
-        if type(q) is np.ndarray and q.shape == self._shape and is_plain(q) and math.isfinite(sum(q.tolist())):
-            return q  # the case of every control step
+        if type(q) is np.ndarray and q.shape == self._shape and q.dtype is DOUBLE and q.flags.c_contiguous:
+            if math.isfinite(sum(q.tolist())):
+                return q  # the case of every control step
         return self._checked(q, "a posture", 1, (self.nq, self.nv))
 
     def checked_postures(self, q: ArrayLike) -> Float[np.ndarray, "n width"]:
@@ -343,8 +326,8 @@ class Robot:
         step = self.velocity(v)
         if vector.shape[0] == self.nv and self.positions_add_up:
             return vector + step
-        lifted = step if self._coupling is None else self._coupling.lift @ step
-        out = pin.integrate(self._model, self._expanded(self.configuration(vector)), lifted)[self._places]
+        lifted = step if self.coupling is None else self.coupling.lift @ step
+        out = pin.integrate(self.pinocchio_model, self._expanded(self.configuration(vector)), lifted)[self._places]
         return self.positions(out) if vector.shape[0] == self.nv else out
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Float[np.ndarray, " nv"]:
@@ -354,7 +337,7 @@ class Robot:
             ConfigurationError: Wrong size or not finite.
         """
         both = (self._expanded(self.configuration(q)) for q in (q0, q1))
-        return pin.difference(self._model, *both)[self._columns]
+        return pin.difference(self.pinocchio_model, *both)[self._columns]
 
     def velocity(self, v: ArrayLike) -> Float[np.ndarray, " nv"]:
         """A checked tangent velocity (nv).
@@ -372,23 +355,13 @@ class Robot:
         # of joint positions the full turns count: a follower at half speed is elsewhere after one
         return self._expanded(self.configuration(vector), vector if vector.shape[0] == self.nv else None)
 
-    @property
-    def coupling(self) -> Coupling | None:
-        """How mimic joints follow, in Pinocchio's joint order; None without mimic joints."""
-        return self._coupling
-
-    @property
-    def pinocchio_model(self) -> pin.Model:
-        """The underlying Pinocchio model. It has mimic joints as joints of their own; do not change it."""
-        return self._model
-
     def _expanded(self, q: np.ndarray, positions: np.ndarray | None = None) -> np.ndarray:
-        if self._coupling is None:
+        if self.coupling is None:
             return q
-        full = np.empty(self._model.nq)
+        full = np.empty(self.pinocchio_model.nq)
         full[self._places] = q
-        everything = self._coupling.lift @ (self.positions(q) if positions is None else positions)
-        everything += self._coupling.offset
+        everything = self.coupling.lift @ (self.positions(q) if positions is None else positions)
+        everything += self.coupling.offset
         for row, place in self._followers:
             x = everything[row]
             full[place] = (np.cos(x), np.sin(x)) if place.stop - place.start == 2 else x
@@ -446,17 +419,17 @@ class Robot:
         try:
             return self._local.data
         except AttributeError:
-            self._local.data = self._model.createData()
+            self._local.data = self.pinocchio_model.createData()
             return self._local.data
 
     @property
     def mass(self) -> float:
         """Mass of the links that joints move [kg]; what is fixed to the base does not count."""
-        return float(pin.computeTotalMass(self._model))
+        return float(pin.computeTotalMass(self.pinocchio_model))
 
     def centre_of_mass(self, q: ArrayLike) -> Float[np.ndarray, " 3"]:
         """Centre of mass in the base frame [m], of the links that joints move."""
-        return pin.centerOfMass(self._model, self._data, self.pinocchio_configuration(q)).copy()
+        return pin.centerOfMass(self.pinocchio_model, self._data, self.pinocchio_configuration(q)).copy()
 
     def centre_of_mass_jacobian_and_derivative(
         self, q: ArrayLike
@@ -464,12 +437,12 @@ class Robot:
         """Jacobian of the centre of mass [m/s per unit joint velocity] and its exact derivative along tangent
         coordinates.
         """
-        model, data = self._model, self._data
+        model, data = self.pinocchio_model, self._data
         Jc = np.array(pin.jacobianCenterOfMass(model, data, self.pinocchio_configuration(q))).reshape(3, model.nv)
         w = np.array(data.J).reshape(6, model.nv)[3:].T
-        H = centre_of_mass_derivative(model, Jc, w, self._columns_to_joints)
-        if self._coupling is not None:
-            lift = self._coupling.lift
+        H = centre_of_mass_derivative(model, Jc, w, columns_to_joints(model))
+        if self.coupling is not None:
+            lift = self.coupling.lift
             return Jc @ lift, lift.T @ (H @ lift)
         return Jc, H
 
@@ -478,8 +451,8 @@ class Robot:
 
         Zero for a description without masses.
         """
-        model, data, x, a = self._model, self._data, self.pinocchio_configuration(q), acceleration
-        lift = None if self._coupling is None else self._coupling.lift
+        model, data, x, a = self.pinocchio_model, self._data, self.pinocchio_configuration(q), acceleration
+        lift = None if self.coupling is None else self.coupling.lift
         effort = pin.rnea(model, data, x, np.zeros(model.nv), a if lift is None else lift @ a)
         effort = effort - pin.computeGeneralizedGravity(model, data, x)
         return effort if lift is None else lift.T @ effort
@@ -502,10 +475,10 @@ class Robot:
                 f"a payload has a mass of 0 kg or more, and a centre of three numbers [m]; got {mass!r} and {centre!r}"
             )
         other = copy.copy(self)
-        other._model, other.payload, other._bare = self._bare.copy(), float(mass), self._bare
+        other.pinocchio_model, other.payload, other._bare = self._bare.copy(), float(mass), self._bare
         known = self._bare.frames[self.frame(frame).index]
         load = pin.Inertia(float(mass), known.placement.act(place), np.zeros((3, 3)))
-        other._model.inertias[known.parentJoint] = other._model.inertias[known.parentJoint] + load
+        other.pinocchio_model.inertias[known.parentJoint] = other.pinocchio_model.inertias[known.parentJoint] + load
         return other
 
     def weight_effort(self, q: ArrayLike) -> Float[np.ndarray, " nv"]:
@@ -513,8 +486,8 @@ class Robot:
 
         Zero for a description without masses.
         """
-        effort = pin.computeGeneralizedGravity(self._model, self._data, self.pinocchio_configuration(q))
-        return effort.copy() if self._coupling is None else self._coupling.lift.T @ effort
+        effort = pin.computeGeneralizedGravity(self.pinocchio_model, self._data, self.pinocchio_configuration(q))
+        return effort.copy() if self.coupling is None else self.coupling.lift.T @ effort
 
     def hand_inertia(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, "6 6"] | None:
         """(J M(q)^-1 J^T)^-1, the inertia that a frame's origin has for forces and moments along the axes of the base.
@@ -522,7 +495,7 @@ class Robot:
         O. Khatib, "A unified approach for motion and force control of robot manipulators", 1987. None where a link that
         a joint carries was described without a mass.
         """
-        if not all(inertia.mass > 0.0 for inertia in list(self._model.inertias)[1:]):
+        if not all(inertia.mass > 0.0 for inertia in list(self.pinocchio_model.inertias)[1:]):
             return None
         M = np.array([self.inertial_effort(q, a) for a in np.eye(self.nv)])
         J = self.jacobian(q, frame)
