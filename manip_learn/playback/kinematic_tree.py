@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.robot.joints import motion_along
+from manip_learn.robot.joints import joint_motions
 from manip_learn.robot.robot import Robot
 
 _Motion = Literal["fixed", "revolute", "prismatic", "free"]
@@ -44,15 +44,10 @@ class TreeJoint:
 def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
     """The joints of a robot, parents first; entry 0 is the world."""
     model, tree = robot.pinocchio_model, [TreeJoint("", 0, np.eye(4), "fixed", np.zeros(3))]
-    for i in range(1, model.njoints):
-        joint, motion, axis = model.joints[i], "free", np.zeros(3)
-        if joint.nv == 1:  # read off its motion subspace, so that every kind of one-axis joint is covered
-            data, q = joint.createData(), np.zeros(joint.idx_q + joint.nq)  # a shorter q would be read past its end
-            q[joint.idx_q] = 1.0
-            joint.calc(data, q)
-            along = motion_along(data.S)
-            if along is not None and np.isclose(np.linalg.norm(along[1]), 1.0):
-                motion, axis = ("revolute" if along[0] == "R" else "prismatic"), along[1]
+    for i, along in list(enumerate(joint_motions(model)))[1:]:
+        motion, axis = "free", np.zeros(3)
+        if along is not None and np.isclose(np.linalg.norm(along[1]), 1.0):
+            motion, axis = ("revolute" if along[0] == "R" else "prismatic"), along[1]
         placement = model.jointPlacements[i].homogeneous
         tree.append(TreeJoint(model.names[i], int(model.parents[i]), placement, motion, axis))
     return tuple(tree)

@@ -26,8 +26,11 @@ DERIVATIVE_CHUNK = 256  # postures; dJ/dq has as many numbers for each column as
 
 
 def closed_form(
-    J: Float[np.ndarray, "*n 6 nv"], joint_of_column: Int[np.ndarray, " nv"], reference: str
-) -> Float[np.ndarray, "*n 6 nv nv"]:
+    J: Float[np.ndarray, "*n 6 nv"],
+    joint_of_column: Int[np.ndarray, " nv"],
+    reference: str,
+    rows: Sequence[int] = ALL_ROWS,
+) -> Float[np.ndarray, "*n p nv nv"]:
     """Return dJ_i/dq_k from the Jacobian's own columns; entry [i, j, k] = d J_ij / d q_k.
 
     With columns (v_i, w_i) at the frame's origin along world axes, for joint k at or above joint i on the chain:
@@ -38,20 +41,23 @@ def closed_form(
         J: Frame Jacobians, linear rows first.
         joint_of_column: Pinocchio joint id of each column; columns outside the frame's chain are zero in J.
         reference: `"world"` (LOCAL_WORLD_ALIGNED) or `"local"`.
+        rows: Which of x y z rx ry rz, as 0 .. 5.
 
     Returns:
-        One derivative for each Jacobian [m or rad per unit joint velocity and rad or m].
+        The rows of one derivative for each Jacobian, laid out in memory with the Jacobians last.
     """
-    v, w = (np.moveaxis(rows, -1, 0) for rows in (J[..., :3, :], J[..., 3:, :]))
-    is_below = (joint_of_column[None, :] > joint_of_column[:, None]).reshape(len(v), len(v), *[1] * (J.ndim - 1))
-    turned_v, turned_w = (np.cross(w[:, None], columns[None, :]) for columns in (v, w))  # [i, k]: w_i x v_k, w_i x w_k
-    if reference == "world":
-        dv = np.where(is_below, turned_v, turned_v.swapaxes(0, 1))
-        dw = np.where(is_below, 0.0, turned_w.swapaxes(0, 1))
-    else:
-        dv = np.where(is_below, turned_v - turned_v.swapaxes(0, 1), 0.0)
-        dw = np.where(is_below, turned_w, 0.0)
-    return np.moveaxis(np.concatenate([dv, dw], axis=-1), (0, 1), (-2, -1))
+    columns = np.ascontiguousarray(np.moveaxis(J, (-2, -1), (0, 1)))
+    v, w, nv = columns[:3], columns[3:], columns.shape[1]
+    is_below = (joint_of_column[None, :] > joint_of_column[:, None]).reshape(nv, nv, *[1] * (J.ndim - 2))
+    out = np.empty((len(rows), nv, nv, *J.shape[:-2]))
+    for row, derivative in zip(rows, out, strict=True):
+        a, b, c = (row + 1) % 3, (row + 2) % 3, v if row < 3 else w
+        turned = w[a][:, None] * c[b] - w[b][:, None] * c[a]  # this row of w_i x c_k, at [i, k]
+        if reference == "world":
+            derivative[:] = np.where(is_below, turned if row < 3 else 0.0, turned.swapaxes(0, 1))
+        else:
+            derivative[:] = np.where(is_below, turned - turned.swapaxes(0, 1) if row < 3 else turned, 0.0)
+    return np.moveaxis(out, (0, 1, 2), (-3, -2, -1))
 
 
 def centre_of_mass_derivative(
@@ -300,10 +306,8 @@ class FrameKinematics:
         Arguments and errors as for `jacobians`.
         """
         J, chosen = self._referred(*self._sweep(q), reference), list(rows)
-        H = np.empty((len(J), len(chosen), self.model.nv, self.model.nv))
-        for i in range(0, len(J), DERIVATIVE_CHUNK):
-            part = slice(i, i + DERIVATIVE_CHUNK)
-            H[part] = closed_form(J[part], self._columns_to_joints, reference)[:, chosen]
+        parts = [J[i : i + DERIVATIVE_CHUNK] for i in range(0, max(len(J), 1), DERIVATIVE_CHUNK)]
+        H = np.concatenate([closed_form(part, self._columns_to_joints, reference, chosen) for part in parts])
         lift = self._lift
         return (J[:, chosen], H) if lift is None else (J[:, chosen] @ lift, lift.T @ (H @ lift))
 
