@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from manip_learn.planning.plan import Plan, plan
     from manip_learn.planning.repeat import Repetition, repeat
     from manip_learn.planning.scene import Box, Cylinder, Mesh, Scene, Sphere
-    from manip_learn.playback import LiveViewer, replay
+    from manip_learn.playback import LiveViewer, replay, show
     from manip_learn.recordings import RecordingSource, load_demonstrations
     from manip_learn.recordings.trajectory import Demonstrations, Trajectory, subsample
     from manip_learn.recordings.velocities import derive_velocities
@@ -107,7 +107,7 @@ _NAMES = {
     "drivers.lerobot": "LeRobotDriver LeRobotMotor",
     "drivers.mujoco": "MuJoCoDriver",
     "drivers.record": "RecordedFiles record",
-    "playback": "LiveViewer replay",
+    "playback": "LiveViewer replay show",
     "errors": "ManipLearnError NoPlanError",
 }
 # names that are gone, and what to use instead: of 0.1 until 0.3, of 0.2 until 0.4
@@ -144,7 +144,7 @@ __all__ += ["Skill", "Sphere", "Stacked", "Status", "Step", "Task", "TaskFrame",
 __all__ += ["WeightedPolicies", "ZeroPolicy", "audit_episodes", "derive_velocities"]
 __all__ += ["inspect_robot", "likely_tips", "load_demonstrations", "load_robot"]
 __all__ += ["log_manipulability_gradient", "manipulability", "manipulability_batch", "manipulability_gradient"]
-__all__ += ["motion", "plan", "record", "repeat", "replay", "run", "simulate", "subsample"]
+__all__ += ["motion", "plan", "record", "repeat", "replay", "run", "show", "simulate", "subsample"]
 
 
 def __getattr__(name: str) -> Any:

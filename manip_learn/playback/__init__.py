@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from manip_learn.playback.live_viewer import LiveViewer
+    from manip_learn.playback.meshcat_scene import show
     from manip_learn.playback.replay_page import ReplayResult, replay
 
-__all__ = ["LiveViewer", "ReplayResult", "replay"]
+__all__ = ["LiveViewer", "ReplayResult", "replay", "show"]
 
 # the file is not called replay.py: importing it would put the module where the function belongs
 _HOMES = {
     "LiveViewer": "live_viewer",
     "ReplayResult": "replay_page",
     "replay": "replay_page",
+    "show": "meshcat_scene",
 }
 
 

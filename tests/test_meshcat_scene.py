@@ -1,0 +1,118 @@
+"""`ml.show` draws into the user's own meshcat viewer: what its page holds is what the library computes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import manip_learn as ml
+from manip_learn.errors import ConfigurationError
+
+# meshcat imports a module of pyzmq that says so
+pytestmark = pytest.mark.filterwarnings("ignore:zmq.eventloop.ioloop:DeprecationWarning")
+DOOR = Path(__file__).resolve().parents[1] / "examples" / "data" / "ur5_loose_door"
+
+
+class Notebook:
+    """A viewer without a server: it keeps what it is sent."""
+
+    def __init__(self, path: tuple[str, ...] = (), kept: dict[tuple[str, ...], Any] | None = None):
+        self.path, self.kept = path, {} if kept is None else kept
+
+    def __getitem__(self, name: str) -> Notebook:
+        return Notebook((*self.path, name), self.kept)
+
+    def set_object(self, geometry: Any, material: Any) -> None:
+        self.kept[self.path] = geometry
+
+    def set_transform(self, pose: np.ndarray) -> None:
+        self.kept[*self.path, "pose"] = pose
+
+    def delete(self) -> None:
+        for path in [p for p in self.kept if p[: len(self.path)] == self.path]:
+            del self.kept[path]
+
+
+@pytest.fixture(scope="module")
+def door() -> tuple[ml.Robot, ml.Demonstrations, ml.Constraint]:
+    """A UR5, a door and what was learnt of it."""
+    robot = ml.load_robot("ur5")
+    demos = ml.load_demonstrations(sorted(DOOR.glob("*.csv")), robot)
+    return robot, demos, ml.ConstraintLearner(ml.FrameJacobian(robot, "tool0")).fit(demos).constraint_
+
+
+def test_the_scene_is_the_arm_and_what_was_learnt(door):
+    """Links stand where the kinematics has them; the tube of the path goes from the grasps to the target, no more."""
+    robot, demos, constraint = door
+    viewer, q = Notebook(), demos[0].q[-1]
+    move = ml.show(robot, viewer, constraint, demos[0].q[0])
+    move(q)
+    model, data = robot.pinocchio_model, robot.pinocchio_model.createData()
+    pin.forwardKinematics(model, data, robot.pinocchio_configuration(q))
+    for joint in range(model.njoints):
+        pose = viewer.kept["manip_learn", "arm", str(joint), "pose"]
+        np.testing.assert_allclose(pose, data.oMi[joint].homogeneous, atol=1e-12)
+    assert {path[1] for path in viewer.kept} == {"arm", "mechanism", "path", "grasps", "target"}
+    assert sum(path[1] == "grasps" and path[-1] != "pose" for path in viewer.kept) == len(constraint.shown.grasps)
+    np.testing.assert_allclose(
+        viewer.kept["manip_learn", "target", "0", "pose"][:3, 3], constraint.shown.points[-1], atol=1e-12
+    )
+    tube = (
+        viewer.kept["manip_learn", "path"].vertices.T
+        if viewer.kept["manip_learn", "path"].vertices.shape[0] == 3
+        else viewer.kept["manip_learn", "path"].vertices
+    )
+    apart = np.linalg.norm(tube[:, None] - constraint.shown.points[None], axis=2)
+    np.testing.assert_allclose(apart.min(axis=1), 0.008, atol=1e-3)
+    ml.show(robot, viewer)
+    assert {path[1] for path in viewer.kept} == {"arm"}  # what an earlier call has drawn is gone
+
+
+def test_what_is_no_viewer_is_refused(door):
+    """One sentence says what is needed."""
+    with pytest.raises(ConfigurationError, match=r"meshcat\.Visualizer"):
+        ml.show(door[0], object())
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("kind", ["meshcat", "pinocchio"])
+def test_a_real_viewer_shows_it(kind, door, chromium):
+    """The page of meshcat's own server has the hand where the kinematics has it, before and after a move."""
+    meshcat = pytest.importorskip("meshcat")
+    robot, demos, constraint = door
+    viewer = own = meshcat.Visualizer()
+    try:
+        if kind == "pinocchio":
+            from pinocchio.visualize import MeshcatVisualizer
+
+            viewer = MeshcatVisualizer(robot.pinocchio_model, pin.GeometryModel(), pin.GeometryModel())
+            viewer.initViewer(viewer=own)
+            viewer.loadViewerModel()
+        move = ml.show(robot, viewer, constraint, demos[0].q[0])
+        page = chromium.new_page()
+        page.goto(own.url())
+        page.wait_for_function(
+            "window.viewer && viewer.scene_tree.find(['meshcat', 'manip_learn', 'target', '0']).object.children.length"
+        )
+        target = (
+            "viewer.scene_tree.find(['meshcat', 'manip_learn', 'target', '0']).object.matrix.elements.slice(12, 15)"
+        )
+        np.testing.assert_allclose(page.evaluate(target), constraint.shown.points[-1], atol=1e-6)
+        if kind == "meshcat":
+            for q in demos[0].q[[0, -1]]:
+                move(q)
+                last = str(robot.pinocchio_model.njoints - 1)
+                place = f"viewer.scene_tree.find(['meshcat', 'manip_learn', 'arm', '{last}']).object.matrix.elements"
+                wanted = robot.pose(q, robot.pinocchio_model.names[int(last)])
+                page.wait_for_function(
+                    f"(w) => {place}.every((x, i) => Math.abs(x - w[i]) < 1e-6)", arg=wanted.T.reshape(-1).tolist()
+                )
+        page.close()
+    finally:
+        own.window.server_proc.kill()
+        own.window.server_proc.communicate()
+        own.window.zmq_socket.close()
