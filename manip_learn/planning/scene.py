@@ -313,10 +313,11 @@ def _made(kind: Any, given: Any, where: str, file: Path) -> Any:
 
 def _described(content: bytes, file: Path) -> Scene:
     """The scene of a URDF or MJCF."""
-    if parse_xml(content, file).tag == "mujoco":
-        valid, content = validate_mjcf(content, file, scene=True)
+    root = parse_xml(content, file)
+    if root.tag == "mujoco":
+        valid, content = validate_mjcf(root, scene=True)
     else:
-        valid = validate_urdf(content, file)
+        valid = validate_urdf(root)
     if moving := [repr(joint.name) for joint in valid.urdf.joints if joint.nv]:
         wanted = "what stands around an arm stands still; fix each where it stands"
         raise SceneError(f"{named('joint', moving)} can move; {wanted}")

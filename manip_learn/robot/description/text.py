@@ -26,8 +26,8 @@ MAX_WARNINGS = 100  # nobody reads more
 MAX_BYTES = 10_000_000  # of a description; the largest of example-robot-data has 0.2
 MAX_ELEMENTS = 200_000  # of one file, so that memory and time stay small
 MAX_NESTING = 60  # URDF needs 6, nested bodies of MJCF one a joint
-DEEPEST = 100  # brackets of JSON or YAML within each other; beyond, parsers take quadratic time or run out of stack
 MAX_ATTRIBUTE = 100_000  # [characters] no robot needs more than a few hundred
+DEEPEST = 100  # brackets of JSON or YAML within each other; beyond, parsers take quadratic time or run out of stack
 # no two ways to read the same digits: else a long number with a typing error takes minutes
 NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST_READ = 1e100  # squares and products of what is larger overflow
@@ -40,44 +40,63 @@ UNREADABLE: dict[int, tuple[str, str]] = {
     errno.ELOOP: ("unreadable", "cannot be opened, the link leads to itself; name the file"),
     **dict.fromkeys((errno.EACCES, errno.EPERM), ("unreadable", "it may not be read; change its permissions")),
 }
-NAMED = ("link", "joint", "body", "site")  # elements that messages speak of by name
+# code -> what is seen; what is expected; what to do
+RULES = {
+    "urdf-version": "it says version {version!r}; 1.0 is read; convert it to URDF 1.0",
+    "name-missing": 'it has no name; a name is expected; add name="..."',
+    "name-long": "its name has {length} characters; at most {most} are expected; shorten it",
+    "name-unprintable": "its name {name!r} holds unprintable characters; rename it",
+    "name-reserved": "the name {name!r} is kept for the fixed world; rename it, e.g. 'world'",
+    "origin-attribute": "its origin has {seen}; xyz and rpy are read; write rpy",
+    "far-away": "its {tag} {key} is {seen} m; at most 1e+06 m is expected; check the unit",
+    "mass": "its mass is {mass} kg; 0 or more is expected; write the true mass",
+    "joint-link": 'it names no {tag} link; one is expected; add <{tag} link="..."/>',
+    "planar-axis": "{seen}; a planar joint needs 0 0 1; turn the joint's origin instead",
+    "axis-zero": "its axis is 0 0 0; a direction is expected; write the direction, "
+    'or type="fixed" for a joint that never moves',
+    "axis-norm": "its axis {xyz} has length {norm:.3g}; length 1 is expected; write a unit vector",
+    "limit-order": "its limits are {lower:g} ... {upper:g} {unit}; lower below upper is expected; "
+    'swap or correct them{otherwise}, or type="fixed", or lock the joint',
+    "limit-degrees": "its limits are {lower:g} ... {upper:g} {unit}, more than two turns: they look like degrees; "
+    "radians are expected; write {low:.4f} ... {high:.4f}{otherwise} for many turns",
+    "self-loop": "its parent and its child are both {link!r}; two links are expected; correct one of them",
+    "two-parents": "its child {link!r} is already the child of joint {other!r}; one parent per link is expected; "
+    "closed chains are not supported: remove one of the two joints",
+    "mimic-leader": 'its <mimic> names no joint; one is expected; add joint="..." to <mimic>, or delete it',
+    "mimic-type": "it is {type}, with {nv} degrees of freedom, and takes part in a <mimic>; one is expected; "
+    "delete the <mimic>",
+    "mimic-multiplier": "it follows {leader!r} by the factor {multiplier:g}; at most 1e+06 works; "
+    "correct the multiplier",
+}
 
 
 @final
+@dataclass(frozen=True)
 class Diagnostics:
     """Collects warnings about one file and words its refusals.
 
     Attributes:
         path: The file.
+        kept: What was warned of, in the order found.
     """
 
-    def __init__(self, path: Path):
-        self.path = path
-        self._warnings: list[str] = []
-        self._left_out = 0
+    path: Path
+    kept: list[str] = field(default_factory=list)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences, in the order found; after a hundred only their number."""
-        more = (f"{self._left_out} more warnings are left out",) if self._left_out else ()
-        return (*self._warnings, *more)
-
-    @property
-    def is_full(self) -> bool:
-        """True when further warnings are only counted."""
-        return len(self._warnings) >= MAX_WARNINGS
+        more = [f"{len(self.kept) - MAX_WARNINGS} more warnings are left out"] if len(self.kept) > MAX_WARNINGS else []
+        return (*self.kept[:MAX_WARNINGS], *more)
 
     def refusal(self, code: str, line: int | None, sentence: str) -> RobotError:
-        """The error to raise; the sentence says whose fault it is: the value seen; the value expected; the remedy."""
+        """Return the error to raise; the sentence says whose fault it is, the value seen and expected, the remedy."""
         place = f"{self.path}:{line}" if line is not None else f"{self.path}"
         return RobotError(f"{place}: {sentence}", code=code, path=self.path, line=line)
 
     def warn(self, line: int | None, sentence: str) -> None:
         """Keep a sentence for `Robot.warnings`."""
-        if self.is_full:
-            self._left_out += 1
-        else:
-            self._warnings.append(f"line {line}: {sentence}" if line is not None else sentence)
+        self.kept.append(f"line {line}: {sentence}" if line is not None else sentence)
 
 
 def quoted(names: Sequence[str]) -> str:
@@ -95,6 +114,13 @@ def meant(name: str, known: Iterable[str], otherwise: str) -> str:
     """The remedy for a misspelt name: `did you mean 'elbow'?`, or the other advice if no known name is near."""
     near = closest_names(name, known)
     return f"did you mean {quoted(near)}?" if near else otherwise
+
+
+def only_macros(names: Sequence[str]) -> str:
+    """Return the sentence about a xacro file without links that defines macros."""
+    seen = f"it only defines the {'macro' if len(names) == 1 else 'macros'} {quoted(names)} and has no <link>"
+    fix = "load the file that calls it, usually robot.urdf.xacro, or write three lines that include it and call it"
+    return f"{seen}; a robot is expected; {fix}"
 
 
 def open_regular_file(path: str | os.PathLike[str]) -> BinaryIO:
@@ -176,23 +202,33 @@ def read_description(path: Path) -> bytes:
 @final
 @dataclass(frozen=True)
 class XmlNode:
-    """One element. Text between tags is not kept.
+    """One element.
 
     Attributes:
         tag: Its tag.
         attributes: Its attributes, as text.
         line: Line on which it starts.
-        where: The link, joint, body or site that it is or belongs to, as messages name it.
         log: Of its file.
+        parent: The element around it.
         children: The elements inside.
+        texts: The text between its tags, in pieces, of a `<param>`; the text of other elements is not kept.
     """
 
     tag: str
     attributes: dict[str, str]
     line: int
-    where: str
     log: Diagnostics
-    children: list[XmlNode] = field(default_factory=list)
+    parent: XmlNode | None
+    children: list[XmlNode] = field(default_factory=list, repr=False, compare=False)
+    texts: list[str] = field(default_factory=list)
+
+    @property
+    def where(self) -> str:
+        """The link, joint, body or site that it is or belongs to, as messages name it."""
+        name = self.attributes.get("name")
+        if name and self.tag in ("link", "joint", "body", "site"):
+            return f"{self.tag} {shortened(name)!r}"
+        return "the robot" if self.parent is None else self.parent.where
 
     def all(self, tag: str) -> list[XmlNode]:
         """Children with that tag."""
@@ -203,8 +239,17 @@ class XmlNode:
         return next((c for c in self.children if c.tag == tag), None)
 
     def refusal(self, code: str, sentence: str) -> RobotError:
-        """The error to raise; the sentence says the value seen; the value expected; the remedy."""
+        """Return the error to raise; the sentence says the value seen; the value expected; the remedy."""
         return self.log.refusal(code, self.line, f"{self.where}: {sentence}")
+
+    def require(self, is_right: bool, code: str, **values: object) -> None:
+        """Refuse the element in the words of `RULES`, which the values complete, where that rule does not hold.
+
+        Raises:
+            RobotError: With that code.
+        """
+        if not is_right:
+            raise self.refusal(code, RULES[code].format(**values))
 
     def warn(self, sentence: str) -> None:
         """Keep a sentence about it for `Robot.warnings`."""
@@ -240,23 +285,21 @@ class XmlNode:
         return tuple(self._parsed(word, attribute) for word in words)
 
     def _parsed(self, text: str, attribute: str) -> float:
-        seen = f'{self.tag} {attribute}="{shortened(text)}"'
-        if NUMBER_TEXT.fullmatch(text):
-            value = float(text)
-            if math.isfinite(value) and abs(value) <= LARGEST_READ:
-                return value
-            raise self.refusal("not-finite", f"{seen}; at most {LARGEST_READ:g} is expected; write the true value")
-        if "${" in text:
-            fix = "name the file *.xacro" + advice(" and load it with {}", "xacro=True", "--xacro")
-            raise self.refusal("xacro-expression", f"{seen}; a number is expected; this is xacro, not URDF: {fix}")
-        if text.lower().lstrip("+-") in ("nan", "inf", "infinity", "1.#inf", "1.#qnan"):
-            fix = (
-                'for a joint without limits write type="continuous"' if self.tag == "limit" else "write the true value"
-            )
-            raise self.refusal("not-finite", f"{seen}; a finite number is expected; {fix}")
-        is_comma = re.fullmatch(r"[+-]?\d+,\d+", text)
-        fix = "write a decimal point, not a comma" if is_comma else "write digits such as 0.5"
-        raise self.refusal("number", f"{seen}; a number is expected; {fix}")
+        value = float(text) if NUMBER_TEXT.fullmatch(text) else math.nan
+        if abs(value) <= LARGEST_READ:
+            return value
+        code, wanted, fix = "number", "a number is expected", "write digits such as 0.5"
+        if not math.isnan(value):
+            code, wanted, fix = "not-finite", f"at most {LARGEST_READ:g} is expected", "write the true value"
+        elif "${" in text:
+            code, fix = "xacro-expression", "this is xacro, not URDF: name the file *.xacro"
+            fix += advice(" and load it with {}", "xacro=True", "--xacro")
+        elif text.lower().lstrip("+-") in ("nan", "inf", "infinity", "1.#inf", "1.#qnan"):
+            code, wanted, fix = "not-finite", "a finite number is expected", "write the true value"
+            fix = 'for a joint without limits write type="continuous"' if self.tag == "limit" else fix
+        elif re.fullmatch(r"[+-]?\d+,\d+", text):
+            fix = "write a decimal point, not a comma"
+        raise self.refusal(code, f'{self.tag} {attribute}="{shortened(text)}"; {wanted}; {fix}')
 
 
 def parse_xml(content: bytes, path: Path) -> XmlNode:
@@ -281,20 +324,17 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
         if len(nodes) >= MAX_ELEMENTS:
             raise refusal("xml-too-large", f"more than {MAX_ELEMENTS} XML elements; split the file")
         if len(stack) >= MAX_NESTING:
-            sentence = f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6"
-            raise refusal("xml-too-deep", sentence)
-        long = next((key for key, value in attributes.items() if len(value) > MAX_ATTRIBUTE), None)
-        if long is not None:
-            seen = f"attribute {shortened(long)!r} of <{shortened(tag)}> has {len(attributes[long])} characters"
-            raise refusal("xml-too-large", f"{seen}, at most {MAX_ATTRIBUTE} are read")
-        where, name = stack[-1].where if stack else "the robot", attributes.get("name")
-        if tag in NAMED and name:
-            where = f"{tag} {shortened(name)!r}"
-        node = XmlNode(tag, attributes, parser.CurrentLineNumber, where, log)
+            raise refusal("xml-too-deep", f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6")
+        for key, value in attributes.items():
+            if len(value) > MAX_ATTRIBUTE:
+                seen = f"attribute {shortened(key)!r} of <{shortened(tag)}> has {len(value)} characters"
+                raise refusal("xml-too-large", f"{seen}, at most {MAX_ATTRIBUTE} are read")
+        node = XmlNode(tag, attributes, parser.CurrentLineNumber, log, stack[-1] if stack else None)
         if stack:
             stack[-1].children.append(node)
         nodes.append(node)
         stack.append(node)
+        parser.CharacterDataHandler = node.texts.append if tag == "param" else None  # until the next element begins
 
     def doctype(*_: object) -> None:
         sentence = "a <!DOCTYPE> is not read, since it can define entities; delete it and write the values out"
