@@ -18,7 +18,7 @@ from manip_learn.errors import RobotError, UnknownNameError
 from manip_learn.robot import loading
 from manip_learn.robot.description import text
 from manip_learn.robot.description.text import parse_xml
-from manip_learn.robot.description.validation import validate_urdf
+from manip_learn.robot.description.urdf import validate_urdf
 from manip_learn.robot.loading import robot_from_text
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.visual_shapes import visual_shapes

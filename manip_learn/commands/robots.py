@@ -11,7 +11,7 @@ from manip_learn.errors import ManipLearnError
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.description.catalogue import SHIPPED, example_robots, fetched_names, find_robot
 from manip_learn.robot.description.text import parse_xml, read_description
-from manip_learn.robot.description.validation import validate_urdf
+from manip_learn.robot.description.urdf import validate_urdf
 from manip_learn.robot.robot_summary import RobotSummary, summarise, with_cross_check
 
 

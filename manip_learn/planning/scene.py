@@ -21,8 +21,7 @@ from manip_learn.linalg import finite
 from manip_learn.robot.collision import Obstacle, obstacles_of
 from manip_learn.robot.description.mjcf import validate_mjcf
 from manip_learn.robot.description.text import parse_xml, parsed_json, read_description
-from manip_learn.robot.description.urdf import Pose, as_matrix
-from manip_learn.robot.description.validation import validate_urdf
+from manip_learn.robot.description.urdf import Pose, as_matrix, validate_urdf
 from manip_learn.robot.loading import robot_from_text
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals import meshes as triangles

@@ -7,7 +7,6 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,11 +14,11 @@ import numpy as np
 import pinocchio as pin
 
 from manip_learn.errors import RobotError, UnknownNameError
+from manip_learn.robot.description import urdf as plain
 from manip_learn.robot.description.catalogue import find_robot
 from manip_learn.robot.description.mjcf import validate_mjcf
 from manip_learn.robot.description.text import parse_xml, read_description
-from manip_learn.robot.description.urdf import HUGE, UrdfFile, UrdfJoint, UrdfLink, as_matrix, as_pose, kinematic_urdf
-from manip_learn.robot.description.validation import LONGEST_NAME, RESERVED, ValidatedRobot, validate_urdf
+from manip_learn.robot.description.urdf import UrdfFile, UrdfJoint, UrdfLink, ValidatedRobot, as_matrix, as_pose
 from manip_learn.robot.description.xacro_expansion import expanded_xacro
 from manip_learn.robot.joints import COORDINATE_SUFFIXES, Mimic
 from manip_learn.robot.robot import Robot
@@ -122,15 +121,15 @@ def robot_from_text(
     if root.tag == "mujoco":
         validated, content = validate_mjcf(root, asked)
     else:
-        validated = validate_urdf(root, asked)
+        validated = plain.validate_urdf(root, asked)
     names = (objects,) if isinstance(objects, str) else tuple(objects)
-    validated = replace(validated, urdf=with_objects(validated.urdf, names)) if names else validated
+    validated = validated._replace(urdf=with_objects(validated.urdf, names)) if names else validated
     urdf = validated.urdf
     if root_joint is not None and any(j.name == "root_joint" for j in urdf.joints):
         sentence = f"{path}: a joint is called 'root_joint', the name of the moving base; rename it"
         raise RobotError(sentence, code="name-reserved", path=path)
     still = locked_positions(validated, asked) if asked or validated.resting else {}
-    text = kinematic_urdf(with_fixed(urdf, still) if still else urdf)
+    text = plain.kinematic_urdf(with_fixed(urdf, still) if still else urdf)
     try:
         model = pin.buildModelFromXML(text) if root_joint is None else pin.buildModelFromXML(text, root_joint)
     except (ValueError, RuntimeError) as error:
@@ -138,7 +137,7 @@ def robot_from_text(
         raise RobotError(f"{path}: Pinocchio refuses the robot: {said}", code="pinocchio", path=path) from error
     for limit in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit"):
         values = np.array(getattr(model, limit))
-        values[np.abs(values) >= HUGE] *= np.inf
+        values[np.abs(values) >= plain.HUGE] *= np.inf
         setattr(model, limit, values)
     return Robot(
         model,
@@ -160,7 +159,7 @@ def _fingerprint(
     """Hash of kinematics and masses: comments, meshes, colours, the order of elements and the last digit, which
     differs between machines, do not count.
     """
-    lines = sorted(kinematic_urdf(urdf).splitlines())
+    lines = sorted(plain.kinematic_urdf(urdf).splitlines())
     lines += sorted(f'locked {name} "{position!r}"' for name, position in still.items())
     lines += sorted(f'mimic {m.joint} {m.leader} "{m.multiplier!r} {m.offset!r}"' for m in followers)
     lines.append(f"base {'fixed' if root_joint is None else root_joint.shortname()}")
@@ -200,9 +199,8 @@ def locked_positions(validated: ValidatedRobot, asked: Mapping[str, float | None
 
 def _position(joint: UrdfJoint, value: float | None) -> float:
     limit, lower, upper = joint.limit, -math.inf, math.inf
-    if limit is not None and limit.lower is not None and limit.upper is not None and joint.type != "continuous":
-        # limits that contradict each other say nothing
-        lower, upper = (limit.lower, limit.upper) if limit.lower <= limit.upper else (lower, upper)
+    if joint.type != "continuous" and limit.lower <= limit.upper:  # else they are not given, or say nothing
+        lower, upper = limit.lower, limit.upper
     try:
         position = min(max(0.0, lower), upper) if value is None else float(value)
     except (TypeError, ValueError) as error:
@@ -230,9 +228,9 @@ def with_fixed(urdf: UrdfFile, still: Mapping[str, float]) -> UrdfFile:
             motion[:3, :3] = pin.exp3(position * axis)
         if position != 0.0:
             pose = as_pose(as_matrix(joint.pose) @ motion)
-        return replace(joint, type="fixed", pose=pose, limit=None, mimic=None)
+        return joint._replace(type="fixed", pose=pose, mimic=None)
 
-    return replace(urdf, joints=tuple(fixed(j, still[j.name]) if j.name in still else j for j in urdf.joints))
+    return urdf._replace(joints=tuple(fixed(j, still[j.name]) if j.name in still else j for j in urdf.joints))
 
 
 def with_objects(urdf: UrdfFile, objects: Sequence[str]) -> UrdfFile:
@@ -244,8 +242,15 @@ def with_objects(urdf: UrdfFile, objects: Sequence[str]) -> UrdfFile:
     """
     taken = {link.name for link in urdf.links} | {joint.name for joint in urdf.joints}
     for i, name in enumerate(objects):
-        usable = isinstance(name, str) and name.strip() == name and 0 < len(name) <= LONGEST_NAME and name.isprintable()
-        sentence = None if usable and name not in RESERVED else f"objects: {name!r} cannot be the name of an object"
+        usable = (
+            isinstance(name, str)
+            and name.strip() == name
+            and 0 < len(name) <= plain.LONGEST_NAME
+            and name.isprintable()
+        )
+        sentence = (
+            None if usable and name not in plain.RESERVED else f"objects: {name!r} cannot be the name of an object"
+        )
         if sentence is None and name in objects[:i]:
             sentence = f"objects: {name!r} is named twice"
         made = [f"{name}{suffix}" for suffix in ("", *COORDINATE_SUFFIXES["floating"])]
@@ -257,4 +262,4 @@ def with_objects(urdf: UrdfFile, objects: Sequence[str]) -> UrdfFile:
     node = urdf.links[0].node
     links = tuple(UrdfLink(name, node) for name in objects)
     joints = tuple(UrdfJoint(name, node, "floating", urdf.root, name) for name in objects)
-    return replace(urdf, links=(*urdf.links, *links), joints=(*urdf.joints, *joints))
+    return urdf._replace(links=(*urdf.links, *links), joints=(*urdf.joints, *joints))

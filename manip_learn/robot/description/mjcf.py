@@ -17,30 +17,9 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.errors import RobotError
+from manip_learn.robot.description import urdf
 from manip_learn.robot.description.text import XmlNode, shortened
-from manip_learn.robot.description.urdf import (
-    ZERO,
-    Matrix4,
-    Pose,
-    UrdfInertial,
-    UrdfJoint,
-    UrdfLimit,
-    UrdfLink,
-    UrdfMimic,
-    as_matrix,
-    as_pose,
-    kinematic_urdf,
-    origin_text,
-    spaced,
-)
-from manip_learn.robot.description.validation import (
-    ValidatedRobot,
-    near_vector,
-    read_name,
-    robot_name,
-    unit_axis,
-    validate_parts,
-)
+from manip_learn.robot.description.urdf import ZERO, Matrix4, UrdfJoint, UrdfLink, as_pose, near_vector, read_name
 
 WORLD, MAIN = "world", "main"
 ORIENTATIONS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}  # how many numbers each has
@@ -184,13 +163,14 @@ class _Reader:
             inertial.require(mass >= 0.0, "mass", mass=mass)
             diagonal = inertial.vector("diaginertia", 3) or ZERO
             xx, yy, zz, xy, xz, yz = inertial.vector("fullinertia", 6) or (*diagonal, 0.0, 0.0, 0.0)
-            inertia = UrdfInertial(pose, mass, (xx, xy, xz, yy, yz, zz))
+            inertia = urdf.UrdfInertial(pose, mass, (xx, xy, xz, yy, yz, zz))
         if not nodes:
             self.joints.append(UrdfJoint(f"{name}_fixed", body, "fixed", parent, name, as_pose(T)))
         for i, node in enumerate(nodes):
             unnamed = f"{name}_joint" if len(nodes) == 1 else f"{name}_joint{i}"
             joint_name = read_name(node) if node.attributes.get("name") else unnamed
             full = self._full(node, childclass) if node.tag == "joint" else node
+            full = replace(full, attributes=full.attributes | {"name": joint_name})
             anchor = full.vector("pos", 3) or ZERO
             is_last = i == len(nodes) - 1
             child = name if is_last and not any(anchor) else f"{name}__after_{joint_name}"
@@ -216,7 +196,7 @@ class _Reader:
             fix = "replace it by three hinges" if kind == "ball" else "correct the type"
             sentence = f"its type is {shortened(kind)!r}; hinge, slide or free is expected; {fix}"
             raise node.refusal("joint-type", sentence)
-        axis = unit_axis(node.vector("axis", 3) or (0.0, 0.0, 1.0), node)
+        axis = urdf.unit_axis(node.vector("axis", 3) or (0.0, 0.0, 1.0), node)
         scale = self.angle if kind == "hinge" else 1.0
         self.ref[name] = ref = node.number("ref", 0.0) * scale
         to_anchor, back, zero = np.eye(4), np.eye(4), np.eye(4)
@@ -229,7 +209,7 @@ class _Reader:
         lower, upper = -math.inf, math.inf
         if given and (limited == "true" or (limited != "false" and self.settings.get("autolimits") != "false")):
             lower, upper = given[0] * scale, given[1] * scale
-        limit, pose = UrdfLimit(node, lower, upper, math.inf), as_pose(T @ to_anchor @ zero)
+        limit, pose = urdf.UrdfLimit(lower, upper, math.inf), as_pose(T @ to_anchor @ zero)
         self.joints.append(UrdfJoint(name, node, TYPES[kind], parent, child, pose, axis, limit))
         return back
 
@@ -261,8 +241,8 @@ class _Reader:
             raise geom.refusal("mjcf-element", f"{seen}; a plain body or a mesh file is expected; replace it")
         if not shape:
             return []
-        rgba = "" if colour is None else f'<material name=""><color rgba="{spaced(colour)}"/></material>'
-        head = f"<visual name={quoteattr(geom.attributes.get('name', ''))}>{origin_text(as_pose(T))}"
+        rgba = "" if colour is None else f'<material name=""><color rgba="{urdf.spaced(colour)}"/></material>'
+        head = f"<visual name={quoteattr(geom.attributes.get('name', ''))}>{urdf.origin_text(as_pose(T))}"
         return [f"{head}<geometry>{shape}</geometry>{rgba}</visual>"]
 
     def _shape(self, geom: XmlNode) -> tuple[str, Matrix4]:
@@ -274,7 +254,10 @@ class _Reader:
                 return "", T
             folder = self.settings.get("meshdir", self.settings.get("assetdir", ""))
             file = f"{folder.rstrip('/')}/{asset.attributes['file']}" if folder else asset.attributes["file"]
-            return f'<mesh filename={quoteattr(file)} scale="{spaced(asset.vector("scale", 3) or (1.0,) * 3)}"/>', T
+            return (
+                f'<mesh filename={quoteattr(file)} scale="{urdf.spaced(asset.vector("scale", 3) or (1.0,) * 3)}"/>',
+                T,
+            )
         words = geom.attributes.get("size", "").split()
         a, b, c = (*(geom.vector("size", len(words)) or ()), *ZERO)[:3]
         half = b
@@ -284,7 +267,7 @@ class _Reader:
             half = c = 0.5 * float(np.linalg.norm(along))
             T[:3, :3], T[:3, 3] = turn_z_to(along), 0.5 * (ends[:3] + ends[3:])
         if kind == "plane" and self.scene:
-            T = T @ as_matrix(Pose((0.0, 0.0, -0.5 * PLANE)))
+            T = T @ urdf.as_matrix(urdf.Pose((0.0, 0.0, -0.5 * PLANE)))
             kind, a, b, c = "box", 0.5 * PLANE, 0.5 * PLANE, 0.5 * PLANE
         box = f'<box size="{2 * a!r} {2 * b!r} {2 * c!r}"/>'
         shapes = {"sphere": f'<sphere radius="{a!r}"/>', "box": box, "ellipsoid": box}
@@ -297,7 +280,7 @@ class _Reader:
         Raises:
             RobotError: Code `mjcf-coupling`.
         """
-        follows: dict[str, UrdfMimic] = {}
+        follows: dict[str, urdf.UrdfMimic] = {}
         for node in (e for group in root.all("equality") for e in group.children):
             first, second = node.attributes.get("joint1", ""), node.attributes.get("joint2", "")
             if node.attributes.get("active") == "false":
@@ -315,11 +298,15 @@ class _Reader:
                 )
                 fix = "make it linear, or remove it and lock the joint"
                 raise node.refusal("mjcf-coupling", f"{seen}; one other joint is expected; {fix}")
-            follows[first] = UrdfMimic(node, second, c[1], self.ref[first] + c[0] - c[1] * self.ref.get(second, 0.0))
-        self.joints = [replace(j, mimic=follows.get(j.name)) for j in self.joints]
+            follows[first] = urdf.UrdfMimic(
+                node, second, c[1], self.ref[first] + c[0] - c[1] * self.ref.get(second, 0.0)
+            )
+        self.joints = [j._replace(mimic=follows.get(j.name)) for j in self.joints]
 
 
-def validate_mjcf(root: XmlNode, locked: Collection[str] = (), *, scene: bool = False) -> tuple[ValidatedRobot, bytes]:
+def validate_mjcf(
+    root: XmlNode, locked: Collection[str] = (), *, scene: bool = False
+) -> tuple[urdf.ValidatedRobot, bytes]:
     """Read and check an MJCF file.
 
     Joints coupled by a linear `<equality><joint>` become mimic joints; sites become frames.
@@ -349,5 +336,7 @@ def validate_mjcf(root: XmlNode, locked: Collection[str] = (), *, scene: bool = 
     if all(link.inertial is None for link in reader.links):
         sentence = "no body states its mass; masses of shapes are not computed, so there is no centre of mass"
         root.log.warn(None, sentence)
-    validated = validate_parts(robot_name(root, "model"), tuple(reader.links), tuple(reader.joints), locked, root.log)
-    return validated, kinematic_urdf(validated.urdf, reader.visuals, with_mimics=True).encode()
+    validated = urdf.validate_parts(
+        urdf.robot_name(root, "model"), tuple(reader.links), tuple(reader.joints), locked, root.log
+    )
+    return validated, urdf.kinematic_urdf(validated.urdf, reader.visuals, with_mimics=True).encode()

@@ -25,8 +25,6 @@ NAMES_SHOWN = 4  # names that a sentence lists
 MAX_WARNINGS = 100  # nobody reads more
 MAX_BYTES = 10_000_000  # of a description; the largest of example-robot-data has 0.2
 MAX_ELEMENTS = 200_000  # of one file, so that memory and time stay small
-MAX_NESTING = 60  # URDF needs 6, nested bodies of MJCF one a joint
-MAX_ATTRIBUTE = 100_000  # [characters] no robot needs more than a few hundred
 DEEPEST = 100  # brackets of JSON or YAML within each other; beyond, parsers take quadratic time or run out of stack
 # no two ways to read the same digits: else a long number with a typing error takes minutes
 NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -40,8 +38,20 @@ UNREADABLE: dict[int, tuple[str, str]] = {
     errno.ELOOP: ("unreadable", "cannot be opened, the link leads to itself; name the file"),
     **dict.fromkeys((errno.EACCES, errno.EPERM), ("unreadable", "it may not be read; change its permissions")),
 }
+# what expat says -> code, and what to do
+NOT_XML = {
+    errors.XML_ERROR_UNKNOWN_ENCODING: ("encoding", "save the file as UTF-8"),
+    errors.XML_ERROR_INCORRECT_ENCODING: ("encoding", "save the file as UTF-8"),
+    errors.XML_ERROR_UNDEFINED_ENTITY: (
+        "entity",
+        "entities other than &lt; &gt; &amp; &quot; &apos; are not read; write it out",
+    ),
+    errors.XML_ERROR_NO_ELEMENTS: ("not-xml", "the file ends before the description does; is it cut off?"),
+}
 # code -> what is seen; what is expected; what to do
 RULES = {
+    "only-macros": "it only defines the macros {names}, no <link>; a robot is expected; load the file that calls them, "
+    "usually robot.urdf.xacro, or write three lines that include this file and call the macro",
     "urdf-version": "it says version {version!r}; 1.0 is read; convert it to URDF 1.0",
     "name-missing": 'it has no name; a name is expected; add name="..."',
     "name-long": "its name has {length} characters; at most {most} are expected; shorten it",
@@ -65,8 +75,7 @@ RULES = {
     "mimic-leader": 'its <mimic> names no joint; one is expected; add joint="..." to <mimic>, or delete it',
     "mimic-type": "it is {type}, with {nv} degrees of freedom, and takes part in a <mimic>; one is expected; "
     "delete the <mimic>",
-    "mimic-multiplier": "it follows {leader!r} by the factor {multiplier:g}; at most 1e+06 works; "
-    "correct the multiplier",
+    "mimic-multiplier": "it follows {leader!r} by the factor {by:g}; at most 1e+06 works; correct the multiplier",
 }
 
 
@@ -114,13 +123,6 @@ def meant(name: str, known: Iterable[str], otherwise: str) -> str:
     """The remedy for a misspelt name: `did you mean 'elbow'?`, or the other advice if no known name is near."""
     near = closest_names(name, known)
     return f"did you mean {quoted(near)}?" if near else otherwise
-
-
-def only_macros(names: Sequence[str]) -> str:
-    """Return the sentence about a xacro file without links that defines macros."""
-    seen = f"it only defines the {'macro' if len(names) == 1 else 'macros'} {quoted(names)} and has no <link>"
-    fix = "load the file that calls it, usually robot.urdf.xacro, or write three lines that include it and call it"
-    return f"{seen}; a robot is expected; {fix}"
 
 
 def open_regular_file(path: str | os.PathLike[str]) -> BinaryIO:
@@ -323,12 +325,12 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
     def start(tag: str, attributes: dict[str, str]) -> None:
         if len(nodes) >= MAX_ELEMENTS:
             raise refusal("xml-too-large", f"more than {MAX_ELEMENTS} XML elements; split the file")
-        if len(stack) >= MAX_NESTING:
-            raise refusal("xml-too-deep", f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6")
+        if len(stack) >= 60:  # nested bodies of MJCF need one a joint
+            raise refusal("xml-too-deep", "XML elements are nested deeper than 60 levels; URDF needs 6")
         for key, value in attributes.items():
-            if len(value) > MAX_ATTRIBUTE:
+            if len(value) > 100_000:  # no robot needs more than a few hundred
                 seen = f"attribute {shortened(key)!r} of <{shortened(tag)}> has {len(value)} characters"
-                raise refusal("xml-too-large", f"{seen}, at most {MAX_ATTRIBUTE} are read")
+                raise refusal("xml-too-large", f"{seen}, at most 100000 are read")
         node = XmlNode(tag, attributes, parser.CurrentLineNumber, log, stack[-1] if stack else None)
         if stack:
             stack[-1].children.append(node)
@@ -337,31 +339,23 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
         parser.CharacterDataHandler = node.texts.append if tag == "param" else None  # until the next element begins
 
     def doctype(*_: object) -> None:
-        sentence = "a <!DOCTYPE> is not read, since it can define entities; delete it and write the values out"
-        raise refusal("doctype", sentence)
+        reason = "since it can define entities; delete it and write the values out"
+        raise refusal("doctype", f"a <!DOCTYPE> is not read, {reason}")
 
     parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, doctype
     parser.EndElementHandler = lambda tag: stack.pop()
     try:
         parser.Parse(content, True)
     except ExpatError as error:
-        raise _not_xml(error, content, log) from error
+        reason = xml.parsers.expat.ErrorString(error.code) or "unreadable"
+        code, fix = NOT_XML.get(reason, ("not-xml", "repair the XML at this line"))
+        if code == "not-xml" and not content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(
+            (b"<", b"\xff\xfe", b"\xfe\xff")
+        ):
+            fix = "a URDF file begins with '<'; name the robot here, its name or its file, and other files after it"
+        seen = f"not readable as XML ({reason}, column {error.offset + 1})"
+        raise log.refusal(code, error.lineno, f"{seen}; {fix}") from error
     except (LookupError, ValueError) as error:  # an encoding that Python does not know, or cannot use
-        sentence = f"its XML declaration names an encoding that cannot be read ({error}); save it as UTF-8"
-        raise refusal("encoding", sentence) from error
+        seen = f"its XML declaration names an encoding that cannot be read ({error})"
+        raise refusal("encoding", f"{seen}; save it as UTF-8") from error
     return nodes[0]
-
-
-def _not_xml(error: ExpatError, content: bytes, log: Diagnostics) -> RobotError:
-    reason, code = xml.parsers.expat.ErrorString(error.code) or "unreadable", "not-xml"
-    if reason in (errors.XML_ERROR_UNKNOWN_ENCODING, errors.XML_ERROR_INCORRECT_ENCODING):
-        code, fix = "encoding", "save the file as UTF-8"
-    elif reason == errors.XML_ERROR_UNDEFINED_ENTITY:
-        code, fix = "entity", "entities other than &lt; &gt; &amp; &quot; &apos; are not read; write the value out"
-    elif not content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
-        fix = "a URDF file begins with '<'; name the robot here, its name or its file, and other files after it"
-    elif reason == errors.XML_ERROR_NO_ELEMENTS:
-        fix = "the file ends before the description does; is it cut off?"
-    else:
-        fix = "repair the XML at this line"
-    return log.refusal(code, error.lineno, f"not readable as XML ({reason}, column {error.offset + 1}); {fix}")

@@ -1,18 +1,24 @@
-"""Kinematics of a robot as plain data that knows the elements it was read from, and the URDF that is written of it."""
+"""Kinematics of a URDF as plain data that knows the elements it was read from: read, checked and written.
+
+Each element is checked where it is read, then all against each other. Nothing reaches Pinocchio, from whatever format,
+that has not been read, counted and checked here.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import final
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import NamedTuple, final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.robot.description.text import XmlNode
+from manip_learn.errors import advice, closest_names
+from manip_learn.robot.description import text
+from manip_learn.robot.description.text import RULES, Diagnostics, XmlNode, meant, quoted, shortened
+from manip_learn.robot.joints import Mimic
 
 Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
@@ -23,11 +29,26 @@ Matrix4 = Float[np.ndarray, "4 4"]
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 UNLIMITED = 1_000.0  # [rad or m] larger limits mean "no limit" in practice
 HUGE = 1e300  # what C++ reads as a number and no joint reaches
+KNOWN_ATTRIBUTES = {
+    **{"origin": {"xyz", "rpy"}, "axis": {"xyz"}, "parent": {"link"}, "child": {"link"}},
+    "limit": {"lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk"},
+    "mimic": {"joint", "multiplier", "offset"},
+}
+KNOWN_CHILDREN = {
+    "robot": {"link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control", "group"},
+    "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"},
+    "link": {"inertial", "visual", "collision", "contact", "self_collision_checking", "sensor", "verbose"},
+    "inertial": {"origin", "mass", "inertia"},
+}
+LONGEST_NAME = 200  # [characters] longer ones make no readable sentence
+RESERVED = ("universe",)
+MAX_LINKS = 1_000  # loading takes seconds for them
+MAX_DEPTH = 500  # Pinocchio recurses, and crashes at some thousands
+MAX_NV = 150  # Pinocchio's memory grows with the cube: 0.22 GB for these
 
 
 @final
-@dataclass(frozen=True)
-class Pose:
+class Pose(NamedTuple):
     """Translation [m] and roll, pitch, yaw [rad] about fixed axes."""
 
     xyz: Vector = ZERO
@@ -35,8 +56,7 @@ class Pose:
 
 
 @final
-@dataclass(frozen=True)
-class UrdfInertial:
+class UrdfInertial(NamedTuple):
     """Mass [kg], its pose, and ixx ixy ixz iyy iyz izz [kg m^2]."""
 
     pose: Pose
@@ -45,8 +65,7 @@ class UrdfInertial:
 
 
 @final
-@dataclass(frozen=True)
-class UrdfLink:
+class UrdfLink(NamedTuple):
     """One link."""
 
     name: str
@@ -55,20 +74,18 @@ class UrdfLink:
 
 
 @final
-@dataclass(frozen=True)
-class UrdfLimit:
-    """The `<limit>` of one joint, None for each number that is not given [rad or m, per second, N m or N]."""
+class UrdfLimit(NamedTuple):
+    """The `<limit>` of one joint, nan for each number that is not given [rad or m, per second, N m or N]."""
 
-    node: XmlNode
-    lower: float | None = None
-    upper: float | None = None
-    velocity: float | None = None
-    effort: float | None = None
+    lower: float = math.nan
+    upper: float = math.nan
+    velocity: float = math.nan
+    effort: float = math.nan
+    node: XmlNode | None = None
 
 
 @final
-@dataclass(frozen=True)
-class UrdfMimic:
+class UrdfMimic(NamedTuple):
     """The `<mimic>` of one joint as written: position = multiplier * position of `leader` + offset."""
 
     node: XmlNode
@@ -78,8 +95,7 @@ class UrdfMimic:
 
 
 @final
-@dataclass(frozen=True)
-class UrdfJoint:
+class UrdfJoint(NamedTuple):
     """One joint; `axis` is of unit length."""
 
     name: str
@@ -87,9 +103,9 @@ class UrdfJoint:
     type: str
     parent: str
     child: str
-    pose: Pose = Pose()  # noqa: RUF009
+    pose: Pose = Pose()
     axis: Vector = X
-    limit: UrdfLimit | None = None
+    limit: UrdfLimit = UrdfLimit()
     mimic: UrdfMimic | None = None
 
     @property
@@ -99,8 +115,7 @@ class UrdfJoint:
 
 
 @final
-@dataclass(frozen=True)
-class UrdfFile:
+class UrdfFile(NamedTuple):
     """A checked robot description.
 
     Attributes:
@@ -117,23 +132,418 @@ class UrdfFile:
 
 
 def as_pose(T: Matrix4) -> Pose:
-    """xyz and roll, pitch, yaw of a homogeneous matrix."""
+    """Return xyz and roll, pitch, yaw of a homogeneous matrix."""
     x, y, z = (float(c) for c in T[:3, 3])
-    R = T[:3, :3]
+    R, level = T[:3, :3], math.hypot(T[0, 0], T[1, 0])
     # atan2 throughout: exact also where the pitch is a quarter turn
-    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
-    if math.hypot(R[0, 0], R[1, 0]) > 1e-9:
-        yaw, roll = math.atan2(R[1, 0], R[0, 0]), math.atan2(R[2, 1], R[2, 2])
-    else:
+    yaw, roll = math.atan2(R[1, 0], R[0, 0]), math.atan2(R[2, 1], R[2, 2])
+    if level <= 1e-9:
         yaw, roll = math.atan2(-R[0, 1], R[1, 1]), 0.0
-    return Pose((x, y, z), (roll, pitch, yaw))
+    return Pose((x, y, z), (roll, math.atan2(-R[2, 0], level), yaw))
 
 
 def as_matrix(pose: Pose) -> Matrix4:
-    """Homogeneous matrix of xyz and roll, pitch, yaw."""
+    """Return the homogeneous matrix of xyz and roll, pitch, yaw."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*pose.rpy), pose.xyz
     return T
+
+
+@final
+class ValidatedRobot(NamedTuple):
+    """A robot description that has been validated.
+
+    Attributes:
+        urdf: Links and joints.
+        followers: Mimic joints, each with an independent, moving leader.
+        resting: Position of each mimic joint that follows a fixed joint in the end [rad or m].
+        warnings: What is odd but harmless, in sentences.
+    """
+
+    urdf: UrdfFile
+    followers: tuple[Mimic, ...]
+    resting: dict[str, float]
+    warnings: tuple[str, ...]
+
+
+def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> ValidatedRobot:
+    """Read and check a URDF.
+
+    Args:
+        root: Its root element.
+        locked: Joints that will not move: their limits and what they follow do not matter.
+
+    Raises:
+        RobotError: With a `code`, the file, the line, the joint or link, the value seen and the fix.
+    """
+    if root.tag != "robot":
+        kinds = {"sdf": "an SDF file", "mujoco": "an MJCF file", "COLLADA": "a mesh", "launch": "a ROS launch file"}
+        seen = f"the root element is <{shortened(root.tag)}>" + (f", {kinds[root.tag]}" if root.tag in kinds else "")
+        raise root.log.refusal("not-urdf", root.line, f"{seen}; <robot> is expected; convert it to URDF")
+    version = root.attributes.get("version", "1.0").strip()
+    root.require(version in ("1", "1.0"), "urdf-version", version=shortened(version))
+    foreign = [c for c in root.children if c.tag.startswith("xacro:") or c.tag in ("macro", "include")]
+    macros = [c.attributes.get("name", "") for c in foreign if c.tag.removeprefix("xacro:") == "macro"]
+    if macros and root.first("link") is None:
+        raise foreign[0].refusal("no-links", RULES["only-macros"].format(names=quoted(macros)))
+    if foreign:
+        fix = "expand it" + advice(", or name the file *.xacro and load it with {}", "xacro=True", "--xacro")
+        seen = f"<{shortened(foreign[0].tag)}> is xacro, not URDF; plain URDF is expected"
+        raise foreign[0].refusal("xacro", f"{seen}; {fix}")
+    _look_through(root)
+    links = tuple(map(read_link, root.all("link")))
+    controls = [joint for block in root.all("ros2_control") for joint in block.all("joint")]
+    joints = tuple(read_joint(node, controls) for node in root.all("joint"))
+    return validate_parts(robot_name(root), links, joints, locked, root.log)
+
+
+def validate_parts(
+    name: str, links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], locked: Collection[str], log: Diagnostics
+) -> ValidatedRobot:
+    """Check links and joints, from whatever format, against each other."""
+    urdf = UrdfFile(name, links, joints, root_of_tree(links, joints, log))
+    followers, resting = resolve_mimics(joints, locked, log)
+    still = {*locked, *resting, *(m.joint for m in followers if m.leader in locked)}
+    for joint in joints:
+        if joint.name not in still and joint.nv == 1:
+            _check_limits(joint)
+    if not any(j.nv for j in joints):
+        log.warn(None, "no joint moves")
+    return ValidatedRobot(urdf, followers, resting, log.warnings)
+
+
+def robot_name(root: XmlNode, attribute: str = "name") -> str:
+    """Return the name of a robot, or the name of its file, with a warning, where it has none that can be printed."""
+    name = root.attributes.get(attribute, "").strip()
+    if not name or not name.isprintable() or len(name) > LONGEST_NAME:
+        reason = "has no name" if not name else f"has the unusable name {shortened(name)!r}"
+        name = "".join(c for c in root.log.path.stem if c.isprintable()) or "robot"
+        root.log.warn(root.line, f"the robot {reason}; it is called {quoted([name])} after its file")
+    return name
+
+
+def read_link(node: XmlNode) -> UrdfLink:
+    """Read a link and its inertia.
+
+    Raises:
+        RobotError: Codes `name-*`, `number`, `not-finite`, `vector-size`, `mass`, `element-twice`.
+    """
+    name = read_name(node)
+    inertial = _only(_look_through(node), "inertial")
+    if inertial is None:
+        return UrdfLink(name, node)
+    mass_node, inertia = _only(inertial, "mass"), _only(inertial, "inertia")
+    mass = None if mass_node is None else mass_node.number("value")
+    if mass is None:
+        inertial.warn("its <inertial> gives no mass; 0 kg is taken")
+    (mass_node or inertial).require((mass or 0.0) >= 0.0, "mass", mass=mass)
+    entries = [0.0 if inertia is None else inertia.number(key, 0.0) for key in INERTIA]
+    xx, xy, xz, yy, yz, zz = entries
+    smallest = float(np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0])
+    if inertia is not None and smallest < -1e-9 * max(1.0, *map(abs, entries)):
+        inertia.warn(f"its inertia is not positive ({smallest:.3g} kg m^2); unused here")
+    return UrdfLink(name, node, UrdfInertial(_pose(inertial), mass or 0.0, tuple(entries)))
+
+
+def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
+    """Read a joint with its pose, unit axis, limit and mimic.
+
+    Args:
+        node: Its element.
+        controls: The `<joint>` elements inside `<ros2_control>`, of all joints.
+
+    Raises:
+        RobotError: Codes `name-*`, `joint-type`, `joint-link`, `axis-*`, `planar-axis`, `number`, `not-finite`, ...
+    """
+    name, kind = read_name(node), node.attributes.get("type", "")
+    _look_through(node)
+    if kind not in DEGREES_OF_FREEDOM:
+        seen = f"its type is {shortened(kind)!r}" if kind else "it has no type"
+        fix = meant(kind.strip().lower(), DEGREES_OF_FREEDOM, "correct the type")
+        raise node.refusal("joint-type", f"{seen}; one of {', '.join(DEGREES_OF_FREEDOM)} is expected; {fix}")
+    limits, limit = _only(node, "limit"), UrdfLimit()
+    follows, mimic = _only(node, "mimic"), None
+    if limits is not None:
+        keys = ("lower", "upper", "velocity", "effort")
+        limit = UrdfLimit(*(limits.number(key, math.nan) for key in keys), limits)
+    ends = []
+    for tag in ("parent", "child"):
+        end = _only(node, tag)
+        ends.append("" if end is None else end.attributes.get("link", ""))
+        node.require(ends[-1] != "", "joint-link", tag=tag)
+    pose, axis, direction = _pose(node), _only(node, "axis"), X
+    given = None if axis is None else axis.vector("xyz", 3)
+    if kind == "planar":
+        direction = (0.0, 0.0, 1.0)
+        is_z = given is not None and np.allclose(given, direction, rtol=0.0, atol=1e-9)
+        seen = "it has no axis, which means 1 0 0" if given is None else f"its axis is {given}"
+        (axis or node).require(is_z, "planar-axis", seen=seen)
+    elif kind not in ("fixed", "floating"):
+        if axis is None or given is None:
+            node.warn("it has no axis; 1 0 0 is taken, which is the default of URDF")
+        else:
+            direction = unit_axis(given, axis)
+    if limits is not None:
+        limit = _narrowed(node, limit, [c for c in controls if c.attributes.get("name") == name])
+    if follows is not None:
+        leader = follows.attributes.get("joint", "")
+        follows.require(leader != "", "mimic-leader")
+        mimic = UrdfMimic(follows, leader, follows.number("multiplier", 1.0), follows.number("offset", 0.0))
+    return UrdfJoint(name, node, kind, ends[0], ends[1], pose, direction, limit, mimic)
+
+
+def _narrowed(node: XmlNode, limit: UrdfLimit, controls: Sequence[XmlNode]) -> UrdfLimit:
+    """Return the limit, narrowed to the range in which the arm's driver lets the joint move.
+
+    The safety controller states soft limits, whose default of 0 for both means none; ros2_control parameters of the
+    joint, or `min` and `max` of what it commands. A range that contradicts itself or the limit says nothing.
+    """
+    ranges: list[tuple[str, str, float, float]] = []
+    if (safety := _only(node, "safety_controller")) is not None:
+        low, high = (safety.number(f"soft_{end}_limit", math.nan) for end in ("lower", "upper"))
+        ranges.append(("safety_controller", "limits", low, high))
+    for control in controls:
+        stated: dict[str, float] = {}
+        for holder in (control, *control.all("command_interface")):
+            quantity = "" if holder is control else f"_{holder.attributes.get('name')}"
+            for param in holder.all("param"):
+                number, key = "".join(param.texts).strip(), param.attributes.get("name", "").removesuffix("_value")
+                if text.NUMBER_TEXT.fullmatch(number):  # else it was e.g. left over by xacro
+                    stated[key + quantity] = float(number)
+        fastest = min(stated.get("max_velocity", math.inf), -stated.get("min_velocity", -math.inf))
+        low, high = (stated.get(f"{end}_position", math.nan) for end in ("min", "max"))
+        ranges += [("ros2_control", "limits", low, high), ("ros2_control", "velocities", -fastest, fastest)]
+    for source, quantity, low, high in ranges:
+        is_speed = quantity == "velocities"
+        lower, upper = (-limit.velocity, limit.velocity) if is_speed else (limit.lower, limit.upper)
+        narrow = max(low, lower), min(high, upper)
+        if low < high and lower < upper and narrow != (lower, upper) and narrow[0] < narrow[1]:  # none of them nan
+            seen = f"its {source} allows {narrow[0]:g} ... {narrow[1]:g} of the {quantity} {lower:g} ... {upper:g}"
+            node.warn(f"{seen}: the narrower ones are used")
+            changed = {"velocity": narrow[1]} if is_speed else {"lower": narrow[0], "upper": narrow[1]}
+            limit = limit._replace(**changed)
+    return limit
+
+
+def read_name(node: XmlNode) -> str:
+    """Return the name of an element.
+
+    Raises:
+        RobotError: Codes `name-missing`, `name-long`, `name-unprintable`, `name-reserved`.
+    """
+    name = node.attributes.get("name", "")
+    faults = {
+        "name-missing": not name.strip(),
+        "name-long": len(name) > LONGEST_NAME,
+        "name-unprintable": not name.isprintable(),
+        "name-reserved": name in RESERVED,
+    }
+    for code in (code for code, is_there in faults.items() if is_there):
+        sentence = RULES[code].format(name=name, length=len(name), most=LONGEST_NAME)
+        raise node.log.refusal(code, node.line, f"<{node.tag}>: {sentence}")
+    if name != name.strip():
+        node.log.warn(node.line, f"{node.tag} {name!r} has spaces around its name, they count")
+    return name
+
+
+def near_vector(node: XmlNode, attribute: str) -> Vector:
+    """Return a position [m] in an attribute, zero if there is none.
+
+    Raises:
+        RobotError: Codes `number`, `not-finite`, `vector-size`, `far-away`.
+    """
+    x, y, z = node.vector(attribute, 3) or ZERO
+    # [m] beyond it poses keep less than 1e-9 m
+    node.require(max(abs(x), abs(y), abs(z)) <= 1e6, "far-away", tag=node.tag, key=attribute, seen=(x, y, z))
+    return (x, y, z)
+
+
+def _pose(node: XmlNode) -> Pose:
+    origin = _only(node, "origin")
+    if origin is None:
+        return Pose()
+    roll, pitch, yaw = origin.vector("rpy", 3) or ZERO
+    if max(abs(roll), abs(pitch), abs(yaw)) > 2.0 * math.pi + 1e-3:  # [rad] files round
+        origin.warn(f"origin rpy is {(roll, pitch, yaw)}, more than a full turn: degrees in place of radians?")
+    return Pose(near_vector(origin, "xyz"), (roll, pitch, yaw))
+
+
+def unit_axis(xyz: tuple[float, ...], axis: XmlNode) -> Vector:
+    """Return the direction of an axis.
+
+    Raises:
+        RobotError: Codes `axis-zero`, `axis-norm`.
+    """
+    norm = math.hypot(*xyz)
+    axis.require(norm > 0.0, "axis-zero")
+    axis.require(1e-3 <= norm <= 1e3, "axis-norm", xyz=xyz, norm=norm)  # outside, the direction may be noise
+    if abs(norm - 1.0) > 1e-3:
+        axis.warn(f"its axis {xyz} has length {norm:.4g}; only the direction is used")
+    x, y, z = (c / norm + 0.0 for c in xyz)
+    return (x, y, z)
+
+
+def _only(node: XmlNode, tag: str) -> XmlNode | None:
+    """Return the child with that tag, looked through; None if there is none."""
+    found = node.all(tag)
+    if len(found) > 1:
+        raise found[1].refusal("element-twice", f"it has more than one <{tag}>; one is expected; delete all but one")
+    return _look_through(found[0]) if found else None
+
+
+def _look_through(node: XmlNode) -> XmlNode:
+    """Warn about attributes and elements inside that are not read."""
+    unknown = [k for k in node.attributes if k not in KNOWN_ATTRIBUTES.get(node.tag, node.attributes)]
+    if unknown:
+        is_turned = node.tag == "origin" and any("quat" in k for k in unknown)
+        node.require(not is_turned, "origin-attribute", seen=quoted(unknown))
+        node.warn(f"<{node.tag}> has {quoted(unknown)}, which is ignored")
+    known, where = KNOWN_CHILDREN.get(node.tag), "" if node.tag == "robot" else f"{node.where}: "
+    for child in [c for c in node.children if known is not None and c.tag not in known]:
+        is_told = len(node.log.kept) < text.MAX_WARNINGS
+        near = closest_names(shortened(child.tag).lower(), known or (), n=1) if is_told else ()
+        hint = f"; did you mean <{near[0]}>?" if near else ""
+        node.log.warn(child.line, f"{where}<{shortened(child.tag)}> is ignored{hint}")
+    return node
+
+
+def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> str:
+    """Return the name of the root link.
+
+    Raises:
+        RobotError: Codes `no-links`, `duplicate-link`, `duplicate-joint`, `unknown-link`, `self-loop`, `two-parents`,
+            `no-root`, `many-roots`, `detached`, `too-many-links`, `too-deep`, `too-many-dof`.
+    """
+    if not links:
+        fix = "at least one is expected; is it a xacro file, or cut off?"
+        raise log.refusal("no-links", 1, f"the robot has no <link>; {fix}")
+    for elements, tag in ((links, "link"), (joints, "joint")):
+        for e in elements[MAX_LINKS : MAX_LINKS + 1]:
+            fix = f"at most {MAX_LINKS} work; leave out what the arm does not need"
+            raise log.refusal(f"too-many-{tag}s", e.node.line, f"the robot has {len(elements)} <{tag}> elements; {fix}")
+    nv = sum(j.nv for j in joints)
+    if nv > MAX_NV:
+        sentence = f'the robot has {nv} degrees of freedom; at most {MAX_NV} work; make unused joints type="fixed"'
+        raise log.refusal("too-many-dof", None, sentence)
+    for elements, tag in ((links, "link"), (joints, "joint")):
+        first: dict[str, int] = {}
+        for e in elements:
+            if e.name in first:
+                seen = f"the name is already used on line {first[e.name]}; names must be unique; rename one of the two"
+                raise log.refusal(f"duplicate-{tag}", e.node.line, f"{tag} {e.name!r}: {seen}")
+            first[e.name] = e.node.line
+    names, above, below = {link.name for link in links}, dict[str, str](), dict[str, list[str]]()
+    for j in joints:
+        for role, link in (("parent", j.parent), ("child", j.child)):
+            if link not in names:
+                fix = meant(link, names, "add the link or correct the name")
+                raise j.node.refusal("unknown-link", f"its {role} link {link!r} does not exist; {fix}")
+        j.node.require(j.parent != j.child, "self-loop", link=j.child)
+        j.node.require(j.child not in above, "two-parents", link=j.child, other=above.get(j.child))
+        above[j.child] = j.name
+        below.setdefault(j.parent, []).append(j.child)
+    roots = [link for link in links if link.name not in above]
+    if not roots:
+        fix = f"remove the joint that closes the loop, e.g. {joints[-1].name!r}"
+        sentence = f"every link is the child of a joint, so they form a loop; one without a parent is expected; {fix}"
+        raise log.refusal("no-root", joints[0].node.line, sentence)
+    if len(roots) > 1:
+        fix = f"join {roots[1].name!r} to the rest by a joint, or delete it"
+        sentence = f"the links {quoted([r.name for r in roots])} have no parent; one such link is expected; {fix}"
+        raise log.refusal("many-roots", roots[1].node.line, sentence)
+    reached, depth = [roots[0].name], {roots[0].name: 0}
+    for name in reached:  # which grows meanwhile
+        reached += below.get(name, ())
+        depth |= dict.fromkeys(below.get(name, ()), depth[name] + 1)
+    if max(depth.values()) > MAX_DEPTH:
+        sentence = f"the tree of links is more than {MAX_DEPTH} joints deep; merge links that are fixed to each other"
+        raise log.refusal("too-deep", None, sentence)
+    lost = [link for link in links if link.name not in depth]
+    if lost:
+        fix = "remove the joint that closes the loop and connect it to the rest"
+        sentence = f"{quoted([link.name for link in lost])} form a loop that is not connected to the root; {fix}"
+        raise log.refusal("detached", lost[0].node.line, sentence)
+    return roots[0].name
+
+
+def resolve_mimics(
+    joints: Sequence[UrdfJoint], alone: Collection[str], log: Diagnostics
+) -> tuple[tuple[Mimic, ...], dict[str, float]]:
+    """Follow every chain of mimics to its end, in whatever order the joints come.
+
+    Args:
+        joints: All joints.
+        alone: Joints that are locked by name: what they follow does not matter.
+        log: For warnings and refusals.
+
+    Returns:
+        Mimic joints with independent, moving leaders, however long the chains were; and the position of each whose
+        chain ends at a fixed joint [rad or m].
+
+    Raises:
+        RobotError: Codes `mimic-unknown`, `mimic-cycle`, `mimic-type`, `mimic-multiplier`.
+    """
+    by_name, mimics = {j.name: j for j in joints}, {j.name: j.mimic for j in joints if j.mimic is not None}
+    if without_effect := [name for name in mimics if by_name[name].type == "fixed"]:
+        log.warn(None, f"<mimic> of the fixed joints {quoted(without_effect)} has no effect")
+    # a locked follower whose leader exists still belongs to its chain: locking it alone would break the coupling
+    held = {*without_effect, *(name for name in alone if name in mimics and mimics[name].leader not in by_name)}
+    mimics = {name: mimic for name, mimic in mimics.items() if name not in held}
+    followers, resting = list[Mimic](), dict[str, float]()
+    for name, own in mimics.items():
+        leader, multiplier, offset, chain = by_name[name], 1.0, 0.0, [name]
+        leader.node.require(leader.nv <= 1, "mimic-type", type=leader.type, nv=leader.nv)
+        while (mimic := mimics.get(leader.name)) is not None:
+            offset += multiplier * mimic.offset
+            multiplier *= mimic.multiplier
+            if mimic.leader not in by_name:
+                fix = meant(mimic.leader, by_name, "correct the name, or lock the joint")
+                seen = f"it follows the joint {mimic.leader!r}, which does not exist"
+                raise mimic.node.refusal("mimic-unknown", f"{seen}; {fix}")
+            leader = by_name[mimic.leader]
+            leader.node.require(leader.nv <= 1, "mimic-type", type=leader.type, nv=leader.nv)
+            if leader.name in chain:
+                path = " -> ".join(map(repr, [*chain, leader.name][:6]))
+                sentence = f"joints follow each other in a loop: {path}; let one of them move by itself"
+                raise log.refusal("mimic-cycle", mimic.node.line, f"joint {name!r}: {sentence}")
+            chain.append(leader.name)
+        # above it, rounding of the leader is a motion of the follower
+        is_usable = abs(multiplier) <= 1e6 and math.isfinite(offset)
+        own.node.require(is_usable, "mimic-multiplier", leader=leader.name, by=multiplier)
+        line, follows = own.node.line, f"joint {name!r} follows the {leader.type} joint {leader.name!r}"
+        if leader.type == "fixed":
+            resting[name] = offset
+            log.warn(line, f"{follows}; it rests at {offset:g}")
+            continue
+        followers.append(Mimic(name, leader.name, multiplier, offset))
+        if multiplier == 0.0:
+            log.warn(line, f"{follows} by the factor 0: it never moves")
+        elif leader.type == "continuous" and multiplier != round(multiplier):
+            jumps = "it jumps where the leader passes half a turn, unless postures are given as joint positions"
+            log.warn(line, f"{follows} by the factor {multiplier:g}: {jumps}")
+    return tuple(followers), resting
+
+
+def _check_limits(joint: UrdfJoint) -> None:
+    """Refuse limits that cannot be intended (`limit-order`, `limit-degrees`), warn about those without effect."""
+    (lower, upper, velocity, _, stated), is_angle = joint.limit, joint.type != "prismatic"
+    node, unit, largest = stated or joint.node, "rad" if is_angle else "m", max(abs(lower), abs(upper))
+    said = {"lower": lower, "upper": upper, "unit": unit, "otherwise": ', or type="continuous"' if is_angle else ""}
+    lacking = [end for end, value in (("lower limit", lower), ("upper limit", upper)) if math.isnan(value)]
+    if lacking and joint.type != "continuous":
+        # a default of 0, which the specification has, would be a limit that nobody stated
+        missing = lacking[0] if len(lacking) == 1 else "limits"
+        node.warn(f"it has no {missing}, which a {joint.type} joint should; none is taken")
+    elif joint.type != "continuous":
+        node.require(lower < upper, "limit-order", **said)
+        if UNLIMITED < largest < math.inf:  # infinity is said by the format, not by a number
+            node.warn(f"its limit of {largest:.3g} {unit} is taken for no limit")
+        is_usual = not is_angle or largest <= 4.0 * math.pi or largest > UNLIMITED  # no arm turns twice each way
+        node.require(is_usual, "limit-degrees", **said, low=math.radians(lower), high=math.radians(upper))
+    if math.isnan(velocity) and (joint.type != "continuous" or stated is not None):
+        node.warn("no velocity limit; it is taken as unlimited")
+    elif velocity <= 0.0:
+        node.warn(f"its velocity limit of {velocity:g} {unit}/s is taken for none stated: it is not limited")
 
 
 def kinematic_urdf(
@@ -155,14 +565,14 @@ def kinematic_urdf(
             inside = f"<inertial>{pose}<inertia {entries}/></inertial>{inside}"
         parts.append(f"<link name={quoteattr(link.name)}>{inside}</link>")
     for joint in urdf.joints:
-        limit, more = joint.limit or UrdfLimit(joint.node), ""
-        if joint.type in ("revolute", "prismatic", "continuous"):
-            lower = -HUGE if limit.lower is None or abs(limit.lower) > UNLIMITED else limit.lower
-            upper = HUGE if limit.upper is None or abs(limit.upper) > UNLIMITED else limit.upper
+        limit, more = joint.limit, ""
+        if joint.nv == 1:  # what is not given is nan and compares to nothing
+            lower = limit.lower if abs(limit.lower) <= UNLIMITED else -HUGE
+            upper = limit.upper if abs(limit.upper) <= UNLIMITED else HUGE
             if lower >= upper:  # of a locked joint, else validation would have refused it
                 lower, upper = -HUGE, HUGE
-            velocity = HUGE if limit.velocity is None or limit.velocity <= 0.0 else min(limit.velocity, HUGE)
-            effort = HUGE if limit.effort is None or limit.effort < 0.0 else limit.effort
+            velocity = min(limit.velocity, HUGE) if limit.velocity > 0.0 else HUGE
+            effort = limit.effort if limit.effort >= 0.0 else HUGE
             more = f'<limit lower="{lower!r}" upper="{upper!r}" velocity="{velocity!r}" effort="{effort!r}"/>'
         if with_mimics and (m := joint.mimic) is not None:
             more += f'<mimic joint={quoteattr(m.leader)} multiplier="{m.multiplier!r}" offset="{m.offset!r}"/>'
