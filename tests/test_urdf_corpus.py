@@ -152,7 +152,7 @@ def test_bounds_of_a_document(monkeypatch):
     ):
         seen = None
         try:
-            assert validate_urdf(parse_xml(edited((old, new)), PATH)).urdf.root == "base"
+            assert validate_urdf(parse_xml(edited((old, new)), PATH)).root == "base"
         except RobotError as error:
             seen = error.code
         assert seen == code, new

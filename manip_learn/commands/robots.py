@@ -65,7 +65,7 @@ def _described(name: str, origin: str) -> KnownRobot:
     except ManipLearnError as error:
         return KnownRobot(name, origin, (), str(error))
     followers = {m.joint for m in checked.followers}
-    moving = [j.name for j in checked.urdf.joints if j.type != "fixed" and j.name not in followers]
+    moving = [j.name for j in checked.joints if j.type != "fixed" and j.name not in followers]
     return KnownRobot(name, origin, tuple(moving))
 
 

@@ -317,7 +317,7 @@ def _described(content: bytes, file: Path) -> Scene:
         valid, content = validate_mjcf(root, scene=True)
     else:
         valid = validate_urdf(root)
-    if moving := [repr(joint.name) for joint in valid.urdf.joints if joint.nv]:
+    if moving := [repr(joint.name) for joint in valid.joints if joint.nv]:
         wanted = "what stands around an arm stands still; fix each where it stands"
         raise SceneError(f"{named('joint', moving)} can move; {wanted}")
     robot = robot_from_text(content, file)

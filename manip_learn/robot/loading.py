@@ -18,9 +18,9 @@ from manip_learn.robot.description import urdf as plain
 from manip_learn.robot.description.catalogue import find_robot
 from manip_learn.robot.description.mjcf import validate_mjcf
 from manip_learn.robot.description.text import parse_xml, read_description
-from manip_learn.robot.description.urdf import UrdfFile, UrdfJoint, UrdfLink, ValidatedRobot, as_matrix, as_pose
+from manip_learn.robot.description.urdf import UrdfFile, UrdfJoint, UrdfLink, as_matrix, as_pose
 from manip_learn.robot.description.xacro_expansion import expanded_xacro
-from manip_learn.robot.joints import COORDINATE_SUFFIXES, Mimic
+from manip_learn.robot.joints import COORDINATE_SUFFIXES
 from manip_learn.robot.robot import Robot
 
 Base = Literal["fixed", "floating", "planar"]
@@ -119,16 +119,15 @@ def robot_from_text(
     asked = {str(name): locked[name] if isinstance(locked, Mapping) else None for name in given}
     root = parse_xml(content, path)
     if root.tag == "mujoco":
-        validated, content = validate_mjcf(root, asked)
+        urdf, content = validate_mjcf(root, asked)
     else:
-        validated = plain.validate_urdf(root, asked)
+        urdf = plain.validate_urdf(root, asked)
     names = (objects,) if isinstance(objects, str) else tuple(objects)
-    validated = validated._replace(urdf=with_objects(validated.urdf, names)) if names else validated
-    urdf = validated.urdf
+    urdf = with_objects(urdf, names) if names else urdf
     if root_joint is not None and any(j.name == "root_joint" for j in urdf.joints):
         sentence = f"{path}: a joint is called 'root_joint', the name of the moving base; rename it"
         raise RobotError(sentence, code="name-reserved", path=path)
-    still = locked_positions(validated, asked) if asked or validated.resting else {}
+    still = locked_positions(urdf, asked) if asked or urdf.resting else {}
     text = plain.kinematic_urdf(with_fixed(urdf, still) if still else urdf)
     try:
         model = pin.buildModelFromXML(text) if root_joint is None else pin.buildModelFromXML(text, root_joint)
@@ -145,33 +144,31 @@ def robot_from_text(
         source=path.absolute(),  # meshes are looked up later, perhaps from another folder
         description=content,
         package_dirs=[d.absolute() for d in package_dirs],
-        fingerprint=_fingerprint(urdf, still, validated.followers, root_joint),
-        mimics=[m for m in validated.followers if m.joint not in still],
+        fingerprint=_fingerprint(urdf, still, root_joint),
+        mimics=[m for m in urdf.followers if m.joint not in still],
         locked=still,
         objects=names,
-        warnings=validated.warnings,
+        warnings=urdf.warnings,
     )
 
 
-def _fingerprint(
-    urdf: UrdfFile, still: dict[str, float], followers: Sequence[Mimic], root_joint: pin.JointModel | None
-) -> str:
+def _fingerprint(urdf: UrdfFile, still: dict[str, float], root_joint: pin.JointModel | None) -> str:
     """Hash of kinematics and masses: comments, meshes, colours, the order of elements and the last digit, which
     differs between machines, do not count.
     """
     lines = sorted(plain.kinematic_urdf(urdf).splitlines())
     lines += sorted(f'locked {name} "{position!r}"' for name, position in still.items())
-    lines += sorted(f'mimic {m.joint} {m.leader} "{m.multiplier!r} {m.offset!r}"' for m in followers)
+    lines += sorted(f'mimic {m.joint} {m.leader} "{m.multiplier!r} {m.offset!r}"' for m in urdf.followers)
     lines.append(f"base {'fixed' if root_joint is None else root_joint.shortname()}")
     text = DECIMAL.sub(lambda found: repr(round(float(found.group()), 12) + 0.0), "\n".join(lines))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def locked_positions(validated: ValidatedRobot, asked: Mapping[str, float | None]) -> dict[str, float]:
+def locked_positions(urdf: UrdfFile, asked: Mapping[str, float | None]) -> dict[str, float]:
     """Return the position of every joint that stands still: locked ones, their followers, and those of fixed joints.
 
     Args:
-        validated: The robot.
+        urdf: The robot.
         asked: Joint -> its position [rad or m]; None for zero, or the limit nearest to zero.
 
     Returns:
@@ -181,19 +178,19 @@ def locked_positions(validated: ValidatedRobot, asked: Mapping[str, float | None
         UnknownNameError: A name that is no joint.
         RobotError: Codes `locked-follower`, `locked-position`.
     """
-    by_name = {j.name: j for j in validated.urdf.joints}
-    leader_of = {m.joint: m.leader for m in validated.followers}
-    still = dict(validated.resting)
+    by_name = {j.name: j for j in urdf.joints}
+    leader_of = {m.joint: m.leader for m in urdf.followers}
+    still = dict(urdf.resting)
     for name, value in asked.items():
         if name not in by_name:
-            raise UnknownNameError("joint", name, by_name, f"robot {validated.urdf.name!r}")
+            raise UnknownNameError("joint", name, by_name, f"robot {urdf.name!r}")
         if by_name[name].nv > 0 and name not in leader_of and name not in still:
             still[name] = _position(by_name[name], value)
     alone = next((name for name in asked if name in leader_of and leader_of[name] not in still), None)
     if alone is not None:
         sentence = f"joint {alone!r} cannot be locked alone: it follows {leader_of[alone]!r}; lock that joint"
         raise RobotError(sentence, code="locked-follower")
-    still |= {m.joint: m.multiplier * still[m.leader] + m.offset for m in validated.followers if m.leader in still}
+    still |= {m.joint: m.multiplier * still[m.leader] + m.offset for m in urdf.followers if m.leader in still}
     return {name: still[name] for name in by_name if name in still}
 
 
@@ -241,24 +238,18 @@ def with_objects(urdf: UrdfFile, objects: Sequence[str]) -> UrdfFile:
             of the robot has the name.
     """
     taken = {link.name for link in urdf.links} | {joint.name for joint in urdf.joints}
+    suffixes = ("", *COORDINATE_SUFFIXES["floating"])
     for i, name in enumerate(objects):
-        usable = (
-            isinstance(name, str)
-            and name.strip() == name
-            and 0 < len(name) <= plain.LONGEST_NAME
-            and name.isprintable()
-        )
-        sentence = (
-            None if usable and name not in plain.RESERVED else f"objects: {name!r} cannot be the name of an object"
-        )
-        if sentence is None and name in objects[:i]:
+        usable = isinstance(name, str) and name.strip() == name and name.isprintable() and name not in plain.RESERVED
+        clash = next((n for n in (f"{name}{suffix}" for suffix in suffixes) if n in taken), None)
+        sentence = f"object {name!r}: robot {urdf.name!r} has a link or joint {clash!r}; give the object another name"
+        if not usable or not 0 < len(name) <= plain.LONGEST_NAME:
+            sentence = f"objects: {name!r} cannot be the name of an object"
+        elif name in objects[:i]:
             sentence = f"objects: {name!r} is named twice"
-        made = [f"{name}{suffix}" for suffix in ("", *COORDINATE_SUFFIXES["floating"])]
-        if sentence is None and (clash := next((n for n in made if n in taken), None)) is not None:
-            seen = f"object {name!r}: robot {urdf.name!r} has a link or joint {clash!r}"
-            sentence = f"{seen}; give the object another name"
-        if sentence is not None:
-            raise RobotError(sentence, code="object-name")
+        elif clash is None:
+            continue
+        raise RobotError(sentence, code="object-name")
     node = urdf.links[0].node
     links = tuple(UrdfLink(name, node) for name in objects)
     joints = tuple(UrdfJoint(name, node, "floating", urdf.root, name) for name in objects)

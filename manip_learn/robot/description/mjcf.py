@@ -20,6 +20,7 @@ from manip_learn.errors import RobotError
 from manip_learn.robot.description import urdf
 from manip_learn.robot.description.text import XmlNode, shortened
 from manip_learn.robot.description.urdf import ZERO, Matrix4, UrdfJoint, UrdfLink, as_pose, near_vector, read_name
+from manip_learn.robot.joints import Mimic
 
 WORLD, MAIN = "world", "main"
 ORIENTATIONS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}  # how many numbers each has
@@ -70,14 +71,12 @@ class _Reader:
         for node in root.all("compiler"):
             self.settings |= node.attributes
         angle, self.eulerseq = self.settings.get("angle", "degree"), self.settings.get("eulerseq", "xyz")
-        sentence = ""
-        if angle not in ("degree", "radian") or len(self.eulerseq) != 3 or set(self.eulerseq) - set("xyzXYZ"):
-            seen = f"angle={angle!r}, eulerseq={self.eulerseq!r}"
-            sentence = f"{seen}; degree or radian, and three axes; correct them"
-        elif self.settings.get("coordinate", "local") != "local":
-            sentence = "coordinate is global; local is read; save the file by MuJoCo"
-        if sentence:
-            raise root.log.refusal("mjcf-compiler", root.all("compiler")[0].line, f"<compiler>: {sentence}")
+        coordinate = self.settings.get("coordinate", "local")
+        is_known = angle in ("degree", "radian") and len(self.eulerseq) == 3 and not set(self.eulerseq) - set("xyzXYZ")
+        if not is_known or coordinate != "local":
+            seen = f"<compiler>: angle={angle!r}, eulerseq={self.eulerseq!r}, coordinate={coordinate!r}"
+            fix = "degree or radian, three axes, and local are read; correct them, or save the file by MuJoCo"
+            raise root.log.refusal("mjcf-compiler", root.all("compiler")[0].line, f"{seen}; {fix}")
         self.angle = math.pi / 180.0 if angle == "degree" else 1.0
         # without a name a mesh has that of its file
         self.meshes = {
@@ -145,8 +144,13 @@ class _Reader:
         """Read the sites, shapes and bodies of the world, then those of each body."""
         pending = [(world, WORLD, MAIN)]
         for node, link, childclass in pending:  # which grows meanwhile
-            for site in node.all("site"):
-                self._site(self._full(site, childclass), link)
+            for site in [self._full(s, childclass) for s in node.all("site")]:
+                if site.attributes.get("name") and "fromto" not in site.attributes:
+                    name = read_name(site)
+                    frame = f"{name}_site" if name in {entry.name for entry in self.links} else name
+                    self.links.append(UrdfLink(frame, site))
+                    pose = as_pose(self._pose(site))
+                    self.joints.append(UrdfJoint(f"{frame}__fixed", site, "fixed", link, frame, pose))
             for geom in node.all("geom") if link != WORLD or self.scene else []:
                 self.visuals.setdefault(link, []).extend(self._visual(self._full(geom, childclass)))
             for body in node.all("body"):
@@ -213,14 +217,6 @@ class _Reader:
         self.joints.append(UrdfJoint(name, node, TYPES[kind], parent, child, pose, axis, limit))
         return back
 
-    def _site(self, site: XmlNode, link: str) -> None:
-        if not site.attributes.get("name") or "fromto" in site.attributes:
-            return
-        name = read_name(site)
-        frame = f"{name}_site" if name in {entry.name for entry in self.links} else name
-        self.links.append(UrdfLink(frame, site))
-        self.joints.append(UrdfJoint(f"{frame}__fixed", site, "fixed", link, frame, as_pose(self._pose(site))))
-
     def _visual(self, geom: XmlNode) -> list[str]:
         """Return the shape as URDF text; nothing for what is not drawn (planes, fields, collision groups) or readable.
 
@@ -280,7 +276,7 @@ class _Reader:
         Raises:
             RobotError: Code `mjcf-coupling`.
         """
-        follows: dict[str, urdf.UrdfMimic] = {}
+        follows: dict[str, tuple[Mimic, XmlNode]] = {}
         for node in (e for group in root.all("equality") for e in group.children):
             first, second = node.attributes.get("joint1", ""), node.attributes.get("joint2", "")
             if node.attributes.get("active") == "false":
@@ -298,15 +294,14 @@ class _Reader:
                 )
                 fix = "make it linear, or remove it and lock the joint"
                 raise node.refusal("mjcf-coupling", f"{seen}; one other joint is expected; {fix}")
-            follows[first] = urdf.UrdfMimic(
-                node, second, c[1], self.ref[first] + c[0] - c[1] * self.ref.get(second, 0.0)
-            )
-        self.joints = [j._replace(mimic=follows.get(j.name)) for j in self.joints]
+            offset = self.ref[first] + c[0] - c[1] * self.ref.get(second, 0.0)
+            follows[first] = Mimic(first, second, c[1], offset), node
+        for i, joint in enumerate(self.joints):
+            mimic, node = follows.get(joint.name, (None, None))
+            self.joints[i] = joint._replace(mimic=mimic, mimic_node=node)
 
 
-def validate_mjcf(
-    root: XmlNode, locked: Collection[str] = (), *, scene: bool = False
-) -> tuple[urdf.ValidatedRobot, bytes]:
+def validate_mjcf(root: XmlNode, locked: Collection[str] = (), *, scene: bool = False) -> tuple[urdf.UrdfFile, bytes]:
     """Read and check an MJCF file.
 
     Joints coupled by a linear `<equality><joint>` become mimic joints; sites become frames.
@@ -324,8 +319,7 @@ def validate_mjcf(
             `mjcf-coupling`.
     """
     pending = [root]
-    while pending:
-        node = pending.pop()
+    for node in pending:  # which grows meanwhile
         if node.tag in ("include", "attach", "replicate", "composite", "flexcomp", "frame"):
             fix = "plain bodies are expected; let MuJoCo write the file out: mj_saveLastXML"
             raise node.refusal("mjcf-element", f"<{node.tag}> is not read; {fix}")
@@ -339,4 +333,4 @@ def validate_mjcf(
     validated = urdf.validate_parts(
         urdf.robot_name(root, "model"), tuple(reader.links), tuple(reader.joints), locked, root.log
     )
-    return validated, urdf.kinematic_urdf(validated.urdf, reader.visuals, with_mimics=True).encode()
+    return validated, urdf.kinematic_urdf(validated, reader.visuals, with_mimics=True).encode()

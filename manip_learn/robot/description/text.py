@@ -16,7 +16,7 @@ import xml.parsers.expat
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, final, overload
+from typing import Any, BinaryIO, final
 from xml.parsers.expat import ExpatError, errors
 
 from manip_learn.errors import RobotError, advice, closest_names, counted
@@ -44,7 +44,7 @@ NOT_XML = {
     errors.XML_ERROR_INCORRECT_ENCODING: ("encoding", "save the file as UTF-8"),
     errors.XML_ERROR_UNDEFINED_ENTITY: (
         "entity",
-        "entities other than &lt; &gt; &amp; &quot; &apos; are not read; write it out",
+        "entities other than &lt; &gt; &amp; &quot; &apos; are not read; write the value out",
     ),
     errors.XML_ERROR_NO_ELEMENTS: ("not-xml", "the file ends before the description does; is it cut off?"),
 }
@@ -257,12 +257,8 @@ class XmlNode:
         """Keep a sentence about it for `Robot.warnings`."""
         self.log.warn(self.line, f"{self.where}: {sentence}")
 
-    @overload
-    def number(self, attribute: str) -> float | None: ...
-    @overload
-    def number(self, attribute: str, default: float) -> float: ...
-    def number(self, attribute: str, default: float | None = None) -> float | None:
-        """The number in an attribute, or the default if there is no such attribute.
+    def number(self, attribute: str, default: float = math.nan) -> float:
+        """Return the number in an attribute, or the default if there is no such attribute.
 
         Raises:
             RobotError: Codes `number`, `not-finite`, `xacro-expression`.

@@ -85,18 +85,8 @@ class UrdfLimit(NamedTuple):
 
 
 @final
-class UrdfMimic(NamedTuple):
-    """The `<mimic>` of one joint as written: position = multiplier * position of `leader` + offset."""
-
-    node: XmlNode
-    leader: str
-    multiplier: float
-    offset: float
-
-
-@final
 class UrdfJoint(NamedTuple):
-    """One joint; `axis` is of unit length."""
+    """One joint; `axis` is of unit length; `mimic` is as written, its leader may follow another joint."""
 
     name: str
     node: XmlNode
@@ -106,7 +96,8 @@ class UrdfJoint(NamedTuple):
     pose: Pose = Pose()
     axis: Vector = X
     limit: UrdfLimit = UrdfLimit()
-    mimic: UrdfMimic | None = None
+    mimic: Mimic | None = None
+    mimic_node: XmlNode | None = None
 
     @property
     def nv(self) -> int:
@@ -123,12 +114,18 @@ class UrdfFile(NamedTuple):
         links: In file order.
         joints: In file order.
         root: Name of the root link.
+        followers: Mimic joints, each with an independent, moving leader.
+        resting: Position of each mimic joint that follows a fixed joint in the end [rad or m].
+        warnings: Odd but harmless findings, in sentences.
     """
 
     name: str
     links: tuple[UrdfLink, ...]
     joints: tuple[UrdfJoint, ...]
     root: str
+    followers: tuple[Mimic, ...]
+    resting: dict[str, float]
+    warnings: tuple[str, ...]
 
 
 def as_pose(T: Matrix4) -> Pose:
@@ -149,24 +146,7 @@ def as_matrix(pose: Pose) -> Matrix4:
     return T
 
 
-@final
-class ValidatedRobot(NamedTuple):
-    """A robot description that has been validated.
-
-    Attributes:
-        urdf: Links and joints.
-        followers: Mimic joints, each with an independent, moving leader.
-        resting: Position of each mimic joint that follows a fixed joint in the end [rad or m].
-        warnings: What is odd but harmless, in sentences.
-    """
-
-    urdf: UrdfFile
-    followers: tuple[Mimic, ...]
-    resting: dict[str, float]
-    warnings: tuple[str, ...]
-
-
-def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> ValidatedRobot:
+def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
     """Read and check a URDF.
 
     Args:
@@ -177,8 +157,13 @@ def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> ValidatedRobot
         RobotError: With a `code`, the file, the line, the joint or link, the value seen and the fix.
     """
     if root.tag != "robot":
-        kinds = {"sdf": "an SDF file", "mujoco": "an MJCF file", "COLLADA": "a mesh", "launch": "a ROS launch file"}
-        seen = f"the root element is <{shortened(root.tag)}>" + (f", {kinds[root.tag]}" if root.tag in kinds else "")
+        kinds = {
+            "sdf": ", an SDF file",
+            "mujoco": ", an MJCF file",
+            "COLLADA": ", a mesh",
+            "launch": ", a ROS launch file",
+        }
+        seen = f"the root element is <{shortened(root.tag)}>{kinds.get(root.tag, '')}"
         raise root.log.refusal("not-urdf", root.line, f"{seen}; <robot> is expected; convert it to URDF")
     version = root.attributes.get("version", "1.0").strip()
     root.require(version in ("1", "1.0"), "urdf-version", version=shortened(version))
@@ -199,9 +184,9 @@ def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> ValidatedRobot
 
 def validate_parts(
     name: str, links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], locked: Collection[str], log: Diagnostics
-) -> ValidatedRobot:
+) -> UrdfFile:
     """Check links and joints, from whatever format, against each other."""
-    urdf = UrdfFile(name, links, joints, root_of_tree(links, joints, log))
+    root = root_of_tree(links, joints, log)
     followers, resting = resolve_mimics(joints, locked, log)
     still = {*locked, *resting, *(m.joint for m in followers if m.leader in locked)}
     for joint in joints:
@@ -209,7 +194,7 @@ def validate_parts(
             _check_limits(joint)
     if not any(j.nv for j in joints):
         log.warn(None, "no joint moves")
-    return ValidatedRobot(urdf, followers, resting, log.warnings)
+    return UrdfFile(name, links, joints, root, followers, resting, log.warnings)
 
 
 def robot_name(root: XmlNode, attribute: str = "name") -> str:
@@ -233,16 +218,17 @@ def read_link(node: XmlNode) -> UrdfLink:
     if inertial is None:
         return UrdfLink(name, node)
     mass_node, inertia = _only(inertial, "mass"), _only(inertial, "inertia")
-    mass = None if mass_node is None else mass_node.number("value")
-    if mass is None:
+    mass = math.nan if mass_node is None else mass_node.number("value")
+    if math.isnan(mass):
         inertial.warn("its <inertial> gives no mass; 0 kg is taken")
-    (mass_node or inertial).require((mass or 0.0) >= 0.0, "mass", mass=mass)
+        mass = 0.0
+    (mass_node or inertial).require(mass >= 0.0, "mass", mass=mass)
     entries = [0.0 if inertia is None else inertia.number(key, 0.0) for key in INERTIA]
     xx, xy, xz, yy, yz, zz = entries
     smallest = float(np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0])
     if inertia is not None and smallest < -1e-9 * max(1.0, *map(abs, entries)):
         inertia.warn(f"its inertia is not positive ({smallest:.3g} kg m^2); unused here")
-    return UrdfLink(name, node, UrdfInertial(_pose(inertial), mass or 0.0, tuple(entries)))
+    return UrdfLink(name, node, UrdfInertial(_pose(inertial), mass, tuple(entries)))
 
 
 def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
@@ -264,8 +250,7 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
     limits, limit = _only(node, "limit"), UrdfLimit()
     follows, mimic = _only(node, "mimic"), None
     if limits is not None:
-        keys = ("lower", "upper", "velocity", "effort")
-        limit = UrdfLimit(*(limits.number(key, math.nan) for key in keys), limits)
+        limit = UrdfLimit(*map(limits.number, ("lower", "upper", "velocity", "effort")), limits)
     ends = []
     for tag in ("parent", "child"):
         end = _only(node, tag)
@@ -288,8 +273,8 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
     if follows is not None:
         leader = follows.attributes.get("joint", "")
         follows.require(leader != "", "mimic-leader")
-        mimic = UrdfMimic(follows, leader, follows.number("multiplier", 1.0), follows.number("offset", 0.0))
-    return UrdfJoint(name, node, kind, ends[0], ends[1], pose, direction, limit, mimic)
+        mimic = Mimic(name, leader, follows.number("multiplier", 1.0), follows.number("offset", 0.0))
+    return UrdfJoint(name, node, kind, ends[0], ends[1], pose, direction, limit, mimic, follows)
 
 
 def _narrowed(node: XmlNode, limit: UrdfLimit, controls: Sequence[XmlNode]) -> UrdfLimit:
@@ -300,7 +285,7 @@ def _narrowed(node: XmlNode, limit: UrdfLimit, controls: Sequence[XmlNode]) -> U
     """
     ranges: list[tuple[str, str, float, float]] = []
     if (safety := _only(node, "safety_controller")) is not None:
-        low, high = (safety.number(f"soft_{end}_limit", math.nan) for end in ("lower", "upper"))
+        low, high = (safety.number(f"soft_{end}_limit") for end in ("lower", "upper"))
         ranges.append(("safety_controller", "limits", low, high))
     for control in controls:
         stated: dict[str, float] = {}
@@ -483,44 +468,49 @@ def resolve_mimics(
     Raises:
         RobotError: Codes `mimic-unknown`, `mimic-cycle`, `mimic-type`, `mimic-multiplier`.
     """
-    by_name, mimics = {j.name: j for j in joints}, {j.name: j.mimic for j in joints if j.mimic is not None}
-    if without_effect := [name for name in mimics if by_name[name].type == "fixed"]:
+    by_name, followers, resting = {j.name: j for j in joints}, list[Mimic](), dict[str, float]()
+    if without_effect := [j.name for j in joints if j.mimic is not None and j.type == "fixed"]:
         log.warn(None, f"<mimic> of the fixed joints {quoted(without_effect)} has no effect")
     # a locked follower whose leader exists still belongs to its chain: locking it alone would break the coupling
-    held = {*without_effect, *(name for name in alone if name in mimics and mimics[name].leader not in by_name)}
-    mimics = {name: mimic for name, mimic in mimics.items() if name not in held}
-    followers, resting = list[Mimic](), dict[str, float]()
-    for name, own in mimics.items():
-        leader, multiplier, offset, chain = by_name[name], 1.0, 0.0, [name]
-        leader.node.require(leader.nv <= 1, "mimic-type", type=leader.type, nv=leader.nv)
-        while (mimic := mimics.get(leader.name)) is not None:
+    follows = {
+        j.name: j.mimic
+        for j in joints
+        if j.mimic is not None and j.type != "fixed" and (j.name not in alone or j.mimic.leader in by_name)
+    }
+    for name in follows:
+        leader, multiplier, offset, chain = by_name[name], 1.0, 0.0, list[str]()
+        own = leader.mimic_node or leader.node
+        while True:
+            chain.append(leader.name)
+            leader.node.require(leader.nv <= 1, "mimic-type", type=leader.type, nv=leader.nv)
+            if (mimic := follows.get(leader.name)) is None:
+                break
+            node = leader.mimic_node or leader.node
             offset += multiplier * mimic.offset
             multiplier *= mimic.multiplier
             if mimic.leader not in by_name:
                 fix = meant(mimic.leader, by_name, "correct the name, or lock the joint")
                 seen = f"it follows the joint {mimic.leader!r}, which does not exist"
-                raise mimic.node.refusal("mimic-unknown", f"{seen}; {fix}")
+                raise node.refusal("mimic-unknown", f"{seen}; {fix}")
             leader = by_name[mimic.leader]
-            leader.node.require(leader.nv <= 1, "mimic-type", type=leader.type, nv=leader.nv)
             if leader.name in chain:
                 path = " -> ".join(map(repr, [*chain, leader.name][:6]))
                 sentence = f"joints follow each other in a loop: {path}; let one of them move by itself"
-                raise log.refusal("mimic-cycle", mimic.node.line, f"joint {name!r}: {sentence}")
-            chain.append(leader.name)
+                raise log.refusal("mimic-cycle", node.line, f"joint {name!r}: {sentence}")
         # above it, rounding of the leader is a motion of the follower
         is_usable = abs(multiplier) <= 1e6 and math.isfinite(offset)
-        own.node.require(is_usable, "mimic-multiplier", leader=leader.name, by=multiplier)
-        line, follows = own.node.line, f"joint {name!r} follows the {leader.type} joint {leader.name!r}"
+        own.require(is_usable, "mimic-multiplier", leader=leader.name, by=multiplier)
+        seen = f"joint {name!r} follows the {leader.type} joint {leader.name!r}"
         if leader.type == "fixed":
             resting[name] = offset
-            log.warn(line, f"{follows}; it rests at {offset:g}")
+            log.warn(own.line, f"{seen}; it rests at {offset:g}")
             continue
         followers.append(Mimic(name, leader.name, multiplier, offset))
         if multiplier == 0.0:
-            log.warn(line, f"{follows} by the factor 0: it never moves")
+            log.warn(own.line, f"{seen} by the factor 0: it never moves")
         elif leader.type == "continuous" and multiplier != round(multiplier):
             jumps = "it jumps where the leader passes half a turn, unless postures are given as joint positions"
-            log.warn(line, f"{follows} by the factor {multiplier:g}: {jumps}")
+            log.warn(own.line, f"{seen} by the factor {multiplier:g}: {jumps}")
     return tuple(followers), resting
 
 

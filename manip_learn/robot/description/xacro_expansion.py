@@ -52,9 +52,9 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     if find_spec("xacro") is None or find_spec("xacrodoc") is None:
         raise MissingExtraError(f"the xacro file {path}", "xacro")
     packages = {p.name: str(p.absolute()) for d in package_dirs for p in d.iterdir() if p.is_dir()}
-    texts = {name: str(value) for name, value in values.items()}
-    job = {"path": str(path.absolute()), "values": texts, "packages": packages, "most": MAX_BYTES}
-    job |= {"search": [p or os.getcwd() for p in sys.path], "seconds": EXPANSION_SECONDS}
+    job = {"path": str(path.absolute()), "packages": packages, "most": MAX_BYTES, "seconds": EXPANSION_SECONDS}
+    job["values"] = {name: str(value) for name, value in values.items()}
+    job["search"] = [p or os.getcwd() for p in sys.path]
     command = [sys.executable, "-I", __file__, json.dumps(job)]
     try:  # ten seconds on the clock for one of processor time, on slow disks and busy machines
         done = subprocess.run(command, capture_output=True, cwd=path.absolute().parent, timeout=10 * EXPANSION_SECONDS)
