@@ -10,6 +10,7 @@ import importlib.resources
 import pkgutil
 import re
 import sys
+from collections import Counter
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
@@ -36,15 +37,14 @@ SHORT_NAMES = {
     "talos": "talos_data/robots/talos_reduced.urdf",
     "talos_arm": "talos_data/robots/talos_left_arm.urdf",
     "talos_full": "talos_data/robots/talos_full_v2.urdf",
-    **{
-        name: f"ur_description/urdf/{name.removesuffix('_limited')}{ending}.urdf"
-        for names, ending in (
-            (("ur3", "ur5", "ur10"), "_robot"),
-            (("ur3_limited", "ur5_limited", "ur10_limited"), "_joint_limited_robot"),
-            (("ur3_gripper", "ur5_gripper"), ""),
-        )
-        for name in names
-    },
+    "ur3": "ur_description/urdf/ur3_robot.urdf",
+    "ur3_gripper": "ur_description/urdf/ur3_gripper.urdf",
+    "ur3_limited": "ur_description/urdf/ur3_joint_limited_robot.urdf",
+    "ur5": "ur_description/urdf/ur5_robot.urdf",
+    "ur5_gripper": "ur_description/urdf/ur5_gripper.urdf",
+    "ur5_limited": "ur_description/urdf/ur5_joint_limited_robot.urdf",
+    "ur10": "ur_description/urdf/ur10_robot.urdf",
+    "ur10_limited": "ur_description/urdf/ur10_joint_limited_robot.urdf",
 }
 
 
@@ -93,9 +93,9 @@ def robot_names() -> tuple[str, ...]:
 def fetched_names() -> frozenset[str]:
     """Names of the robots that robot_descriptions fetches; empty if it is not installed."""
     package = find_spec(FETCHING)
-    modules = pkgutil.iter_modules(package.submodule_search_locations) if package is not None else ()
-    found = (re.fullmatch(r"([^_].*)(?<!_mj)_description", module.name) for module in modules)
-    names = {match[1] for match in found if match}
+    modules = pkgutil.iter_modules((package and package.submodule_search_locations) or ())
+    matches = (re.fullmatch(r"([^_].*)(?<!_mj)_description", module.name) for module in modules)
+    names = {match[1] for match in matches if match}
     return frozenset(names | {name for name, (other, _) in VARIANTS.items() if other in names})
 
 
@@ -152,10 +152,9 @@ def example_robots() -> dict[str, Path]:
     rows = csv.reader(line for line in (package.read_text("RECORD") or "").splitlines() if ".urdf" in line)
     names = {row[0]: PurePosixPath(row[0]).parts for row in rows if row[0].endswith(".urdf")}
     files = {"/".join(p[p.index("robots") + 1 :] if "robots" in p else p[-1:]): name for name, p in names.items()}
-    stems: dict[str, list[str]] = {}
-    for key in files:
-        stems.setdefault(PurePosixPath(key).stem, []).append(key)
-    chosen = {stem: keys[0] for stem, keys in stems.items() if len(keys) == 1}
+    stems = {key: PurePosixPath(key).stem for key in files}
+    number = Counter(stems.values())
+    chosen = {stem: key for key, stem in stems.items() if number[stem] == 1}
     chosen |= {short: key for short, key in SHORT_NAMES.items() if key in files}
     return {name: Path(str(package.locate_file(files[key]))) for name, key in chosen.items()}
 

@@ -10,6 +10,7 @@ import math
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -175,34 +176,32 @@ class _Reader:
             joint_name = read_name(node) if node.attributes.get("name") else unnamed
             full = self._full(node, childclass) if node.tag == "joint" else node
             full = replace(full, attributes=full.attributes | {"name": joint_name})
-            anchor = full.vector("pos", 3) or ZERO
-            is_last = i == len(nodes) - 1
+            anchor, is_last = full.vector("pos", 3) or ZERO, i == len(nodes) - 1
             child = name if is_last and not any(anchor) else f"{name}__after_{joint_name}"
-            T = self._joint(full, joint_name, parent, child, T, anchor)
+            joint = UrdfJoint(joint_name, full, "floating", parent, child)
+            if node.tag == "freejoint" or full.attributes.get("type") == "free":
+                T = np.eye(4)  # its coordinates are those of the body in the world
+            else:
+                joint, T = self._moving(joint, T, anchor)
+            self.joints.append(joint)
             if child != name:
                 self.links.append(UrdfLink(child, body))
-                if is_last:
-                    after = f"{name}__from_{joint_name}"
-                    self.joints.append(UrdfJoint(after, body, "fixed", child, name, as_pose(T)))
+            if child != name and is_last:
+                after = f"{name}__from_{joint_name}"
+                self.joints.append(UrdfJoint(after, body, "fixed", child, name, as_pose(T)))
             parent = child
         self.links.append(UrdfLink(name, body, inertia))
 
-    def _joint(
-        self, node: XmlNode, name: str, parent: str, child: str, T: Matrix4, anchor: tuple[float, ...]
-    ) -> Matrix4:
-        """Add a joint; return the pose of what follows relative to its child."""
-        kind = node.attributes.get("type", "hinge")
-        if node.tag == "freejoint" or kind == "free":
-            # its coordinates are those of the body in the world
-            self.joints.append(UrdfJoint(name, node, "floating", parent, child))
-            return np.eye(4)
+    def _moving(self, joint: UrdfJoint, T: Matrix4, anchor: tuple[float, ...]) -> tuple[UrdfJoint, Matrix4]:
+        """Complete a joint at a pose in its parent; return the pose of the next one in its child, too."""
+        node, kind = joint.node, joint.node.attributes.get("type", "hinge")
         if kind not in TYPES:
             fix = "replace it by three hinges" if kind == "ball" else "correct the type"
-            sentence = f"its type is {shortened(kind)!r}; hinge, slide or free is expected; {fix}"
-            raise node.refusal("joint-type", sentence)
+            seen = f"its type is {shortened(kind)!r}; hinge, slide or free is expected"
+            raise node.refusal("joint-type", f"{seen}; {fix}")
         axis = urdf.unit_axis(node.vector("axis", 3) or (0.0, 0.0, 1.0), node)
         scale = self.angle if kind == "hinge" else 1.0
-        self.ref[name] = ref = node.number("ref", 0.0) * scale
+        self.ref[joint.name] = ref = node.number("ref", 0.0) * scale
         to_anchor, back, zero = np.eye(4), np.eye(4), np.eye(4)
         to_anchor[:3, 3], back[:3, 3] = anchor, [-c for c in anchor]
         if kind == "slide":
@@ -210,12 +209,11 @@ class _Reader:
         elif ref:
             zero[:3, :3] = pin.exp3(-ref * np.array(axis))
         given, limited = node.vector("range", 2), node.attributes.get("limited", "auto")
-        lower, upper = -math.inf, math.inf
-        if given and (limited == "true" or (limited != "false" and self.settings.get("autolimits") != "false")):
-            lower, upper = given[0] * scale, given[1] * scale
+        if limited == "false" or (limited != "true" and self.settings.get("autolimits") == "false"):
+            given = None
+        lower, upper = (-math.inf, math.inf) if given is None else (given[0] * scale, given[1] * scale)
         limit, pose = urdf.UrdfLimit(lower, upper, math.inf), as_pose(T @ to_anchor @ zero)
-        self.joints.append(UrdfJoint(name, node, TYPES[kind], parent, child, pose, axis, limit))
-        return back
+        return joint._replace(type=TYPES[kind], pose=pose, axis=axis, limit=limit), back
 
     def _visual(self, geom: XmlNode) -> list[str]:
         """Return the shape as URDF text; nothing for what is not drawn (planes, fields, collision groups) or readable.
@@ -250,10 +248,8 @@ class _Reader:
                 return "", T
             folder = self.settings.get("meshdir", self.settings.get("assetdir", ""))
             file = f"{folder.rstrip('/')}/{asset.attributes['file']}" if folder else asset.attributes["file"]
-            return (
-                f'<mesh filename={quoteattr(file)} scale="{urdf.spaced(asset.vector("scale", 3) or (1.0,) * 3)}"/>',
-                T,
-            )
+            scale = urdf.spaced(asset.vector("scale", 3) or (1.0, 1.0, 1.0))
+            return f'<mesh filename={quoteattr(file)} scale="{scale}"/>', T
         words = geom.attributes.get("size", "").split()
         a, b, c = (*(geom.vector("size", len(words)) or ()), *ZERO)[:3]
         half = b
@@ -276,7 +272,7 @@ class _Reader:
         Raises:
             RobotError: Code `mjcf-coupling`.
         """
-        follows: dict[str, tuple[Mimic, XmlNode]] = {}
+        follows: dict[str, dict[str, Any]] = {}
         for node in (e for group in root.all("equality") for e in group.children):
             first, second = node.attributes.get("joint1", ""), node.attributes.get("joint2", "")
             if node.attributes.get("active") == "false":
@@ -289,16 +285,12 @@ class _Reader:
             node = replace(node, attributes={"polycoef": " ".join(words), "name": first})
             c = node.vector("polycoef", 5) or (0.0,) * 5
             if not second or any(c[2:]) or first in follows or first not in self.ref:
-                seen = (
-                    "its coupling is no straight line" if any(c[2:]) else "it is coupled to nothing, twice, or unknown"
-                )
+                seen = "it is coupled along no straight line, or to nothing, twice, or unknown"
                 fix = "make it linear, or remove it and lock the joint"
                 raise node.refusal("mjcf-coupling", f"{seen}; one other joint is expected; {fix}")
             offset = self.ref[first] + c[0] - c[1] * self.ref.get(second, 0.0)
-            follows[first] = Mimic(first, second, c[1], offset), node
-        for i, joint in enumerate(self.joints):
-            mimic, node = follows.get(joint.name, (None, None))
-            self.joints[i] = joint._replace(mimic=mimic, mimic_node=node)
+            follows[first] = {"mimic": Mimic(first, second, c[1], offset), "mimic_node": node}
+        self.joints = [j._replace(**follows.get(j.name, {})) for j in self.joints]
 
 
 def validate_mjcf(root: XmlNode, locked: Collection[str] = (), *, scene: bool = False) -> tuple[urdf.UrdfFile, bytes]:

@@ -157,16 +157,11 @@ def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
         RobotError: With a `code`, the file, the line, the joint or link, the value seen and the fix.
     """
     if root.tag != "robot":
-        kinds = {
-            "sdf": ", an SDF file",
-            "mujoco": ", an MJCF file",
-            "COLLADA": ", a mesh",
-            "launch": ", a ROS launch file",
-        }
-        seen = f"the root element is <{shortened(root.tag)}>{kinds.get(root.tag, '')}"
+        kinds = {"sdf": "an SDF file", "mujoco": "an MJCF file", "COLLADA": "a mesh", "launch": "a ROS launch file"}
+        seen = f"the root element is <{shortened(root.tag)}>" + (f", {kinds[root.tag]}" if root.tag in kinds else "")
         raise root.log.refusal("not-urdf", root.line, f"{seen}; <robot> is expected; convert it to URDF")
     version = root.attributes.get("version", "1.0").strip()
-    root.require(version in ("1", "1.0"), "urdf-version", version=shortened(version))
+    root.require(version in ("1", "1.0"), "urdf-version", version=version)
     foreign = [c for c in root.children if c.tag.startswith("xacro:") or c.tag in ("macro", "include")]
     macros = [c.attributes.get("name", "") for c in foreign if c.tag.removeprefix("xacro:") == "macro"]
     if macros and root.first("link") is None:
@@ -383,10 +378,11 @@ def _look_through(node: XmlNode) -> XmlNode:
         is_turned = node.tag == "origin" and any("quat" in k for k in unknown)
         node.require(not is_turned, "origin-attribute", seen=quoted(unknown))
         node.warn(f"<{node.tag}> has {quoted(unknown)}, which is ignored")
-    known, where = KNOWN_CHILDREN.get(node.tag), "" if node.tag == "robot" else f"{node.where}: "
-    for child in [c for c in node.children if known is not None and c.tag not in known]:
+    known = KNOWN_CHILDREN.get(node.tag, ())
+    for child in [c for c in node.children if known and c.tag not in known]:
         is_told = len(node.log.kept) < text.MAX_WARNINGS
-        near = closest_names(shortened(child.tag).lower(), known or (), n=1) if is_told else ()
+        near = closest_names(shortened(child.tag).lower(), known, n=1) if is_told else ()
+        where = "" if node.tag == "robot" else f"{node.where}: "
         hint = f"; did you mean <{near[0]}>?" if near else ""
         node.log.warn(child.line, f"{where}<{shortened(child.tag)}> is ignored{hint}")
     return node
@@ -471,12 +467,9 @@ def resolve_mimics(
     by_name, followers, resting = {j.name: j for j in joints}, list[Mimic](), dict[str, float]()
     if without_effect := [j.name for j in joints if j.mimic is not None and j.type == "fixed"]:
         log.warn(None, f"<mimic> of the fixed joints {quoted(without_effect)} has no effect")
+    follows = {j.name: j.mimic for j in joints if j.mimic is not None and j.type != "fixed"}
     # a locked follower whose leader exists still belongs to its chain: locking it alone would break the coupling
-    follows = {
-        j.name: j.mimic
-        for j in joints
-        if j.mimic is not None and j.type != "fixed" and (j.name not in alone or j.mimic.leader in by_name)
-    }
+    follows = {name: mimic for name, mimic in follows.items() if name not in alone or mimic.leader in by_name}
     for name in follows:
         leader, multiplier, offset, chain = by_name[name], 1.0, 0.0, list[str]()
         own = leader.mimic_node or leader.node
