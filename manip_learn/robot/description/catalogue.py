@@ -37,14 +37,6 @@ SHORT_NAMES = {
     "talos": "talos_data/robots/talos_reduced.urdf",
     "talos_arm": "talos_data/robots/talos_left_arm.urdf",
     "talos_full": "talos_data/robots/talos_full_v2.urdf",
-    "ur3": "ur_description/urdf/ur3_robot.urdf",
-    "ur3_gripper": "ur_description/urdf/ur3_gripper.urdf",
-    "ur3_limited": "ur_description/urdf/ur3_joint_limited_robot.urdf",
-    "ur5": "ur_description/urdf/ur5_robot.urdf",
-    "ur5_gripper": "ur_description/urdf/ur5_gripper.urdf",
-    "ur5_limited": "ur_description/urdf/ur5_joint_limited_robot.urdf",
-    "ur10": "ur_description/urdf/ur10_robot.urdf",
-    "ur10_limited": "ur_description/urdf/ur10_joint_limited_robot.urdf",
 }
 
 
@@ -70,7 +62,8 @@ def find_robot(name: str) -> Path:
     catalogue = example_robots()
     if name in catalogue:
         return catalogue[name]
-    if not catalogue and name in SHORT_NAMES.keys() | {"panda", "xarm7", "kinova", "z1", "so100", "so101", "baxter"}:
+    often_named = r"ur(3|5|10)(_gripper|_limited)?|panda|xarm7|kinova|z1|so100|so101|baxter"
+    if not catalogue and (name in SHORT_NAMES or re.fullmatch(often_named, name)):
         raise MissingExtraError(f"the robot {name!r}", "robots")
     if name in fetched:
         return _fetched(name)
@@ -155,6 +148,9 @@ def example_robots() -> dict[str, Path]:
     stems = {key: PurePosixPath(key).stem for key in files}
     number = Counter(stems.values())
     chosen = {stem: key for key, stem in stems.items() if number[stem] == 1}
+    # ur5_robot is the ur5, and ur5_joint_limited_robot the ur5_limited
+    shorter = {stem: stem.replace("_joint_limited", "_limited").removesuffix("_robot") for stem in chosen}
+    chosen |= {shorter[stem]: key for stem, key in chosen.items()}
     chosen |= {short: key for short, key in SHORT_NAMES.items() if key in files}
     return {name: Path(str(package.locate_file(files[key]))) for name, key in chosen.items()}
 

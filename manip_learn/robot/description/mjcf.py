@@ -94,9 +94,7 @@ class _Reader:
     def _full(self, node: XmlNode, childclass: str) -> XmlNode:
         """Return the element with the attributes of its class; `childclass` is the class of the body around it."""
         name = node.attributes.get("class", childclass)
-        if name not in self.classes:
-            seen = f"<{node.tag}> has the class {shortened(name)!r}, which no <default> defines"
-            raise node.refusal("mjcf-class", f"{seen}; a defined class is expected; correct the name")
+        node.require(name in self.classes, "mjcf-class", tag=node.tag, name=name)
         return replace(node, attributes=self.classes[name].get(node.tag, {}) | node.attributes)
 
     def _pose(self, node: XmlNode) -> Matrix4:
@@ -108,9 +106,8 @@ class _Reader:
         T = np.eye(4)
         T[:3, 3] = near_vector(node, "pos")
         given = [key for key in ORIENTATIONS if key in node.attributes]
-        if len(given) > 1:
-            seen = f"its orientation is given by {' and '.join(given)}"
-            raise node.refusal("mjcf-orientation", f"{seen}; one way is expected; delete the others")
+        seen = f"its orientation is given by {' and '.join(given)}"
+        node.require(len(given) <= 1, "mjcf-orientation", seen=seen, fix="delete the others")
         for kind in given:
             T[:3, :3] = self._rotation(kind, np.array(node.vector(kind, ORIENTATIONS[kind])), node)
         return T
@@ -126,9 +123,8 @@ class _Reader:
         if kind == "xyaxes":
             direction = np.cross(numbers[:3], numbers[3:])
         length = float(np.linalg.norm(direction))
-        if length < 1e-9:
-            seen = f"{kind} {numbers.tolist()} gives no direction"
-            raise node.refusal("mjcf-orientation", f"{seen}; a direction is expected; correct it")
+        seen = f"{kind} {numbers.tolist()} gives no direction"
+        node.require(length >= 1e-9, "mjcf-orientation", seen=seen, fix="correct it")
         if kind == "quat":
             w, x, y, z = numbers / length
             return pin.Quaternion(w, x, y, z).toRotationMatrix()
@@ -161,14 +157,14 @@ class _Reader:
                 pending.append((body, name, inner))
 
     def _body(self, body: XmlNode, name: str, parent: str, childclass: str) -> None:
-        T, inertia = self._pose(body), None
+        T, link = self._pose(body), UrdfLink(name, body)
         nodes = [c for c in body.children if c.tag in ("joint", "freejoint")]
         if (inertial := body.first("inertial")) is not None:
             pose, mass = as_pose(self._pose(inertial)), inertial.number("mass", 0.0)
             inertial.require(mass >= 0.0, "mass", mass=mass)
             diagonal = inertial.vector("diaginertia", 3) or ZERO
             xx, yy, zz, xy, xz, yz = inertial.vector("fullinertia", 6) or (*diagonal, 0.0, 0.0, 0.0)
-            inertia = urdf.UrdfInertial(pose, mass, (xx, xy, xz, yy, yz, zz))
+            link = UrdfLink(name, body, (xx, xy, xz, yy, yz, zz), mass, pose)
         if not nodes:
             self.joints.append(UrdfJoint(f"{name}_fixed", body, "fixed", parent, name, as_pose(T)))
         for i, node in enumerate(nodes):
@@ -190,7 +186,7 @@ class _Reader:
                 after = f"{name}__from_{joint_name}"
                 self.joints.append(UrdfJoint(after, body, "fixed", child, name, as_pose(T)))
             parent = child
-        self.links.append(UrdfLink(name, body, inertia))
+        self.links.append(link)
 
     def _moving(self, joint: UrdfJoint, T: Matrix4, anchor: tuple[float, ...]) -> tuple[UrdfJoint, Matrix4]:
         """Complete a joint at a pose in its parent; return the pose of the next one in its child, too."""
@@ -231,8 +227,8 @@ class _Reader:
                 raise
             return []
         if not shape and self.scene:
-            seen = f"its shape {shortened(geom.attributes.get('type', 'mesh'))!r} is not read"
-            raise geom.refusal("mjcf-element", f"{seen}; a plain body or a mesh file is expected; replace it")
+            kind = shortened(geom.attributes.get("type", "mesh"))
+            raise geom.refusal("mjcf-element", f"its shape {kind!r} is not read; use a plain body or a mesh file")
         if not shape:
             return []
         rgba = "" if colour is None else f'<material name=""><color rgba="{urdf.spaced(colour)}"/></material>'
@@ -284,10 +280,8 @@ class _Reader:
             words = (node.attributes.get("polycoef", "0 1 0 0 0").split() + ["0"] * 5)[:5]
             node = replace(node, attributes={"polycoef": " ".join(words), "name": first})
             c = node.vector("polycoef", 5) or (0.0,) * 5
-            if not second or any(c[2:]) or first in follows or first not in self.ref:
-                seen = "it is coupled along no straight line, or to nothing, twice, or unknown"
-                fix = "make it linear, or remove it and lock the joint"
-                raise node.refusal("mjcf-coupling", f"{seen}; one other joint is expected; {fix}")
+            is_usable = second and not any(c[2:]) and first not in follows and first in self.ref
+            node.require(bool(is_usable), "mjcf-coupling", c=c, other=second)
             offset = self.ref[first] + c[0] - c[1] * self.ref.get(second, 0.0)
             follows[first] = {"mimic": Mimic(first, second, c[1], offset), "mimic_node": node}
         self.joints = [j._replace(**follows.get(j.name, {})) for j in self.joints]
@@ -319,7 +313,7 @@ def validate_mjcf(root: XmlNode, locked: Collection[str] = (), *, scene: bool = 
     reader = _Reader(root, scene)
     if any(j.nv == 1 for j in reader.joints):
         root.log.warn(None, "an MJCF file has no velocity limits; they are taken as unlimited")
-    if all(link.inertial is None for link in reader.links):
+    if all(link.inertia is None for link in reader.links):
         sentence = "no body states its mass; masses of shapes are not computed, so there is no centre of mass"
         root.log.warn(None, sentence)
     validated = urdf.validate_parts(

@@ -60,6 +60,17 @@ RULES = {
     "origin-attribute": "its origin has {seen}; xyz and rpy are read; write rpy",
     "far-away": "its {tag} {key} is {seen} m; at most 1e+06 m is expected; check the unit",
     "mass": "its mass is {mass} kg; 0 or more is expected; write the true mass",
+    "mjcf-class": "<{tag}> has the class {name!r:.80}; one that a <default> defines is expected; correct the name",
+    "mjcf-orientation": "{seen}; one direction, written in one way, is expected; {fix}",
+    "mjcf-coupling": "it follows {other!r} by polycoef {c}; a joint, once, and a straight line (two numbers) are "
+    "expected; make it linear, or remove it and lock the joint",
+    "no-links": "the robot has no <link>; at least one is expected; is it a xacro file, or cut off?",
+    "too-many-dof": 'the robot has {nv} degrees of freedom; at most {most} work; make unused joints type="fixed"',
+    "too-deep": "the tree of links is more than {most} joints deep; merge links that are fixed to each other",
+    "many-roots": "the links {names} have no parent; one such link is expected; join {other!r} to the rest by a joint, "
+    "or delete it",
+    "detached": "{names} form a loop that is not connected to the root; remove the joint that closes the loop and "
+    "connect it to the rest",
     "joint-link": 'it names no {tag} link; one is expected; add <{tag} link="..."/>',
     "planar-axis": "{seen}; a planar joint needs 0 0 1; turn the joint's origin instead",
     "axis-zero": "its axis is 0 0 0; a direction is expected; write the direction, "
@@ -102,6 +113,11 @@ class Diagnostics:
         """Return the error to raise; the sentence says whose fault it is, the value seen and expected, the remedy."""
         place = f"{self.path}:{line}" if line is not None else f"{self.path}"
         return RobotError(f"{place}: {sentence}", code=code, path=self.path, line=line)
+
+    def require(self, is_right: bool, code: str, line: int | None, where: str = "", **values: object) -> None:
+        """Refuse the file in the words of `RULES`, which the values complete, where that rule does not hold."""
+        if not is_right:
+            raise self.refusal(code, line, where + RULES[code].format(**values))
 
     def warn(self, line: int | None, sentence: str) -> None:
         """Keep a sentence for `Robot.warnings`."""
@@ -251,7 +267,7 @@ class XmlNode:
             RobotError: With that code.
         """
         if not is_right:
-            raise self.refusal(code, RULES[code].format(**values))
+            self.log.require(False, code, self.line, f"{self.where}: ", **values)
 
     def warn(self, sentence: str) -> None:
         """Keep a sentence about it for `Robot.warnings`."""

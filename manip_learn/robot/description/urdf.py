@@ -56,21 +56,14 @@ class Pose(NamedTuple):
 
 
 @final
-class UrdfInertial(NamedTuple):
-    """Mass [kg], its pose, and ixx ixy ixz iyy iyz izz [kg m^2]."""
-
-    pose: Pose
-    mass: float
-    inertia: tuple[float, ...]
-
-
-@final
 class UrdfLink(NamedTuple):
-    """One link."""
+    """One link; ixx ixy ixz iyy iyz izz [kg m^2] at the pose of its inertia, None where the file gives none."""
 
     name: str
     node: XmlNode
-    inertial: UrdfInertial | None = None
+    inertia: tuple[float, ...] | None = None
+    mass: float = 0.0  # [kg]
+    pose: Pose = Pose()
 
 
 @final
@@ -223,7 +216,7 @@ def read_link(node: XmlNode) -> UrdfLink:
     smallest = float(np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0])
     if inertia is not None and smallest < -1e-9 * max(1.0, *map(abs, entries)):
         inertia.warn(f"its inertia is not positive ({smallest:.3g} kg m^2); unused here")
-    return UrdfLink(name, node, UrdfInertial(_pose(inertial), mass, tuple(entries)))
+    return UrdfLink(name, node, tuple(entries), mass, _pose(inertial))
 
 
 def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
@@ -395,17 +388,13 @@ def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Di
         RobotError: Codes `no-links`, `duplicate-link`, `duplicate-joint`, `unknown-link`, `self-loop`, `two-parents`,
             `no-root`, `many-roots`, `detached`, `too-many-links`, `too-deep`, `too-many-dof`.
     """
-    if not links:
-        fix = "at least one is expected; is it a xacro file, or cut off?"
-        raise log.refusal("no-links", 1, f"the robot has no <link>; {fix}")
+    log.require(len(links) > 0, "no-links", 1)
     for elements, tag in ((links, "link"), (joints, "joint")):
         for e in elements[MAX_LINKS : MAX_LINKS + 1]:
             fix = f"at most {MAX_LINKS} work; leave out what the arm does not need"
             raise log.refusal(f"too-many-{tag}s", e.node.line, f"the robot has {len(elements)} <{tag}> elements; {fix}")
     nv = sum(j.nv for j in joints)
-    if nv > MAX_NV:
-        sentence = f'the robot has {nv} degrees of freedom; at most {MAX_NV} work; make unused joints type="fixed"'
-        raise log.refusal("too-many-dof", None, sentence)
+    log.require(nv <= MAX_NV, "too-many-dof", None, nv=nv, most=MAX_NV)
     for elements, tag in ((links, "link"), (joints, "joint")):
         first: dict[str, int] = {}
         for e in elements:
@@ -428,22 +417,16 @@ def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Di
         fix = f"remove the joint that closes the loop, e.g. {joints[-1].name!r}"
         sentence = f"every link is the child of a joint, so they form a loop; one without a parent is expected; {fix}"
         raise log.refusal("no-root", joints[0].node.line, sentence)
-    if len(roots) > 1:
-        fix = f"join {roots[1].name!r} to the rest by a joint, or delete it"
-        sentence = f"the links {quoted([r.name for r in roots])} have no parent; one such link is expected; {fix}"
-        raise log.refusal("many-roots", roots[1].node.line, sentence)
+    other = roots[-1] if len(roots) == 1 else roots[1]
+    seen = quoted([link.name for link in roots])
+    log.require(len(roots) == 1, "many-roots", other.node.line, names=seen, other=other.name)
     reached, depth = [roots[0].name], {roots[0].name: 0}
     for name in reached:  # which grows meanwhile
         reached += below.get(name, ())
         depth |= dict.fromkeys(below.get(name, ()), depth[name] + 1)
-    if max(depth.values()) > MAX_DEPTH:
-        sentence = f"the tree of links is more than {MAX_DEPTH} joints deep; merge links that are fixed to each other"
-        raise log.refusal("too-deep", None, sentence)
-    lost = [link for link in links if link.name not in depth]
-    if lost:
-        fix = "remove the joint that closes the loop and connect it to the rest"
-        sentence = f"{quoted([link.name for link in lost])} form a loop that is not connected to the root; {fix}"
-        raise log.refusal("detached", lost[0].node.line, sentence)
+    log.require(max(depth.values()) <= MAX_DEPTH, "too-deep", None, most=MAX_DEPTH)
+    lost = [link for link in links if link.name not in depth] or roots
+    log.require(lost is roots, "detached", lost[0].node.line, names=quoted([link.name for link in lost]))
     return roots[0].name
 
 
@@ -541,10 +524,10 @@ def kinematic_urdf(
     """
     parts = [f"<robot name={quoteattr(urdf.name)}>"]
     for link in urdf.links:
-        inside, inertial = "".join((visuals or {}).get(link.name, ())), link.inertial
-        if inertial is not None:
-            entries = " ".join(f'{key}="{value!r}"' for key, value in zip(INERTIA, inertial.inertia, strict=True))
-            pose = f'{origin_text(inertial.pose)}<mass value="{inertial.mass!r}"/>'
+        inside = "".join((visuals or {}).get(link.name, ()))
+        if link.inertia is not None:
+            entries = " ".join(f'{key}="{value!r}"' for key, value in zip(INERTIA, link.inertia, strict=True))
+            pose = f'{origin_text(link.pose)}<mass value="{link.mass!r}"/>'
             inside = f"<inertial>{pose}<inertia {entries}/></inertial>{inside}"
         parts.append(f"<link name={quoteattr(link.name)}>{inside}</link>")
     for joint in urdf.joints:

@@ -93,22 +93,18 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
         "macros": rb"<(?:xacro:)?macro\b[^>]*\bname\s*=\s*[\"']([\w-]+)[\"']",
     }
 
-    def note(place: str) -> None:
-        for key, pattern in patterns.items():
-            found = re.finditer(pattern, Path(place).read_bytes())
-            named[key].update(match[match.lastindex or 0].decode(errors="replace") for match in found)
-
     def noted(inp: Any, filename: str | None = None) -> Any:
-        place = os.path.join(xacro.root_dir, filename or "")
-        if inp is None and os.path.isfile(place):  # otherwise xacro says what is missing
-            note(place)
+        place = Path(xacro.root_dir, filename or job["path"])
+        if place.is_file():  # otherwise xacro says what is missing
+            for key, pattern in patterns.items():
+                found = re.finditer(pattern, place.read_bytes())
+                named[key].update(match[match.lastindex or 0].decode(errors="replace") for match in found)
         return parse(inp, filename)
 
     xacro.parse, xacro.root_dir = noted, os.path.dirname(job["path"])
     packages.update_package_cache(job["packages"])
     text = fault = ""
     try:
-        note(job["path"])
         text = XacroDoc.from_file(job["path"], subargs=job["values"]).to_urdf_string()
     except Exception as error:  # whatever the expressions of others raise
         lacks_memory = isinstance(error, MemoryError) or isinstance(getattr(error, "exc", None), MemoryError)
