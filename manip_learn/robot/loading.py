@@ -74,7 +74,7 @@ def load_robot(
     try:
         path, *folders = (Path(place).expanduser() for place in (name, *given))
     except RuntimeError as error:  # ~user without a home directory here
-        places = ", ".join(map(os.fspath, (name, *given)))
+        places = ", ".join(os.fspath(place) for place in (name, *given))
         raise RobotError(f"{places}: {error}; write the path out", code="missing") from error
     if isinstance(name, str) and path.suffix not in DESCRIPTION_SUFFIXES and os.sep not in name:
         path = path if path.is_file() else find_robot(name)

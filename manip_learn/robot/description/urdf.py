@@ -238,7 +238,8 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
     limits, limit = _only(node, "limit"), UrdfLimit()
     follows, mimic = _only(node, "mimic"), None
     if limits is not None:
-        limit = UrdfLimit(*map(limits.number, ("lower", "upper", "velocity", "effort")), limits)
+        lower, upper, velocity, effort = map(limits.number, ("lower", "upper", "velocity", "effort"))
+        limit = UrdfLimit(lower, upper, velocity, effort, limits)
     ends = []
     for tag in ("parent", "child"):
         end = _only(node, tag)
