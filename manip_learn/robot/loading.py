@@ -216,18 +216,17 @@ def with_fixed(urdf: UrdfFile, still: Mapping[str, float]) -> UrdfFile:
 
     Pinocchio's own reduction of a model leaves frames with parents that lead in a circle.
     """
-
-    def fixed(joint: UrdfJoint, position: float) -> UrdfJoint:
-        pose, motion, axis = joint.pose, np.eye(4), np.array(joint.axis)
-        if joint.type == "prismatic":
-            motion[:3, 3] = position * axis
-        else:
-            motion[:3, :3] = pin.exp3(position * axis)
-        if position != 0.0:
-            pose = as_pose(as_matrix(joint.pose) @ motion)
-        return joint._replace(type="fixed", pose=pose, mimic=None)
-
-    return urdf._replace(joints=tuple(fixed(j, still[j.name]) if j.name in still else j for j in urdf.joints))
+    joints = list(urdf.joints)
+    for i, joint in enumerate(joints):
+        if (position := still.get(joint.name)) is not None:
+            motion, turn = np.eye(4), position * np.array(joint.axis)
+            if joint.type == "prismatic":
+                motion[:3, 3] = turn
+            else:
+                motion[:3, :3] = pin.exp3(turn)
+            pose = as_pose(as_matrix(joint.pose) @ motion) if position != 0.0 else joint.pose
+            joints[i] = joint._replace(type="fixed", pose=pose, mimic=None)
+    return urdf._replace(joints=tuple(joints))
 
 
 def with_objects(urdf: UrdfFile, objects: Sequence[str]) -> UrdfFile:

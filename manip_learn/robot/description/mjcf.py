@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import replace
-from pathlib import Path
+from pathlib import PureWindowsPath
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
@@ -79,12 +79,10 @@ class _Reader:
             fix = "degree or radian, three axes, and local are read; correct them, or save the file by MuJoCo"
             raise root.log.refusal("mjcf-compiler", root.all("compiler")[0].line, f"{seen}; {fix}")
         self.angle = math.pi / 180.0 if angle == "degree" else 1.0
-        # without a name a mesh has that of its file
-        self.meshes = {
-            m.attributes.get("name") or Path(m.attributes.get("file", "").replace("\\", "/")).stem: m
-            for asset in root.all("asset")
-            for m in asset.all("mesh")
-        }
+        assets = [mesh for asset in root.all("asset") for mesh in asset.all("mesh")]
+        # without a name a mesh has the name of its file, whichever way its folders are written
+        stems = [PureWindowsPath(mesh.attributes.get("file", "")).stem for mesh in assets]
+        self.meshes = {mesh.attributes.get("name") or stem: mesh for mesh, stem in zip(assets, stems, strict=True)}
         self.links, self.joints = [UrdfLink(WORLD, root)], list[UrdfJoint]()
         self.visuals, self.ref = dict[str, list[str]](), dict[str, float]()
         for world in root.all("worldbody"):
@@ -226,11 +224,6 @@ class _Reader:
             if self.scene:
                 raise
             return []
-        if not shape and self.scene:
-            kind = shortened(geom.attributes.get("type", "mesh"))
-            raise geom.refusal("mjcf-element", f"its shape {kind!r} is not read; use a plain body or a mesh file")
-        if not shape:
-            return []
         rgba = "" if colour is None else f'<material name=""><color rgba="{urdf.spaced(colour)}"/></material>'
         head = f"<visual name={quoteattr(geom.attributes.get('name', ''))}>{urdf.origin_text(as_pose(T))}"
         return [f"{head}<geometry>{shape}</geometry>{rgba}</visual>"]
@@ -239,9 +232,8 @@ class _Reader:
         T = self._pose(geom)
         kind = geom.attributes.get("type", "mesh" if "mesh" in geom.attributes else "sphere")
         if kind == "mesh":
-            asset = self.meshes.get(geom.attributes.get("mesh", ""))
-            if asset is None or "file" not in asset.attributes:
-                return "", T
+            asset = self.meshes.get(geom.attributes.get("mesh", ""), geom)
+            geom.require("file" in asset.attributes, "mjcf-element", kind=kind)
             folder = self.settings.get("meshdir", self.settings.get("assetdir", ""))
             file = f"{folder.rstrip('/')}/{asset.attributes['file']}" if folder else asset.attributes["file"]
             scale = urdf.spaced(asset.vector("scale", 3) or (1.0, 1.0, 1.0))
@@ -260,7 +252,8 @@ class _Reader:
         box = f'<box size="{2 * a!r} {2 * b!r} {2 * c!r}"/>'
         shapes = {"sphere": f'<sphere radius="{a!r}"/>', "box": box, "ellipsoid": box}
         shapes |= {tag: f'<{tag} radius="{a!r}" length="{2 * half!r}"/>' for tag in ("capsule", "cylinder")}
-        return shapes.get(kind, ""), T
+        geom.require(kind in shapes, "mjcf-element", kind=kind)
+        return shapes[kind], T
 
     def _couple(self, root: XmlNode) -> None:
         """Let joints follow others, by the linear `<equality><joint>`; offsets count from the reference pose.
@@ -280,8 +273,8 @@ class _Reader:
             words = (node.attributes.get("polycoef", "0 1 0 0 0").split() + ["0"] * 5)[:5]
             node = replace(node, attributes={"polycoef": " ".join(words), "name": first})
             c = node.vector("polycoef", 5) or (0.0,) * 5
-            is_usable = second and not any(c[2:]) and first not in follows and first in self.ref
-            node.require(bool(is_usable), "mjcf-coupling", c=c, other=second)
+            is_usable = second != "" and not any(c[2:]) and first not in follows and first in self.ref
+            node.require(is_usable, "mjcf-coupling", c=c, other=second)
             offset = self.ref[first] + c[0] - c[1] * self.ref.get(second, 0.0)
             follows[first] = {"mimic": Mimic(first, second, c[1], offset), "mimic_node": node}
         self.joints = [j._replace(**follows.get(j.name, {})) for j in self.joints]
@@ -316,7 +309,5 @@ def validate_mjcf(root: XmlNode, locked: Collection[str] = (), *, scene: bool = 
     if all(link.inertia is None for link in reader.links):
         sentence = "no body states its mass; masses of shapes are not computed, so there is no centre of mass"
         root.log.warn(None, sentence)
-    validated = urdf.validate_parts(
-        urdf.robot_name(root, "model"), tuple(reader.links), tuple(reader.joints), locked, root.log
-    )
-    return validated, urdf.kinematic_urdf(validated, reader.visuals, with_mimics=True).encode()
+    validated = urdf.validate_parts(urdf.robot_name(root, "model"), reader.links, reader.joints, locked, root.log)
+    return validated, urdf.kinematic_urdf(validated, reader.visuals).encode()

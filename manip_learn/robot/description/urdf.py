@@ -164,25 +164,10 @@ def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
         seen = f"<{shortened(foreign[0].tag)}> is xacro, not URDF; plain URDF is expected"
         raise foreign[0].refusal("xacro", f"{seen}; {fix}")
     _look_through(root)
-    links = tuple(map(read_link, root.all("link")))
+    links = [read_link(node) for node in root.all("link")]
     controls = [joint for block in root.all("ros2_control") for joint in block.all("joint")]
-    joints = tuple(read_joint(node, controls) for node in root.all("joint"))
+    joints = [read_joint(node, controls) for node in root.all("joint")]
     return validate_parts(robot_name(root), links, joints, locked, root.log)
-
-
-def validate_parts(
-    name: str, links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], locked: Collection[str], log: Diagnostics
-) -> UrdfFile:
-    """Check links and joints, from whatever format, against each other."""
-    root = root_of_tree(links, joints, log)
-    followers, resting = resolve_mimics(joints, locked, log)
-    still = {*locked, *resting, *(m.joint for m in followers if m.leader in locked)}
-    for joint in joints:
-        if joint.name not in still and joint.nv == 1:
-            _check_limits(joint)
-    if not any(j.nv for j in joints):
-        log.warn(None, "no joint moves")
-    return UrdfFile(name, links, joints, root, followers, resting, log.warnings)
 
 
 def robot_name(root: XmlNode, attribute: str = "name") -> str:
@@ -306,15 +291,10 @@ def read_name(node: XmlNode) -> str:
         RobotError: Codes `name-missing`, `name-long`, `name-unprintable`, `name-reserved`.
     """
     name = node.attributes.get("name", "")
-    faults = {
-        "name-missing": not name.strip(),
-        "name-long": len(name) > LONGEST_NAME,
-        "name-unprintable": not name.isprintable(),
-        "name-reserved": name in RESERVED,
-    }
-    for code in (code for code, is_there in faults.items() if is_there):
-        sentence = RULES[code].format(name=name, length=len(name), most=LONGEST_NAME)
-        raise node.log.refusal(code, node.line, f"<{node.tag}>: {sentence}")
+    faults = {"missing": not name.strip(), "long": len(name) > LONGEST_NAME, "unprintable": not name.isprintable()}
+    for fault in [f for f, is_there in (faults | {"reserved": name in RESERVED}).items() if is_there]:
+        sentence = RULES[f"name-{fault}"].format(name=name, length=len(name), most=LONGEST_NAME)
+        raise node.log.refusal(f"name-{fault}", node.line, f"<{node.tag}>: {sentence}")
     if name != name.strip():
         node.log.warn(node.line, f"{node.tag} {name!r} has spaces around its name, they count")
     return name
@@ -382,12 +362,14 @@ def _look_through(node: XmlNode) -> XmlNode:
     return node
 
 
-def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> str:
-    """Return the name of the root link.
+def validate_parts(
+    name: str, links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], locked: Collection[str], log: Diagnostics
+) -> UrdfFile:
+    """Check links and joints, from whatever format, against each other: a tree, and what follows what within limits.
 
     Raises:
         RobotError: Codes `no-links`, `duplicate-link`, `duplicate-joint`, `unknown-link`, `self-loop`, `two-parents`,
-            `no-root`, `many-roots`, `detached`, `too-many-links`, `too-deep`, `too-many-dof`.
+            `no-root`, `many-roots`, `detached`, `too-many-links`, `too-deep`, `too-many-dof`, `mimic-*`, `limit-*`.
     """
     log.require(len(links) > 0, "no-links", 1)
     for elements, tag in ((links, "link"), (joints, "joint")):
@@ -422,13 +404,20 @@ def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Di
     seen = quoted([link.name for link in roots])
     log.require(len(roots) == 1, "many-roots", other.node.line, names=seen, other=other.name)
     reached, depth = [roots[0].name], {roots[0].name: 0}
-    for name in reached:  # which grows meanwhile
-        reached += below.get(name, ())
-        depth |= dict.fromkeys(below.get(name, ()), depth[name] + 1)
+    for link in reached:  # which grows meanwhile
+        reached += below.get(link, ())
+        depth |= dict.fromkeys(below.get(link, ()), depth[link] + 1)
     log.require(max(depth.values()) <= MAX_DEPTH, "too-deep", None, most=MAX_DEPTH)
     lost = [link for link in links if link.name not in depth] or roots
     log.require(lost is roots, "detached", lost[0].node.line, names=quoted([link.name for link in lost]))
-    return roots[0].name
+    followers, resting = resolve_mimics(joints, locked, log)
+    still = {*locked, *resting, *(m.joint for m in followers if m.leader in locked)}
+    for j in joints:
+        if j.nv == 1 and j.name not in still:
+            _check_limits(j)
+    if nv == 0:
+        log.warn(None, "no joint moves")
+    return UrdfFile(name, tuple(links), tuple(joints), roots[0].name, followers, resting, log.warnings)
 
 
 def resolve_mimics(
@@ -513,15 +502,13 @@ def _check_limits(joint: UrdfJoint) -> None:
         node.warn(f"its velocity limit of {velocity:g} {unit}/s is taken for none stated: it is not limited")
 
 
-def kinematic_urdf(
-    urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None, *, with_mimics: bool = False
-) -> str:
+def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None) -> str:
     """Return the plain URDF of links and joints.
 
     Args:
         urdf: A validated description.
-        visuals: Link -> `<visual>` elements to put in; Pinocchio gets none.
-        with_mimics: Whether to write `<mimic>`; for Pinocchio mimic joints are joints of their own.
+        visuals: Link -> `<visual>` elements to put in, with the `<mimic>` of joints; None for Pinocchio, which needs
+            no visuals and to which mimic joints are joints of their own.
     """
     parts = [f"<robot name={quoteattr(urdf.name)}>"]
     for link in urdf.links:
@@ -541,7 +528,7 @@ def kinematic_urdf(
             velocity = min(limit.velocity, HUGE) if limit.velocity > 0.0 else HUGE
             effort = limit.effort if limit.effort >= 0.0 else HUGE
             more = f'<limit lower="{lower!r}" upper="{upper!r}" velocity="{velocity!r}" effort="{effort!r}"/>'
-        if with_mimics and (m := joint.mimic) is not None:
+        if visuals is not None and (m := joint.mimic) is not None:
             more += f'<mimic joint={quoteattr(m.leader)} multiplier="{m.multiplier!r}" offset="{m.offset!r}"/>'
         parts.append(
             f'<joint name={quoteattr(joint.name)} type="{joint.type}">{origin_text(joint.pose)}'
