@@ -132,8 +132,8 @@ def robot_from_text(
     try:
         model = pin.buildModelFromXML(text) if root_joint is None else pin.buildModelFromXML(text, root_joint)
     except (ValueError, RuntimeError) as error:
-        said = str(error)[:500]
-        raise RobotError(f"{path}: Pinocchio refuses the robot: {said}", code="pinocchio", path=path) from error
+        sentence = f"{path}: Pinocchio refuses the robot: {str(error)[:500]}"
+        raise RobotError(sentence, code="pinocchio", path=path) from error
     for limit in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit"):
         values = np.array(getattr(model, limit))
         values[np.abs(values) >= plain.HUGE] *= np.inf

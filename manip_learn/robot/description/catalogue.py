@@ -73,8 +73,7 @@ def find_robot(name: str) -> Path:
     series, numbers = re.compile(r"^[^a-z]*([a-z]+)").findall, re.compile(r"\d+[a-z]?").findall
     near = closest_names(name, known) if numbers(name) else []
     others = [n for n in near if numbers(n) != numbers(name) and series(n) == series(name.lower())]
-    where = "the list of robots (or give the path of a .urdf file)"
-    raise UnknownNameError("robot", name, known, where, others=others)
+    raise UnknownNameError("robot", name, known, "the list of robots (or give the path of a .urdf file)", others=others)
 
 
 def robot_names() -> tuple[str, ...]:

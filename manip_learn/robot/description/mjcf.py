@@ -33,20 +33,14 @@ Attributes = dict[str, dict[str, str]]
 def read_defaults(root: XmlNode) -> dict[str, Attributes]:
     """Read the default attributes of each class, inheritance done: class -> tag -> attributes; outermost is `main`."""
     classes: dict[str, Attributes] = {MAIN: {}}
-
-    def read(node: XmlNode, inherited: Attributes, name: str) -> None:
-        own = {tag: dict(values) for tag, values in inherited.items()}
+    pending = [(top, top.attributes.get("class", MAIN), MAIN) for top in root.all("default")]
+    for node, name, outer in pending:  # which grows meanwhile
+        own = dict(classes[outer])
         for child in node.children:
             if child.tag in ("joint", "geom", "site", "mesh"):
                 own[child.tag] = own.get(child.tag, {}) | child.attributes
-        classes[name] = own
-        for inner in node.all("default"):
-            read(inner, own, inner.attributes.get("class", ""))
-
-    for top in root.all("default"):
-        name = top.attributes.get("class", MAIN)
-        read(top, classes[MAIN], name)
-        classes[MAIN] = classes[name]
+        classes |= {name: own, MAIN: own} if node.parent is root else {name: own}
+        pending += [(inner, inner.attributes.get("class", ""), name) for inner in node.all("default")]
     return classes
 
 
