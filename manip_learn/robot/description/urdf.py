@@ -400,16 +400,15 @@ def validate_parts(
         fix = f"remove the joint that closes the loop, e.g. {joints[-1].name!r}"
         sentence = f"every link is the child of a joint, so they form a loop; one without a parent is expected; {fix}"
         raise log.refusal("no-root", joints[0].node.line, sentence)
-    other = roots[-1] if len(roots) == 1 else roots[1]
-    seen = quoted([link.name for link in roots])
-    log.require(len(roots) == 1, "many-roots", other.node.line, names=seen, other=other.name)
+    if len(roots) > 1:
+        log.require(False, "many-roots", roots[1].node.line, names=quoted([r.name for r in roots]), other=roots[1].name)
     reached, depth = [roots[0].name], {roots[0].name: 0}
     for link in reached:  # which grows meanwhile
         reached += below.get(link, ())
         depth |= dict.fromkeys(below.get(link, ()), depth[link] + 1)
     log.require(max(depth.values()) <= MAX_DEPTH, "too-deep", None, most=MAX_DEPTH)
-    lost = [link for link in links if link.name not in depth] or roots
-    log.require(lost is roots, "detached", lost[0].node.line, names=quoted([link.name for link in lost]))
+    if lost := [link for link in links if link.name not in depth]:
+        log.require(False, "detached", lost[0].node.line, names=quoted([link.name for link in lost]))
     followers, resting = resolve_mimics(joints, locked, log)
     still = {*locked, *resting, *(m.joint for m in followers if m.leader in locked)}
     for j in joints:
