@@ -62,7 +62,8 @@ RULES = {
     "mass": "its mass is {mass} kg; 0 or more is expected; write the true mass",
     "mjcf-class": "<{tag}> has the class {name!r:.80}; one that a <default> defines is expected; correct the name",
     "mjcf-orientation": "{seen}; one direction, written in one way, is expected; {fix}",
-    "mjcf-coupling": "it follows {other!r} by polycoef {c}; one joint, a line are expected; make it linear, or lock it",
+    "mjcf-coupling": "it is coupled to {other!r} by polycoef {c}; one other joint, once, and two numbers are expected; "
+    "make it linear, or remove it and lock the joint",
     "mjcf-element": "its shape {kind!r:.80} is not read; a plain body or a mesh file is expected; replace it",
     "no-links": "the robot has no <link>; at least one is expected; is it a xacro file, or cut off?",
     "too-many-dof": 'the robot has {nv} degrees of freedom; at most {most} work; make unused joints type="fixed"',
