@@ -338,3 +338,25 @@ def test_arguments_and_packages_of_xacro_files(tmp_path):
         load_robot(path, xacro="ur5")
     with pytest.raises(RobotError, match="no .xacro file"):
         load_robot("planar3", xacro={"height": "1"})
+
+
+def test_a_file_that_only_defines_a_macro_says_so(tmp_path):
+    """The macros are named, and what to load or write; expanded from xacro, included, or called a URDF."""
+    head = '<robot name="part" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    macro = '<xacro:macro name="{}" params="prefix"><link name="${{prefix}}base"/></xacro:macro>'
+    (tmp_path / "arm.xacro").write_text(f"{head}{macro.format('arm')}{macro.format('hand')}</robot>")
+    (tmp_path / "around.xacro").write_text(f'{head}<xacro:include filename="arm.xacro"/></robot>')
+    (tmp_path / "called.xacro").write_text(
+        f'{head}<xacro:include filename="arm.xacro"/><xacro:arm prefix="left_"/></robot>'
+    )
+    (tmp_path / "arm.urdf").write_text((tmp_path / "arm.xacro").read_text())
+    for name in ("arm.urdf", "arm.xacro", "around.xacro"):
+        if name.endswith(".xacro"):
+            pytest.importorskip("xacrodoc")
+        words = (
+            "only defines the macros 'arm', 'hand'.*load the file that calls them, usually robot.urdf.xacro, or write"
+        )
+        with case(name), pytest.raises(RobotError, match=words) as caught:
+            load_robot(tmp_path / name, xacro=name.endswith(".xacro"))
+        assert caught.value.code == "no-links"
+    assert load_robot(tmp_path / "called.xacro", xacro=True).frame_names

@@ -167,6 +167,25 @@ def test_a_follower_in_the_chain_without_its_leader_is_no_free_joint(rng):
     np.testing.assert_allclose(offset.frame_kinematics("l3").poses(q[None])[0], free.pose(moved, "l3"), atol=1e-12)
 
 
+def test_a_follower_with_an_offset_alone_in_the_chain_is_where_it_belongs(rng):
+    """At an independent joint's motion plus its offset, one by one and in a batch, though its leader is beyond it."""
+    types = dict.fromkeys("abd", "fixed") | {"c": "revolute", "d": "revolute"}
+    for mimics, kinds in (({"c": ("d", 1.0, 0.4)}, {}), ({"c": ("d", 1.0, 0.4)}, types)):
+        with case(mimics, kinds):
+            robot = load(mimics, types=kinds)
+            q, frame = robot.random_configuration(rng), robot.frame("l3")
+            positions = dict(zip(robot.joint_names, q, strict=True))
+            positions["c"] = positions["d"] + 0.4
+            model = pin.buildModelFromXML(urdf({}, types=kinds).decode())
+            data, all_q = model.createData(), pin.neutral(model)
+            for name in model.names[1:]:
+                all_q[model.joints[model.getJointId(name)].idx_q] = positions[name]
+            pin.framesForwardKinematics(model, data, all_q)
+            expected = data.oMf[model.getFrameId("l3")].homogeneous
+            np.testing.assert_allclose(robot.pose(q, frame), expected, atol=KNOWN)
+            np.testing.assert_allclose(batch_kinematics(robot, frame).pose(q[None])[0], expected, atol=KNOWN)
+
+
 def test_every_derivative_is_exact_with_followers(tmp_path, rng):
     """Jacobians one by one and in a batch, centre of mass, distance of links, effort: along the independent joints.
 

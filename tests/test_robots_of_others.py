@@ -99,6 +99,51 @@ def test_the_narrower_limits_of_a_safety_controller_are_used(safety, limits, is_
     assert any("safety_controller allows" in w for w in robot.warnings) == is_told
 
 
+def control(position: tuple[str, str] = ("", ""), velocity: tuple[str, str] = ("", ""), direct: str = "") -> str:
+    """What ros2_control is told of the joint j; texts that are empty are left out."""
+    inside = direct
+    for quantity, ends in (("position", position), ("velocity", velocity)):
+        numbers = [(name, text) for name, text in zip(("min", "max"), ends, strict=True) if text]
+        params = "".join(f'<param name="{name}">{text}</param>' for name, text in numbers)
+        inside += f'<command_interface name="{quantity}">{params}</command_interface>'
+    return f'<ros2_control name="c" type="system"><joint name="j">{inside}</joint></ros2_control></robot>'
+
+
+@pytest.mark.parametrize(
+    ("block", "limits", "quantities"),
+    [
+        (control(("-1", " 1.5\n")), (-1.0, 1.5, 2.0), ["limits"]),
+        (control(("-1", "3")), (-1.0, 2.0, 2.0), ["limits"]),
+        (control(velocity=("-0.5", "0.5")), (-2.0, 2.0, 0.5), ["velocities"]),
+        (control(velocity=("-0.5", "0.4")), (-2.0, 2.0, 0.4), ["velocities"]),
+        (control(velocity=("", "0.5")), (-2.0, 2.0, 0.5), ["velocities"]),
+        (control(("-1", "1"), ("-0.5", "0.5")), (-1.0, 1.0, 0.5), ["limits", "velocities"]),
+        (
+            control(direct='<param name="min_position">-1</param><param name="max_position_value">1</param>'),
+            (-1.0, 1.0, 2.0),
+            ["limits"],
+        ),
+        (control(("-3", "3"), ("-9", "9")), (-2.0, 2.0, 2.0), []),
+        (control(("", "1")), (-2.0, 2.0, 2.0), []),
+        (control(("${lower}", "1")), (-2.0, 2.0, 2.0), []),
+        (control(("1", "-1"), ("0.5", "0.2")), (-2.0, 2.0, 2.0), []),
+        (control(("5", "6")), (-2.0, 2.0, 2.0), []),
+        (control(("nan", "inf"), ("0", "0")), (-2.0, 2.0, 2.0), []),
+        (control(("-1", "1")).replace('"j"', '"k"'), (-2.0, 2.0, 2.0), []),
+    ],
+)
+def test_the_narrower_limits_of_ros2_control_are_used(block, limits, quantities, tmp_path: Path) -> None:
+    """Of positions and velocities, where they are narrower and make sense, with a note that names both ranges."""
+    path = described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l"))
+    path.write_text(path.read_text().replace("</robot>", block))
+    robot = load_robot(path)
+    seen = (robot.position_lower[0], robot.position_upper[0], robot.velocity_limit[0])
+    assert tuple(map(float, seen)) == limits
+    told = [w for w in robot.warnings if "ros2_control allows" in w]
+    assert [w.split("of the ")[1].split()[0] for w in told] == quantities
+    assert all("joint 'j'" in w and w.endswith(" -2 ... 2: the narrower ones are used") for w in told)
+
+
 def test_an_arm_of_another_series_is_not_offered() -> None:
     """The names of shipped arms are those of their makers; a name beside them is another arm, and no typing error."""
     # by hand from the makers' Denavit-Hartenberg parameters, all joints at zero

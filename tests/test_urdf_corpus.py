@@ -18,7 +18,7 @@ from manip_learn.errors import RobotError, UnknownNameError
 from manip_learn.robot import loading
 from manip_learn.robot.description import text
 from manip_learn.robot.description.text import parse_xml
-from manip_learn.robot.description.validation import validate_urdf
+from manip_learn.robot.description.urdf import validate_urdf
 from manip_learn.robot.loading import robot_from_text
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.visual_shapes import visual_shapes
@@ -152,12 +152,12 @@ def test_bounds_of_a_document(monkeypatch):
     ):
         seen = None
         try:
-            assert validate_urdf(edited((old, new)), PATH).urdf.root == "base"
+            assert validate_urdf(parse_xml(edited((old, new)), PATH)).root == "base"
         except RobotError as error:
             seen = error.code
         assert seen == code, new
     massless = edited(('ixx="0.1"', 'ixx="0"'), ('iyy="0.1"', 'iyy="0"'), ('izz="0.1"', 'izz="0"'))
-    assert validate_urdf(massless, PATH).warnings == ()
+    assert validate_urdf(parse_xml(massless, PATH)).warnings == ()
 
 
 def test_what_pinocchio_refuses_is_refused(monkeypatch):
@@ -175,7 +175,9 @@ def test_what_pinocchio_refuses_is_refused(monkeypatch):
 def test_warnings_have_an_end():
     """A file with very many oddities gives a hundred warnings and the number of the others."""
     junk = "".join(f"<x{i}/>" for i in range(1000))
-    warnings = validate_urdf(edited(('<link name="base"/>', f'<link name="base">{junk}</link>')), PATH).warnings
+    warnings = validate_urdf(
+        parse_xml(edited(('<link name="base"/>', f'<link name="base">{junk}</link>')), PATH)
+    ).warnings
     assert len(warnings) == 101 and warnings[-1] == "900 more warnings are left out"
 
 

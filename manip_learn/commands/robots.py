@@ -10,8 +10,8 @@ from manip_learn.commands.options import InspectOptions, RobotsOptions
 from manip_learn.errors import ManipLearnError
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.description.catalogue import SHIPPED, example_robots, fetched_names, find_robot
-from manip_learn.robot.description.text import read_description
-from manip_learn.robot.description.validation import validate_urdf
+from manip_learn.robot.description.text import parse_xml, read_description
+from manip_learn.robot.description.urdf import validate_urdf
 from manip_learn.robot.robot_summary import RobotSummary, summarise, with_cross_check
 
 
@@ -61,11 +61,11 @@ def known_robots(options: RobotsOptions, progress: Progress | None = None) -> Kn
 def _described(name: str, origin: str) -> KnownRobot:
     path = find_robot(name)
     try:
-        checked = validate_urdf(read_description(path), path, ())
+        checked = validate_urdf(parse_xml(read_description(path), path))
     except ManipLearnError as error:
         return KnownRobot(name, origin, (), str(error))
     followers = {m.joint for m in checked.followers}
-    moving = [j.name for j in checked.urdf.joints if j.type != "fixed" and j.name not in followers]
+    moving = [j.name for j in checked.joints if j.type != "fixed" and j.name not in followers]
     return KnownRobot(name, origin, tuple(moving))
 
 

@@ -21,8 +21,7 @@ from manip_learn.linalg import finite
 from manip_learn.robot.collision import Obstacle, obstacles_of
 from manip_learn.robot.description.mjcf import validate_mjcf
 from manip_learn.robot.description.text import parse_xml, parsed_json, read_description
-from manip_learn.robot.description.urdf import Pose, as_matrix
-from manip_learn.robot.description.validation import validate_urdf
+from manip_learn.robot.description.urdf import Pose, as_matrix, validate_urdf
 from manip_learn.robot.loading import robot_from_text
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals import meshes as triangles
@@ -313,11 +312,12 @@ def _made(kind: Any, given: Any, where: str, file: Path) -> Any:
 
 def _described(content: bytes, file: Path) -> Scene:
     """The scene of a URDF or MJCF."""
-    if parse_xml(content, file).tag == "mujoco":
-        valid, content = validate_mjcf(content, file, scene=True)
+    root = parse_xml(content, file)
+    if root.tag == "mujoco":
+        valid, content = validate_mjcf(root, scene=True)
     else:
-        valid = validate_urdf(content, file)
-    if moving := [repr(joint.name) for joint in valid.urdf.joints if joint.nv]:
+        valid = validate_urdf(root)
+    if moving := [repr(joint.name) for joint in valid.joints if joint.nv]:
         wanted = "what stands around an arm stands still; fix each where it stands"
         raise SceneError(f"{named('joint', moving)} can move; {wanted}")
     robot = robot_from_text(content, file)

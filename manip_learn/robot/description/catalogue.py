@@ -10,6 +10,7 @@ import importlib.resources
 import pkgutil
 import re
 import sys
+from collections import Counter
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
@@ -25,8 +26,6 @@ EXPANDED = ".manip_learn.urdf"  # ending of what its xacro files are expanded to
 # arms that it has as a variant of another: name -> that one, and the arguments of its xacro file
 VARIANTS: dict[str, tuple[str, Mapping[str, str]]] = {"lite6": ("xarm6", {"robot_type": "lite"})}
 
-MODEL_SERIES, MODEL_NUMBER = re.compile(r"[a-z]+"), re.compile(r"\d+[a-z]?")  # ur and 5e in ur5e
-
 # Names that are not, or not only, the stem of a file.
 SHORT_NAMES = {
     "anymal": "anymal_b_simple_description/robots/anymal.urdf",
@@ -38,14 +37,6 @@ SHORT_NAMES = {
     "talos": "talos_data/robots/talos_reduced.urdf",
     "talos_arm": "talos_data/robots/talos_left_arm.urdf",
     "talos_full": "talos_data/robots/talos_full_v2.urdf",
-    "ur3": "ur_description/urdf/ur3_robot.urdf",
-    "ur3_gripper": "ur_description/urdf/ur3_gripper.urdf",
-    "ur3_limited": "ur_description/urdf/ur3_joint_limited_robot.urdf",
-    "ur5": "ur_description/urdf/ur5_robot.urdf",
-    "ur5_gripper": "ur_description/urdf/ur5_gripper.urdf",
-    "ur5_limited": "ur_description/urdf/ur5_joint_limited_robot.urdf",
-    "ur10": "ur_description/urdf/ur10_robot.urdf",
-    "ur10_limited": "ur_description/urdf/ur10_joint_limited_robot.urdf",
 }
 
 
@@ -59,30 +50,30 @@ def find_robot(name: str) -> Path:
         MissingExtraError: The robot is in a package that is not installed.
         RobotError: It cannot be fetched.
     """
+
+    def letters(text: str) -> str:
+        return re.sub(r"[\W_]", "", text.lower())
+
     known, fetched = robot_names(), fetched_names()
     if name not in known:
-        name = next((other for other in known if _letters(other) == _letters(name)), name)
+        name = next((other for other in known if letters(other) == letters(name)), name)
     if name in SHIPPED:
         return shipped_folder() / f"{name}.urdf"
     catalogue = example_robots()
     if name in catalogue:
         return catalogue[name]
-    if not catalogue and name in SHORT_NAMES.keys() | {"panda", "xarm7", "kinova", "z1", "so100", "so101", "baxter"}:
+    often_named = r"ur(3|5|10)(_gripper|_limited)?|panda|xarm7|kinova|z1|so100|so101|baxter"
+    if not catalogue and (name in SHORT_NAMES or re.fullmatch(often_named, name)):
         raise MissingExtraError(f"the robot {name!r}", "robots")
     if name in fetched:
         return _fetched(name)
-    if not fetched and _letters(name) in ("xarm6", *VARIANTS):
+    if not fetched and letters(name) in ("xarm6", *VARIANTS):
         raise MissingExtraError(f"the robot {name!r}", "descriptions")
-    # a letter more, or another number, is another arm and no typing error
-    near = closest_names(name, known) if MODEL_NUMBER.search(name) else []
-    series = MODEL_SERIES.findall(name.lower())[:1]
-    others = [
-        n
-        for n in near
-        if MODEL_NUMBER.findall(n) != MODEL_NUMBER.findall(name) and MODEL_SERIES.findall(n)[:1] == series
-    ]
-    where = "the list of robots (or give the path of a .urdf file)"
-    raise UnknownNameError("robot", name, known, where, others=others)
+    # a letter more, or another number, is another arm and no typing error: ur and 5e in ur5e
+    series, numbers = re.compile(r"^[^a-z]*([a-z]+)").findall, re.compile(r"\d+[a-z]?").findall
+    near = closest_names(name, known) if numbers(name) else []
+    others = [n for n in near if numbers(n) != numbers(name) and series(n) == series(name.lower())]
+    raise UnknownNameError("robot", name, known, "the list of robots (or give the path of a .urdf file)", others=others)
 
 
 def robot_names() -> tuple[str, ...]:
@@ -94,9 +85,9 @@ def robot_names() -> tuple[str, ...]:
 def fetched_names() -> frozenset[str]:
     """Names of the robots that robot_descriptions fetches; empty if it is not installed."""
     package = find_spec(FETCHING)
-    places = None if package is None else package.submodule_search_locations
-    modules = [module.name for module in pkgutil.iter_modules(places)] if places else []
-    names = {m.removesuffix("_description") for m in modules if re.fullmatch(r"[^_].*(?<!_mj)_description", m)}
+    modules = pkgutil.iter_modules((package and package.submodule_search_locations) or ())
+    matches = (re.fullmatch(r"([^_].*)(?<!_mj)_description", module.name) for module in modules)
+    names = {match[1] for match in matches if match}
     return frozenset(names | {name for name, (other, _) in VARIANTS.items() if other in names})
 
 
@@ -114,11 +105,9 @@ def _fetched(name: str) -> Path:
         with contextlib.redirect_stdout(sys.stderr):  # it tells what it clones
             found = vars(importlib.import_module(f"{FETCHING}.{other}_description"))
     except (ImportError, OSError, GitError) as error:
-        raise RobotError(
-            f"{name} is fetched from the net when it is first named, and cannot be: {type(error).__name__}; connect "
-            "this machine once, or give the path of a URDF file",
-            code="missing",
-        ) from error
+        seen = f"{name} is fetched from the net when it is first named, and cannot be: {type(error).__name__}"
+        fix = "connect this machine once, or give the path of a URDF file"
+        raise RobotError(f"{seen}; {fix}", code="missing") from error
     if "URDF_PATH" in found:
         return Path(found["URDF_PATH"])
     source = Path(found["XACRO_PATH"])
@@ -127,10 +116,6 @@ def _fetched(name: str) -> Path:
         values = {**found.get("XACRO_ARGS", {}), **arguments}
         write_atomically(file, expanded_xacro(source, values, [Path(found["REPOSITORY_PATH"])]))
     return file
-
-
-def _letters(name: str) -> str:
-    return re.sub(r"[\W_]", "", name.lower())
 
 
 def known_as(source: Path | None) -> str | None:
@@ -159,18 +144,17 @@ def example_robots() -> dict[str, Path]:
     rows = csv.reader(line for line in (package.read_text("RECORD") or "").splitlines() if ".urdf" in line)
     names = {row[0]: PurePosixPath(row[0]).parts for row in rows if row[0].endswith(".urdf")}
     files = {"/".join(p[p.index("robots") + 1 :] if "robots" in p else p[-1:]): name for name, p in names.items()}
-    stems: dict[str, list[str]] = {}
-    for key in files:
-        stems.setdefault(PurePosixPath(key).stem, []).append(key)
-    chosen = {stem: keys[0] for stem, keys in stems.items() if len(keys) == 1}
+    stems = {key: PurePosixPath(key).stem for key in files}
+    number = Counter(stems.values())
+    chosen = {stem: key for key, stem in stems.items() if number[stem] == 1}
+    # ur5_robot is the ur5, and ur5_joint_limited_robot the ur5_limited
+    shorter = {stem: stem.replace("_joint_limited", "_limited").removesuffix("_robot") for stem in chosen}
+    chosen |= {shorter[stem]: key for stem, key in chosen.items()}
     chosen |= {short: key for short, key in SHORT_NAMES.items() if key in files}
     return {name: Path(str(package.locate_file(files[key]))) for name, key in chosen.items()}
 
 
 def example_package_dir() -> Path | None:
     """Folder that contains the package example-robot-data, for `package://example-robot-data/...`; None without it."""
-    for path in example_robots().values():
-        for folder in path.parents:
-            if folder.name == DATA_PACKAGE:
-                return folder.parent
-    return None
+    folders = (folder for path in example_robots().values() for folder in path.parents)
+    return next((folder.parent for folder in folders if folder.name == DATA_PACKAGE), None)

@@ -16,7 +16,7 @@ import xml.parsers.expat
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, final, overload
+from typing import Any, BinaryIO, final
 from xml.parsers.expat import ExpatError, errors
 
 from manip_learn.errors import RobotError, advice, closest_names, counted
@@ -25,9 +25,7 @@ NAMES_SHOWN = 4  # names that a sentence lists
 MAX_WARNINGS = 100  # nobody reads more
 MAX_BYTES = 10_000_000  # of a description; the largest of example-robot-data has 0.2
 MAX_ELEMENTS = 200_000  # of one file, so that memory and time stay small
-MAX_NESTING = 60  # URDF needs 6, nested bodies of MJCF one a joint
 DEEPEST = 100  # brackets of JSON or YAML within each other; beyond, parsers take quadratic time or run out of stack
-MAX_ATTRIBUTE = 100_000  # [characters] no robot needs more than a few hundred
 # no two ways to read the same digits: else a long number with a typing error takes minutes
 NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST_READ = 1e100  # squares and products of what is larger overflow
@@ -40,44 +38,91 @@ UNREADABLE: dict[int, tuple[str, str]] = {
     errno.ELOOP: ("unreadable", "cannot be opened, the link leads to itself; name the file"),
     **dict.fromkeys((errno.EACCES, errno.EPERM), ("unreadable", "it may not be read; change its permissions")),
 }
-NAMED = ("link", "joint", "body", "site")  # elements that messages speak of by name
+# what expat says -> code, and what to do
+NOT_XML = {
+    errors.XML_ERROR_UNKNOWN_ENCODING: ("encoding", "save the file as UTF-8"),
+    errors.XML_ERROR_INCORRECT_ENCODING: ("encoding", "save the file as UTF-8"),
+    errors.XML_ERROR_UNDEFINED_ENTITY: (
+        "entity",
+        "entities other than &lt; &gt; &amp; &quot; &apos; are not read; write the value out",
+    ),
+    errors.XML_ERROR_NO_ELEMENTS: ("not-xml", "the file ends before the description does; is it cut off?"),
+}
+# code -> what is seen; what is expected; what to do
+RULES = {
+    "only-macros": "it only defines the macros {names}, no <link>; a robot is expected; load the file that calls them, "
+    "usually robot.urdf.xacro, or write three lines that include this file and call the macro",
+    "urdf-version": "it says version {version!r:.80}; 1.0 is read; convert it to URDF 1.0",
+    "name-missing": 'it has no name; a name is expected; add name="..."',
+    "name-long": "its name has {length} characters; at most {most} are expected; shorten it",
+    "name-unprintable": "its name {name!r} holds unprintable characters; rename it",
+    "name-reserved": "the name {name!r} is kept for the fixed world; rename it, e.g. 'world'",
+    "origin-attribute": "its origin has {seen}; xyz and rpy are read; write rpy",
+    "far-away": "its {tag} {key} is {seen} m; at most 1e+06 m is expected; check the unit",
+    "mass": "its mass is {mass} kg; 0 or more is expected; write the true mass",
+    "mjcf-class": "<{tag}> has the class {name!r:.80}; one that a <default> defines is expected; correct the name",
+    "mjcf-orientation": "{seen}; one direction, written in one way, is expected; {fix}",
+    "mjcf-coupling": "it is coupled to {other!r} by polycoef {c}; one other joint, once, and two numbers are expected; "
+    "make it linear, or remove it and lock the joint",
+    "mjcf-element": "its shape {kind!r:.80} is not read; a plain body or a mesh file is expected; replace it",
+    "no-links": "the robot has no <link>; at least one is expected; is it a xacro file, or cut off?",
+    "too-many-dof": 'the robot has {nv} degrees of freedom; at most {most} work; make unused joints type="fixed"',
+    "too-deep": "the tree of links is more than {most} joints deep; merge links that are fixed to each other",
+    "many-roots": "the links {names} have no parent; one such link is expected; join {other!r} to the rest by a joint, "
+    "or delete it",
+    "detached": "{names} form a loop that is not connected to the root; remove the joint that closes the loop and "
+    "connect it to the rest",
+    "joint-link": 'it names no {tag} link; one is expected; add <{tag} link="..."/>',
+    "planar-axis": "{seen}; a planar joint needs 0 0 1; turn the joint's origin instead",
+    "axis-zero": "its axis is 0 0 0; a direction is expected; write the direction, "
+    'or type="fixed" for a joint that never moves',
+    "axis-norm": "its axis {xyz} has length {norm:.3g}; length 1 is expected; write a unit vector",
+    "limit-order": "its limits are {lower:g} ... {upper:g} {unit}; lower below upper is expected; "
+    'swap or correct them{otherwise}, or type="fixed", or lock the joint',
+    "limit-degrees": "its limits are {lower:g} ... {upper:g} {unit}, more than two turns: they look like degrees; "
+    "radians are expected; write {low:.4f} ... {high:.4f}{otherwise} for many turns",
+    "self-loop": "its parent and its child are both {link!r}; two links are expected; correct one of them",
+    "two-parents": "its child {link!r} is already the child of joint {other!r}; one parent per link is expected; "
+    "closed chains are not supported: remove one of the two joints",
+    "mimic-leader": 'its <mimic> names no joint; one is expected; add joint="..." to <mimic>, or delete it',
+    "mimic-type": "it is {type}, with {nv} degrees of freedom, and takes part in a <mimic>; one is expected; "
+    "delete the <mimic>",
+    "mimic-multiplier": "it follows {leader!r} by the factor {by:g}; at most 1e+06 works; correct the multiplier",
+}
 
 
 @final
+@dataclass(frozen=True)
 class Diagnostics:
     """Collects warnings about one file and words its refusals.
 
     Attributes:
         path: The file.
+        kept: What was warned of, in the order found.
     """
 
-    def __init__(self, path: Path):
-        self.path = path
-        self._warnings: list[str] = []
-        self._left_out = 0
+    path: Path
+    kept: list[str] = field(default_factory=list)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences, in the order found; after a hundred only their number."""
-        more = (f"{self._left_out} more warnings are left out",) if self._left_out else ()
-        return (*self._warnings, *more)
-
-    @property
-    def is_full(self) -> bool:
-        """True when further warnings are only counted."""
-        return len(self._warnings) >= MAX_WARNINGS
+        more = [f"{len(self.kept) - MAX_WARNINGS} more warnings are left out"] if len(self.kept) > MAX_WARNINGS else []
+        return (*self.kept[:MAX_WARNINGS], *more)
 
     def refusal(self, code: str, line: int | None, sentence: str) -> RobotError:
-        """The error to raise; the sentence says whose fault it is: the value seen; the value expected; the remedy."""
+        """Return the error to raise; the sentence says whose fault it is, the value seen and expected, the remedy."""
         place = f"{self.path}:{line}" if line is not None else f"{self.path}"
         return RobotError(f"{place}: {sentence}", code=code, path=self.path, line=line)
 
+    def require(self, is_right: bool, code: str, line: int | None, where: str = "", **values: object) -> None:
+        """Refuse the file in the words of `RULES`, which the values complete, where that rule does not hold."""
+        if not is_right:
+            raise self.refusal(code, line, where + RULES[code].format(**values))
+
     def warn(self, line: int | None, sentence: str) -> None:
         """Keep a sentence for `Robot.warnings`."""
-        if self.is_full:
-            self._left_out += 1
-        else:
-            self._warnings.append(f"line {line}: {sentence}" if line is not None else sentence)
+        self.kept.append(f"line {line}: {sentence}" if line is not None else sentence)
 
 
 def quoted(names: Sequence[str]) -> str:
@@ -176,23 +221,33 @@ def read_description(path: Path) -> bytes:
 @final
 @dataclass(frozen=True)
 class XmlNode:
-    """One element. Text between tags is not kept.
+    """One element.
 
     Attributes:
         tag: Its tag.
         attributes: Its attributes, as text.
         line: Line on which it starts.
-        where: The link, joint, body or site that it is or belongs to, as messages name it.
         log: Of its file.
+        parent: The element around it.
         children: The elements inside.
+        texts: The text between its tags, in pieces, of a `<param>`; the text of other elements is not kept.
     """
 
     tag: str
     attributes: dict[str, str]
     line: int
-    where: str
     log: Diagnostics
-    children: list[XmlNode] = field(default_factory=list)
+    parent: XmlNode | None
+    children: list[XmlNode] = field(default_factory=list, repr=False, compare=False)
+    texts: list[str] = field(default_factory=list)
+
+    @property
+    def where(self) -> str:
+        """The link, joint, body or site that it is or belongs to, as messages name it."""
+        name = self.attributes.get("name")
+        if name and self.tag in ("link", "joint", "body", "site"):
+            return f"{self.tag} {shortened(name)!r}"
+        return "the robot" if self.parent is None else self.parent.where
 
     def all(self, tag: str) -> list[XmlNode]:
         """Children with that tag."""
@@ -203,19 +258,24 @@ class XmlNode:
         return next((c for c in self.children if c.tag == tag), None)
 
     def refusal(self, code: str, sentence: str) -> RobotError:
-        """The error to raise; the sentence says the value seen; the value expected; the remedy."""
+        """Return the error to raise; the sentence says the value seen; the value expected; the remedy."""
         return self.log.refusal(code, self.line, f"{self.where}: {sentence}")
+
+    def require(self, is_right: bool, code: str, **values: object) -> None:
+        """Refuse the element in the words of `RULES`, which the values complete, where that rule does not hold.
+
+        Raises:
+            RobotError: With that code.
+        """
+        if not is_right:
+            self.log.require(False, code, self.line, f"{self.where}: ", **values)
 
     def warn(self, sentence: str) -> None:
         """Keep a sentence about it for `Robot.warnings`."""
         self.log.warn(self.line, f"{self.where}: {sentence}")
 
-    @overload
-    def number(self, attribute: str) -> float | None: ...
-    @overload
-    def number(self, attribute: str, default: float) -> float: ...
-    def number(self, attribute: str, default: float | None = None) -> float | None:
-        """The number in an attribute, or the default if there is no such attribute.
+    def number(self, attribute: str, default: float = math.nan) -> float:
+        """Return the number in an attribute, or the default if there is no such attribute.
 
         Raises:
             RobotError: Codes `number`, `not-finite`, `xacro-expression`.
@@ -240,23 +300,21 @@ class XmlNode:
         return tuple(self._parsed(word, attribute) for word in words)
 
     def _parsed(self, text: str, attribute: str) -> float:
-        seen = f'{self.tag} {attribute}="{shortened(text)}"'
-        if NUMBER_TEXT.fullmatch(text):
-            value = float(text)
-            if math.isfinite(value) and abs(value) <= LARGEST_READ:
-                return value
-            raise self.refusal("not-finite", f"{seen}; at most {LARGEST_READ:g} is expected; write the true value")
-        if "${" in text:
-            fix = "name the file *.xacro" + advice(" and load it with {}", "xacro=True", "--xacro")
-            raise self.refusal("xacro-expression", f"{seen}; a number is expected; this is xacro, not URDF: {fix}")
-        if text.lower().lstrip("+-") in ("nan", "inf", "infinity", "1.#inf", "1.#qnan"):
-            fix = (
-                'for a joint without limits write type="continuous"' if self.tag == "limit" else "write the true value"
-            )
-            raise self.refusal("not-finite", f"{seen}; a finite number is expected; {fix}")
-        is_comma = re.fullmatch(r"[+-]?\d+,\d+", text)
-        fix = "write a decimal point, not a comma" if is_comma else "write digits such as 0.5"
-        raise self.refusal("number", f"{seen}; a number is expected; {fix}")
+        value = float(text) if NUMBER_TEXT.fullmatch(text) else math.nan
+        if abs(value) <= LARGEST_READ:
+            return value
+        code, wanted, fix = "number", "a number is expected", "write digits such as 0.5"
+        if not math.isnan(value):
+            code, wanted, fix = "not-finite", f"at most {LARGEST_READ:g} is expected", "write the true value"
+        elif "${" in text:
+            code, fix = "xacro-expression", "this is xacro, not URDF: name the file *.xacro"
+            fix += advice(" and load it with {}", "xacro=True", "--xacro")
+        elif text.lower().lstrip("+-") in ("nan", "inf", "infinity", "1.#inf", "1.#qnan"):
+            code, wanted, fix = "not-finite", "a finite number is expected", "write the true value"
+            fix = 'for a joint without limits write type="continuous"' if self.tag == "limit" else fix
+        elif re.fullmatch(r"[+-]?\d+,\d+", text):
+            fix = "write a decimal point, not a comma"
+        raise self.refusal(code, f'{self.tag} {attribute}="{shortened(text)}"; {wanted}; {fix}')
 
 
 def parse_xml(content: bytes, path: Path) -> XmlNode:
@@ -280,48 +338,37 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
     def start(tag: str, attributes: dict[str, str]) -> None:
         if len(nodes) >= MAX_ELEMENTS:
             raise refusal("xml-too-large", f"more than {MAX_ELEMENTS} XML elements; split the file")
-        if len(stack) >= MAX_NESTING:
-            sentence = f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6"
-            raise refusal("xml-too-deep", sentence)
-        long = next((key for key, value in attributes.items() if len(value) > MAX_ATTRIBUTE), None)
-        if long is not None:
-            seen = f"attribute {shortened(long)!r} of <{shortened(tag)}> has {len(attributes[long])} characters"
-            raise refusal("xml-too-large", f"{seen}, at most {MAX_ATTRIBUTE} are read")
-        where, name = stack[-1].where if stack else "the robot", attributes.get("name")
-        if tag in NAMED and name:
-            where = f"{tag} {shortened(name)!r}"
-        node = XmlNode(tag, attributes, parser.CurrentLineNumber, where, log)
+        if len(stack) >= 60:  # nested bodies of MJCF need one a joint
+            raise refusal("xml-too-deep", "XML elements are nested deeper than 60 levels; URDF needs 6")
+        for key, value in attributes.items():
+            if len(value) > 100_000:  # no robot needs more than a few hundred
+                seen = f"attribute {shortened(key)!r} of <{shortened(tag)}> has {len(value)} characters"
+                raise refusal("xml-too-large", f"{seen}, at most 100000 are read")
+        node = XmlNode(tag, attributes, parser.CurrentLineNumber, log, stack[-1] if stack else None)
         if stack:
             stack[-1].children.append(node)
         nodes.append(node)
         stack.append(node)
+        parser.CharacterDataHandler = node.texts.append if tag == "param" else None  # until the next element begins
 
     def doctype(*_: object) -> None:
-        sentence = "a <!DOCTYPE> is not read, since it can define entities; delete it and write the values out"
-        raise refusal("doctype", sentence)
+        reason = "since it can define entities; delete it and write the values out"
+        raise refusal("doctype", f"a <!DOCTYPE> is not read, {reason}")
 
     parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, doctype
     parser.EndElementHandler = lambda tag: stack.pop()
     try:
         parser.Parse(content, True)
     except ExpatError as error:
-        raise _not_xml(error, content, log) from error
+        reason = xml.parsers.expat.ErrorString(error.code) or "unreadable"
+        code, fix = NOT_XML.get(reason, ("not-xml", "repair the XML at this line"))
+        if code == "not-xml" and not content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(
+            (b"<", b"\xff\xfe", b"\xfe\xff")
+        ):
+            fix = "a URDF file begins with '<'; name the robot here, its name or its file, and other files after it"
+        seen = f"not readable as XML ({reason}, column {error.offset + 1})"
+        raise log.refusal(code, error.lineno, f"{seen}; {fix}") from error
     except (LookupError, ValueError) as error:  # an encoding that Python does not know, or cannot use
-        sentence = f"its XML declaration names an encoding that cannot be read ({error}); save it as UTF-8"
-        raise refusal("encoding", sentence) from error
+        seen = f"its XML declaration names an encoding that cannot be read ({error})"
+        raise refusal("encoding", f"{seen}; save it as UTF-8") from error
     return nodes[0]
-
-
-def _not_xml(error: ExpatError, content: bytes, log: Diagnostics) -> RobotError:
-    reason, code = xml.parsers.expat.ErrorString(error.code) or "unreadable", "not-xml"
-    if reason in (errors.XML_ERROR_UNKNOWN_ENCODING, errors.XML_ERROR_INCORRECT_ENCODING):
-        code, fix = "encoding", "save the file as UTF-8"
-    elif reason == errors.XML_ERROR_UNDEFINED_ENTITY:
-        code, fix = "entity", "entities other than &lt; &gt; &amp; &quot; &apos; are not read; write the value out"
-    elif not content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
-        fix = "a URDF file begins with '<'; name the robot here, its name or its file, and other files after it"
-    elif reason == errors.XML_ERROR_NO_ELEMENTS:
-        fix = "the file ends before the description does; is it cut off?"
-    else:
-        fix = "repair the XML at this line"
-    return log.refusal(code, error.lineno, f"not readable as XML ({reason}, column {error.offset + 1}); {fix}")

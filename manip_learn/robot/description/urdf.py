@@ -1,19 +1,24 @@
-"""Kinematics of a URDF as plain data with line numbers: read with every number checked, and written."""
+"""Kinematics of a URDF as plain data that knows the elements it was read from: read, checked and written.
+
+Each element is checked where it is read, then all against each other. Nothing reaches Pinocchio, from whatever format,
+that has not been read, counted and checked here.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import final
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import NamedTuple, final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.errors import closest_names
-from manip_learn.robot.description.text import XmlNode, quoted, shortened
+from manip_learn.errors import advice, closest_names
+from manip_learn.robot.description import text
+from manip_learn.robot.description.text import RULES, Diagnostics, XmlNode, meant, quoted, shortened
+from manip_learn.robot.joints import Mimic
 
 Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
@@ -21,30 +26,29 @@ X: Vector = (1.0, 0.0, 0.0)
 # of each type of joint
 DEGREES_OF_FREEDOM = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 Matrix4 = Float[np.ndarray, "4 4"]
-KNOWN_ATTRIBUTES = {
-    "origin": {"xyz", "rpy"},
-    "axis": {"xyz"},
-    "limit": {"lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk"},
-    "mimic": {"joint", "multiplier", "offset"},
-    "parent": {"link"},
-    "child": {"link"},
-}
-JOINT_CHILDREN = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"}
-LINK_CHILDREN = {"inertial", "visual", "collision", "contact", "self_collision_checking", "sensor", "verbose"}
-INERTIAL_CHILDREN = {"origin", "mass", "inertia"}
-LONGEST_NAME = 200  # [characters] longer ones make no readable sentence
-RESERVED = ("universe",)
-FARTHEST_PLACE = 1e6  # [m] beyond it poses keep less than 1e-9 m
-FULL_TURN = 2.0 * math.pi + 1e-3  # [rad] files round
-AXIS_NORMS = (1e-3, 1e3)  # of lengths outside the direction may be noise
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 UNLIMITED = 1_000.0  # [rad or m] larger limits mean "no limit" in practice
 HUGE = 1e300  # what C++ reads as a number and no joint reaches
+KNOWN_ATTRIBUTES = {
+    **{"origin": {"xyz", "rpy"}, "axis": {"xyz"}, "parent": {"link"}, "child": {"link"}},
+    "limit": {"lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk"},
+    "mimic": {"joint", "multiplier", "offset"},
+}
+KNOWN_CHILDREN = {
+    "robot": {"link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control", "group"},
+    "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"},
+    "link": {"inertial", "visual", "collision", "contact", "self_collision_checking", "sensor", "verbose"},
+    "inertial": {"origin", "mass", "inertia"},
+}
+LONGEST_NAME = 200  # [characters] longer ones make no readable sentence
+RESERVED = ("universe",)
+MAX_LINKS = 1_000  # loading takes seconds for them
+MAX_DEPTH = 500  # Pinocchio recurses, and crashes at some thousands
+MAX_NV = 150  # Pinocchio's memory grows with the cube: 0.22 GB for these
 
 
 @final
-@dataclass(frozen=True)
-class Pose:
+class Pose(NamedTuple):
     """Translation [m] and roll, pitch, yaw [rad] about fixed axes."""
 
     xyz: Vector = ZERO
@@ -52,62 +56,41 @@ class Pose:
 
 
 @final
-@dataclass(frozen=True)
-class UrdfInertial:
-    """Mass [kg], its pose, and ixx ixy ixz iyy iyz izz [kg m^2]."""
-
-    pose: Pose
-    mass: float
-    inertia: tuple[float, ...]
-
-
-@final
-@dataclass(frozen=True)
-class UrdfLink:
-    """One link."""
+class UrdfLink(NamedTuple):
+    """One link; ixx ixy ixz iyy iyz izz [kg m^2] at the pose of its inertia, None where the file gives none."""
 
     name: str
-    line: int
-    inertial: UrdfInertial | None
+    node: XmlNode
+    inertia: tuple[float, ...] | None = None
+    mass: float = 0.0  # [kg]
+    pose: Pose = Pose()
 
 
 @final
-@dataclass(frozen=True)
-class UrdfLimit:
-    """The `<limit>` of one joint, None for each number that is not given [rad or m, per second, N m or N]."""
+class UrdfLimit(NamedTuple):
+    """The `<limit>` of one joint, nan for each number that is not given [rad or m, per second, N m or N]."""
 
-    line: int
-    lower: float | None
-    upper: float | None
-    velocity: float | None
-    effort: float | None
-
-
-@final
-@dataclass(frozen=True)
-class UrdfMimic:
-    """The `<mimic>` of one joint as written: position = multiplier * position of `leader` + offset."""
-
-    line: int
-    leader: str
-    multiplier: float
-    offset: float
+    lower: float = math.nan
+    upper: float = math.nan
+    velocity: float = math.nan
+    effort: float = math.nan
+    node: XmlNode | None = None
 
 
 @final
-@dataclass(frozen=True)
-class UrdfJoint:
-    """One joint; `axis` is of unit length."""
+class UrdfJoint(NamedTuple):
+    """One joint; `axis` is of unit length; `mimic` is as written, its leader may follow another joint."""
 
     name: str
-    line: int
+    node: XmlNode
     type: str
     parent: str
     child: str
-    pose: Pose
-    axis: Vector
-    limit: UrdfLimit | None
-    mimic: UrdfMimic | None
+    pose: Pose = Pose()
+    axis: Vector = X
+    limit: UrdfLimit = UrdfLimit()
+    mimic: Mimic | None = None
+    mimic_node: XmlNode | None = None
 
     @property
     def nv(self) -> int:
@@ -116,8 +99,7 @@ class UrdfJoint:
 
 
 @final
-@dataclass(frozen=True)
-class UrdfFile:
+class UrdfFile(NamedTuple):
     """A checked robot description.
 
     Attributes:
@@ -125,164 +107,208 @@ class UrdfFile:
         links: In file order.
         joints: In file order.
         root: Name of the root link.
+        followers: Mimic joints, each with an independent, moving leader.
+        resting: Position of each mimic joint that follows a fixed joint in the end [rad or m].
+        warnings: Odd but harmless findings, in sentences.
     """
 
     name: str
     links: tuple[UrdfLink, ...]
     joints: tuple[UrdfJoint, ...]
     root: str
+    followers: tuple[Mimic, ...]
+    resting: dict[str, float]
+    warnings: tuple[str, ...]
 
 
 def as_pose(T: Matrix4) -> Pose:
-    """xyz and roll, pitch, yaw of a homogeneous matrix."""
+    """Return xyz and roll, pitch, yaw of a homogeneous matrix."""
     x, y, z = (float(c) for c in T[:3, 3])
-    R = T[:3, :3]
+    R, level = T[:3, :3], math.hypot(T[0, 0], T[1, 0])
     # atan2 throughout: exact also where the pitch is a quarter turn
-    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
-    if math.hypot(R[0, 0], R[1, 0]) > 1e-9:
-        yaw, roll = math.atan2(R[1, 0], R[0, 0]), math.atan2(R[2, 1], R[2, 2])
-    else:
+    yaw, roll = math.atan2(R[1, 0], R[0, 0]), math.atan2(R[2, 1], R[2, 2])
+    if level <= 1e-9:
         yaw, roll = math.atan2(-R[0, 1], R[1, 1]), 0.0
-    return Pose((x, y, z), (roll, pitch, yaw))
+    return Pose((x, y, z), (roll, math.atan2(-R[2, 0], level), yaw))
 
 
 def as_matrix(pose: Pose) -> Matrix4:
-    """Homogeneous matrix of xyz and roll, pitch, yaw."""
+    """Return the homogeneous matrix of xyz and roll, pitch, yaw."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*pose.rpy), pose.xyz
     return T
 
 
+def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
+    """Read and check a URDF.
+
+    Args:
+        root: Its root element.
+        locked: Joints that will not move: their limits and what they follow do not matter.
+
+    Raises:
+        RobotError: With a `code`, the file, the line, the joint or link, the value seen and the fix.
+    """
+    if root.tag != "robot":
+        kinds = {"sdf": "an SDF file", "mujoco": "an MJCF file", "COLLADA": "a mesh", "launch": "a ROS launch file"}
+        seen = f"the root element is <{shortened(root.tag)}>" + (f", {kinds[root.tag]}" if root.tag in kinds else "")
+        raise root.log.refusal("not-urdf", root.line, f"{seen}; <robot> is expected; convert it to URDF")
+    version = root.attributes.get("version", "1.0").strip()
+    root.require(version in ("1", "1.0"), "urdf-version", version=version)
+    foreign = [c for c in root.children if c.tag.startswith("xacro:") or c.tag in ("macro", "include")]
+    macros = [c.attributes.get("name", "") for c in foreign if c.tag.removeprefix("xacro:") == "macro"]
+    if macros and root.first("link") is None:
+        raise foreign[0].refusal("no-links", RULES["only-macros"].format(names=quoted(macros)))
+    if foreign:
+        fix = "expand it" + advice(", or name the file *.xacro and load it with {}", "xacro=True", "--xacro")
+        seen = f"<{shortened(foreign[0].tag)}> is xacro, not URDF; plain URDF is expected"
+        raise foreign[0].refusal("xacro", f"{seen}; {fix}")
+    _look_through(root)
+    links = [read_link(node) for node in root.all("link")]
+    controls = [joint for block in root.all("ros2_control") for joint in block.all("joint")]
+    joints = [read_joint(node, controls) for node in root.all("joint")]
+    return validate_parts(robot_name(root), links, joints, locked, root.log)
+
+
+def robot_name(root: XmlNode, attribute: str = "name") -> str:
+    """Return the name of a robot, or the name of its file, with a warning, where it has none that can be printed."""
+    name = root.attributes.get(attribute, "").strip()
+    if not name or not name.isprintable() or len(name) > LONGEST_NAME:
+        reason = "has no name" if not name else f"has the unusable name {shortened(name)!r}"
+        name = "".join(c for c in root.log.path.stem if c.isprintable()) or "robot"
+        root.log.warn(root.line, f"the robot {reason}; it is called {quoted([name])} after its file")
+    return name
+
+
 def read_link(node: XmlNode) -> UrdfLink:
-    """A link and its inertia.
+    """Read a link and its inertia.
 
     Raises:
         RobotError: Codes `name-*`, `number`, `not-finite`, `vector-size`, `mass`, `element-twice`.
     """
     name = read_name(node)
-    _warn_unknown_children(node, LINK_CHILDREN)
-    inertial = _only(node, "inertial")
+    inertial = _only(_look_through(node), "inertial")
     if inertial is None:
-        return UrdfLink(name, node.line, None)
-    _warn_unknown_children(inertial, INERTIAL_CHILDREN)
+        return UrdfLink(name, node)
     mass_node, inertia = _only(inertial, "mass"), _only(inertial, "inertia")
-    mass = None if mass_node is None else mass_node.number("value")
-    if mass is None:
+    mass = math.nan if mass_node is None else mass_node.number("value")
+    if math.isnan(mass):
         inertial.warn("its <inertial> gives no mass; 0 kg is taken")
-    elif mass < 0.0:
-        where = mass_node or inertial
-        raise where.refusal("mass", f"its mass is {mass} kg; 0 or more is expected; write the true mass")
+        mass = 0.0
+    (mass_node or inertial).require(mass >= 0.0, "mass", mass=mass)
     entries = [0.0 if inertia is None else inertia.number(key, 0.0) for key in INERTIA]
     xx, xy, xz, yy, yz, zz = entries
     smallest = float(np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0])
     if inertia is not None and smallest < -1e-9 * max(1.0, *map(abs, entries)):
         inertia.warn(f"its inertia is not positive ({smallest:.3g} kg m^2); unused here")
-    return UrdfLink(name, node.line, UrdfInertial(_pose(inertial), mass or 0.0, tuple(entries)))
+    return UrdfLink(name, node, tuple(entries), mass, _pose(inertial))
 
 
-def read_joint(node: XmlNode) -> UrdfJoint:
-    """A joint with its pose, unit axis, limit and mimic.
+def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
+    """Read a joint with its pose, unit axis, limit and mimic.
+
+    Args:
+        node: Its element.
+        controls: The `<joint>` elements inside `<ros2_control>`, of all joints.
 
     Raises:
         RobotError: Codes `name-*`, `joint-type`, `joint-link`, `axis-*`, `planar-axis`, `number`, `not-finite`, ...
     """
-    name = read_name(node)
-    _warn_unknown_children(node, JOINT_CHILDREN)
-    kind = node.attributes.get("type", "")
+    name, kind = read_name(node), node.attributes.get("type", "")
+    _look_through(node)
     if kind not in DEGREES_OF_FREEDOM:
         seen = f"its type is {shortened(kind)!r}" if kind else "it has no type"
-        near = closest_names(kind.strip().lower(), DEGREES_OF_FREEDOM)
-        fix = f"did you mean {near[0]!r}?" if near else "correct the type"
+        fix = meant(kind.strip().lower(), DEGREES_OF_FREEDOM, "correct the type")
         raise node.refusal("joint-type", f"{seen}; one of {', '.join(DEGREES_OF_FREEDOM)} is expected; {fix}")
-    limits, limit = _only(node, "limit"), None
+    limits, limit = _only(node, "limit"), UrdfLimit()
     follows, mimic = _only(node, "mimic"), None
     if limits is not None:
-        limit = UrdfLimit(limits.line, *(limits.number(key) for key in ("lower", "upper", "velocity", "effort")))
-    parent, child, pose = _link_of(node, "parent"), _link_of(node, "child"), _pose(node)
-    axis, xyz = _only(node, "axis"), X
+        lower, upper, velocity, effort = map(limits.number, ("lower", "upper", "velocity", "effort"))
+        limit = UrdfLimit(lower, upper, velocity, effort, limits)
+    ends = []
+    for tag in ("parent", "child"):
+        end = _only(node, tag)
+        ends.append("" if end is None else end.attributes.get("link", ""))
+        node.require(ends[-1] != "", "joint-link", tag=tag)
+    pose, axis, direction = _pose(node), _only(node, "axis"), X
     given = None if axis is None else axis.vector("xyz", 3)
     if kind == "planar":
-        xyz = (0.0, 0.0, 1.0)
-        if given is None or not np.allclose(given, xyz, rtol=0.0, atol=1e-9):
-            seen = "it has no axis, which means 1 0 0" if given is None else f"its axis is {given}"
-            sentence = f"{seen}; a planar joint needs 0 0 1; turn the joint's origin instead"
-            raise (axis or node).refusal("planar-axis", sentence)
+        direction = (0.0, 0.0, 1.0)
+        is_z = given is not None and np.allclose(given, direction, rtol=0.0, atol=1e-9)
+        seen = "it has no axis, which means 1 0 0" if given is None else f"its axis is {given}"
+        (axis or node).require(is_z, "planar-axis", seen=seen)
     elif kind not in ("fixed", "floating"):
         if axis is None or given is None:
             node.warn("it has no axis; 1 0 0 is taken, which is the default of URDF")
         else:
-            xyz = unit_axis(given, axis)
-    if limit is not None:
-        limit = _narrowed(node, limit)
+            direction = unit_axis(given, axis)
+    if limits is not None:
+        limit = _narrowed(node, limit, [c for c in controls if c.attributes.get("name") == name])
     if follows is not None:
         leader = follows.attributes.get("joint", "")
-        if not leader:
-            fix = 'add joint="..." to <mimic>, or delete it'
-            raise follows.refusal("mimic-leader", f"its <mimic> names no joint; one is expected; {fix}")
-        mimic = UrdfMimic(follows.line, leader, follows.number("multiplier", 1.0), follows.number("offset", 0.0))
-    return UrdfJoint(name, node.line, kind, parent, child, pose, xyz, limit, mimic)
+        follows.require(leader != "", "mimic-leader")
+        mimic = Mimic(name, leader, follows.number("multiplier", 1.0), follows.number("offset", 0.0))
+    return UrdfJoint(name, node, kind, ends[0], ends[1], pose, direction, limit, mimic, follows)
 
 
-def _narrowed(node: XmlNode, limit: UrdfLimit) -> UrdfLimit:
-    """The limit, or the narrower one at which the safety controller of the arm's driver stops a joint."""
-    safety = _only(node, "safety_controller")
-    low, high = (None if safety is None else safety.number(f"soft_{n}_limit") for n in ("lower", "upper"))
-    if low is None or high is None or limit.lower is None or limit.upper is None or not low < high:
-        return limit  # URDF's own default is 0 for both, which means none
-    lower, upper = max(low, limit.lower), min(high, limit.upper)
-    if (lower, upper) == (limit.lower, limit.upper) or not lower < upper:
-        return limit
-    node.warn(
-        f"its safety_controller allows {lower:g} ... {upper:g} of the limits {limit.lower:g} ... {limit.upper:g}: "
-        "the narrower ones are used"
-    )
-    return replace(limit, lower=lower, upper=upper)
+def _narrowed(node: XmlNode, limit: UrdfLimit, controls: Sequence[XmlNode]) -> UrdfLimit:
+    """Return the limit, narrowed to the range in which the arm's driver lets the joint move.
+
+    The safety controller states soft limits, whose default of 0 for both means none; ros2_control parameters of the
+    joint, or `min` and `max` of what it commands. A range that contradicts itself or the limit says nothing.
+    """
+    ranges: list[tuple[str, str, float, float]] = []
+    if (safety := _only(node, "safety_controller")) is not None:
+        low, high = (safety.number(f"soft_{end}_limit") for end in ("lower", "upper"))
+        ranges.append(("safety_controller", "limits", low, high))
+    for control in controls:
+        stated: dict[str, float] = {}
+        for holder in (control, *control.all("command_interface")):
+            quantity = "" if holder is control else f"_{holder.attributes.get('name')}"
+            for param in holder.all("param"):
+                number, key = "".join(param.texts).strip(), param.attributes.get("name", "").removesuffix("_value")
+                if text.NUMBER_TEXT.fullmatch(number):  # else it was e.g. left over by xacro
+                    stated[key + quantity] = float(number)
+        fastest = min(stated.get("max_velocity", math.inf), -stated.get("min_velocity", -math.inf))
+        low, high = (stated.get(f"{end}_position", math.nan) for end in ("min", "max"))
+        ranges += [("ros2_control", "limits", low, high), ("ros2_control", "velocities", -fastest, fastest)]
+    for source, quantity, low, high in ranges:
+        is_speed = quantity == "velocities"
+        lower, upper = (-limit.velocity, limit.velocity) if is_speed else (limit.lower, limit.upper)
+        narrow = max(low, lower), min(high, upper)
+        if low < high and lower < upper and narrow != (lower, upper) and narrow[0] < narrow[1]:  # none of them nan
+            seen = f"its {source} allows {narrow[0]:g} ... {narrow[1]:g} of the {quantity} {lower:g} ... {upper:g}"
+            node.warn(f"{seen}: the narrower ones are used")
+            changed = {"velocity": narrow[1]} if is_speed else {"lower": narrow[0], "upper": narrow[1]}
+            limit = limit._replace(**changed)
+    return limit
 
 
 def read_name(node: XmlNode) -> str:
-    """The name of an element.
+    """Return the name of an element.
 
     Raises:
         RobotError: Codes `name-missing`, `name-long`, `name-unprintable`, `name-reserved`.
     """
-    name, place = node.attributes.get("name", ""), f"<{node.tag}>"
-    code = sentence = None
-    if not name.strip():
-        code, sentence = "missing", 'it has no name; a name is expected; add name="..."'
-    elif len(name) > LONGEST_NAME:
-        code, sentence = (
-            "long",
-            f"its name has {len(name)} characters; at most {LONGEST_NAME} are expected; shorten it",
-        )
-    elif not name.isprintable():
-        code, sentence = "unprintable", f"its name {name!r} holds unprintable characters; rename it"
-    elif name in RESERVED:
-        code, sentence = "reserved", f"the name {name!r} is kept for the fixed world; rename it, e.g. 'world'"
-    if code is not None:
-        raise node.log.refusal(f"name-{code}", node.line, f"{place}: {sentence}")
+    name = node.attributes.get("name", "")
+    faults = {"missing": not name.strip(), "long": len(name) > LONGEST_NAME, "unprintable": not name.isprintable()}
+    for fault in [f for f, is_there in (faults | {"reserved": name in RESERVED}).items() if is_there]:
+        sentence = RULES[f"name-{fault}"].format(name=name, length=len(name), most=LONGEST_NAME)
+        raise node.log.refusal(f"name-{fault}", node.line, f"<{node.tag}>: {sentence}")
     if name != name.strip():
         node.log.warn(node.line, f"{node.tag} {name!r} has spaces around its name, they count")
     return name
 
 
-def _link_of(node: XmlNode, tag: str) -> str:
-    child = _only(node, tag)
-    link = child.attributes.get("link", "") if child is not None else ""
-    if not link:
-        raise node.refusal("joint-link", f'it names no {tag} link; one is expected; add <{tag} link="..."/>')
-    return link
-
-
 def near_vector(node: XmlNode, attribute: str) -> Vector:
-    """A position [m] in an attribute, zero if there is none.
+    """Return a position [m] in an attribute, zero if there is none.
 
     Raises:
         RobotError: Codes `number`, `not-finite`, `vector-size`, `far-away`.
     """
     x, y, z = node.vector(attribute, 3) or ZERO
-    if max(abs(x), abs(y), abs(z)) > FARTHEST_PLACE:
-        seen = f"its {node.tag} {attribute} is {(x, y, z)} m"
-        raise node.refusal("far-away", f"{seen}; at most {FARTHEST_PLACE:g} m is expected; check the unit")
+    # [m] beyond it poses keep less than 1e-9 m
+    node.require(max(abs(x), abs(y), abs(z)) <= 1e6, "far-away", tag=node.tag, key=attribute, seen=(x, y, z))
     return (x, y, z)
 
 
@@ -291,24 +317,20 @@ def _pose(node: XmlNode) -> Pose:
     if origin is None:
         return Pose()
     roll, pitch, yaw = origin.vector("rpy", 3) or ZERO
-    if max(abs(roll), abs(pitch), abs(yaw)) > FULL_TURN:
+    if max(abs(roll), abs(pitch), abs(yaw)) > 2.0 * math.pi + 1e-3:  # [rad] files round
         origin.warn(f"origin rpy is {(roll, pitch, yaw)}, more than a full turn: degrees in place of radians?")
     return Pose(near_vector(origin, "xyz"), (roll, pitch, yaw))
 
 
 def unit_axis(xyz: tuple[float, ...], axis: XmlNode) -> Vector:
-    """The direction of an axis.
+    """Return the direction of an axis.
 
     Raises:
         RobotError: Codes `axis-zero`, `axis-norm`.
     """
     norm = math.hypot(*xyz)
-    if norm == 0.0:
-        fix = 'write the direction, or type="fixed" for a joint that never moves'
-        raise axis.refusal("axis-zero", f"its axis is 0 0 0; a direction is expected; {fix}")
-    if not AXIS_NORMS[0] <= norm <= AXIS_NORMS[1]:
-        seen = f"its axis {xyz} has length {norm:.3g}"
-        raise axis.refusal("axis-norm", f"{seen}; length 1 is expected; write a unit vector")
+    axis.require(norm > 0.0, "axis-zero")
+    axis.require(1e-3 <= norm <= 1e3, "axis-norm", xyz=xyz, norm=norm)  # outside, the direction may be noise
     if abs(norm - 1.0) > 1e-3:
         axis.warn(f"its axis {xyz} has length {norm:.4g}; only the direction is used")
     x, y, z = (c / norm + 0.0 for c in xyz)
@@ -316,55 +338,201 @@ def unit_axis(xyz: tuple[float, ...], axis: XmlNode) -> Vector:
 
 
 def _only(node: XmlNode, tag: str) -> XmlNode | None:
-    """The child with that tag, its attributes looked through; None if there is none."""
+    """Return the child with that tag, looked through; None if there is none."""
     found = node.all(tag)
     if len(found) > 1:
         raise found[1].refusal("element-twice", f"it has more than one <{tag}>; one is expected; delete all but one")
-    if not found:
-        return None
-    known = KNOWN_ATTRIBUTES.get(tag)
-    unknown = [k for k in found[0].attributes if known is not None and k not in known]
-    if tag == "origin" and any("quat" in k for k in unknown):
-        raise found[0].refusal("origin-attribute", f"its origin has {quoted(unknown)}; xyz and rpy are read; write rpy")
+    return _look_through(found[0]) if found else None
+
+
+def _look_through(node: XmlNode) -> XmlNode:
+    """Warn about attributes and elements inside that are not read."""
+    unknown = [k for k in node.attributes if k not in KNOWN_ATTRIBUTES.get(node.tag, node.attributes)]
     if unknown:
-        found[0].warn(f"<{tag}> has {quoted(unknown)}, which is ignored")
-    return found[0]
+        is_turned = node.tag == "origin" and any("quat" in k for k in unknown)
+        node.require(not is_turned, "origin-attribute", seen=quoted(unknown))
+        node.warn(f"<{node.tag}> has {quoted(unknown)}, which is ignored")
+    known = KNOWN_CHILDREN.get(node.tag, ())
+    for child in [c for c in node.children if known and c.tag not in known]:
+        is_told = len(node.log.kept) < text.MAX_WARNINGS
+        near = closest_names(shortened(child.tag).lower(), known, n=1) if is_told else ()
+        where = "" if node.tag == "robot" else f"{node.where}: "
+        hint = f"; did you mean <{near[0]}>?" if near else ""
+        node.log.warn(child.line, f"{where}<{shortened(child.tag)}> is ignored{hint}")
+    return node
 
 
-def _warn_unknown_children(node: XmlNode, known: set[str]) -> None:
-    for child in node.children:
-        if child.tag not in known:
-            near = [] if node.log.is_full else closest_names(shortened(child.tag).lower(), known, n=1)
-            hint = f"; did you mean <{near[0]}>?" if near else ""
-            child.warn(f"<{shortened(child.tag)}> is ignored{hint}")
+def validate_parts(
+    name: str, links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], locked: Collection[str], log: Diagnostics
+) -> UrdfFile:
+    """Check links and joints, from whatever format, against each other: a tree, and what follows what within limits.
+
+    Raises:
+        RobotError: Codes `no-links`, `duplicate-link`, `duplicate-joint`, `unknown-link`, `self-loop`, `two-parents`,
+            `no-root`, `many-roots`, `detached`, `too-many-links`, `too-deep`, `too-many-dof`, `mimic-*`, `limit-*`.
+    """
+    log.require(len(links) > 0, "no-links", 1)
+    for elements, tag in ((links, "link"), (joints, "joint")):
+        for e in elements[MAX_LINKS : MAX_LINKS + 1]:
+            fix = f"at most {MAX_LINKS} work; leave out what the arm does not need"
+            raise log.refusal(f"too-many-{tag}s", e.node.line, f"the robot has {len(elements)} <{tag}> elements; {fix}")
+    nv = sum(j.nv for j in joints)
+    log.require(nv <= MAX_NV, "too-many-dof", None, nv=nv, most=MAX_NV)
+    for elements, tag in ((links, "link"), (joints, "joint")):
+        first: dict[str, int] = {}
+        for e in elements:
+            if e.name in first:
+                seen = f"the name is already used on line {first[e.name]}; names must be unique; rename one of the two"
+                raise log.refusal(f"duplicate-{tag}", e.node.line, f"{tag} {e.name!r}: {seen}")
+            first[e.name] = e.node.line
+    names, above, below = {link.name for link in links}, dict[str, str](), dict[str, list[str]]()
+    for j in joints:
+        for role, link in (("parent", j.parent), ("child", j.child)):
+            if link not in names:
+                fix = meant(link, names, "add the link or correct the name")
+                raise j.node.refusal("unknown-link", f"its {role} link {link!r} does not exist; {fix}")
+        j.node.require(j.parent != j.child, "self-loop", link=j.child)
+        j.node.require(j.child not in above, "two-parents", link=j.child, other=above.get(j.child))
+        above[j.child] = j.name
+        below.setdefault(j.parent, []).append(j.child)
+    roots = [link for link in links if link.name not in above]
+    if not roots:
+        fix = f"remove the joint that closes the loop, e.g. {joints[-1].name!r}"
+        sentence = f"every link is the child of a joint, so they form a loop; one without a parent is expected; {fix}"
+        raise log.refusal("no-root", joints[0].node.line, sentence)
+    if len(roots) > 1:
+        log.require(False, "many-roots", roots[1].node.line, names=quoted([r.name for r in roots]), other=roots[1].name)
+    reached, depth = [roots[0].name], {roots[0].name: 0}
+    for link in reached:  # which grows meanwhile
+        reached += below.get(link, ())
+        depth |= dict.fromkeys(below.get(link, ()), depth[link] + 1)
+    log.require(max(depth.values()) <= MAX_DEPTH, "too-deep", None, most=MAX_DEPTH)
+    if lost := [link for link in links if link.name not in depth]:
+        log.require(False, "detached", lost[0].node.line, names=quoted([link.name for link in lost]))
+    followers, resting = resolve_mimics(joints, locked, log)
+    still = {*locked, *resting, *(m.joint for m in followers if m.leader in locked)}
+    for j in joints:
+        if j.nv == 1 and j.name not in still:
+            _check_limits(j)
+    if nv == 0:
+        log.warn(None, "no joint moves")
+    return UrdfFile(name, tuple(links), tuple(joints), roots[0].name, followers, resting, log.warnings)
 
 
-def kinematic_urdf(
-    urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None, *, with_mimics: bool = False
-) -> str:
-    """Plain URDF of links and joints.
+def resolve_mimics(
+    joints: Sequence[UrdfJoint], alone: Collection[str], log: Diagnostics
+) -> tuple[tuple[Mimic, ...], dict[str, float]]:
+    """Follow every chain of mimics to its end, in whatever order the joints come.
+
+    Args:
+        joints: All joints.
+        alone: Joints that are locked by name: what they follow does not matter.
+        log: For warnings and refusals.
+
+    Returns:
+        Mimic joints with independent, moving leaders, however long the chains were; and the position of each whose
+        chain ends at a fixed joint [rad or m].
+
+    Raises:
+        RobotError: Codes `mimic-unknown`, `mimic-cycle`, `mimic-type`, `mimic-multiplier`.
+    """
+    by_name, followers, resting = {j.name: j for j in joints}, list[Mimic](), dict[str, float]()
+    if without_effect := [j.name for j in joints if j.mimic is not None and j.type == "fixed"]:
+        log.warn(None, f"<mimic> of the fixed joints {quoted(without_effect)} has no effect")
+    follows = {j.name: j.mimic for j in joints if j.mimic is not None and j.type != "fixed"}
+    # a locked follower whose leader exists still belongs to its chain: locking it alone would break the coupling
+    follows = {name: mimic for name, mimic in follows.items() if name not in alone or mimic.leader in by_name}
+    for name in follows:
+        leader, multiplier, offset, chain = by_name[name], 1.0, 0.0, list[str]()
+        own = leader.mimic_node or leader.node
+        while True:
+            chain.append(leader.name)
+            leader.node.require(leader.nv <= 1, "mimic-type", type=leader.type, nv=leader.nv)
+            if (mimic := follows.get(leader.name)) is None:
+                break
+            node = leader.mimic_node or leader.node
+            offset += multiplier * mimic.offset
+            multiplier *= mimic.multiplier
+            if mimic.leader not in by_name:
+                fix = meant(mimic.leader, by_name, "correct the name, or lock the joint")
+                seen = f"it follows the joint {mimic.leader!r}, which does not exist"
+                raise node.refusal("mimic-unknown", f"{seen}; {fix}")
+            leader = by_name[mimic.leader]
+            if leader.name in chain:
+                path = " -> ".join(map(repr, [*chain, leader.name][:6]))
+                sentence = f"joints follow each other in a loop: {path}; let one of them move by itself"
+                raise log.refusal("mimic-cycle", node.line, f"joint {name!r}: {sentence}")
+        # above it, rounding of the leader is a motion of the follower
+        is_usable = abs(multiplier) <= 1e6 and math.isfinite(offset)
+        own.require(is_usable, "mimic-multiplier", leader=leader.name, by=multiplier)
+        seen = f"joint {name!r} follows the {leader.type} joint {leader.name!r}"
+        if leader.type == "fixed":
+            resting[name] = offset
+            log.warn(own.line, f"{seen}; it rests at {offset:g}")
+            continue
+        followers.append(Mimic(name, leader.name, multiplier, offset))
+        if multiplier == 0.0:
+            log.warn(own.line, f"{seen} by the factor 0: it never moves")
+        elif leader.type == "continuous" and multiplier != round(multiplier):
+            jumps = "it jumps where the leader passes half a turn, unless postures are given as joint positions"
+            log.warn(own.line, f"{seen} by the factor {multiplier:g}: {jumps}")
+    return tuple(followers), resting
+
+
+def _check_limits(joint: UrdfJoint) -> None:
+    """Refuse limits that cannot be intended (`limit-order`, `limit-degrees`), warn about those without effect."""
+    (lower, upper, velocity, _, stated), is_angle = joint.limit, joint.type != "prismatic"
+    node, unit, largest = stated or joint.node, "rad" if is_angle else "m", max(abs(lower), abs(upper))
+    said = {"lower": lower, "upper": upper, "unit": unit, "otherwise": ', or type="continuous"' if is_angle else ""}
+    lacking = [end for end, value in (("lower limit", lower), ("upper limit", upper)) if math.isnan(value)]
+    if lacking and joint.type != "continuous":
+        # a default of 0, which the specification has, would be a limit that nobody stated
+        missing = lacking[0] if len(lacking) == 1 else "limits"
+        node.warn(f"it has no {missing}, which a {joint.type} joint should; none is taken")
+    elif joint.type != "continuous":
+        node.require(lower < upper, "limit-order", **said)
+        if UNLIMITED < largest < math.inf:  # infinity is said by the format, not by a number
+            node.warn(f"its limit of {largest:.3g} {unit} is taken for no limit")
+        is_usual = not is_angle or largest <= 4.0 * math.pi or largest > UNLIMITED  # no arm turns twice each way
+        node.require(is_usual, "limit-degrees", **said, low=math.radians(lower), high=math.radians(upper))
+    if math.isnan(velocity) and (joint.type != "continuous" or stated is not None):
+        node.warn("no velocity limit; it is taken as unlimited")
+    elif velocity <= 0.0:
+        node.warn(f"its velocity limit of {velocity:g} {unit}/s is taken for none stated: it is not limited")
+
+
+def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None) -> str:
+    """Return the plain URDF of links and joints.
 
     Args:
         urdf: A validated description.
-        visuals: Link -> `<visual>` elements to put in; Pinocchio gets none.
-        with_mimics: Whether to write `<mimic>`; for Pinocchio mimic joints are joints of their own.
+        visuals: Link -> `<visual>` elements to put in, with the `<mimic>` of joints; None for Pinocchio, which needs
+            no visuals and to which mimic joints are joints of their own.
     """
     parts = [f"<robot name={quoteattr(urdf.name)}>"]
     for link in urdf.links:
-        inside, inertial = "".join((visuals or {}).get(link.name, ())), link.inertial
-        if inertial is not None:
-            entries = " ".join(f'{key}="{value!r}"' for key, value in zip(INERTIA, inertial.inertia, strict=True))
-            pose = f'{origin_text(inertial.pose)}<mass value="{inertial.mass!r}"/>'
+        inside = "".join((visuals or {}).get(link.name, ()))
+        if link.inertia is not None:
+            entries = " ".join(f'{key}="{value!r}"' for key, value in zip(INERTIA, link.inertia, strict=True))
+            pose = f'{origin_text(link.pose)}<mass value="{link.mass!r}"/>'
             inside = f"<inertial>{pose}<inertia {entries}/></inertial>{inside}"
         parts.append(f"<link name={quoteattr(link.name)}>{inside}</link>")
     for joint in urdf.joints:
-        mimic = ""
-        if with_mimics and (m := joint.mimic) is not None:
-            mimic = f'<mimic joint={quoteattr(m.leader)} multiplier="{m.multiplier!r}" offset="{m.offset!r}"/>'
+        limit, more = joint.limit, ""
+        if joint.nv == 1:  # what is not given is nan and compares to nothing
+            lower = limit.lower if abs(limit.lower) <= UNLIMITED else -HUGE
+            upper = limit.upper if abs(limit.upper) <= UNLIMITED else HUGE
+            if lower >= upper:  # of a locked joint, else validation would have refused it
+                lower, upper = -HUGE, HUGE
+            velocity = min(limit.velocity, HUGE) if limit.velocity > 0.0 else HUGE
+            effort = limit.effort if limit.effort >= 0.0 else HUGE
+            more = f'<limit lower="{lower!r}" upper="{upper!r}" velocity="{velocity!r}" effort="{effort!r}"/>'
+        if visuals is not None and (m := joint.mimic) is not None:
+            more += f'<mimic joint={quoteattr(m.leader)} multiplier="{m.multiplier!r}" offset="{m.offset!r}"/>'
         parts.append(
             f'<joint name={quoteattr(joint.name)} type="{joint.type}">{origin_text(joint.pose)}'
             f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>"
-            f'<axis xyz="{spaced(joint.axis)}"/>{_limit_text(joint)}{mimic}</joint>'
+            f'<axis xyz="{spaced(joint.axis)}"/>{more}</joint>'
         )
     return "\n".join([*parts, "</robot>"])
 
@@ -377,16 +545,3 @@ def spaced(numbers: Iterable[float]) -> str:
 def origin_text(pose: Pose) -> str:
     """The `<origin>` of a pose."""
     return f'<origin xyz="{spaced(pose.xyz)}" rpy="{spaced(pose.rpy)}"/>'
-
-
-def _limit_text(joint: UrdfJoint) -> str:
-    if joint.type not in ("revolute", "prismatic", "continuous"):
-        return ""
-    limit = joint.limit or UrdfLimit(joint.line, None, None, None, None)
-    lower = -HUGE if limit.lower is None or abs(limit.lower) > UNLIMITED else limit.lower
-    upper = HUGE if limit.upper is None or abs(limit.upper) > UNLIMITED else limit.upper
-    if lower >= upper:  # of a locked joint, else validation would have refused it
-        lower, upper = -HUGE, HUGE
-    velocity = HUGE if limit.velocity is None or limit.velocity <= 0.0 else min(limit.velocity, HUGE)
-    effort = HUGE if limit.effort is None or limit.effort < 0.0 else limit.effort
-    return f'<limit lower="{lower!r}" upper="{upper!r}" velocity="{velocity!r}" effort="{effort!r}"/>'

@@ -36,7 +36,7 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
         MissingExtraError: xacrodoc is not installed.
     """
     from manip_learn.errors import MissingExtraError, RobotError, advice, closest_names
-    from manip_learn.robot.description.text import MAX_BYTES, read_description
+    from manip_learn.robot.description.text import MAX_BYTES, RULES, quoted, read_description
 
     def refusal(code: str, sentence: str) -> RobotError:
         return RobotError(f"{path}: {sentence}", code=code, path=path)
@@ -52,66 +52,66 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     if find_spec("xacro") is None or find_spec("xacrodoc") is None:
         raise MissingExtraError(f"the xacro file {path}", "xacro")
     packages = {p.name: str(p.absolute()) for d in package_dirs for p in d.iterdir() if p.is_dir()}
-    texts = {name: str(value) for name, value in values.items()}
-    job = {"path": str(path.absolute()), "values": texts, "packages": packages, "most": MAX_BYTES}
-    job |= {"search": [p or os.getcwd() for p in sys.path], "seconds": EXPANSION_SECONDS}
+    job = {"path": str(path.absolute()), "packages": packages, "most": MAX_BYTES, "seconds": EXPANSION_SECONDS}
+    job["values"] = {name: str(value) for name, value in values.items()}
+    job["search"] = [p or os.getcwd() for p in sys.path]
     command = [sys.executable, "-I", __file__, json.dumps(job)]
     try:  # ten seconds on the clock for one of processor time, on slow disks and busy machines
         done = subprocess.run(command, capture_output=True, cwd=path.absolute().parent, timeout=10 * EXPANSION_SECONDS)
+        is_late = os.name == "posix" and done.returncode == -signal.SIGXCPU
+        answer = json.loads(done.stdout) if done.returncode == 0 else None
     except subprocess.TimeoutExpired:
-        done = None
-    if done is None or done.returncode != 0:
-        is_late = done is None or (os.name == "posix" and done.returncode == -signal.SIGXCPU)
+        is_late, answer = True, None
+    if answer is None:
         seen = f"it took more than {EXPANSION_SECONDS} s" if is_late else "it crashed or ran out of memory"
         limits = f"its expressions may take {EXPANSION_SECONDS} s and {EXPANSION_MEMORY // 1_000_000_000} GB"
         raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {limits}")
-    answer = json.loads(done.stdout)
-    if "fault" in answer:
+    declared, text = answer["declared"], answer["text"]
+    if answer["fault"]:
         folder = "name the folder that contains the package with {}"
         fix = advice(f", or {folder}", "package_dirs=[...]", "--package-dir FOLDER") or ", or set ROS_PACKAGE_PATH"
-        said = " ".join(answer["fault"].split())[:300]
-        known = f"; the file has the arguments {', '.join(answer['declared'])}" if answer["declared"] else ""
+        known = f"; the file has the arguments {', '.join(declared)}" if declared else ""
         give = advice(": give one with {}", "xacro={NAME: VALUE}", "--xacro-arg NAME=VALUE") if known else ""
-        text = f"xacro could not be expanded ({said}); correct it{fix} for $(find ...){known}{give}"
-        raise refusal("xacro-failed", text)
-    unknown = sorted(set(values) - set(answer["declared"]))
-    if unknown:  # xacro itself would ignore it
-        shown = ", ".join(map(repr, closest_names(unknown[0], answer["declared"]) or answer["declared"])) or "none"
+        seen = f"xacro could not be expanded ({' '.join(answer['fault'].split())[:300]})"
+        raise refusal("xacro-failed", f"{seen}; correct it{fix} for $(find ...){known}{give}")
+    if unknown := sorted(set(values) - set(declared)):  # xacro itself would ignore it
+        shown = ", ".join(map(repr, closest_names(unknown[0], declared) or declared)) or "none"
         raise refusal("xacro-arg", f"the xacro file has no argument {unknown[0]!r}; it has {shown}")
-    return answer["text"].encode()
+    if answer["macros"] and not re.search(r"<link\b", text):
+        raise refusal("no-links", RULES["only-macros"].format(names=quoted(answer["macros"])))
+    return text.encode()
 
 
 def _expand(job: dict[str, Any]) -> dict[str, Any]:
     import xacro
     from xacrodoc import XacroDoc, packages
 
-    parse, declared = xacro.parse, set[str]()
+    parse, named = xacro.parse, {"declared": set[str](), "macros": set[str]()}
+    # arguments are declared, or used without: xacro takes both
+    patterns = {
+        "declared": rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([\w-]+)[\"']|\$\(arg\s+([\w-]+)\s*\)",
+        "macros": rb"<(?:xacro:)?macro\b[^>]*\bname\s*=\s*[\"']([\w-]+)[\"']",
+    }
 
     def noted(inp: Any, filename: str | None = None) -> Any:
-        place = os.path.join(xacro.root_dir, filename or "")
-        if inp is None and os.path.isfile(place):  # otherwise xacro says what is missing
-            note(place)
+        place = Path(xacro.root_dir, filename or job["path"])
+        if place.is_file():  # otherwise xacro says what is missing
+            for key, pattern in patterns.items():
+                found = re.finditer(pattern, place.read_bytes())
+                named[key].update(match[match.lastindex or 0].decode(errors="replace") for match in found)
         return parse(inp, filename)
-
-    def note(place: str) -> None:
-        # declared, or used without: xacro takes both
-        arguments = rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([\w-]+)[\"']|\$\(arg\s+([\w-]+)\s*\)"
-        found = [a or b for a, b in re.findall(arguments, Path(place).read_bytes())]
-        declared.update(name.decode(errors="replace") for name in found)
 
     xacro.parse, xacro.root_dir = noted, os.path.dirname(job["path"])
     packages.update_package_cache(job["packages"])
+    text = fault = ""
     try:
-        note(job["path"])
         text = XacroDoc.from_file(job["path"], subargs=job["values"]).to_urdf_string()
     except Exception as error:  # whatever the expressions of others raise
         lacks_memory = isinstance(error, MemoryError) or isinstance(getattr(error, "exc", None), MemoryError)
-        said = f"{'there is not enough memory ' if lacks_memory else ''}{error}"
-        return {"fault": said, "declared": sorted(declared)}
+        fault = f"{'there is not enough memory ' if lacks_memory else ''}{error}" or type(error).__name__
     if len(text) > job["most"]:
-        said = f"the URDF has {len(text)} characters, at most {job['most']} are read"
-        return {"fault": said, "declared": []}
-    return {"text": text, "declared": sorted(declared)}
+        text, fault = "", f"the URDF has {len(text)} characters, at most {job['most']} are read"
+    return {"text": text, "fault": fault, **{key: sorted(names) for key, names in named.items()}}
 
 
 def _limit_self(seconds: float) -> None:
