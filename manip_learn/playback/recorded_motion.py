@@ -13,15 +13,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.shown import Shown
+from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.linalg import finite
 from manip_learn.playback.guided_motion import Guidance, MotionSamples, motion_samples
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
-from manip_learn.playback.mechanism_drawing import Furniture, furniture_of
 from manip_learn.playback.page_writer import packed
-from manip_learn.playback.phase_bands import LEADING, WAY, PhaseBand, own_bands
+from manip_learn.playback.phase_bands import WAY, PhaseBand, own_bands
 from manip_learn.recordings.trajectory import Trajectory, evenly
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
@@ -260,8 +259,7 @@ class RecordedMotion:
         samples: All samples; None for a motion that is not recorded.
         guidance: Constraint and target.
         fit_share: Share of a recording's motion that breaks its constraint, see `broken_share`; None if not known.
-        furniture: What a rollout opens; of recordings, whose paths it may hide, what all of them took hold of at one
-            place.
+        handles: For each fixture that a rollout moves, when the hand has its handle: start and end [s].
         around: What a rollout's plan kept clear of, as the rollout has it.
     """
 
@@ -281,7 +279,7 @@ class RecordedMotion:
     samples: MotionSamples | None = None
     guidance: Guidance = UNGUIDED
     fit_share: float | None = None
-    furniture: tuple[Furniture, ...] = ()
+    handles: tuple[tuple[tuple[float, float], ...], ...] = ()
     around: tuple[Mapping[str, Any], ...] = ()
 
 
@@ -331,13 +329,12 @@ def recorded_motion(
     bands = _within(phases, first_time, float(time[-1])) or own
     tracks = joint_tracks(robot, tree, q[keys])
     path_times, path = time[path_keys], np.array([robot.pose(x, tip)[:3, 3] for x in q[path_keys]])
-    measures, pieces = tracks_of(robot, recording, samples, guidance, bands), []
-    own = own if isinstance(recording, Rollout) else bands
-    for known, shown, held in _opened(recording, guidance, own, mechanism, first_time):
-        piece = furniture_of(known, path_times, path, held, shown)
-        pieces += [] if piece is None else [piece]
+    measures = tracks_of(robot, recording, samples, guidance, bands)
+    held = _held(recording, own, first_time) if isinstance(recording, Rollout) else {}
+    poses = robot.frame_kinematics(tip).poses(q[path_keys]) if held else np.zeros((0, 4, 4))
     for kind, unit in (("turning", "rad"), ("opening", "m")):
-        moved = tuple(_Curve("", path_times, piece.opening) for piece in pieces if piece.unit == unit)
+        ways = [_way(guidance.mechanism(k) or mechanism, unit, path_times, poses, spans) for k, spans in held.items()]
+        moved = tuple(_Curve("", path_times, way) for way in ways if way is not None)
         measures = (_Track(kind, moved, unit), *measures) if moved else measures
     return RecordedMotion(
         name=name,
@@ -356,41 +353,42 @@ def recorded_motion(
         samples=samples,
         guidance=guidance,
         fit_share=broken_share(samples, guidance, bands) if isinstance(recording, Trajectory) else None,
-        furniture=tuple(pieces),
+        handles=tuple(map(tuple, held.values())),
         around=recording.around if isinstance(recording, Rollout) else (),
     )
 
 
-def _opened(
-    recording: Rollout | Trajectory,
-    guidance: Guidance,
-    bands: Sequence[PhaseBand],
-    mechanism: Mapping[str, Any] | None,
-    first_time: float,
-) -> list[tuple[Mapping[str, Any] | None, Shown | None, list[tuple[float, float]] | None]]:
-    """What a motion may open: mechanism, what was shown along it, and when the hand has hold of it, if that is known.
+def _held(recording: Rollout, bands: Sequence[PhaseBand], first_time: float) -> dict[int, list[tuple[float, float]]]:
+    """When the hand of a rollout has hold of each fixture, by the number of its constraint [s]."""
+    held: dict[int, list[tuple[float, float]]] = {}
+    for band in bands:
+        if band.part == WAY:
+            held.setdefault(band.constraint or 0, []).append((band.start, band.end))
+    if not held and recording.ways and recording.ways[0]["begins"] is not None:
+        held[0] = [(recording.ways[0]["begins"] - first_time, float(recording.time[-1]) - first_time)]
+    return held
 
-    Of recordings only that of which all took hold at one place: nobody knows where the others are shut.
-    """
-    found: list[tuple[Mapping[str, Any] | None, Shown | None, list[tuple[float, float]] | None]] = []
-    for k in range(max(len(guidance.constraints), 1)):
-        shown = guidance.constraints[k].shown if guidance.constraints else None
-        known = guidance.mechanism(k) or (mechanism if k == 0 else None)
-        if isinstance(recording, Rollout):  # as its phases or its ways tell
-            held = [(band.start, band.end) for band in bands if band.part == WAY and band.constraint in (None, k)]
-            if not any(band.part == WAY or band.part in LEADING for band in bands):
-                begins = [way["begins"] for way in recording.ways[k : k + 1] if way["begins"] is not None]
-                held = [(begin - first_time, np.inf) for begin in begins] if recording.ways else None
-        elif shown is None or shown.hold is None:
-            continue
-        else:
-            held = [(band.start, band.end) for band in bands if band.constraint == k] if bands else None
-        again = next((i for i, (other, *_) in enumerate(found) if known is not None and other == known), None)
-        if again is None:
-            found.append((known, shown, held))
-        elif held is not None:  # the same thing in a later step
-            found[again] = (*found[again][:2], [*(found[again][2] or []), *held])
-    return found
+
+def _way(
+    mechanism: Mapping[str, Any] | None,
+    unit: str,
+    times: Float[np.ndarray, " T"],
+    poses: Float[np.ndarray, "T 4 4"],
+    spans: Sequence[tuple[float, float]],
+) -> Float[np.ndarray, " T"] | None:
+    """How far a fixture of one free coordinate has moved over time [m or rad]; None of others, or of another unit."""
+    kind = {"line": "m", "hinge": "rad", "screw": "rad"}.get(str((mechanism or {}).get("type")))
+    if mechanism is None or kind != unit or (found := Mechanism.from_dict(mechanism)).axis is None:
+        return None
+    way, moved = np.zeros(len(times)), 0.0
+    for start, end in spans:
+        inside = np.flatnonzero((times >= start - 1e-9) & (times <= end + 1e-9))
+        if inside.size and (found.type == "line" or found.point is not None):
+            at = found.at(poses[inside[0]], np.inf).coordinates(poses[inside])[:, 0]
+            way[inside[0] :] = moved
+            way[inside] += at
+            way[inside[-1] :] = moved = way[inside[-1]]
+    return way * np.sign(way[np.argmax(np.abs(way))] or 1.0)
 
 
 def _within(phases: tuple[PhaseBand, ...], first_time: float, duration: float) -> tuple[PhaseBand, ...]:

@@ -308,13 +308,11 @@ def _drawings(
         places = np.concatenate(held if any(map(len, held)) else [m.path for m in motions])
         if described is not None and described.get("type") == "line":
             # a line is drawn where hands took hold, or where that of a rollout does: its direction alone was learnt
-            opened = next((piece for piece in motions[0].furniture if piece.kind == "drawer"), None)
+            begin = next((m.path[np.searchsorted(m.path_times, s[0][0])] for m in motions for s in m.handles[:1]), None)
             if isinstance(shown, Shown) and shown.hold is not None:
                 described, places = {**described, "point": shown.hold}, np.vstack([shown.points, places])
-            elif k == 0 and opened is not None:
-                ends = [p.moved(np.zeros((1, 3)), float(p.opening.max())) for m in motions for p in m.furniture[:1]]
-                described = {**described, "point": opened.pose[:3, 3]}
-                places = np.concatenate([opened.pose[None, :3, 3], *ends])
+            elif k == 0 and begin is not None:
+                described = {**described, "point": begin}
         drawn.append(mechanism_drawing(described, places, shown))
     return tuple(drawn)
 

@@ -48,7 +48,7 @@ def scene_data(
     reach = _MARKS * float(np.linalg.norm(np.ptp(cloud, axis=0)))
     paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in motions if m.guidance.constraints]
     marked = [path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3))]
-    cloud = np.concatenate([cloud, *(piece.corners() for m in motions for piece in m.furniture), *marked])
+    cloud = np.concatenate([cloud, *marked])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     size = float(np.linalg.norm(high - low))
     around = [[_thing(thing, low, high) for thing in m.around] for m in motions]
@@ -153,10 +153,7 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
         "curve": packed(motion.curve, "<f8"),
         "status": [list(change) for change in motion.status],
         "fitShare": motion.fit_share,
-        "furniture": [
-            piece.to_dict() | {"curve": sum(other.unit == piece.unit for other in motion.furniture[:k])}
-            for k, piece in enumerate(motion.furniture)
-        ],
+        "handles": motion.handles,
         # start, end, number of the kind; -1 for free motion
         "phases": [
             [b.start, b.end, numbers.get(b.name or "", -1 if b.constraint is None else b.constraint)]
@@ -183,14 +180,9 @@ def _drawn_points(robot: Robot, looks: Appearance, motions: Sequence[RecordedMot
 
 
 def _azimuth(motions: Sequence[RecordedMotion]) -> float:
-    """Where the camera stands [rad]: beside the arm and a little before it, or before the front that is opened."""
+    """Where the camera stands [rad]: beside the arm and a little before it."""
     x, y, _ = np.concatenate([m.path for m in motions]).mean(axis=0)
-    usual = float(np.arctan2(y, x) - ASIDE) if np.hypot(x, y) > 1e-6 else float(np.deg2rad(-50.0))
-    out = next((piece.pose[:2, 1] for m in motions for piece in m.furniture), np.zeros(2))
-    if np.linalg.norm(out) < 0.5:
-        return usual
-    front = float(np.arctan2(out[1], out[0]))
-    return min((front - ASIDE, front + ASIDE), key=lambda side: -np.cos(side - usual))
+    return float(np.arctan2(y, x) - ASIDE) if np.hypot(x, y) > 1e-6 else float(np.deg2rad(-50.0))
 
 
 def _corners(looks: Appearance, joint: int) -> Float[np.ndarray, "C 3"]:

@@ -22,20 +22,12 @@ from manip_learn.constraint.place import across
 from manip_learn.errors import ConfigurationError, MissingExtraError, counted
 from manip_learn.planning.clearance import hand_of, links_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.mechanism_drawing import (
-    BODY,
-    HANDLE,
-    Box,
-    about,
-    crank_boxes,
-    door_boxes,
-    drawer_boxes,
-    facing,
-)
+from manip_learn.playback.mechanism_drawing import facing
 from manip_learn.robot.collision import collision_shapes, known_shapes, obstacles_of
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 from manip_learn.robot.visuals.visual_shapes import Solid
+from manip_learn.teach.furniture import BODY, HANDLE, Box, about, crank_boxes, door_boxes, drawer_boxes
 
 Kind = Literal["drawer", "door", "loose-door", "table", "screw", "two", "free"]
 TITLES: dict[Kind, str] = {

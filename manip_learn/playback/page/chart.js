@@ -71,9 +71,10 @@ class ValueAxis {
 }
 
 class Chart extends ValueAxis {
-  constructor(element, rollouts, duration, onSeek) {
+  // zero: the moment that is called 0 s.
+  constructor(element, rollouts, duration, onSeek, zero = 0) {
     super();
-    Object.assign(this, { element, rollouts, duration, onSeek, logarithmic: false, start: 0 });
+    Object.assign(this, { element, rollouts, duration, onSeek, zero, logarithmic: false, start: 0 });
     this.styles = new Map();
     new ResizeObserver(() => this.draw()).observe(element);
     if (!onSeek) return;
@@ -164,9 +165,14 @@ class Chart extends ValueAxis {
       svg("line", { x1: this.left, x2: this.right, y1: y, y2: y, stroke: "var(--grid)" }, root);
       svg("text", { x: this.left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = short(v);
     }
-    const ticks = niceTicks(this.start, this.start + this.duration, (this.right - this.left) / 90);
+    if (this.curves.length && !this.logarithmic && this.range[0] <= 0) {
+      const y = this.y(0);
+      svg("line", { x1: this.left, x2: this.right, y1: y, y2: y, class: "singular" }, root);
+      svg("text", { x: this.right, y: y - 4, "text-anchor": "end", class: "singular" }, root).textContent = "singular";
+    }
+    const ticks = niceTicks(this.start - this.zero, this.start - this.zero + this.duration, (this.right - this.left) / 90);
     ticks.forEach((t, i) => {
-      const x = this.x(t);
+      const x = this.x(t + this.zero);
       svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom + (bare ? below : 0), stroke: "var(--grid)" }, root);
       const text = svg("text", { x, y: this.bottom + below + 18, "text-anchor": "middle" }, root);
       text.textContent = short(Number(t.toPrecision(8))) + (i === ticks.length - 1 ? " s" : "");

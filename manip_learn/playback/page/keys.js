@@ -26,6 +26,9 @@ function lookFrom(show, view) {
 
 function wireCamera(show) {
   for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => lookFrom(show, button.dataset.view));
+  get("save").addEventListener("click", () => {
+    if (show.stage) Object.assign(document.createElement("a"), { href: show.stage.picture(), download: `${get("robot-name").textContent}.png` }).click();
+  });
 }
 
 function cameraKeys(show) {

@@ -98,7 +98,7 @@ function labelScene(show, on) {
   labels.add("--goal", () => (on.target && drawn() && drawn().reachedAt ? "any place on this line counts as reached" : ""), () => drawn().reachedAt);
   for (let k = 0; k < Math.max(...show.rollouts.map((r) => r.pieces.length)); k++) {
     const piece = () => show.solid.visible && show.solid.pieces[k];
-    labels.add("--scene-ink", () => (on.furniture && piece() ? `${piece().kind} ${pieceInWords(show.solid, piece(), show.time)}` : ""), () => piece().at(piece().top));
+    labels.add("--scene-ink", () => (on.handles && piece() ? `handle${k ? "" : ` ${openInWords(show.solid, show.time)}`}` : ""), () => piece().mesh.position);
   }
   for (let k = 0; k < Math.max(...show.rollouts.map((r) => r.named.length)); k++) {
     const thing = () => show.solid.visible && show.solid.named[k];

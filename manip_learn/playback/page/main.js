@@ -42,7 +42,7 @@ function start() {
       return { ...Object.fromEntries(Object.entries(drawn.drawn).map(([k, v]) => [k, v.map((d) => d.toArray())])), ellipsoid: drawn.ellipsoidAt(t), pose: drawn.poseNow() };
     },
     // The place of a handle in the robot's base, now [m].
-    handle: (name, k = 0) => show.rollouts.find((r) => r.name === name).pieces[k].at(new THREE.Vector3()).toArray(),
+    handle: (name, k = 0) => show.rollouts.find((r) => r.name === name).pieces[k].mesh.position.toArray(),
     get time() { return show.time; },
     get duration() { return show.duration; },
     get playing() { return Boolean(player.playing); },

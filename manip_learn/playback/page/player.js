@@ -32,6 +32,12 @@ function prepare(rollout, index, phaseKinds) {
   };
 }
 
+// The tip's place at time t; after the end, the last one.
+function pathAt({ path, pathTimes }, t) {
+  const i = indexAt(pathTimes, t), j = Math.min(i + 1, pathTimes.length - 1), at = (k) => new THREE.Vector3(...path.subarray(3 * k, 3 * k + 3));
+  return j > i ? at(i).lerp(at(j), Math.min(Math.max((t - pathTimes[i]) / (pathTimes[j] - pathTimes[i]), 0), 1)) : at(i);
+}
+
 class Show {
   constructor(data) {
     this.rollouts = data.rollouts.map((r, i) => prepare(r, i, data.phaseKinds));
@@ -41,7 +47,11 @@ class Show {
     }
     this.duration = Math.max(...this.rollouts.map((r) => r.duration));
     this.time = 0;
+    this.panes = data.panes.length > 0;
+    if (this.panes) for (const rollout of this.rollouts) rollout.solid = true;
+    this.zero = data.zero;
     this.makeScene(data);
+    if (this.panes) this.arrangePanes(data.panes);
     DARK.addEventListener("change", () => this.recolour());
   }
 
@@ -55,13 +65,13 @@ class Show {
     const meshes = data.robot.meshes.map(meshGeometry), geometries = data.robot.shapes.map((s) => shapeGeometry(s, meshes));
     const world = this.stage ? this.stage.world : new THREE.Group();
     for (const rollout of this.rollouts) {
-      rollout.instance = new RobotInstance(data.robot, rollout, geometries, this.rollouts.length > 1 && !rollout.hasPhases);
+      rollout.instance = new RobotInstance(data.robot, rollout, geometries, !this.panes && this.rollouts.length > 1 && !rollout.hasPhases);
       rollout.instance.setSolid(rollout.solid);
       world.add(rollout.instance.root);
       const size = this.stage ? this.stage.size : 1;
       if (rollout.path.length >= 6) rollout.trail = new TipPath(rollout, 0.0028 * size, rollout.instance.root);
     }
-    for (const rollout of this.rollouts) rollout.pieces = rollout.furniture.map((described) => new FurniturePiece(rollout, described));
+    for (const rollout of this.rollouts) rollout.pieces = rollout.handles.map((spans, k) => new Handle(rollout, spans, k, 0.008 * (this.stage ? this.stage.size : 1)));
     addAround(this, geometries);
     this.mechanisms = data.mechanisms;
     if (!this.stage) return;
@@ -69,6 +79,23 @@ class Show {
     for (const one of this.mechanisms) this.mechanismGroup.add(mechanismGroup(one, (data.phaseKinds[one.constraint] || NO_PHASE).colour, 0.0012 * this.stage.size));
     world.add(this.mechanismGroup);
   }
+
+  // One pane for each rollout, in its own colours, with its name and what became of it below.
+  arrangePanes(panes) {
+    document.body.dataset.panes = panes.length;
+    panes.forEach(({ name, said }, k) => {
+      const caption = Object.assign(document.createElement("p"), { className: "pane" });
+      caption.style.setProperty("--left", `${(100 * k) / panes.length}%`);
+      caption.style.setProperty("--wide", `${100 / panes.length}%`);
+      caption.style.setProperty("--colour", this.rollouts[k].colour);
+      caption.append(Object.assign(document.createElement("strong"), { textContent: name }), said);
+      get("stage").append(caption);
+    });
+    if (this.stage) this.stage.showPanes(this.rollouts.map((r) => r.instance.root));
+  }
+
+  // Time from the common zero, as it is said.
+  sayTime(t) { return `${(t - this.zero).toFixed(2)} s`; }
 
   recolour() {
     for (const { trail, instance, solid } of this.rollouts) {
@@ -92,7 +119,7 @@ class Show {
     this.time = Math.min(Math.max(t, 0), this.duration);
     for (const rollout of this.rollouts) {
       rollout.instance.setValues(this.valuesAt(rollout, this.time));
-      for (const piece of rollout.pieces) piece.setTime(this.time);
+      for (const piece of rollout.pieces) piece.setTime(this.time, (t) => pathAt(rollout, t));
       if (rollout.trail) rollout.trail.setTime(this.time, rollout.instance.tipPosition());
     }
     if (this.shown) this.shown.setTime(this.time);
@@ -129,7 +156,7 @@ class Player {
     this.playing = false;
     this.speed = 1;
     this.loop = false;
-    this.chart = new Chart(get("chart"), show.rollouts, show.duration, (t) => this.seek(t));
+    this.chart = new Chart(get("chart"), show.rollouts, show.duration, (t) => this.seek(t), show.zero);
     this.legend = new Legend(get("legend"), show.rollouts, {
       onShow: (rollout, visible) => this.showRollout(rollout, visible),
       onSolid: (rollout) => { show.makeSolid(rollout); this.chart.draw(); this.drawSlider(); this.update(); },
@@ -144,6 +171,7 @@ class Player {
     this.arrangePanel();
     this.drawSlider();
     this.moveTo(0);
+    if (this.goTo(location.hash)) return requestAnimationFrame((now) => this.frame(now));
     if (!matchMedia("(prefers-reduced-motion: reduce)").matches) this.play(); // once
     requestAnimationFrame((now) => this.frame(now));
   }
@@ -197,7 +225,7 @@ class Player {
     get("scrub").max = this.show.duration || 1;
     get("scrub").addEventListener("input", (event) => this.seek(Number(event.target.value)));
     get("speed").addEventListener("change", (event) => { this.speed = Number(event.target.value); releaseFocus(event.target); });
-    get("duration").textContent = `/ ${this.show.duration.toFixed(2)} s`;
+    get("duration").textContent = `/ ${this.show.sayTime(this.show.duration)}`;
     wireCamera(this.show);
   }
 
@@ -224,7 +252,20 @@ class Player {
     this.setPlaying(true);
   }
 
-  pause() { this.setPlaying(false); }
+  pause() { this.setPlaying(false); this.writeAddress(); }
+
+  // "#t=3.2&view=top": a moment, from the common zero, and a view.
+  goTo(hash) {
+    const asked = new URLSearchParams(hash.slice(1)), t = parseFloat(asked.get("t"));
+    if (this.show.stage && asked.get("view") in this.show.stage.directions) this.show.stage.look(asked.get("view"));
+    if (Number.isFinite(t)) this.moveTo(t + this.show.zero);
+    return Number.isFinite(t);
+  }
+
+  writeAddress() {
+    const { stage, time, zero } = this.show;
+    history.replaceState(null, "", `#t=${(time - zero).toFixed(3)}${stage ? `&view=${stage.view}` : ""}`);
+  }
   toggle() { if (this.playing) this.pause(); else this.play(); }
 
   setPlaying(playing) {
@@ -257,7 +298,7 @@ class Player {
     const phase = phaseAt(this.show.solid, t);
     this.sayPhase(this.show.solid, phase);
     get("scrub").value = t;
-    get("clock").textContent = `${t.toFixed(2)} s`;
+    get("clock").textContent = this.show.sayTime(t);
     get("scrub").setAttribute("aria-valuetext", this.inWords(t, phase));
   }
 
@@ -275,7 +316,7 @@ class Player {
   inWords(t, phase) {
     const { solid, duration } = this.show, word = statusAt(solid, t);
     const said = [phase && phase.label, openInWords(solid, t), word && this.chart.statusStyle(word).say, solid.curve.length && `manipulability ${readable(curveValue(solid, t))}`];
-    return [`${t.toFixed(2)} s of ${duration.toFixed(2)} s`, ...said].filter(Boolean).join(", ");
+    return [`${this.show.sayTime(t)} of ${this.show.sayTime(duration)}`, ...said].filter(Boolean).join(", ");
   }
 
   frame(now) {

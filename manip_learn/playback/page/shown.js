@@ -2,7 +2,7 @@
 
 const SHOWN = {
   constraint: { say: "Constraint at the tip", on: true },
-  furniture: { say: "Furniture that is moved", on: true },
+  handles: { say: "Handles", on: true },
   mechanism: { say: "Mechanism", on: true },
   around: { say: "What it keeps clear of", on: true },
   swept: { say: "All of the arm's way there", on: true },
@@ -22,7 +22,7 @@ class Shown {
       rollout.drawn = rollout.allDrawn[0];
       for (const drawn of rollout.allDrawn) if (drawn) rollout.instance.root.add(drawn.group);
     }
-    if (show.stage) this.labels = labelScene(show, this.on);
+    if (show.stage && !show.panes) this.labels = labelScene(show, this.on);
     this.offer(data);
     this.apply();
   }
@@ -30,10 +30,10 @@ class Shown {
   has(name) {
     if (name === "mechanism") return this.show.mechanisms.length > 0;
     if (name === "paths") return true;
-    if (name === "furniture") return this.show.rollouts.some((r) => r.pieces.length);
+    if (name === "handles") return this.show.rollouts.some((r) => r.pieces.length);
     if (name === "around") return this.show.rollouts.some((r) => r.things.length);
     if (name === "swept") return this.show.rollouts.some((r) => r.swept && r.swept.children.length);
-    if (name === "labels") return ["constraint", "mechanism", "furniture", "around"].some((other) => this.has(other));
+    if (name === "labels") return ["constraint", "mechanism", "handles", "around"].some((other) => this.has(other));
     return this.show.rollouts.some((r) => r.drawn && (name !== "target" || r.drawn.target) && (name !== "ellipsoid" || r.drawn.ellipsoid.some((x) => x !== 0)));
   }
 
@@ -65,7 +65,7 @@ class Shown {
   apply() {
     for (const r of this.show.rollouts) {
       if (r.trail) r.trail.group.visible = this.on.paths;
-      for (const piece of r.pieces) piece.group.visible = this.on.furniture;
+      for (const piece of r.pieces) piece.mesh.visible = this.on.handles;
       for (const thing of r.things) thing.group.visible = r.solid && this.on.around;
       if (r.swept) r.swept.visible = r.solid && this.on.swept;
       for (const drawn of r.allDrawn) if (drawn) for (const [name, part] of Object.entries(drawn.parts)) part.visible = r.solid && this.on[name];

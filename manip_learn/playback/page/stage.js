@@ -36,6 +36,7 @@ const VIEWS = { front: [1, 0, 0.06], side: [0, -1, 0.06], top: [0, -0.0005, 1] }
 class Stage {
   constructor(element, data) {
     this.element = element;
+    this.panes = null; // side by side: the group that each pane shows, of which the others are hidden
     this.bounds = { low: new THREE.Vector3(...data.bounds[0]), high: new THREE.Vector3(...data.bounds[1]) };
     this.outline = data.outline.map((p) => new THREE.Vector3(...p));
     this.directions = { ...VIEWS, iso: [Math.cos(data.azimuth), Math.sin(data.azimuth), 0.4] };
@@ -147,7 +148,7 @@ class Stage {
     if (matchMedia("print").matches) return;  // the layout of a sheet has no place for a canvas
     const w = Math.max(this.element.clientWidth, 1), h = Math.max(this.element.clientHeight, 1);
     this.viewer.renderer.setSize(w, h);
-    this.camera.aspect = w / h;
+    this.camera.aspect = this.paneWidth / h;
     this.camera.updateProjectionMatrix();
     if (!this.moved) this.look(this.view);
     this.dirty();
@@ -159,8 +160,8 @@ class Stage {
     this.moved = false;
     const back = new THREE.Vector3(...this.directions[view]).normalize();
     const right = new THREE.Vector3(0, 0, 1).cross(back).normalize(), up = new THREE.Vector3().crossVectors(back, right);
-    const w = Math.max(this.element.clientWidth, 1), h = Math.max(this.element.clientHeight, 1);
-    const legend = w > 760 && getComputedStyle(get("legend")).position === "absolute" ? Math.min(300, 0.3 * w) : 0;
+    const w = this.paneWidth, h = Math.max(this.element.clientHeight, 1);
+    const legend = w > 760 && !this.panes && getComputedStyle(get("legend")).position === "absolute" ? Math.min(300, 0.3 * w) : 0;
     const tanV = Math.tan((this.camera.fov * Math.PI) / 360) * 0.88, tanH = (tanV * (w - legend)) / h;
     // the outline in the camera's axes: centre it, then step back until all of it is inside
     const seen = this.outline.map((p) => p.clone().sub(this.middle)).map((p) => [p.dot(right), p.dot(up), p.dot(back)]);
@@ -196,7 +197,7 @@ class Stage {
 
   // What is drawn now, as the address of an image.
   picture() {
-    this.viewer.render();
+    this.draw();
     return this.viewer.renderer.domElement.toDataURL("image/png");
   }
 
@@ -218,7 +219,30 @@ class Stage {
 
   render() {
     if (!this.viewer.needs_render) return;
-    this.viewer.render();
+    this.draw();
     if (this.onRendered) this.onRendered();
+  }
+
+  get paneWidth() { return Math.max(this.element.clientWidth / (this.panes ? this.panes.length : 1), 1); }
+
+  // The scene, or once for each pane, by the same camera.
+  draw() {
+    if (!this.panes) return this.viewer.render();
+    const { renderer, scene } = this.viewer, w = this.paneWidth, h = Math.max(this.element.clientHeight, 1);
+    renderer.setScissorTest(true);
+    this.panes.forEach((shown, k) => {
+      for (const group of this.panes) group.visible = group === shown;
+      renderer.setViewport(k * w, 0, w, h);
+      renderer.setScissor(k * w, 0, w, h);
+      renderer.render(scene, this.camera);
+    });
+    renderer.setScissorTest(false);
+    renderer.setViewport(0, 0, this.element.clientWidth, h);
+    this.viewer.needs_render = false;
+  }
+
+  showPanes(groups) {
+    this.panes = groups;
+    this.resize();
   }
 }

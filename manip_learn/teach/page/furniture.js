@@ -1,5 +1,18 @@
 // The furniture of a scene, where the program says that it is.
 
+const TONES = { front: "#eadfcb", body: "#cbb898", handle: "#39424c" };
+const FURNITURE_INKS = Object.fromEntries(Object.entries(TONES).map(([what, hex]) => [what, new THREE.MeshStandardMaterial({ color: linear(hex), roughness: 0.75, emissive: linear(hex), emissiveIntensity: 0.14 })]));
+const EDGES = new THREE.LineBasicMaterial({ color: linear("#5d5340"), transparent: true, opacity: 0.55 });
+
+// A box and its edges.
+function boardOf([x, y, z, across, deep, high, what], inks = FURNITURE_INKS) {
+  const geometry = new THREE.BoxGeometry(across, deep, high), mesh = new THREE.Mesh(geometry, inks[what]);
+  mesh.castShadow = mesh.receiveShadow = true;
+  const parts = [mesh, new THREE.LineSegments(new THREE.EdgesGeometry(geometry), EDGES)];
+  for (const part of parts) part.position.set(x, y, z);
+  return parts;
+}
+
 const HANDLE_STATES = { rest: ["handle", 0], near: ["near", 0.55], held: ["holds", 0.55] };
 const LEAST_OPENING = { m: 0.001, rad: 0.01 }; // below which nothing is said
 const BEFORE_A_FRONT = Math.PI * (62 / 180); // the camera from the way that the front opens

@@ -1,0 +1,94 @@
+"""Furniture of the teaching page as boxes: a chest, a cupboard, a crank.
+
+Frames are those of the handle where it is shut: x right or away from the hinge, y the way it opens, z up or the axis
+about which it opens, right-handed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from manip_learn.playback.mechanism_drawing import UPRIGHT
+
+BOARD, STANDOFF = 0.016, 0.045  # thickness of a board, and of the hand in front of it [m]
+_FRONT, BODY, HANDLE = "front", "body", "handle"
+Box = tuple[float, float, float, float, float, float, str]  # centre x, y, z, size x, y, z [m], and what it is
+
+
+def about(
+    axis: Float[np.ndarray, " 3"], point: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"], standoff: float
+) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 3"]]:
+    """Pose of a handle that turns about an axis and stands off the leaf, which reaches to the axis; and that axis."""
+    arm = handle - point
+    arm = arm - (arm @ axis) * axis
+    radius = float(np.linalg.norm(arm))
+    right, out = arm / radius, np.cross(axis, arm / radius)
+    sine = min(standoff / radius, 0.5)
+    cosine = float(np.sqrt(1.0 - sine**2))
+    turned = np.column_stack([cosine * right - sine * out, sine * right + cosine * out, axis])
+    return pin.SE3(turned, handle).homogeneous, np.array([-cosine * radius, -sine * radius, 0.0])
+
+
+def drawer_boxes(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+    """A chest, on the floor if it is upright, and its drawer, deep enough to be pulled so far."""
+    width, depth = float(np.clip(1.2 * travel, 0.26, 0.5)), travel + 0.08
+    height = 0.42 * width
+    inner, face = width - 4.0 * BOARD, -STANDOFF
+    low = 0.5 * BOARD - 0.4 * height
+    sides = (-0.5 * (inner - BOARD), 0.5 * (inner - BOARD))
+    moving = (
+        *_handle(0.36 * width),
+        (0.0, face - 0.5 * BOARD, 0.0, width, BOARD, height, _FRONT),
+        (0.0, face - 0.5 * depth, low, inner, depth - BOARD, BOARD, BODY),
+        *((x, face - 0.5 * depth, 0.0, BOARD, depth - BOARD, 0.8 * height, BODY) for x in sides),
+        (0.0, face - depth, 0.0, inner, BOARD, 0.8 * height, BODY),
+    )
+    chest = _case(-0.5 * width, 0.5 * width, -0.5 * height, 0.5 * height, depth + BOARD, face - BOARD)
+    below = float(pose[2, 3]) - 0.5 * height - BOARD
+    if pose[2, 2] > UPRIGHT and below > 0.05:
+        n = max(1, round(below / height))
+        step = below / n
+        back = face - 1.5 * BOARD - 0.5 * depth
+        chest += ((0.0, back, -0.5 * height - BOARD - 0.5 * below, width + 2.0 * BOARD, depth + BOARD, below, BODY),)
+        for k in range(n):
+            z = -0.5 * height - BOARD - (k + 0.5) * step
+            chest += ((0.0, face - 0.5 * BOARD, z, width, BOARD, step - 0.6 * BOARD, _FRONT), *_handle(0.36 * width, z))
+    return chest, moving
+
+
+def door_boxes(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+    """A cupboard and its door, from the axis to a little beyond the handle."""
+    left, face = float(pivot[0]), float(pivot[1])
+    right, half = -0.18 * left + 0.03, float(np.clip(-0.7 * left, 0.14, 0.4))
+    bar = 0.35 * half
+    feet = ((0.0, 0.5 * face, z * 0.8 * bar, 0.01, -face, 0.01, HANDLE) for z in (-1.0, 1.0))
+    leaf = (0.5 * (left + right), face - 0.5 * BOARD, 0.0, right - left, BOARD, 2.0 * half, _FRONT)
+    case = _case(left, right, -half, half, 0.05 - 0.5 * left, face - BOARD)
+    hinge = (left, face, 0.0, 0.016, 0.016, 2.0 * half, HANDLE)
+    return (*case, hinge), (leaf, (0.0, 0.0, 0.0, 0.014, 0.014, 2.0 * bar, HANDLE), *feet)
+
+
+def crank_boxes(radius: float) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+    """A crank on its spindle."""
+    arm = (-0.5 * radius, 0.0, -0.03, radius + 0.02, 0.02, 0.015, _FRONT)
+    spindle = (-radius, 0.0, -0.08, 0.025, 0.025, 0.12, BODY)
+    return (spindle,), (arm, (0.0, 0.0, 0.0, 0.02, 0.02, 0.06, HANDLE))
+
+
+def _case(left: float, right: float, low: float, high: float, depth: float, front: float) -> tuple[Box, ...]:
+    """Five boards that are open in front, around an inner box [m]."""
+    x, z, y = 0.5 * (left + right), 0.5 * (low + high), front - 0.5 * depth
+    wide, tall = right - left + 2.0 * BOARD, high - low
+    return (
+        *((x, y, end, wide, depth, BOARD, BODY) for end in (low - 0.5 * BOARD, high + 0.5 * BOARD)),
+        *((end, y, z, BOARD, depth, tall, BODY) for end in (left - 0.5 * BOARD, right + 0.5 * BOARD)),
+        (x, front - depth + 0.5 * BOARD, z, wide, BOARD, tall, BODY),
+    )
+
+
+def _handle(width: float, z: float = 0.0) -> tuple[Box, ...]:
+    """A bar across, at which the hand is, and its two feet."""
+    feet = ((x * 0.42 * width, -0.5 * STANDOFF, z, 0.01, STANDOFF, 0.01, HANDLE) for x in (-1.0, 1.0))
+    return ((0.0, 0.0, z, width, 0.014, 0.014, HANDLE), *feet)
