@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import combinations
-from pathlib import Path
 from typing import Any, Literal, NamedTuple, final
 
 import coal
@@ -22,11 +21,10 @@ from numpy.typing import ArrayLike
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.mjcf import turn_z_to
-from manip_learn.robot.description.urdf import as_matrix
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.figure import bones, link_radii
-from manip_learn.robot.visuals.meshes import Mesh, find_mesh, mesh_roots, read_meshes
-from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, VisualElement, visual_elements
+from manip_learn.robot.visuals.meshes import GREY, Mesh
+from manip_learn.robot.visuals.visual_shapes import Solid, Visual, bare_links, losses, visual_shapes
 
 Shapes = Literal["collision", "visual", "links"]
 # postures that are looked at for links that can touch: every 0.2 rad of two joints that turn once
@@ -51,8 +49,9 @@ class CollisionShape:
         link: Name of the link.
         joint: Pinocchio id of the moving joint that carries it; 0 is the fixed world.
         placement: shape (4, 4), from the shape to that joint [m].
-        geometry: The shape for the distance computation.
+        geometry: The shape for Coal.
         radius: Of a ball about the shape's origin that contains it [m].
+        shape: The same in numbers, a mesh as trimesh's.
         mesh: What the shape is the convex hull of, as trimesh's; None of other shapes.
     """
 
@@ -61,12 +60,13 @@ class CollisionShape:
     placement: Float[np.ndarray, "4 4"]
     geometry: Any
     radius: float
+    shape: Any
     mesh: Any = None
 
     @cached_property
-    def surface(self) -> Any:
-        """The triangles, or the shape if it has none, for Coal."""
-        return self.geometry if self.mesh is None else _surface(self.mesh)
+    def surface(self) -> CollisionShape:
+        """The same by its triangles, where it has any."""
+        return self if self.mesh is None else replace(self, geometry=_coal(self.mesh, False), shape=self.mesh)
 
 
 @final
@@ -79,45 +79,40 @@ class Obstacle:
         placement: shape (4, 4), in the robot's base frame [m].
         geometry: A convex shape of Coal, or its mesh of triangles, whose surface counts.
         half: shape (3,), half extents of a box about it, centred at its origin and along its axes [m].
+        shape: The same in numbers, a mesh as trimesh's.
         may_touch: Names of the links that may touch it.
-        closed: The mesh as trimesh's, where it is closed and not convex: a link within it touches it, too.
+        is_closed: True of a mesh that is closed and not convex: a link within it touches it, too.
     """
 
     name: str
     placement: Float[np.ndarray, "4 4"]
     geometry: Any
     half: Float[np.ndarray, " 3"]
+    shape: Any
     may_touch: frozenset[str] = frozenset()
-    closed: Any = None
+    is_closed: bool = False
 
     def to_dict(self, most: int) -> dict[str, Any]:
-        """As plain data: its name, its pose, its kind and its numbers [m]; a large block is its face across z.
+        """Return it as plain data: its name, pose, kind and numbers [m]; a large block is its face across z.
 
         Args:
             most: Triangles; a mesh of more is the box about it.
         """
-        shape, half, placement = self.geometry, self.half.tolist(), self.placement.copy()
+        shape, half, placement = self.shape, self.half.tolist(), self.placement.copy()
         described: dict[str, Any] = {"kind": "box", "size": [2.0 * x for x in half]}
         if min(half) >= LARGE_BLOCK:
             described = {"kind": "face"}
             placement[:3, 3] += half[2] * placement[:3, 2]
-        elif isinstance(shape, coal.Sphere):
-            described = {"kind": "sphere", "size": half[:1]}
-        elif isinstance(shape, coal.Cylinder):
-            described = {"kind": "cylinder", "size": [half[0], 2.0 * half[2]]}
-        elif not isinstance(shape, coal.Box):
-            is_convex = isinstance(shape, coal.Convex)
-            n, corners = (shape.num_polygons, shape.polygons) if is_convex else (shape.num_tris, shape.tri_indices)
-            points = np.array(shape.points() if is_convex else shape.vertices())
-            if n <= most:
-                faces = [[corners(k)[i] for i in range(3)] for k in range(n)]
-                described = {"kind": "mesh", "vertices": points.round(5).tolist(), "faces": faces}
+        elif isinstance(shape, Solid):
+            described = {"kind": shape.kind, "size": list(shape.size)}
+        elif len(shape.faces) <= most:
+            described = {"kind": "mesh", "vertices": shape.vertices.round(5).tolist(), "faces": shape.faces.tolist()}
         return {"name": self.name, "pose": placement.tolist()} | described
 
 
 @lru_cache(maxsize=16)
 def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[CollisionShape, ...]:
-    """All collision shapes of a robot.
+    """Return all collision shapes of a robot; capsules stand in for a link that loses all of its own.
 
     Args:
         robot: A loaded robot.
@@ -125,64 +120,42 @@ def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[Collision
             as thick as the tubes by which the replay draws a robot that has no shapes.
 
     Raises:
-        RobotError: The robot has none, or one of them cannot be used; codes `no-collision-shapes`, `collision-shape`
-            and those of meshes.
+        RobotError: The robot has none that can be used; codes `no-collision-shapes`, `collision-shape`.
     """
     if tag == "links":
-        model, out = robot.pinocchio_model, list[CollisionShape]()
-        for bone in bones(model, link_radii(model)):
-            joint, (start, end), radius = bone.joint, bone.ends, max(bone.radii)
-            name = next((f.name for f in model.frames if f.parentJoint == joint and f.type == pin.FrameType.BODY), "")
-            length = float(np.linalg.norm(end - start))
-            if name:
-                placement = pin.SE3(turn_z_to((end - start) / length), 0.5 * (start + end)).homogeneous
-                out.append(CollisionShape(name, joint, placement, coal.Capsule(radius, length), radius + 0.5 * length))
-        return tuple(out)
-    path = robot.source or Path(robot.name)
-    elements = visual_elements(robot.description, path, tag) if robot.description is not None else []
-    if not elements:
-        instead = ": the shapes of its <visual> elements can take their place (shapes='visual')"
-        has_visuals = tag == "collision" and robot.description is not None and visual_elements(robot.description, path)
-        raise RobotError(
-            f"robot {robot.name!r} has no <{tag}> elements, whose distances could be computed"
-            f"{instead if has_visuals else ''}",
-            code="no-collision-shapes",
-            path=robot.source,
-        )
-    meshes = _meshes(robot, tag)
-    lost = {uri: error for uri, error in meshes.items() if isinstance(error, RobotError)}
-    if lost and (tag == "visual" or len(lost) == len(meshes)):  # drawn ones are a stopgap: all of them, or none
-        raise next(iter(lost.values()))
-    kept = [e for e in elements if not (isinstance(e.geometry, MeshElement) and e.geometry.uri in lost)]
-    bare = {e.link for e in elements} - {e.link for e in kept}
-    capsules = collision_shapes(robot, "links") if bare else ()
-    return (*(_shape(robot, e, meshes) for e in kept), *(shape for shape in capsules if shape.link in bare))
+        bodies = [f for f in robot.pinocchio_model.frames if f.type == pin.FrameType.BODY]
+        return tuple(map(_shape, _capsules(robot, {f.parentJoint: f.name for f in reversed(bodies)})))
+    shapes = visual_shapes(robot, tag)
+    kept = [v for v in shapes if v.shape]
+    if not kept:
+        why = f" that can be used: {' '.join(losses(shapes))}" if shapes else ", whose distances could be computed"
+        if tag == "collision" and any(v.shape for v in visual_shapes(robot)):
+            why += ": the shapes of its <visual> elements can take their place (shapes='visual')"
+        code = "collision-shape" if shapes else "no-collision-shapes"
+        raise RobotError(f"robot {robot.name!r} has no <{tag}> elements{why}", code=code, path=robot.source)
+    bare = {joint: link for link, joint in reversed(bare_links(shapes).items())}
+    return tuple(map(_shape, (*kept, *_capsules(robot, bare))))
 
 
-@lru_cache(maxsize=16)
-def _meshes(robot: Robot, tag: Literal["collision", "visual"]) -> dict[str, Any]:
-    """The meshes of a robot by their addresses, or why one could not be read."""
-    path, files, lost = robot.source or Path(robot.name), dict[str, Path](), dict[str, RobotError]()
-    elements, roots = visual_elements(robot.description or b"", path, tag), mesh_roots(path, robot.package_dirs)
-    for uri in dict.fromkeys(e.geometry.uri for e in elements if isinstance(e.geometry, MeshElement)):
-        try:
-            files[uri] = find_mesh(uri, roots)
-        except RobotError as error:
-            lost[uri] = error
-    parsed = read_meshes(list(files.values()))
-    return lost | {uri: parsed[file] for uri, file in files.items()}
+def _capsules(robot: Robot, links: Mapping[int, str]) -> list[Visual]:
+    """Return capsules along the bones of some joints, as shapes of the links that are named for these."""
+    model, out = robot.pinocchio_model, list[Visual]()
+    for bone in (b for b in bones(model, link_radii(model)) if b.joint in links):
+        (start, end), radius = bone.ends, max(bone.radii)
+        length = float(np.linalg.norm(end - start))
+        placement = pin.SE3(turn_z_to((end - start) / length), 0.5 * (start + end)).homogeneous
+        out.append(Visual(links[bone.joint], bone.joint, placement, Solid("capsule", (radius, length)), GREY))
+    return out
 
 
 def missing_meshes(robot: Robot) -> tuple[str, ...]:
-    """Return the addresses of collision meshes that could not be read, where others could."""
-    if known_shapes(robot) != "collision":
-        return ()
-    return tuple(uri for uri, mesh in _meshes(robot, "collision").items() if isinstance(mesh, RobotError))
+    """Say which shapes of a robot are lost and why, of those that count: a sentence for each reason."""
+    return losses(visual_shapes(robot, "visual" if known_shapes(robot) == "visual" else "collision"))
 
 
 @lru_cache(maxsize=16)
 def known_shapes(robot: Robot) -> Shapes:
-    """Which shapes of a robot there are: those for collisions, or else the drawn ones, or else capsules."""
+    """Return which shapes of a robot there are: those for collisions, or else the drawn ones, or else capsules."""
     tags: tuple[Shapes, ...] = ("collision", "visual")
     for tag in tags:
         try:
@@ -196,7 +169,7 @@ def known_shapes(robot: Robot) -> Shapes:
 def obstacles_of(
     name: str, placement: Float[np.ndarray, "4 4"], shape: Solid | Mesh, may_touch: frozenset[str] = frozenset()
 ) -> tuple[Obstacle, ...]:
-    """A thing of the world as what links keep clear of; each part of a mesh that hangs together is one.
+    """Return a thing of the world as what links keep clear of; each part of a mesh that hangs together is one.
 
     Args:
         name: What it is called.
@@ -208,77 +181,63 @@ def obstacles_of(
 
     if isinstance(shape, Solid):
         geometry, half, _ = _solid(shape)
-        return (Obstacle(name, placement, geometry, half, may_touch),)
+        return (Obstacle(name, placement, geometry, half, shape, may_touch),)
     whole, out = trimesh.Trimesh(shape.vertices, shape.faces), list[Obstacle]()  # it joins corners in one place
     parts = whole.split(only_watertight=False, repair=False)
     for part in parts if 0 < len(parts) <= MOST_PARTS else [whole]:
-        closed = part if part.is_watertight and abs(part.volume) > FLAT * part.extents.max() ** 3 else None
-        if closed is not None and part.is_convex:
-            geometry, closed = coal.Convex(*_lists(part.convex_hull)), None
-        else:
-            geometry = _surface(part)
-        out.append(Obstacle(name, placement, geometry, np.abs(part.vertices).max(axis=0), may_touch, closed))
+        is_closed = part.is_watertight and abs(part.volume) > FLAT * part.extents.max() ** 3
+        is_convex, half = is_closed and part.is_convex, np.abs(part.vertices).max(axis=0)
+        solid = part.convex_hull if is_convex else part
+        geometry = _coal(solid, is_convex)
+        out.append(Obstacle(name, placement, geometry, half, solid, may_touch, is_closed and not is_convex))
     return tuple(out)
 
 
-def _lists(mesh: Any) -> tuple[Any, Any]:
-    """Vertices and triangles of a mesh for Coal."""
+def _coal(mesh: Any, is_convex: bool) -> Any:
+    """Return a mesh of trimesh's for Coal: as a convex body, or as its triangles."""
     vertices, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     for point in np.asarray(mesh.vertices):
         vertices.append(point)
     for corners in mesh.faces.tolist():
         triangles.append(coal.Triangle(*corners))
-    return vertices, triangles
-
-
-def _surface(mesh: Any) -> Any:
-    """The triangles of a mesh for Coal."""
+    if is_convex:
+        return coal.Convex(vertices, triangles)
     geometry = coal.BVHModelOBBRSS()
-    geometry.beginModel(len(mesh.faces), len(mesh.vertices))
-    geometry.addSubModel(*_lists(mesh))
+    geometry.beginModel(len(triangles), len(vertices))
+    geometry.addSubModel(vertices, triangles)
     geometry.endModel()
     return geometry
 
 
 def _solid(solid: Solid) -> tuple[Any, Float[np.ndarray, " 3"], float]:
-    """A plain body for Coal, half extents of the box about it, and the radius of the ball."""
+    """Return a plain body for Coal, half extents of the box about it, and the radius of the ball."""
+    geometry = getattr(coal, solid.kind.capitalize())(*solid.size)
     if solid.kind == "box":
-        return coal.Box(*solid.size), 0.5 * np.array(solid.size), 0.5 * float(np.linalg.norm(solid.size))
-    radius, half_length = solid.size[0], 0.5 * sum(solid.size[1:])
-    if solid.kind == "sphere":
-        return coal.Sphere(radius), np.full(3, radius), radius
+        return geometry, 0.5 * np.array(solid.size), 0.5 * float(np.linalg.norm(solid.size))
+    radius, far = solid.size[0], 0.5 * sum(solid.size[1:])
     if solid.kind == "cylinder":
-        return coal.Cylinder(*solid.size), np.array([radius, radius, half_length]), float(np.hypot(radius, half_length))
-    far = radius + half_length
-    return coal.Capsule(*solid.size), np.array([radius, radius, far]), far
+        return geometry, np.array([radius, radius, far]), float(np.hypot(radius, far))
+    return geometry, np.array([radius, radius, radius + far]), radius + far
 
 
-def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> CollisionShape:
+def _shape(v: Visual) -> CollisionShape:
     import trimesh
 
-    frame, whole = robot.pinocchio_model.frames[robot.frame(element.link).index], None
-    placement = np.asarray(frame.placement.homogeneous @ as_matrix(element.pose))
-    match element.geometry:
-        case None:
-            raise RobotError(element.fault, code="collision-shape", path=robot.source, line=element.line)
-        case MeshElement(uri, scale):
-            whole = trimesh.Trimesh(meshes[uri].vertices * np.array(scale), meshes[uri].faces)
-            hull = trimesh.convex.convex_hull(whole)
-            if not hull.volume > FLAT * hull.extents.max() ** 3:
-                raise RobotError(
-                    f"link {element.link!r}: its collision mesh has no volume, so that distances to it are not defined",
-                    code="collision-shape",
-                    path=robot.source,
-                    line=element.line,
-                )
-            middle = hull.bounds.mean(axis=0)
-            hull.apply_translation(-middle)
-            whole.apply_translation(-middle)
-            placement[:3, 3] += placement[:3, :3] @ middle
-            geometry, radius = coal.Convex(*_lists(hull)), float(np.linalg.norm(hull.vertices, axis=1).max())
-        case solid:
-            geometry, _, radius = _solid(solid)
-    return CollisionShape(element.link, int(frame.parentJoint), placement, geometry, radius, whole)
+    if isinstance(v.shape, Solid):
+        geometry, _, radius = _solid(v.shape)
+        return CollisionShape(v.link, v.joint, v.placement, geometry, radius, v.shape)
+    assert v.shape is not None
+    whole = trimesh.Trimesh(v.shape.vertices, v.shape.faces)
+    hull = trimesh.convex.convex_hull(whole)
+    if not hull.volume > FLAT * hull.extents.max() ** 3:
+        why = "its mesh has no volume, so that distances to it are not defined"
+        raise RobotError(f"link {v.link!r}: {why}", code="collision-shape")
+    middle, placement = hull.bounds.mean(axis=0), v.placement.copy()
+    hull.apply_translation(-middle)
+    whole.apply_translation(-middle)
+    placement[:3, 3] += placement[:3, :3] @ middle
+    radius = float(np.linalg.norm(hull.vertices, axis=1).max())
+    return CollisionShape(v.link, v.joint, placement, _coal(hull, True), radius, hull, whole)
 
 
 @final
@@ -403,12 +362,9 @@ class SelfCollision:
         levers = np.where((out[a] > 0.0) & (out[b] > 0.0), 0.0, out[a] + out[b])  # what carries both changes nothing
         return levers if robot.coupling is None else levers @ np.abs(robot.coupling.lift)
 
-    def solid(self, number: int, hull: bool = False) -> Any:
-        """A shape of `geometry` as it counts where it is near something, or its hull, as an object of Pinocchio's."""
-        thing = self._geometry.geometryObjects[number]
-        if self._hulls or hull:
-            return thing
-        return pin.GeometryObject(thing.name, thing.parentJoint, thing.placement, self._solids[number].surface)
+    def solid(self, number: int, hull: bool = False) -> CollisionShape:
+        """Return a shape of `geometry` as it counts where it is near something, or its hull."""
+        return self._solids[number] if self._hulls or hull else self._solids[number].surface
 
     def is_clear(self, q: ArrayLike, distance: float) -> bool:
         """Whether no pair is at a distance of at most `distance` [m]: not `closer_than`, in a fifth of its time.
@@ -492,7 +448,7 @@ class SelfCollision:
         if self._hulls or pair[1] in self.faces or all(self._solids[i].mesh is None for i in pair):
             return out
         for place, i in ((geometry_data.oMg[i], i) for i in pair):
-            out += [self._solids[i].surface, coal.Transform3s(place.rotation, place.translation)]
+            out += [self._solids[i].surface.geometry, coal.Transform3s(place.rotation, place.translation)]
         return out
 
     def _placed(self, q: ArrayLike, bounded: bool = True) -> tuple[pin.Data, Any, Float[np.ndarray, " pairs"]]:
@@ -548,8 +504,8 @@ class SelfCollision:
         met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
         self.pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
         self.faces = {b for b, o in around if min(o.half) >= LARGE_BLOCK}
-        self._closed = {b: o.closed for b, o in around if o.closed is not None}
-        world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0) for o in self.obstacles]
+        self._closed = {b: o.shape for b, o in around if o.is_closed}
+        world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0, o.shape) for o in self.obstacles]
         self._solids = [*self._shapes, *world]
         self._geometry = pin.GeometryModel()
         for number, solid in enumerate(self._solids):

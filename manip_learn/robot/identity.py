@@ -8,12 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
 
-from manip_learn.errors import RecordingError, advice, spoken
+from manip_learn.errors import RecordingError, advice, few, spoken
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
-
-MOST_LISTED = 8  # names that a sentence lists: those of an arm
 
 
 @final
@@ -92,15 +90,14 @@ class RobotIdentity:
         """Its differences from a loaded robot, one part of a sentence each; empty if there are none."""
         other, found = RobotIdentity.of(robot), []
         if self.joint_names != other.joint_names:
-            found.append(f"its joints are {_listed(self.joint_names)}, not {_listed(other.joint_names)}")
+            found.append(f"its joints are {few(self.joint_names)}, not {few(other.joint_names)}")
         if dict(self.locked) != dict(other.locked):
             mine, theirs = self.locked, other.locked
             changed = [j for j in dict.fromkeys([*mine, *theirs]) if mine.get(j) != theirs.get(j)]
-            parts = [f"{j!r} is {_held(mine.get(j))}, not {_held(theirs.get(j))}" for j in changed[:MOST_LISTED]]
-            more = f" and {len(changed) - MOST_LISTED} more" if len(changed) > MOST_LISTED else ""
-            found.append("; ".join(parts) + more)
+            parts = [f"{j!r} is {_held(mine.get(j))}, not {_held(theirs.get(j))}" for j in changed]
+            found.append(few(parts, between="; "))
         if self.objects != other.objects:
-            found.append(f"its objects are {_listed(self.objects)}, not {_listed(other.objects)}")
+            found.append(f"its objects are {few(self.objects)}, not {few(other.objects)}")
         if not found and self.fingerprint != other.fingerprint:
             hashes = f"hash {self.fingerprint[:12]!r}, not {other.fingerprint[:12]!r}"
             found.append(f"the description has changed (kinematics or masses; {hashes})")
@@ -151,8 +148,3 @@ def _text(what: str, value: object) -> str:
 
 def _held(position: float | None) -> str:
     return "free to move" if position is None else f"locked at {position:.6g}"
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
-    return ", ".join(names[:MOST_LISTED]) + more or "none"

@@ -11,7 +11,6 @@ import io
 import os
 import re
 import struct
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,13 +25,15 @@ from manip_learn.robot.description.catalogue import example_package_dir
 from manip_learn.robot.description.text import read_regular_file
 
 Colour = tuple[float, float, float, float]
-Piece = tuple[np.ndarray, np.ndarray, Colour | None]  # corners, triangles
+Piece = tuple[np.ndarray, np.ndarray, Colour | None]  # corners, triangles, of one colour
 
 MESH_KINDS = (".stl", ".obj", ".dae")
 MAX_MESH_BYTES = 50_000_000  # of a file: a million triangles of STL
 MAX_FACES = 2_000_000  # of a mesh: 0.1 GB as triangles
 MAX_NODES = 20_000  # of a COLLADA scene, each counted as often as it is used
+MOST_COLOURS = 64  # of a mesh, each of which is drawn by itself; one of more is grey
 HEAD = 4_096  # [bytes] in which a file says of which kind it is
+GREY: Colour = (0.7, 0.7, 0.72, 1.0)  # red, green, blue and opacity: shapes without a colour
 
 LEVELS_UP = 6  # folders above the URDF that may hold its package
 PACKAGE_FILE = "package.xml"
@@ -147,12 +148,18 @@ class Mesh(NamedTuple):
     Attributes:
         vertices: shape (n, 3) [m], of a file without the scale of the URDF.
         faces: shape (m, 3), counted from 0, counter-clockwise from outside.
-        colour: Diffuse colour of most of its triangles, of a COLLADA file; None for other formats and textures.
+        colours: shape (m, 4), red, green, blue and opacity of each triangle, 0 to 1; None where nobody says.
     """
 
     vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"]
-    colour: Colour | None = None
+    colours: Float[np.ndarray, "m 4"] | None = None
+
+
+def compact(mesh: Mesh) -> Mesh:
+    """Return a mesh without the vertices that none of its triangles uses."""
+    used, index = np.unique(mesh.faces, return_inverse=True)
+    return Mesh(mesh.vertices[used], index.reshape(-1, 3), mesh.colours)
 
 
 def open_edges(mesh: Mesh) -> int:
@@ -189,25 +196,25 @@ def _read(path: Path) -> Mesh:
     _check(kind, content, path)
     try:
         pieces = _collada_pieces(content) if kind == ".dae" else _pieces(content, kind)
-        vertices, faces, painted, n = [], [], Counter[Colour](), 0
+        vertices, faces, colours, n = list[np.ndarray](), list[np.ndarray](), list[Colour | None](), 0
         for corners, triangles, colour in pieces:
             if sum(map(len, faces)) + len(triangles) > MAX_FACES:
                 raise _refusal(path, "mesh-content", f"it has more than {MAX_FACES} triangles")
-            used, indices = np.unique(triangles, return_inverse=True)
-            # single precision, as the formats have it
-            vertices.append(np.asarray(corners)[used].astype(np.float32))
-            faces.append(indices.reshape(-1, 3) + n)
-            n += len(used)
-            if colour is not None:
-                painted[colour] += len(triangles)
+            part = compact(Mesh(np.asarray(corners), triangles))
+            vertices.append(part.vertices.astype(np.float32))  # single precision, as the formats have it
+            faces.append(part.faces + n)
+            colours.append(colour)
+            n += len(part.vertices)
     except RobotError:
         raise
     except Exception as error:  # whatever foreign parsers raise about a broken file
         raise _refusal(path, "mesh-parser", f"{type(error).__name__}: {error}"[:300]) from error
     if not n or not all(np.isfinite(v).all() for v in vertices):
         raise _refusal(path, "mesh-content", "it has no triangles, or vertices that are not finite")
-    colour = painted.most_common(1)[0][0] if painted else None
-    return Mesh(np.concatenate(vertices).astype(np.float64), np.concatenate(faces), colour)
+    painted = None
+    if 0 < len({*colours} - {None}) <= MOST_COLOURS:
+        painted = np.repeat([colour or GREY for colour in colours], [len(f) for f in faces], axis=0)
+    return Mesh(np.concatenate(vertices).astype(np.float64), np.concatenate(faces), painted)
 
 
 def _pieces(content: bytes, kind: str) -> Iterator[Piece]:
@@ -217,7 +224,9 @@ def _pieces(content: bytes, kind: str) -> Iterator[Piece]:
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
         if isinstance(piece := scene.geometry[name], trimesh.Trimesh):
-            yield trimesh.transform_points(piece.vertices, T), piece.faces, None
+            red, green, blue, _ = (piece.visual.main_color / 255.0).tolist()  # of OBJ files with colours of vertices
+            colour = (red, green, blue, 1.0) if piece.visual.defined else None
+            yield trimesh.transform_points(piece.vertices, T), piece.faces, colour
 
 
 def _collada_pieces(content: bytes) -> Iterator[Piece]:
