@@ -162,6 +162,15 @@ def compact(mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertices[used], index.reshape(-1, 3), mesh.colours)
 
 
+def by_colour(mesh: Mesh) -> list[tuple[Colour | None, Mesh]]:
+    """Return the triangles of each colour as a mesh of their own."""
+    if mesh.colours is None:
+        return [(None, mesh)]
+    colours, which = np.unique(mesh.colours, axis=0, return_inverse=True)
+    parts = (compact(Mesh(mesh.vertices, mesh.faces[which.reshape(-1) == k])) for k in range(len(colours)))
+    return list(zip(map(tuple, colours.tolist()), parts, strict=True))
+
+
 def open_edges(mesh: Mesh) -> int:
     """How many edges do not lie between two triangles; 0 if the mesh is closed."""
     corners = np.unique(mesh.vertices, axis=0, return_inverse=True)[1].reshape(-1)[mesh.faces]
