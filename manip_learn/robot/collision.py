@@ -309,12 +309,13 @@ class SelfCollision:
         self.robot, self._given = robot, dict[str, Any](shapes=shapes, free=free, hulls=hulls)
         self._shapes = collision_shapes(robot, shapes)
         self._model, self._hulls = robot.pinocchio_model, hulls
-        self._pair_up(self._pairs_joined_by(range(2, self._model.njoints)))
+        supports = [set(self._model.supports[shape.joint]) for shape in self._shapes]
+        between = {(a, b): len(supports[a] ^ supports[b]) for a, b in combinations(range(len(supports)), 2)}
+        self._pair_up([pair for pair, joints in between.items() if joints > 1])
         touching = {p.links for p in self.closer_than(robot.neutral() if free is None else free, 0.0)}
-        self._pair_up(kept := [pair for pair in self.pairs if self.links_of(*pair) not in touching])
+        kept = [pair for pair in self.pairs if self.links_of(*pair) not in touching]
         # links with two joints between them that do not touch at any of the sampled postures
-        close = set(self._pairs_joined_by(range(2, 3)))
-        self._pair_up([pair for pair in kept if pair in close])
+        self._pair_up([pair for pair in kept if between[pair] == 2])
         apart = {self.links_of(*pair) for pair in self.pairs}
         rng = np.random.default_rng(0)  # the same pairs every time
         for _ in range(SAMPLED_POSTURES):
@@ -337,7 +338,8 @@ class SelfCollision:
         other = object.__new__(SelfCollision)
         vars(other).update(vars(self))
         vars(other).pop("levers", None)
-        other._pair_up(self.pairs[: len(self._radii)] if own else [], obstacles)
+        n = len(self._shapes)
+        other._pair_up([pair for pair in self.pairs if own and pair[1] < n], obstacles)
         return other
 
     @property
@@ -358,7 +360,7 @@ class SelfCollision:
                 out[k, joint.idx_v : joint.idx_v + joint.nv] = length if turns else max(1.0, length)
                 length += float(np.linalg.norm(model.jointPlacements[j].translation))
                 length += 0.0 if turns else float(np.minimum(slide, LARGE_BLOCK).sum())
-        a, b = np.array(self.pairs, dtype=np.intp).reshape(-1, 2).T
+        a, b = self._pair_table
         levers = np.where((out[a] > 0.0) & (out[b] > 0.0), 0.0, out[a] + out[b])  # what carries both changes nothing
         return levers if robot.coupling is None else levers @ np.abs(robot.coupling.lift)
 
@@ -404,15 +406,15 @@ class SelfCollision:
         data, geometry_data, far = self._placed(q, only is None)
         found = list[Proximity]()
         for k in np.flatnonzero(far <= distance).tolist() if only is None else only:
-            result, exact = self._distance(k, geometry_data, float(far[k]) if only is None else -np.inf, distance)
+            result, exact = self._distance(k, geometry_data, float(far[k]), distance)
             if exact <= distance:
                 found.append(self._proximity(k, result, exact, data))
         return found
 
     def distances(self, q: ArrayLike, only: Sequence[int]) -> list[float]:
         """Of some pairs by their numbers [m], negative where they overlap."""
-        _, geometry_data, _ = self._placed(q, bounded=False)
-        return [self._distance(k, geometry_data, -np.inf, np.inf)[1] for k in only]
+        _, geometry_data, far = self._placed(q, bounded=False)
+        return [self._distance(k, geometry_data, float(far[k]), np.inf)[1] for k in only]
 
     def nearest(self, q: ArrayLike) -> Proximity | None:
         """The pair of shapes at the smallest distance; None if nothing can touch. See `closer_than`."""
@@ -457,18 +459,13 @@ class SelfCollision:
         pin.computeJointJacobians(self._model, data, self.robot.pinocchio_configuration(q))
         pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data)
         if not bounded:
-            return data, geometry_data, self._radii
-        centres = np.array([geometry_data.oMg[k].translation for k in range(len(self._shapes))])
+            return data, geometry_data, np.full(len(self.pairs), -np.inf)
+        centres = np.array([place.translation for place in geometry_data.oMg])
+        # of the ball about a link from the ball about another or the box about an obstacle, negative within that
         first, second = self._pair_table
-        apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
-        if not self.obstacles:
-            return data, geometry_data, apart
-        # of the ball about a link from the box about an obstacle, negative where its centre is inside
-        links, places = self._met[0], self._places
-        beyond = np.abs(np.einsum("kj,kji->ki", centres[links] - places[:, :3, 3], places[:, :3, :3])) - self._halves
-        outside = np.maximum(beyond, 0.0)
-        bound = np.sqrt(np.einsum("ki,ki->k", outside, outside)) + np.minimum(beyond.max(axis=1), 0.0)
-        return data, geometry_data, np.concatenate([apart, bound - self._met_radii])
+        beyond = np.abs(np.einsum("kj,kji->ki", centres[first] - centres[second], self._turns)) - self._halves
+        far = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
+        return data, geometry_data, far - self._radii
 
     def _proximity(self, k: int, result: Any, distance: float, data: pin.Data) -> Proximity:
         a, b = self.pairs[k]
@@ -490,19 +487,12 @@ class SelfCollision:
         """Return the names of the links, or of link and obstacle, of two shapes of `geometry`."""
         return self._solids[a].link, self._solids[b].link
 
-    def _pairs_joined_by(self, numbers: range) -> list[tuple[int, int]]:
-        """Pairs of shapes whose links have that many joints between them."""
-        supports = [set(joints) for joints in self._model.supports]
-        joints = [supports[shape.joint] for shape in self._shapes]
-        every = combinations(range(len(joints)), 2)
-        return [(a, b) for a, b in every if len(joints[a] ^ joints[b]) in numbers]
-
     def _pair_up(self, pairs: list[tuple[int, int]], obstacles: Sequence[Obstacle] = ()) -> None:
         """Take these pairs of shapes, and each obstacle with every link that moves and must not touch it."""
         self.obstacles, self._local, n = tuple(obstacles), threading.local(), len(self._shapes)
         around = list(enumerate(self.obstacles, n))
         met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
-        self.pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
+        self.pairs = [*pairs, *met]
         self.faces = {b for b, o in around if min(o.half) >= LARGE_BLOCK}
         self._closed = {b: o.shape for b, o in around if o.is_closed}
         world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0, o.shape) for o in self.obstacles]
@@ -513,11 +503,12 @@ class SelfCollision:
             self._geometry.addGeometryObject(placed)
         for a, b in self.pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(a, b))
-        self._pair_table, self._met = (np.array(p, dtype=np.intp).reshape(-1, 2).T for p in (pairs, met))
-        radii = np.array([s.radius for s in self._shapes])
-        self._radii, self._met_radii = radii[self._pair_table].sum(axis=0), radii[self._met[0]]
-        self._places = np.array([o.placement for o in met_things]).reshape(-1, 4, 4)
-        self._halves = np.array([o.half for o in met_things]).reshape(-1, 3)
+        first, second = self._pair_table = np.array(self.pairs, dtype=np.intp).reshape(-1, 2).T
+        radii = np.array([solid.radius for solid in self._solids])
+        self._radii = radii[first] + radii[second]
+        # of each pair's second the box about it and its axes: nothing but its middle, if it is a link
+        self._halves = np.array([*np.zeros((n, 3)), *(o.half for o in self.obstacles)])[second]
+        self._turns = np.array([*n * [np.eye(3)], *(o.placement[:3, :3] for o in self.obstacles)])[second]
         # 1 for each velocity of Pinocchio's model that moves a solid, else 0
         self._carries = np.zeros((len(self._solids), self._model.nv))
         for k, shape in enumerate(self._shapes):
