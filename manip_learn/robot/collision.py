@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import combinations
@@ -156,13 +157,10 @@ def missing_meshes(robot: Robot) -> tuple[str, ...]:
 @lru_cache(maxsize=16)
 def known_shapes(robot: Robot) -> Shapes:
     """Return which shapes of a robot there are: those for collisions, or else the drawn ones, or else capsules."""
-    tags: tuple[Shapes, ...] = ("collision", "visual")
-    for tag in tags:
-        try:
+    for tag in ("collision", "visual"):
+        with suppress(RobotError):
             collision_shapes(robot, tag)
-        except RobotError:
-            continue
-        return tag
+            return tag
     return "links"
 
 
@@ -289,6 +287,7 @@ class SelfCollision:
     Attributes:
         link_pairs: Names of the links whose distances from each other count.
         obstacles: What stands around.
+        geometry: Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs that count.
         pairs: Numbers in `geometry` of the shapes whose distances count, a link's first.
         faces: Numbers in `geometry` of those that are large faces, as a floor: to these a hull is as near as its mesh.
 
@@ -322,7 +321,7 @@ class SelfCollision:
             _, geometry_data, far = self._placed(robot.random_configuration(rng))
             for k in np.flatnonzero(far <= -HULL_SLACK).tolist():
                 links = self.links_of(*self.pairs[k])
-                if links in apart and pin.computeDistance(self._geometry, geometry_data, k).min_distance <= -HULL_SLACK:
+                if links in apart and pin.computeDistance(self.geometry, geometry_data, k).min_distance <= -HULL_SLACK:
                     apart.discard(links)
         kept = [pair for pair in kept if self.links_of(*pair) not in apart]
         self.link_pairs = tuple(dict.fromkeys(self.links_of(*pair) for pair in kept))
@@ -341,11 +340,6 @@ class SelfCollision:
         n = len(self._shapes)
         other._pair_up([pair for pair in self.pairs if own and pair[1] < n], obstacles)
         return other
-
-    @property
-    def geometry(self) -> Any:
-        """Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs whose distances count."""
-        return self._geometry
 
     @cached_property
     def levers(self) -> Float[np.ndarray, "pairs nv"]:
@@ -379,12 +373,10 @@ class SelfCollision:
                 request.security_margin, request.break_distance = distance, distance + LOOK_CLOSELY
             self._local.margin = distance
         posture = self.robot.pinocchio_configuration(q)
-        pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data, posture)
-        if pin.computeCollisions(self._geometry, geometry_data, self._hulls):
-            for k, found in enumerate(geometry_data.collisionResults):
-                if not found.isCollision():
-                    continue
-                meshes = [] if self._hulls else self._meshes(k, geometry_data)
+        pin.updateGeometryPlacements(self._model, data, self.geometry, geometry_data, posture)
+        if pin.computeCollisions(self.geometry, geometry_data, self._hulls):
+            for k in (k for k, found in enumerate(geometry_data.collisionResults) if found.isCollision()):
+                meshes = self._meshes(k, geometry_data)
                 # that triangles cut each other is told in no time
                 if not meshes or coal.collide(*meshes, coal.CollisionRequest(), coal.CollisionResult()):
                     return False
@@ -433,7 +425,7 @@ class SelfCollision:
 
         What is nearer than `most` by its hulls is looked at on its triangles.
         """
-        result, pair = pin.computeDistance(self._geometry, geometry_data, k), self.pairs[k]
+        result, pair = pin.computeDistance(self.geometry, geometry_data, k), self.pairs[k]
         # where its iterations fail on shapes that overlap, Coal returns the lowest number and no direction
         distance = max(float(result.min_distance), bound)
         if distance > 0.0 and (mesh := self._closed.get(pair[1])) is not None:
@@ -457,7 +449,7 @@ class SelfCollision:
         """Data with Jacobians, shapes at their places, and, if `bounded`, a lower bound of each distance."""
         data, geometry_data = self._own_data()
         pin.computeJointJacobians(self._model, data, self.robot.pinocchio_configuration(q))
-        pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data)
+        pin.updateGeometryPlacements(self._model, data, self.geometry, geometry_data)
         if not bounded:
             return data, geometry_data, np.full(len(self.pairs), -np.inf)
         centres = np.array([place.translation for place in geometry_data.oMg])
@@ -497,12 +489,12 @@ class SelfCollision:
         self._closed = {b: o.shape for b, o in around if o.is_closed}
         world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0, o.shape) for o in self.obstacles]
         self._solids = [*self._shapes, *world]
-        self._geometry = pin.GeometryModel()
+        self.geometry = pin.GeometryModel()
         for number, solid in enumerate(self._solids):
             placed = pin.GeometryObject(f"{number}", solid.joint, pin.SE3(solid.placement), solid.geometry)
-            self._geometry.addGeometryObject(placed)
+            self.geometry.addGeometryObject(placed)
         for a, b in self.pairs:
-            self._geometry.addCollisionPair(pin.CollisionPair(a, b))
+            self.geometry.addCollisionPair(pin.CollisionPair(a, b))
         first, second = self._pair_table = np.array(self.pairs, dtype=np.intp).reshape(-1, 2).T
         radii = np.array([solid.radius for solid in self._solids])
         self._radii = radii[first] + radii[second]
@@ -519,7 +511,7 @@ class SelfCollision:
         try:
             return self._local.data
         except AttributeError:
-            geometry_data = pin.GeometryData(self._geometry)
+            geometry_data = pin.GeometryData(self.geometry)
             for request in geometry_data.distanceRequests:
                 request.gjk_tolerance, request.gjk_max_iterations = COAL_TOLERANCE, MOST_ITERATIONS
             self._local.data = self._model.createData(), geometry_data

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
 
 from manip_learn.errors import RecordingError, advice, few, spoken
+from manip_learn.linalg import finite
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
@@ -73,8 +73,7 @@ class RobotIdentity:
         if not isinstance(nq, int) or isinstance(nq, bool) or not 0 <= nq < 100_000:
             raise ValueError(f"the robot's nq must be a number, it is {nq!r:.40}")
         for name, value in locked.items():
-            is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not is_number or not math.isfinite(value):
+            if finite(value) is None:
                 raise ValueError(f"joint {name!r} is locked at {value!r:.40}, a finite number is needed")
         return RobotIdentity(
             _text("name", content.get("name")),
@@ -108,9 +107,8 @@ class RobotIdentity:
         found = self.differences(robot)
         if not found:
             return None
-        how = (
-            f"load_robot(..., locked={dict(self.locked)!r})" if self.locked else "load_robot(...) with no joint locked"
-        )
+        locked = f"locked={dict(self.locked)!r}"
+        how = f"load_robot(..., {locked})" if self.locked else "load_robot(...) with no joint locked"
         fix = spoken(
             f"Load the robot that it was made with, {how}",
             f"Give the description of {self.name!r} that it was made with; the joints that were locked then are locked"

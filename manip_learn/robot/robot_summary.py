@@ -10,7 +10,7 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.errors import MissingExtraError, RobotError
+from manip_learn.errors import RobotError
 from manip_learn.robot.description.text import quoted
 from manip_learn.robot.joints import JointKind, Mimic
 from manip_learn.robot.robot import Robot
@@ -121,7 +121,7 @@ def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSumma
     warnings, check = [*robot.warnings, *dict.fromkeys(said_once(missing.values()).values())], None
     try:
         check = cross_check(robot, np.random.default_rng(seed), postures)
-    except (RobotError, MissingExtraError) as error:
+    except RobotError as error:
         warnings.append(f"no independent check of forward kinematics: {error}")
     if check is not None and not check.agrees:
         off = f"{check.largest_difference:.2g}"
@@ -148,14 +148,11 @@ def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossChe
 
     Raises:
         RobotError: The robot did not come from a URDF (`cross-check`), or yourdfpy cannot read it.
-        MissingExtraError: yourdfpy is not installed.
     """
     if robot.description is None:
         raise RobotError(f"robot {robot.name!r} did not come from a URDF: nothing to compare with", code="cross-check")
-    try:
-        import yourdfpy
-    except ImportError as error:
-        raise MissingExtraError("the independent check of forward kinematics", "all") from error
+    import yourdfpy
+
     logger = logging.getLogger("yourdfpy.urdf")  # its warnings concern meshes and mimics, which validation has handled
     before, logger.disabled = logger.disabled, True
     try:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
@@ -28,7 +29,7 @@ Tag = Literal["visual", "collision"]
 LONGEST_LINK, SHORTEST_REACH = 20.0, 0.2
 LARGEST_SIZE = 1e4  # [m] of a shape and its distance: more is a wrong unit
 MAX_VISUALS = 2_000  # of a robot, so that its page can be drawn
-MESH_REASON = re.compile(r"mesh (?P<name>'[^']*'|\"[^\"]*\")(?P<why>.*)")
+MESH_NAME = re.compile(r"^mesh ('[^']*'|\"[^\"]*\")")  # at the start of a reason
 
 
 @final
@@ -84,12 +85,11 @@ class VisualElement:
     """
 
     link: str
-    line: int
     pose: Pose
     geometry: Solid | MeshElement | None
     colour: Colour | None
     fault: str
-    name: str
+    name: str = ""
 
 
 def visual_elements(content: bytes, path: Path, tag: Tag = "visual") -> list[VisualElement]:
@@ -111,11 +111,9 @@ def visual_elements(content: bytes, path: Path, tag: Tag = "visual") -> list[Vis
                 geometry = _geometry(node)
             except RobotError as error:
                 fault = str(error)
-            material, colour = node.first("material"), None
-            if material is not None:
-                colour = _colour(material) or colours.get(material.attributes.get("name", ""))
-            own = node.attributes.get("name", "")
-            found.append(VisualElement(name, node.line, pose, geometry, colour, fault, own))
+            material, own = node.first("material"), node.attributes.get("name", "")
+            colour = material and (_colour(material) or colours.get(material.attributes.get("name", "")))
+            found.append(VisualElement(name, pose, geometry, colour, fault, own))
     return found
 
 
@@ -133,32 +131,27 @@ def _geometry(node: XmlNode) -> Solid | MeshElement:
             if not all(1e-9 <= abs(s) <= LARGEST_SIZE for s in (x, y, z)):
                 raise _unusable(shape, f"its mesh scale is {(x, y, z)}")
             return MeshElement(uri, (x, y, z))
-        case "box":
-            x, y, z = (_size(s, shape) for s in shape.vector("size", 3) or (None,) * 3)
-            return Solid("box", (x, y, z))
-        case "sphere":
-            return Solid("sphere", (_size(shape.number("radius"), shape),))
+        case "box" as kind:
+            given: Sequence[float | None] = shape.vector("size", 3) or (None,)
+        case "sphere" as kind:
+            given = (shape.number("radius"),)
         case "cylinder" | "capsule" as kind:
-            return Solid(kind, (_size(shape.number("radius"), shape), _size(shape.number("length"), shape)))
-    raise _unusable(shape, f"the shape <{shortened(shape.tag)}> is not known")
-
-
-def _size(value: float | None, node: XmlNode) -> float:
-    if value is None or not 0.0 < value <= LARGEST_SIZE:
-        raise _unusable(node, f"a size of its {node.tag} is {value}")
-    return value
+            given = (shape.number("radius"), shape.number("length"))
+        case _:
+            raise _unusable(shape, f"the shape <{shortened(shape.tag)}> is not known")
+    sizes = tuple(size for size in given if size is not None and 0.0 < size <= LARGEST_SIZE)
+    if len(sizes) < len(given):
+        raise _unusable(shape, f"a size of its {shape.tag} is {next(size for size in given if size not in sizes)}")
+    return Solid(kind, sizes)
 
 
 def _colour(material: XmlNode) -> Colour | None:
     node = material.first("color")
-    try:
-        rgba = None if node is None else node.vector("rgba", 4)
-    except RobotError:
-        return None
-    if rgba is None:
-        return None
-    r, g, b, a = (min(max(c, 0.0), 1.0) for c in rgba)
-    return (r, g, b, a)
+    with suppress(RobotError):
+        if node is not None and (rgba := node.vector("rgba", 4)) is not None:
+            r, g, b, a = (min(max(c, 0.0), 1.0) for c in rgba)
+            return (r, g, b, a)
+    return None
 
 
 def _unusable(node: XmlNode, seen: str) -> RobotError:
@@ -166,17 +159,16 @@ def _unusable(node: XmlNode, seen: str) -> RobotError:
 
 
 def said_once(reasons: Iterable[str]) -> dict[str, str]:
-    """Reason -> sentence; reasons that differ in the name of the mesh only share one, with their number."""
-    names: dict[str, list[str]] = {}
-    found = {reason: MESH_REASON.fullmatch(reason) for reason in reasons}
-    for match in filter(None, found.values()):
-        names.setdefault(match["why"], []).append(match["name"])
-    return {
-        reason: f"mesh {same[0]} (and {len(same) - 1} more){match['why']}"
-        if match and len(same := names[match["why"]]) > 1
-        else reason
-        for reason, match in found.items()
-    }
+    """Return a sentence for each reason; reasons that differ in the name of the mesh only share one, with their number.
+
+    Args:
+        reasons: Why shapes cannot be used.
+    """
+    alike = dict[str, list[str]]()
+    for reason in dict.fromkeys(reasons):
+        alike.setdefault(MESH_NAME.sub("", reason), []).append(reason)
+    more = {same[0]: rf"\g<0> (and {len(same) - 1} more)" if len(same) > 1 else r"\g<0>" for same in alike.values()}
+    return {reason: MESH_NAME.sub(more[same[0]], same[0]) for same in alike.values() for reason in same}
 
 
 def losses(shapes: Sequence[Visual]) -> tuple[str, ...]:
@@ -235,7 +227,7 @@ def visual_shapes(robot: Robot, tag: Tag = "visual") -> tuple[Visual, ...]:
     if not elements and tag == "visual":
         bodies = {f.name for f in model.frames if f.type == pin.FrameType.BODY}
         links, why = sorted(bodies & set(robot.frame_names)), "the robot has no visuals"
-        elements = [VisualElement(link, 0, Pose(), None, None, why, "") for link in links]
+        elements = [VisualElement(link, Pose(), None, None, why) for link in links]
     found, missing = resolve_meshes(robot, tag)
     parsed = read_meshes(list(found.values()))
     reach = max(float(sum(np.linalg.norm(p.translation) for p in model.jointPlacements)), SHORTEST_REACH)
