@@ -34,7 +34,6 @@ SAMPLED_POSTURES = 1000
 HULL_SLACK = 0.01
 # [m] of Coal's iterations; with its own of 1e-6, gradients between cylinders and boxes are 0.1 off
 COAL_TOLERANCE = 1e-12
-LOOK_CLOSELY = 0.001  # [m] beyond a distance, up to which Coal looks closely whether shapes are nearer than it
 MOST_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
 MOST_PARTS = 30  # of a mesh that are looked at one by one: a cabinet with doors and handles
 LARGE_BLOCK = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
@@ -113,7 +112,7 @@ class Obstacle:
 
 @lru_cache(maxsize=16)
 def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[CollisionShape, ...]:
-    """Return all collision shapes of a robot; capsules stand in for a link that loses all of its own.
+    """Return all collision shapes of a robot; capsules, or a ball, stand in for a link that loses all of its own.
 
     Args:
         robot: A loaded robot.
@@ -135,7 +134,10 @@ def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[Collision
         code = "collision-shape" if shapes else "no-collision-shapes"
         raise RobotError(f"robot {robot.name!r} has no <{tag}> elements{why}", code=code, path=robot.source)
     bare = {joint: link for link, joint in reversed(bare_links(shapes).items())}
-    return tuple(map(_shape, (*kept, *_capsules(robot, bare))))
+    plain, radii = _capsules(robot, bare), link_radii(robot.pinocchio_model)
+    short = bare.keys() - {v.joint for v in plain}  # links too short for a bone: a ball where the joint is
+    plain += [Visual(bare[j], j, np.eye(4), Solid("sphere", (float(radii[j]),)), GREY) for j in sorted(short)]
+    return tuple(map(_shape, (*kept, *plain)))
 
 
 def _capsules(robot: Robot, links: Mapping[int, str]) -> list[Visual]:
@@ -370,7 +372,7 @@ class SelfCollision:
         data, geometry_data = self._own_data()
         if getattr(self._local, "margin", None) != distance:
             for request in geometry_data.collisionRequests:
-                request.security_margin, request.break_distance = distance, distance + LOOK_CLOSELY
+                request.security_margin = distance
             self._local.margin = distance
         posture = self.robot.pinocchio_configuration(q)
         pin.updateGeometryPlacements(self._model, data, self.geometry, geometry_data, posture)
