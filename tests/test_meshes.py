@@ -228,6 +228,8 @@ def test_colours_in_an_obj_file_and_too_many(tmp_path):
     path = write(tmp_path / "a.obj", b"mtllib b.mtl\nusemtl m\nv 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n")
     os.mkfifo(tmp_path / "b.mtl")  # would hang
     np.testing.assert_array_equal(read_meshes([path])[path].colours, [(1.0, 0.0, 0.0, 1.0)])
+    path.write_bytes(b"mtllib b.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    assert read_meshes([path])[path].colours is None
     text = painted("<color>1 0 0</color>", 0).decode()
     library = "".join(PAINTED.format(n, f"<color>0 {n / 99} 0</color>") for n in range(3, 99))
     nodes = "".join(BOUND.format(n, n) for n in range(3, 99))

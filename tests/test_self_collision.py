@@ -142,7 +142,7 @@ def test_clear_is_what_is_not_closer(robot_of, hulls: bool):
 
 @pytest.mark.parametrize(("deep", "counts"), [(0.009, False), (0.011, True)])
 def test_links_two_joints_apart_count_where_they_touch(tmp_path, deep: float, counts: bool):
-    """Such a pair is left out unless its hulls overlap by a centimetre somewhere; with more joints between it counts."""
+    """A pair is left out unless its hulls overlap by a centimetre somewhere; with more joints between it counts."""
     joints = [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] + [("revolute", "0 0 1", "0.3 0 0", "0 0 0")] * 3
     nearest = abs(0.3 + 0.1 * np.exp(2.0j))  # of a place on link1 and the first joint, at the limit of the second
     ball, text = shape(f'<sphere radius="{0.5 * (nearest + deep)}"/>'), chain_urdf("bent", joints)
@@ -166,8 +166,8 @@ def lost(robot, folder, *changes: tuple[bytes, bytes]):
 
 @pytest.mark.parametrize("tag", ["collision", "visual"])
 def test_a_lost_mesh_costs_its_own_link_only(tmp_path, tag: str):
-    """One mesh of an arm is missing: the others count as before, plain shapes stand in for its link; the plan, the replay
-    and `inspect` say its name in the same words.
+    """Meshes of two links are missing: the others count as before, plain shapes stand in for these, and a plan,
+    a replay and `inspect` say their names in the same words.
     """
     file = {"collision": "collision/{}.stl", "visual": "visual/{}.dae"}[tag]
     changes = [(file.format(f"link{n}").encode(), file.format(f"gone{n}").encode()) for n in (3, 5)]

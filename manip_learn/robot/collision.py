@@ -7,7 +7,7 @@ of a wrist touch where the links do not.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
@@ -124,12 +124,11 @@ def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[Collision
     """
     if tag == "links":
         bodies = [f for f in robot.pinocchio_model.frames if f.type == pin.FrameType.BODY]
-        return tuple(map(_shape, _capsules(robot, {f.parentJoint: f.name for f in reversed(bodies)})))
+        return _made(_capsules(robot, {f.parentJoint: f.name for f in reversed(bodies)}))
     shapes = visual_shapes(robot, tag)
-    kept = [v for v in shapes if v.shape]
-    if not kept:
+    if all(v.fault for v in shapes):
         why = f" that can be used: {' '.join(losses(shapes))}" if shapes else ", whose distances could be computed"
-        if tag == "collision" and any(v.shape for v in visual_shapes(robot)):
+        if tag == "collision" and not all(v.fault for v in visual_shapes(robot)):
             why += ": the shapes of its <visual> elements can take their place (shapes='visual')"
         code = "collision-shape" if shapes else "no-collision-shapes"
         raise RobotError(f"robot {robot.name!r} has no <{tag}> elements{why}", code=code, path=robot.source)
@@ -137,7 +136,11 @@ def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[Collision
     plain, radii = _capsules(robot, bare), link_radii(robot.pinocchio_model)
     short = bare.keys() - {v.joint for v in plain}  # links too short for a bone: a ball where the joint is
     plain += [Visual(bare[j], j, np.eye(4), Solid("sphere", (float(radii[j]),)), GREY) for j in sorted(short)]
-    return tuple(map(_shape, (*kept, *plain)))
+    return _made((*shapes, *plain))
+
+
+def _made(shapes: Iterable[Visual]) -> tuple[CollisionShape, ...]:
+    return tuple(_shape(v, v.shape) for v in shapes if v.shape)
 
 
 def _capsules(robot: Robot, links: Mapping[int, str]) -> list[Visual]:
@@ -220,14 +223,13 @@ def _solid(solid: Solid) -> tuple[Any, Float[np.ndarray, " 3"], float]:
     return geometry, np.array([radius, radius, radius + far]), radius + far
 
 
-def _shape(v: Visual) -> CollisionShape:
+def _shape(v: Visual, shape: Solid | Mesh) -> CollisionShape:
     import trimesh
 
-    if isinstance(v.shape, Solid):
-        geometry, _, radius = _solid(v.shape)
-        return CollisionShape(v.link, v.joint, v.placement, geometry, radius, v.shape)
-    assert v.shape is not None
-    whole = trimesh.Trimesh(v.shape.vertices, v.shape.faces)
+    if isinstance(shape, Solid):
+        geometry, _, radius = _solid(shape)
+        return CollisionShape(v.link, v.joint, v.placement, geometry, radius, shape)
+    whole = trimesh.Trimesh(shape.vertices, shape.faces)
     hull = trimesh.convex.convex_hull(whole)
     if not hull.volume > FLAT * hull.extents.max() ** 3:
         why = "its mesh has no volume, so that distances to it are not defined"

@@ -14,7 +14,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, cast, final
 from urllib.parse import unquote
 
 import numpy as np
@@ -224,8 +224,10 @@ def _pieces(content: bytes, kind: str) -> Iterator[Piece]:
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
         if isinstance(piece := scene.geometry[name], trimesh.Trimesh):
-            red, green, blue, _ = (piece.visual.main_color / 255.0).tolist()  # of OBJ files with colours of vertices
-            colour = (red, green, blue, 1.0) if piece.visual.defined else None
+            colour, paint = None, cast(Any, piece.visual)
+            if paint.kind in ("vertex", "face"):  # as in OBJ files whose vertices have colours
+                red, green, blue, _ = (paint.main_color / 255.0).tolist()
+                colour = (red, green, blue, 1.0)
             yield trimesh.transform_points(piece.vertices, T), piece.faces, colour
 
 
