@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from conftest import URDFS
+from test_meshes import BOUND, painted
 from test_playback import unpacked, waving
 
 from manip_learn.playback.appearance import appearance
@@ -131,6 +132,20 @@ def test_each_part_is_drawn_in_its_colour(robot_of):
         assert sum(len(p.faces) for p in parts) <= len(hand.shape.faces)
         low, high = (f([f(p.vertices, axis=0) for p in parts], axis=0) for f in (np.min, np.max))
         np.testing.assert_allclose([low, high], [f(hand.shape.vertices, axis=0) for f in (np.min, np.max)], atol=0.01)
+
+
+def test_parts_that_have_no_area_are_left_out(tmp_path):
+    """A part whose triangles are lines is not drawn; its neighbour is."""
+    text = painted("<color>1 0 0</color>", 0, 5).decode()
+    flat = BOUND.format(1, 0).replace("</translate>", "</translate><scale>1 0 1</scale>")
+    assert BOUND.format(1, 0) in text
+    (tmp_path / "a.dae").write_text(text.replace(BOUND.format(1, 0), flat), encoding="utf-8")
+    visual = '<visual><geometry><mesh filename="a.dae"/></geometry></visual>'
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDFS["gantry"].replace('<link name="link2">', f'<link name="link2">{visual}'), encoding="utf-8")
+    robot = load_robot(path)
+    looks = appearance(robot, kinematic_tree(robot))
+    assert [(s.kind, s.colour) for s in looks.shapes] == [("mesh", (0.0, 0.0, 1.0, 1.0))]
 
 
 def test_missing_meshes_are_told(tmp_path, robot_of):

@@ -188,15 +188,15 @@ def _own_shapes(visuals: Sequence[Visual], max_triangles: int) -> tuple[list[Sha
     """Return the shapes of the description, each mesh in a part for each of its colours."""
     shapes = list[Shape]()
     whole = {id(v.shape): v.shape for v in visuals if isinstance(v.shape, Mesh)}  # a finger's is often used twice
-    small, before, after = decimated(list(whole.values()), max_triangles)
-    parts = dict(zip(whole, map(by_colour, small), strict=True))
-    meshes = [part for some in parts.values() for _, part in some]
-    numbers = {id(part): k for k, part in enumerate(meshes)}
+    # by colour first: where simple surfaces of two colours lie on each other, one must not swallow the other
+    parts = [(key, colour, part) for key, mesh in whole.items() for colour, part in by_colour(mesh)]
+    small, before, after = decimated([part for *_, part in parts], max_triangles)
+    drawn = [(key, colour, mesh) for (key, colour, _), mesh in zip(parts, small, strict=True) if len(mesh.faces)]
     for v in visuals:
         match v.shape:
             case Mesh():
-                for colour, part in parts[id(v.shape)]:
-                    shapes.append(Shape(v.joint, "mesh", (), v.placement, colour or v.colour, mesh=numbers[id(part)]))
+                for k, colour in ((k, colour) for k, (key, colour, _) in enumerate(drawn) if key == id(v.shape)):
+                    shapes.append(Shape(v.joint, "mesh", (), v.placement, colour or v.colour, mesh=k))
             case ("capsule", (radius, length)):
                 shapes.append(Shape(v.joint, "cylinder", (radius, length), v.placement, v.colour))
                 for z in (-0.5 * length, 0.5 * length):
@@ -205,4 +205,4 @@ def _own_shapes(visuals: Sequence[Visual], max_triangles: int) -> tuple[list[Sha
             case ("box" | "sphere" | "cylinder" as kind, size):
                 shapes.append(Shape(v.joint, kind, size, v.placement, v.colour))
     note = f"The meshes were simplified from {before:,} to {after:,} triangles to keep the page small."
-    return shapes, meshes, [note] if after < before else []
+    return shapes, [mesh for *_, mesh in drawn], [note] if after < before else []

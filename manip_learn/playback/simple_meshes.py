@@ -37,7 +37,7 @@ def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]
     for i, mesh in enumerate(clean):
         pairs = np.column_stack([mesh.faces.reshape(-1), _smooth_groups(mesh.vertices, mesh.faces)])
         unique, index = np.unique(pairs, axis=0, return_inverse=True)
-        clean[i] = Mesh(mesh.vertices[unique[:, 0]], index.reshape(-1, 3), mesh.colours)
+        clean[i] = Mesh(mesh.vertices[unique[:, 0]], index.reshape(-1, 3))
     return clean, before, after
 
 
@@ -68,7 +68,7 @@ def _joined(mesh: Mesh, cell: float) -> Mesh:
     corners = np.sort(faces, axis=1)
     kept = np.flatnonzero((np.diff(corners, axis=1) > 0).all(axis=1))
     kept = kept[np.sort(np.unique(corners[kept], axis=0, return_index=True)[1])]
-    return compact(Mesh(middle, faces[kept], None if mesh.colours is None else mesh.colours[kept]))
+    return compact(Mesh(middle, faces[kept]))
 
 
 def _smooth_groups(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, " C"]:

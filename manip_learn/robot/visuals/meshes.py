@@ -148,9 +148,9 @@ class Mesh(NamedTuple):
 
 
 def compact(mesh: Mesh) -> Mesh:
-    """Return a mesh without the vertices that none of its triangles uses."""
+    """Return a mesh without the vertices that none of its triangles uses, and without colours."""
     used, index = np.unique(mesh.faces, return_inverse=True)
-    return Mesh(mesh.vertices[used], index.reshape(-1, 3), mesh.colours)
+    return Mesh(mesh.vertices[used], index.reshape(-1, 3))
 
 
 def by_colour(mesh: Mesh) -> list[tuple[Colour | None, Mesh]]:
