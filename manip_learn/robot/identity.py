@@ -67,23 +67,20 @@ class RobotIdentity:
         """
         if not isinstance(content, Mapping):
             raise ValueError(f"the robot must be an object, it is {type(content).__name__}")
-        locked, nq = content.get("locked", {}), content.get("nq")
-        if not isinstance(locked, Mapping):
-            raise ValueError(f"the locked joints must be an object, they are {type(locked).__name__}")
+        words = {"locked": {}, "objects": [], "source": "", **content}
+        texts = {key: (key, str, "text") for key in ("name", "fingerprint", "source")}
+        for key, (what, kind, wanted) in (texts | {"locked": ("locked joints", Mapping, "an object")}).items():
+            if not isinstance(words.get(key), kind):
+                raise ValueError(f"the robot's {what} must be {wanted}, it is {words.get(key)!r:.40}")
+        nq, locked = words.get("nq"), words["locked"]
         if not isinstance(nq, int) or isinstance(nq, bool) or not 0 <= nq < 100_000:
             raise ValueError(f"the robot's nq must be a number, it is {nq!r:.40}")
         for name, value in locked.items():
-            if finite(value) is None:
+            if not isinstance(name, str) or finite(value) is None:
                 raise ValueError(f"joint {name!r} is locked at {value!r:.40}, a finite number is needed")
-        return RobotIdentity(
-            _text("name", content.get("name")),
-            _text("fingerprint", content.get("fingerprint")),
-            nq,
-            names_from(content.get("joint_names"), "the robot's joint_names"),
-            {_text("locked joint", name): float(value) for name, value in locked.items()},
-            names_from(content.get("objects", []), "the robot's objects"),
-            _text("source", content.get("source", "")),
-        )
+        joints, objects = (names_from(words.get(key), f"the robot's {key}") for key in ("joint_names", "objects"))
+        held = {name: float(value) for name, value in locked.items()}
+        return RobotIdentity(words["name"], words["fingerprint"], nq, joints, held, objects, words["source"])
 
     def differences(self, robot: Robot) -> tuple[str, ...]:
         """Its differences from a loaded robot, one part of a sentence each; empty if there are none."""
@@ -136,12 +133,6 @@ def names_from(value: object, what: str) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise ValueError(f"{what} must be a list of names, it is {value!r:.60}")
     return tuple(value)
-
-
-def _text(what: str, value: object) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"the robot's {what} must be text, it is {value!r:.40}")
-    return value
 
 
 def _held(position: float | None) -> str:
