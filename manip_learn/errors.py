@@ -15,7 +15,7 @@ import tokenize
 import unicodedata
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -134,6 +134,12 @@ def listed(words: Iterable[str]) -> str:
     """Words as said aloud: "a", "a and b", "a, b and c"."""
     *most, last = words
     return f"{', '.join(most)} and {last}" if most else last
+
+
+def few(words: Sequence[str], most: int = 8, between: str = ", ") -> str:
+    """Return the first words, as many as an arm has joints, and how many more there are; "none" without any."""
+    more = f" and {len(words) - most} more" if len(words) > most else ""
+    return between.join(words[:most]) + more or "none"
 
 
 def number_if_known(n: int) -> str:

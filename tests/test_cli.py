@@ -245,13 +245,34 @@ def test_robots_are_listed_and_looked_at(run):
     assert (code, err) == (0, "") and out.startswith("manip-learn ")
 
 
+@pytest.mark.parametrize(
+    ("robot", "lines", "tip"), [("sawyer", 24, "right_gripper_tip"), ("panda", 30, "panda_hand_tcp")]
+)
+def test_inspect_fits_on_a_screen(run, monkeypatch, robot, lines, tip):
+    """The joints in the order of files, the tip with its flag, the first frames with their number, and what to do next,
+    in 80 columns; the file's name alone may be longer.
+    """
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = run("inspect", robot)
+    said = out.splitlines()
+    assert code == 0 and len(said) + 1 <= lines and all(len(line) <= 80 for line in said if not line.startswith("/"))
+    joints = [line.split()[0] for line in said if line.rstrip().endswith(("rad", " m"))]
+    code, answer, _ = run("inspect", robot, "--json")
+    answer = json.loads(answer)
+    assert joints == [j["name"] for j in answer["joints"]]
+    words = " ".join(out.split())
+    assert f"likely tips: {tip} (--frame {tip})" in words and f"and {len(answer['frames']) - 8} more" in words
+    assert "agrees with yourdfpy" in words
+    assert said[-1] == f"next: manip-learn learn {robot} RECORDINGS --frame {tip}"
+
+
 def test_our_own_failure_is_no_traceback(run, monkeypatch):
     """An internal error gives exit code 1 and one sentence."""
 
     def broken(*_arguments, **_options):
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr("manip_learn.commands.robots.summarise", broken)
+    monkeypatch.setattr("manip_learn.commands.robots.inspect_robot", broken)
     code, out, err = run("inspect", "sawyer")
     assert (code, out) == (1, "")
     assert "internal error" in err

@@ -12,7 +12,7 @@ from peak_memory import peak_megabytes
 from urdf_corpus import OBJ, dae, stl
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.visuals.meshes import Mesh, find_mesh, mesh_roots, read_meshes
+from manip_learn.robot.visuals.meshes import GREY, Mesh, by_colour, find_mesh, mesh_roots, read_meshes
 
 
 @pytest.fixture(autouse=True)
@@ -194,21 +194,49 @@ def painted(diffuse: str, *places: int) -> bytes:
     return text.replace('<node><instance_geometry url="#g"/></node>', parts).encode()
 
 
-def test_the_colour_of_a_mesh_is_that_of_most_triangles(tmp_path):
-    """Every part is where its node places it; the fourth number is not believed, others end at 0 and 1."""
-    for diffuse, places, colour in (
-        ("<color>2 0.5 -0.2 0.1</color>", (0,), (1.0, 0.5, 0.0, 1.0)),
-        ("<color>1 0 0</color>", (0, 5, 9), (0.0, 0.0, 1.0, 1.0)),
+def test_each_part_of_a_mesh_has_its_colour(tmp_path):
+    """Every part is where its node places it, in its colour, and a part without one in grey; the fourth number is not
+    believed, others end at 0 and 1. Where no part has a colour, the mesh has none.
+    """
+    red, blue = (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
+    for diffuse, places, colours in (
+        ("<color>2 0.5 -0.2 0.1</color>", (0,), {0: (1.0, 0.5, 0.0, 1.0)}),
+        ("<color>1 0 0</color>", (0, 5, 9), {0: red, 5: blue, 9: blue}),
         ("<color>1 red 0</color>", (0,), None),
         ("<color>nan 0 0 1</color>", (0,), None),
         ('<texture texture="gone" texcoord="t"/>', (0,), None),
+        ('<texture texture="gone" texcoord="t"/>', (0, 5), {0: GREY, 5: blue}),
     ):
         path = write(tmp_path / "a.dae", painted(diffuse, *places))
         mesh = read_meshes([path])[path]
-        with case(diffuse):
+        with case(diffuse, places):
             assert isinstance(mesh, Mesh), mesh
-            assert mesh.colour == colour
             assert sorted(set(mesh.vertices[:, 0])) == sorted({x + step for x in places for step in (0, 1)})
+            if colours is None:
+                assert mesh.colours is None
+                continue
+            seen = {int(mesh.vertices[f[0], 0]): tuple(c) for f, c in zip(mesh.faces, mesh.colours, strict=True)}
+            assert seen == colours
+            parts = {tuple(colour): sorted(part.vertices[part.faces[:, 0], 0]) for colour, part in by_colour(mesh)}
+            assert parts == {c: [x for x in places if colours[x] == c] for c in set(colours.values())}
+
+
+def test_colours_in_an_obj_file_and_too_many(tmp_path):
+    """Colours of vertices are in the file itself; a material of another file is not opened. Of more colours than can be
+    drawn one by one a mesh has none.
+    """
+    path = write(tmp_path / "a.obj", b"mtllib b.mtl\nusemtl m\nv 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n")
+    os.mkfifo(tmp_path / "b.mtl")  # would hang
+    np.testing.assert_array_equal(read_meshes([path])[path].colours, [(1.0, 0.0, 0.0, 1.0)])
+    path.write_bytes(b"mtllib b.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    assert read_meshes([path])[path].colours is None
+    text = painted("<color>1 0 0</color>", 0).decode()
+    library = "".join(PAINTED.format(n, f"<color>0 {n / 99} 0</color>") for n in range(3, 99))
+    nodes = "".join(BOUND.format(n, n) for n in range(3, 99))
+    path = write(tmp_path / "a.dae", text.replace("<library_geometries>", library + "<library_geometries>").encode())
+    path.write_text(path.read_text().replace("</visual_scene>", f"{nodes}</visual_scene>"), encoding="utf-8")
+    mesh = read_meshes([path])[path]
+    assert len(mesh.faces) == 97 and mesh.colours is None
 
 
 def test_too_large_files_and_pipes_are_not_read(tmp_path):

@@ -183,7 +183,7 @@ def test_a_follower_with_an_offset_alone_in_the_chain_is_where_it_belongs(rng):
             pin.framesForwardKinematics(model, data, all_q)
             expected = data.oMf[model.getFrameId("l3")].homogeneous
             np.testing.assert_allclose(robot.pose(q, frame), expected, atol=KNOWN)
-            np.testing.assert_allclose(batch_kinematics(robot, frame).pose(q[None])[0], expected, atol=KNOWN)
+            np.testing.assert_allclose(robot.frame_kinematics(frame).poses(q[None])[0], expected, atol=KNOWN)
 
 
 def test_every_derivative_is_exact_with_followers(tmp_path, rng):

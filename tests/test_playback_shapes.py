@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from conftest import URDFS
+from test_meshes import BOUND, painted
 from test_playback import unpacked, waving
 
 from manip_learn.playback.appearance import appearance
@@ -15,6 +16,7 @@ from manip_learn.playback.scene_data import scene_data
 from manip_learn.playback.simple_meshes import decimated
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.visuals.meshes import Mesh
+from manip_learn.robot.visuals.visual_shapes import visual_shapes
 
 
 def ball(steps=60, radius=0.1):
@@ -115,6 +117,35 @@ def test_meshes_are_packed(robot_of):
         np.testing.assert_allclose(packed["origin"] + steps * packed["step"], mesh.vertices, atol=1e-5)
         triangles = unpacked(packed["triangles"], "<u4" if packed["wide"] else "<u2").reshape(-1, 3)
         np.testing.assert_array_equal(triangles, mesh.faces)
+
+
+def test_each_part_is_drawn_in_its_colour(robot_of):
+    """Panda's hand is drawn in its white, black and grey, also where it is simplified; all parts are where it is."""
+    robot = load_robot("panda")
+    for most in (10**6, 3000):
+        looks = appearance(robot, kinematic_tree(robot), max_triangles=most)
+        hand = next(v for v in visual_shapes(robot) if v.link == "panda_hand")
+        drawn = [s for s in looks.shapes if np.array_equal(s.pose, hand.placement) and s.joint == hand.joint]
+        known = {tuple(c) for c in hand.shape.colours}
+        assert len(known) > 2 and {s.colour for s in drawn} == known and len(drawn) == len(known)
+        parts = [looks.meshes[s.mesh] for s in drawn]
+        assert sum(len(p.faces) for p in parts) <= len(hand.shape.faces)
+        low, high = (f([f(p.vertices, axis=0) for p in parts], axis=0) for f in (np.min, np.max))
+        np.testing.assert_allclose([low, high], [f(hand.shape.vertices, axis=0) for f in (np.min, np.max)], atol=0.01)
+
+
+def test_parts_that_have_no_area_are_left_out(tmp_path):
+    """A part whose triangles are lines is not drawn; its neighbour is."""
+    text = painted("<color>1 0 0</color>", 0, 5).decode()
+    flat = BOUND.format(1, 0).replace("</translate>", "</translate><scale>1 0 1</scale>")
+    assert BOUND.format(1, 0) in text
+    (tmp_path / "a.dae").write_text(text.replace(BOUND.format(1, 0), flat), encoding="utf-8")
+    visual = '<visual><geometry><mesh filename="a.dae"/></geometry></visual>'
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDFS["gantry"].replace('<link name="link2">', f'<link name="link2">{visual}'), encoding="utf-8")
+    robot = load_robot(path)
+    looks = appearance(robot, kinematic_tree(robot))
+    assert [(s.kind, s.colour) for s in looks.shapes] == [("mesh", (0.0, 0.0, 1.0, 1.0))]
 
 
 def test_missing_meshes_are_told(tmp_path, robot_of):

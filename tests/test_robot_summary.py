@@ -56,4 +56,6 @@ def test_summary_says_what_is_wrong(tmp_path):
     assert [j.name for j in summary.joints][:3] == ["root_joint.x", "root_joint.y", "root_joint.rz"]
     assert any("no velocity limit" in w for w in summary.warnings)
     assert list(summary.meshes_missing) == ["gone0.stl", "gone1.stl", "gone2.stl"]  # one line with their number
+    path.write_text(path.read_text().replace("visual>", "collision>"), encoding="utf-8")  # shapes for collisions, too
+    assert list(inspect_robot(load_robot(path)).meshes_missing) == ["gone0.stl", "gone1.stl", "gone2.stl"]
     assert "mesh 'gone0.stl' (and 2 more) was not found" in [w.partition(";")[0] for w in summary.warnings]

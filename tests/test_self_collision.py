@@ -12,8 +12,13 @@ from conftest import chain_urdf
 from test_gradients import central_difference
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.collision import SelfCollision
+from manip_learn.planning.clearance import Clearance, Surroundings
+from manip_learn.playback.appearance import appearance
+from manip_learn.playback.kinematic_tree import kinematic_tree
+from manip_learn.robot.collision import SelfCollision, collision_shapes, known_shapes
 from manip_learn.robot.loading import load_robot
+from manip_learn.robot.robot_summary import inspect_robot
+from manip_learn.robot.visuals.visual_shapes import losses, visual_shapes
 
 SHAPES = {"panda": "collision", "sawyer": "visual", "planar3": "visual"}
 
@@ -118,6 +123,72 @@ def test_a_mesh_that_is_not_convex(tmp_path):
             between += bool(hulls.nearest(q).distance < 0.0)
         assert meshes.is_clear(q, 0.02) is bool(expected > 0.02) or abs(expected - 0.02) < 1e-6
     assert between > 20
+
+
+@pytest.mark.parametrize("hulls", [True, False])
+def test_clear_is_what_is_not_closer(robot_of, hulls: bool):
+    """`is_clear` and `closer_than` draw one line, to ten micrometres on both sides of every distance."""
+    robot, rng, seen = robot_of("panda"), np.random.default_rng(11), 0
+    collision = SelfCollision(robot, hulls=hulls)
+    for _ in range(120):
+        q = robot.random_configuration(rng)
+        near = collision.nearest(q).distance
+        if 2e-5 < near < 0.2:
+            seen += 1
+            for distance, is_clear in ((near - 1e-5, True), (near + 1e-5, False), (near + 0.05, False)):
+                assert collision.is_clear(q, distance) is is_clear is (not collision.closer_than(q, distance))
+    assert seen > 40
+
+
+@pytest.mark.parametrize(("deep", "counts"), [(0.009, False), (0.011, True)])
+def test_links_two_joints_apart_count_where_they_touch(tmp_path, deep: float, counts: bool):
+    """A pair is left out unless its hulls overlap by a centimetre somewhere; with more joints between it counts."""
+    joints = [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] + [("revolute", "0 0 1", "0.3 0 0", "0 0 0")] * 3
+    nearest = abs(0.3 + 0.1 * np.exp(2.0j))  # of a place on link1 and the first joint, at the limit of the second
+    ball, text = shape(f'<sphere radius="{0.5 * (nearest + deep)}"/>'), chain_urdf("bent", joints)
+    shapes = {"base": ball.replace("0.1 0 0", "0.4 0 0"), "link1": ball, "link3": shape('<sphere radius="0.001"/>')}
+    for link, element in shapes.items():
+        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{element}')
+    (tmp_path / "bent.urdf").write_text(text, encoding="utf-8")
+    pairs = SelfCollision(load_robot(tmp_path / "bent.urdf")).link_pairs
+    assert (("base", "link1") in pairs) is counts and ("base", "link3") in pairs
+
+
+def lost(robot, folder, *changes: tuple[bytes, bytes]):
+    """A copy of a robot in which meshes have other names."""
+    content = robot.description
+    for old, new in changes:
+        assert content.count(old) == 1
+        content = content.replace(old, new)
+    (folder / "lost.urdf").write_bytes(content)
+    return load_robot(folder / "lost.urdf", package_dirs=list(robot.source.parents)[:5])
+
+
+@pytest.mark.parametrize("tag", ["collision", "visual"])
+def test_a_lost_mesh_costs_its_own_link_only(tmp_path, tag: str):
+    """Meshes of two links are missing: the others count as before, plain shapes stand in for these, and a plan,
+    a replay and `inspect` say their names in the same words.
+    """
+    file = {"collision": "collision/{}.stl", "visual": "visual/{}.dae"}[tag]
+    changes = [(file.format(f"link{n}").encode(), file.format(f"gone{n}").encode()) for n in (3, 5)]
+    robot = lost(load_robot("panda"), tmp_path, *changes)
+    other = SelfCollision(robot, shapes=tag)
+    kinds = {s.link: type(s.geometry).__name__ for s in collision_shapes(robot, tag)}
+    assert kinds["panda_link3"] == "Capsule" and kinds["panda_link5"] == "Sphere" and kinds["panda_link4"] == "Convex"
+    q = robot.positions(robot.neutral())
+    full, some = (
+        {p.links: p.distance for p in c.closer_than(x, 10.0) if not {"panda_link3", "panda_link5"} & {*p.links}}
+        for c, x in ((SelfCollision(load_robot("panda"), shapes=tag), q), (other, q))
+    )
+    shared = full.keys() & some.keys()
+    assert len(shared) > 0.8 * len(full) and all(some[k] == full[k] for k in shared)
+    why = losses(visual_shapes(robot, tag))
+    assert len(why) == 1 and why[0].startswith("Plain shapes stand in for panda_link3, panda_link5: mesh '")
+    assert known_shapes(robot) == "collision"
+    planned = Clearance(robot, True, Surroundings(), q).notes
+    drawn = appearance(robot, kinematic_tree(robot)).notes
+    assert (why[0] in planned, why[0] in drawn) == (tag == "collision", tag == "visual")
+    assert why[0].partition(": ")[2].rstrip(".") in inspect_robot(robot).warnings
 
 
 def test_mimic_joints_and_threads(robot_of, collision_of):

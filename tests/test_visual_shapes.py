@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from test_meshes import painted
 from urdf_corpus import ARM, stl
 
 from manip_learn.robot.description.catalogue import example_package_dir, example_robots
@@ -133,9 +134,18 @@ def test_meshes_are_found_from_another_folder(tmp_path, monkeypatch):
     assert robot.package_dirs == (tmp_path / "meshes",)
 
 
-def test_a_mesh_without_a_material_has_the_colour_of_its_file():
-    """Panda's hand is mostly white in its COLLADA file; an STL has no colour and is grey."""
-    colours = {v.link: v.colour for v in visual_shapes(load_robot("panda"))}
-    assert min(colours["panda_hand"][:3]) > 0.8 and colours["panda_hand"][3] == 1
-    grey = visual_shapes(load_robot("z1"))
-    assert all(v.colour[3] == 1 for v in grey)
+def test_a_mesh_without_a_material_has_the_colours_of_its_file(tmp_path):
+    """Panda's hand is white, black and grey as in its COLLADA file; an STL has no colour and is grey; what the URDF
+    says of a shape wins.
+    """
+    hand = next(v.shape for v in visual_shapes(load_robot("panda")) if v.link == "panda_hand")
+    assert isinstance(hand, Mesh) and hand.colours is not None
+    brightness = np.unique(hand.colours[:, :3].max(axis=1))
+    assert brightness[0] < 0.3 and brightness[-1] > 0.8 and (hand.colours[:, 3] == 1).all()
+    assert all(v.colour[3] == 1 and v.shape.colours is None for v in visual_shapes(load_robot("z1")))
+    (tmp_path / "a.dae").write_bytes(painted("<color>1 0 0</color>", 0, 5))
+    mesh = '<visual><geometry><mesh filename="../a.dae"/></geometry>{}</visual>'
+    green = '<material name="x"><color rgba="0 1 0 1"/></material>'
+    own, said = visual_shapes(arm_with(tmp_path, mesh.format("") + mesh.format(green)))
+    assert len(np.unique(own.shape.colours, axis=0)) == 2
+    assert said.shape.colours is None and said.colour == (0, 1, 0, 1)

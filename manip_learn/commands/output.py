@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from manip_learn.errors import printable
@@ -23,7 +24,9 @@ SENTENCES = {"message", "sentence", "notes", "warnings", "advice", "evidence", "
 
 
 def for_json(value: object, sentence: bool = False) -> object:
-    """A value for JSON: null in place of NaN, which JSON does not have, and sentences that can be printed."""
+    """A value for JSON: null in place of NaN, which JSON does not have, names of files, and sentences for printing."""
+    if isinstance(value, Path):
+        return str(value)
     if isinstance(value, dict):
         return {str(k): for_json(v, k in SENTENCES) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -12,7 +12,7 @@ from manip_learn.recordings.load import Progress
 from manip_learn.robot.description.catalogue import SHIPPED, example_robots, fetched_names, find_robot
 from manip_learn.robot.description.text import parse_xml, read_description
 from manip_learn.robot.description.urdf import validate_urdf
-from manip_learn.robot.robot_summary import RobotSummary, summarise, with_cross_check
+from manip_learn.robot.robot_summary import RobotSummary, inspect_robot
 
 
 @final
@@ -72,19 +72,22 @@ def _described(name: str, origin: str) -> KnownRobot:
 @final
 @dataclass(frozen=True)
 class Inspected:
-    """What a robot is made of."""
+    """What a robot is made of.
+
+    Attributes:
+        summary: Its facts.
+        loaded: The words of a command that name it: its name or file, and how it is loaded.
+    """
 
     summary: RobotSummary
+    loaded: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer; limits that do not exist are infinite, which JSON says as null."""
-        content = dataclasses.asdict(self.summary)
-        content["source"] = None if self.summary.source is None else str(self.summary.source)
-        content["meshes_found"] = {k: str(v) for k, v in self.summary.meshes_found.items()}
-        return content
+        return dataclasses.asdict(self.summary)
 
 
 def inspect(options: InspectOptions, progress: Progress | None = None) -> Inspected:
     """Load a robot and look at it, and check its forward kinematics by another library."""
-    robot = options.loading.load(options.robot)
-    return Inspected(with_cross_check(summarise(robot), robot))
+    loaded = (options.robot, *options.loading.words)
+    return Inspected(inspect_robot(options.loading.load(options.robot)), loaded)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable, Container, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from rich.markdown import Markdown
 from rich.table import Table
 from rich.text import Text
 
-from manip_learn.errors import counted, listed, printable
+from manip_learn.errors import counted, few, listed, printable
 
 if TYPE_CHECKING:
     from manip_learn.commands.audit import Audited
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from manip_learn.learning.audit import EpisodeAudit
     from manip_learn.playback import ReplayResult
 
+PLAIN = {"header_style": "bold", "box": SIMPLE_HEAD, "padding": (0, 1, 0, 0), "show_edge": False}  # of a table
 WAY_TERMS = ("off", "fastest", "margin of a way", "least mu")
 ROLLOUT_TERMS = ("error", "mu", "peak", "unhindered")
 AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk", "rest")
@@ -181,8 +183,7 @@ def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tu
     shown, hidden = ([n for n in MEASURES if (n in fitting) is fits] for fits in (True, False))
     lines = zip([e.episode for e in episodes], *(cells[name] for name in shown), strict=True)
     rows = [[text(cell, "red" if e.leave_out else "") for cell in row] for e, row in zip(episodes, lines, strict=True)]
-    style = {"header_style": "bold", "box": SIMPLE_HEAD, "padding": (0, 1, 0, 0), "show_edge": False}
-    return table_of(["episode", *shown], rows, **style), tuple(hidden)
+    return table_of(["episode", *shown], rows, **PLAIN), tuple(hidden)
 
 
 def print_learnt(console: Console, learnt: LearntTask, explain: bool = False, more: Sequence[str] = ()) -> None:
@@ -277,12 +278,7 @@ def print_repeated(console: Console, repeated: Repeated) -> None:
 ORIGINS = (
     ("package", "with the package", "", ""),
     ("extra", "with the extra robots, without a net", "robots", "panda, xarm7, so101, ur5 and 60 more"),
-    (
-        "net",
-        "with the extra descriptions, fetched from the net when first named",
-        "descriptions",
-        "xarm6, lite6 and more",
-    ),
+    ("net", "with the extra descriptions, fetched from the net when first named", "descriptions", "xarm6 and more"),
 )
 
 
@@ -301,27 +297,32 @@ def print_robots(console: Console, listed: KnownRobots) -> None:
 
 
 def print_robot(console: Console, inspected: Inspected) -> None:
-    """What one must know before learning: the tip, the joints that move it, what is odd; then numbers and frames."""
-    summary = inspected.summary
+    """Print what one must know before recording and learning, on one screen."""
+    summary, joints, check = inspected.summary, inspected.summary.joints, inspected.summary.cross_check
+    tip = summary.tips[0] if summary.tips else "NAME"
+    still = [j.name for j in joints if summary.moving_tip and j.name not in summary.moving_tip]
+    limits = [[f"{x:.4g}" if math.isfinite(x) else "none" for x in (j.lower, j.upper, j.velocity)] for j in joints]
+    rows = [(j.name, j.kind, *row, j.unit) for j, row in zip(joints, limits, strict=True)]
+    agreed = f"agrees with yourdfpy to {check.largest_difference:.1e}" if check and check.agrees else ""
+    above = {
+        "likely tips": f"{few(summary.tips)} (--frame {shlex.quote(tip)})",
+        f"moving {tip}": f"{few(summary.moving_tip)}; not: {few(still)}" if still else "",
+        "without position limits": few([j.name for j in joints if not math.isfinite(j.upper - j.lower)]),
+    }
+    below = {
+        "mimic": few([f"{m.joint} = {m.multiplier:g} {m.leader} + {m.offset:g}" for m in summary.mimics], 3),
+        "locked": few([f"{name} at {position:g}" for name, position in summary.locked.items()]),
+        "frames, the last first": f"{few(summary.frames[::-1])} (all: --json)",
+        "forward kinematics": agreed,
+        "next": f"manip-learn learn {shlex.join(inspected.loaded)} RECORDINGS --frame {shlex.quote(tip)}",
+    }
     console.print(Text.assemble(text(summary.name, "bold"), f": nq {summary.nq}, nv {summary.nv}"), highlight=False)
-    if summary.source is not None:
-        say(console, str(summary.source), style="dim", whole=True)
-    say(console, f"likely tips: {', '.join(summary.tips) or 'none'}")
-    if summary.moving_tip and len(summary.moving_tip) < len(summary.joints):
-        others = [j.name for j in summary.joints if j.name not in summary.moving_tip]
-        say(console, f"moving {summary.tips[0]}: {', '.join(summary.moving_tip)}; not: {', '.join(others)}")
-    unlimited = [j.name for j in summary.joints if not math.isfinite(j.upper - j.lower)]
-    say(console, *([f"without position limits: {', '.join(unlimited)}"] if unlimited else []))
+    say(console, *([] if summary.source is None else [str(summary.source)]), style="dim", whole=True)
+    say(console, *(f"{what}: {words}" for what, words in above.items() if words not in ("", "none")))
     say(console, *(f"warning: {warning}" for warning in summary.warnings), style="yellow")
-    rows = [(j.name, j.kind, _limit(j.lower), _limit(j.upper), _limit(j.velocity), j.unit) for j in summary.joints]
-    header = ("joint", "kind", "lower", "upper", "velocity", "unit")
-    console.print(table_of(header, rows, left=(0, 1, 5), header_style="bold"))
-    say(console, *(f"mimic: {m.joint} = {m.multiplier:g} {m.leader} + {m.offset:g}" for m in summary.mimics))
-    say(console, *(f"locked: {name} at {position:g}" for name, position in summary.locked.items()))
-    say(console, f"frames: {', '.join(summary.frames)}")
-    check = summary.cross_check
-    if check is not None and check.agrees:
-        say(console, f"forward kinematics: agrees with yourdfpy to {check.largest_difference:.1e}")
+    header = ("joint, in the order of files", "kind", "lower", "upper", "velocity", "unit")
+    console.print(table_of(header, rows, left=(0, 1, 5), **PLAIN))
+    say(console, *(f"{what}: {words}" for what, words in below.items() if words not in ("", "none")))
 
 
 def print_controlled(console: Console, controlled: Controlled, explain: bool = False) -> None:
@@ -433,7 +434,3 @@ def print_exported(console: Console, exported: Exported) -> None:
     say(console, *(f"{exported.format}: {file}" for file in exported.files), whole=True)
     if exported.trajectories:
         say(console, f"{counted(exported.trajectories, 'trajectory')}, {counted(exported.samples, 'sample')}")
-
-
-def _limit(value: float) -> str:
-    return f"{value:.4g}" if math.isfinite(value) else "none"

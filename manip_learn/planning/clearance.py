@@ -20,7 +20,6 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.control.barriers import CLEARANCE
-from manip_learn.errors import listed
 from manip_learn.planning.scene import Scene
 from manip_learn.robot.collision import (
     Obstacle,
@@ -135,9 +134,7 @@ class Clearance:
         if links is True and not own:
             capsules = ", capsules along its links keep clear of what stands around" if around.obstacles else ""
             self.notes.append(f"the robot has no shapes: self-collision was not looked at{capsules}")
-        if lost := missing_meshes(robot):
-            files = listed(uri.rpartition("/")[2] for uri in lost)
-            self.notes.append(f"the robot's shapes {files} are not found: capsules along the links stand for them")
+        self.notes += missing_meshes(robot)
         self.around, self.links = around, found.with_obstacles(around.obstacles, own)
         self._least, self._held = dict[tuple[str, str], float](), -np.inf
         postures = [(start, "at the start"), *((q, "in the recordings") for q in shown)]

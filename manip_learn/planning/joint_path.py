@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
 from manip_learn.planning.clearance import Clearance, Posture
-from manip_learn.robot.collision import SelfCollision
+from manip_learn.robot.collision import CollisionShape, SelfCollision
 from manip_learn.robot.plain_urdf import joint_name, plain_urdf
 from manip_learn.robot.robot import Robot
 
@@ -115,7 +115,7 @@ def _searched(
 def _copied(links: SelfCollision, pairs: tuple[tuple[int, int], ...], limits: Limits, larger: float) -> Any:
     """RoboPlan's scene of ours, the links larger by so much [m]."""
     core = import_module("roboplan.core")
-    sizes, together = dict[str, tuple[Any, float]](), list[tuple[str, str]]()
+    sizes, together = dict[str, tuple[CollisionShape, float]](), list[tuple[str, str]]()
     for k, other in pairs:
         hull = other in links.faces
         one, two = f"{'h' if hull else 'g'}{k:03}", f"s{other:03}"

@@ -16,15 +16,13 @@ from manip_learn.playback.simple_meshes import decimated
 from manip_learn.robot.description.mjcf import turn_z_to
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.figure import Bone, bones, link_radii
-from manip_learn.robot.visuals.meshes import Mesh
-from manip_learn.robot.visuals.visual_shapes import Visual, said_once, visual_shapes
+from manip_learn.robot.visuals.meshes import Colour, Mesh, by_colour
+from manip_learn.robot.visuals.visual_shapes import Visual, bare_links, losses, visual_shapes
 
 ShapeKind = Literal["box", "sphere", "cylinder", "disc", "mesh"]
-_Colour = tuple[float, float, float, float]
-
 # red, green, blue and opacity
-PLAIN: _Colour = (0.80, 0.83, 0.86, 1.0)
-DARK: _Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
+PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
+DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
 # own shapes that a shell takes the place of: their largest half width in radii that the kinematics gives, and the share
 FATTEST, SLIMMEST = 2.0, 1.0 / 3.0  # of these that a thin one counts as, so that the grid of a shell finds it
@@ -55,7 +53,7 @@ class Shape:
     kind: ShapeKind
     size: tuple[float, ...]
     pose: Float[np.ndarray, "4 4"]
-    colour: _Colour = PLAIN
+    colour: Colour = PLAIN
     accent: bool = False
     mesh: int | None = None
 
@@ -174,37 +172,31 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
         max_triangles: Meshes are simplified until they have no more than this.
     """
     visuals = visual_shapes(robot)
-    own = [v for v in visuals if not v.fault]
-    faults = [v for v in visuals if v.fault]
-    said, links, notes = said_once(v.fault for v in faults), dict[str, dict[str, None]](), list[str]()
-    for v in faults if robot.source is not None else ():
-        links.setdefault(said[v.fault], {})[v.link] = None
-    for reason, concerned in links.items():  # one sentence for each
-        names = list(concerned)
-        shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-        notes.append(f"Plain shapes stand in for {shown}: {reason}.")
-    plain_joints = {v.joint for v in faults} - {v.joint for v in own}
-    shapes, meshes, mesh_notes = _own_shapes(own, max_triangles)
+    notes = [] if robot.source is None else list(losses(visuals))
+    shapes, meshes, mesh_notes = _own_shapes(visuals, max_triangles)
+    bare = set(bare_links(visuals).values())
     if not meshes:
         shapes, meshes = shells(robot, tree, shapes)
-    elif plain_joints:
-        plain, made = shells(robot, tree, (), plain_joints)
+    elif bare:
+        plain, made = shells(robot, tree, (), bare)
         shapes += [replace(s, mesh=s.mesh + len(meshes)) if s.mesh is not None else s for s in plain]
         meshes += made
     return Appearance(tuple(shapes), tuple(meshes), tuple(notes + mesh_notes))
 
 
-def _own_shapes(visuals: list[Visual], max_triangles: int) -> tuple[list[Shape], list[Mesh], list[str]]:
-    shapes: list[Shape] = []
-    known: dict[int, int] = {}  # a finger's mesh is often used twice
-    meshes: list[Mesh] = []
+def _own_shapes(visuals: Sequence[Visual], max_triangles: int) -> tuple[list[Shape], list[Mesh], list[str]]:
+    """Return the shapes of the description, each mesh in a part for each of its colours."""
+    shapes = list[Shape]()
+    whole = {id(v.shape): v.shape for v in visuals if isinstance(v.shape, Mesh)}  # a finger's is often used twice
+    # by colour first: where simple surfaces of two colours lie on each other, one must not swallow the other
+    parts = [(key, colour, part) for key, mesh in whole.items() for colour, part in by_colour(mesh)]
+    small, before, after = decimated([part for *_, part in parts], max_triangles)
+    drawn = [(key, colour, mesh) for (key, colour, _), mesh in zip(parts, small, strict=True) if len(mesh.faces)]
     for v in visuals:
         match v.shape:
             case Mesh():
-                if id(v.shape) not in known:
-                    known[id(v.shape)] = len(meshes)
-                    meshes.append(v.shape)
-                shapes.append(Shape(v.joint, "mesh", (), v.placement, v.colour, mesh=known[id(v.shape)]))
+                for k, colour in ((k, colour) for k, (key, colour, _) in enumerate(drawn) if key == id(v.shape)):
+                    shapes.append(Shape(v.joint, "mesh", (), v.placement, colour or v.colour, mesh=k))
             case ("capsule", (radius, length)):
                 shapes.append(Shape(v.joint, "cylinder", (radius, length), v.placement, v.colour))
                 for z in (-0.5 * length, 0.5 * length):
@@ -212,8 +204,5 @@ def _own_shapes(visuals: list[Visual], max_triangles: int) -> tuple[list[Shape],
                     shapes.append(Shape(v.joint, "sphere", (radius,), place, v.colour))
             case ("box" | "sphere" | "cylinder" as kind, size):
                 shapes.append(Shape(v.joint, kind, size, v.placement, v.colour))
-    meshes, before, after = decimated(meshes, max_triangles)
-    notes = []
-    if after < before:
-        notes.append(f"The meshes were simplified from {before:,} to {after:,} triangles to keep the page small.")
-    return shapes, meshes, notes
+    note = f"The meshes were simplified from {before:,} to {after:,} triangles to keep the page small."
+    return shapes, [mesh for *_, mesh in drawn], [note] if after < before else []

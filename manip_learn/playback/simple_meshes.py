@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from manip_learn.robot.visuals.meshes import Mesh
+from manip_learn.robot.visuals.meshes import Mesh, compact
 
 CREASE = np.cos(np.deg2rad(38.0))  # edges that turn by more stay sharp: twelve-sided cylinders look round
 MAX_STEPS = 18  # halvings at most; ten bring the range within 1 per cent
@@ -20,12 +20,8 @@ def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]
     Returns:
         The meshes, their triangles before and after.
     """
-    clean = []
-    for m in meshes:  # vertices in one place become one: STL files repeat each of them six times
-        span = float(np.ptp(m.vertices, axis=0).max())
-        steps = np.rint((m.vertices - m.vertices.min(axis=0)) / max(span * 1e-6, 1e-12)).astype(np.int64)
-        _, first, index = np.unique(steps, axis=0, return_index=True, return_inverse=True)
-        clean.append(_cleaned(m.vertices[first], index.reshape(-1)[m.faces]))
+    # vertices in one place become one: STL files repeat each of them six times
+    clean = [_joined(m, max(1e-6 * float(np.ptp(m.vertices, axis=0).max()), 1e-12)) for m in meshes]
     counts = np.array([len(m.faces) for m in clean], dtype=np.float64)
     before = int(counts.sum())
     if before > triangles:
@@ -45,24 +41,14 @@ def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]
     return clean, before, after
 
 
-def _cleaned(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
-    """Without triangles that have two corners in one place or that occur twice, and without unused vertices."""
-    a, b, c = triangles.T
-    triangles = triangles[(a != b) & (b != c) & (c != a)]
-    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
-    triangles = triangles[np.sort(first)]
-    used, index = np.unique(triangles, return_inverse=True)
-    return Mesh(vertices[used], index.reshape(-1, 3))
-
-
 def _clustered(mesh: Mesh, target: int) -> Mesh:
     """Vertices in one cell of a grid become one; the finest grid that meets the target."""
     span = float(np.ptp(mesh.vertices, axis=0).max())
     low, high = 2.0, 4096.0  # cells along the longest side, coarse enough and too fine
-    best = _on_grid(mesh, span / low)
+    best = _joined(mesh, span / low)
     for _ in range(MAX_STEPS):
         cells = float(np.sqrt(low * high))
-        candidate = _on_grid(mesh, span / cells)
+        candidate = _joined(mesh, span / cells)
         if len(candidate.faces) <= target:
             low, best = cells, candidate
         else:
@@ -72,12 +58,17 @@ def _clustered(mesh: Mesh, target: int) -> Mesh:
     return best
 
 
-def _on_grid(mesh: Mesh, cell: float) -> Mesh:
-    steps = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
+def _joined(mesh: Mesh, cell: float) -> Mesh:
+    """Return a mesh whose vertices in one cell of a grid are one; what has no area or occurs twice is left out."""
+    steps = np.rint((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
     _, index, count = np.unique(steps, axis=0, return_inverse=True, return_counts=True)
     index = index.reshape(-1)
     middle = np.column_stack([np.bincount(index, mesh.vertices[:, k], len(count)) / count for k in range(3)])
-    return _cleaned(middle, index[mesh.faces])
+    faces = index[mesh.faces]
+    corners = np.sort(faces, axis=1)
+    kept = np.flatnonzero((np.diff(corners, axis=1) > 0).all(axis=1))
+    kept = kept[np.sort(np.unique(corners[kept], axis=0, return_index=True)[1])]
+    return compact(Mesh(middle, faces[kept]))
 
 
 def _smooth_groups(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, " C"]:

@@ -7,11 +7,11 @@ of a wrist touch where the links do not.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import combinations
-from pathlib import Path
 from typing import Any, Literal, NamedTuple, final
 
 import coal
@@ -22,11 +22,10 @@ from numpy.typing import ArrayLike
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.mjcf import turn_z_to
-from manip_learn.robot.description.urdf import as_matrix
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.figure import bones, link_radii
-from manip_learn.robot.visuals.meshes import Mesh, find_mesh, mesh_roots, read_meshes
-from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, VisualElement, visual_elements
+from manip_learn.robot.visuals.meshes import GREY, Mesh
+from manip_learn.robot.visuals.visual_shapes import Solid, Visual, bare_links, losses, visual_shapes
 
 Shapes = Literal["collision", "visual", "links"]
 # postures that are looked at for links that can touch: every 0.2 rad of two joints that turn once
@@ -35,7 +34,6 @@ SAMPLED_POSTURES = 1000
 HULL_SLACK = 0.01
 # [m] of Coal's iterations; with its own of 1e-6, gradients between cylinders and boxes are 0.1 off
 COAL_TOLERANCE = 1e-12
-LOOK_CLOSELY = 0.001  # [m] beyond a distance, up to which Coal looks closely whether shapes are nearer than it
 MOST_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
 MOST_PARTS = 30  # of a mesh that are looked at one by one: a cabinet with doors and handles
 LARGE_BLOCK = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
@@ -51,8 +49,9 @@ class CollisionShape:
         link: Name of the link.
         joint: Pinocchio id of the moving joint that carries it; 0 is the fixed world.
         placement: shape (4, 4), from the shape to that joint [m].
-        geometry: The shape for the distance computation.
+        geometry: The shape for Coal.
         radius: Of a ball about the shape's origin that contains it [m].
+        shape: The same in numbers, a mesh as trimesh's.
         mesh: What the shape is the convex hull of, as trimesh's; None of other shapes.
     """
 
@@ -61,12 +60,13 @@ class CollisionShape:
     placement: Float[np.ndarray, "4 4"]
     geometry: Any
     radius: float
+    shape: Any
     mesh: Any = None
 
     @cached_property
-    def surface(self) -> Any:
-        """The triangles, or the shape if it has none, for Coal."""
-        return self.geometry if self.mesh is None else _surface(self.mesh)
+    def surface(self) -> CollisionShape:
+        """The same by its triangles, where it has any."""
+        return self if self.mesh is None else replace(self, geometry=_coal(self.mesh, False), shape=self.mesh)
 
 
 @final
@@ -79,45 +79,40 @@ class Obstacle:
         placement: shape (4, 4), in the robot's base frame [m].
         geometry: A convex shape of Coal, or its mesh of triangles, whose surface counts.
         half: shape (3,), half extents of a box about it, centred at its origin and along its axes [m].
+        shape: The same in numbers, a mesh as trimesh's.
         may_touch: Names of the links that may touch it.
-        closed: The mesh as trimesh's, where it is closed and not convex: a link within it touches it, too.
+        is_closed: True of a mesh that is closed and not convex: a link within it touches it, too.
     """
 
     name: str
     placement: Float[np.ndarray, "4 4"]
     geometry: Any
     half: Float[np.ndarray, " 3"]
+    shape: Any
     may_touch: frozenset[str] = frozenset()
-    closed: Any = None
+    is_closed: bool = False
 
     def to_dict(self, most: int) -> dict[str, Any]:
-        """As plain data: its name, its pose, its kind and its numbers [m]; a large block is its face across z.
+        """Return it as plain data: its name, pose, kind and numbers [m]; a large block is its face across z.
 
         Args:
             most: Triangles; a mesh of more is the box about it.
         """
-        shape, half, placement = self.geometry, self.half.tolist(), self.placement.copy()
+        shape, half, placement = self.shape, self.half.tolist(), self.placement.copy()
         described: dict[str, Any] = {"kind": "box", "size": [2.0 * x for x in half]}
         if min(half) >= LARGE_BLOCK:
             described = {"kind": "face"}
             placement[:3, 3] += half[2] * placement[:3, 2]
-        elif isinstance(shape, coal.Sphere):
-            described = {"kind": "sphere", "size": half[:1]}
-        elif isinstance(shape, coal.Cylinder):
-            described = {"kind": "cylinder", "size": [half[0], 2.0 * half[2]]}
-        elif not isinstance(shape, coal.Box):
-            is_convex = isinstance(shape, coal.Convex)
-            n, corners = (shape.num_polygons, shape.polygons) if is_convex else (shape.num_tris, shape.tri_indices)
-            points = np.array(shape.points() if is_convex else shape.vertices())
-            if n <= most:
-                faces = [[corners(k)[i] for i in range(3)] for k in range(n)]
-                described = {"kind": "mesh", "vertices": points.round(5).tolist(), "faces": faces}
+        elif isinstance(shape, Solid):
+            described = {"kind": shape.kind, "size": list(shape.size)}
+        elif len(shape.faces) <= most:
+            described = {"kind": "mesh", "vertices": shape.vertices.round(5).tolist(), "faces": shape.faces.tolist()}
         return {"name": self.name, "pose": placement.tolist()} | described
 
 
 @lru_cache(maxsize=16)
 def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[CollisionShape, ...]:
-    """All collision shapes of a robot.
+    """Return all collision shapes of a robot; capsules, or a ball, stand in for a link that loses all of its own.
 
     Args:
         robot: A loaded robot.
@@ -125,78 +120,59 @@ def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[Collision
             as thick as the tubes by which the replay draws a robot that has no shapes.
 
     Raises:
-        RobotError: The robot has none, or one of them cannot be used; codes `no-collision-shapes`, `collision-shape`
-            and those of meshes.
+        RobotError: The robot has none that can be used; codes `no-collision-shapes`, `collision-shape`.
     """
     if tag == "links":
-        model, out = robot.pinocchio_model, list[CollisionShape]()
-        for bone in bones(model, link_radii(model)):
-            joint, (start, end), radius = bone.joint, bone.ends, max(bone.radii)
-            name = next((f.name for f in model.frames if f.parentJoint == joint and f.type == pin.FrameType.BODY), "")
-            length = float(np.linalg.norm(end - start))
-            if name:
-                placement = pin.SE3(turn_z_to((end - start) / length), 0.5 * (start + end)).homogeneous
-                out.append(CollisionShape(name, joint, placement, coal.Capsule(radius, length), radius + 0.5 * length))
-        return tuple(out)
-    path = robot.source or Path(robot.name)
-    elements = visual_elements(robot.description, path, tag) if robot.description is not None else []
-    if not elements:
-        instead = ": the shapes of its <visual> elements can take their place (shapes='visual')"
-        has_visuals = tag == "collision" and robot.description is not None and visual_elements(robot.description, path)
-        raise RobotError(
-            f"robot {robot.name!r} has no <{tag}> elements, whose distances could be computed"
-            f"{instead if has_visuals else ''}",
-            code="no-collision-shapes",
-            path=robot.source,
-        )
-    meshes = _meshes(robot, tag)
-    lost = {uri: error for uri, error in meshes.items() if isinstance(error, RobotError)}
-    if lost and (tag == "visual" or len(lost) == len(meshes)):  # drawn ones are a stopgap: all of them, or none
-        raise next(iter(lost.values()))
-    kept = [e for e in elements if not (isinstance(e.geometry, MeshElement) and e.geometry.uri in lost)]
-    bare = {e.link for e in elements} - {e.link for e in kept}
-    capsules = collision_shapes(robot, "links") if bare else ()
-    return (*(_shape(robot, e, meshes) for e in kept), *(shape for shape in capsules if shape.link in bare))
+        bodies = [f for f in robot.pinocchio_model.frames if f.type == pin.FrameType.BODY]
+        return _made(_capsules(robot, {f.parentJoint: f.name for f in reversed(bodies)}))
+    shapes = visual_shapes(robot, tag)
+    if all(v.fault for v in shapes):
+        why = f" that can be used: {' '.join(losses(shapes))}" if shapes else ", whose distances could be computed"
+        if tag == "collision" and not all(v.fault for v in visual_shapes(robot)):
+            why += ": the shapes of its <visual> elements can take their place (shapes='visual')"
+        code = "collision-shape" if shapes else "no-collision-shapes"
+        raise RobotError(f"robot {robot.name!r} has no <{tag}> elements{why}", code=code, path=robot.source)
+    bare = {joint: link for link, joint in reversed(bare_links(shapes).items())}
+    plain, radii = _capsules(robot, bare), link_radii(robot.pinocchio_model)
+    short = bare.keys() - {v.joint for v in plain}  # links too short for a bone: a ball where the joint is
+    plain += [Visual(bare[j], j, np.eye(4), Solid("sphere", (float(radii[j]),)), GREY) for j in sorted(short)]
+    return _made((*shapes, *plain))
 
 
-@lru_cache(maxsize=16)
-def _meshes(robot: Robot, tag: Literal["collision", "visual"]) -> dict[str, Any]:
-    """The meshes of a robot by their addresses, or why one could not be read."""
-    path, files, lost = robot.source or Path(robot.name), dict[str, Path](), dict[str, RobotError]()
-    elements, roots = visual_elements(robot.description or b"", path, tag), mesh_roots(path, robot.package_dirs)
-    for uri in dict.fromkeys(e.geometry.uri for e in elements if isinstance(e.geometry, MeshElement)):
-        try:
-            files[uri] = find_mesh(uri, roots)
-        except RobotError as error:
-            lost[uri] = error
-    parsed = read_meshes(list(files.values()))
-    return lost | {uri: parsed[file] for uri, file in files.items()}
+def _made(shapes: Iterable[Visual]) -> tuple[CollisionShape, ...]:
+    return tuple(_shape(v, v.shape) for v in shapes if v.shape)
+
+
+def _capsules(robot: Robot, links: Mapping[int, str]) -> list[Visual]:
+    """Return capsules along the bones of some joints, as shapes of the links that are named for these."""
+    model, out = robot.pinocchio_model, list[Visual]()
+    for bone in (b for b in bones(model, link_radii(model)) if b.joint in links):
+        (start, end), radius = bone.ends, max(bone.radii)
+        length = float(np.linalg.norm(end - start))
+        placement = pin.SE3(turn_z_to((end - start) / length), 0.5 * (start + end)).homogeneous
+        out.append(Visual(links[bone.joint], bone.joint, placement, Solid("capsule", (radius, length)), GREY))
+    return out
 
 
 def missing_meshes(robot: Robot) -> tuple[str, ...]:
-    """Return the addresses of collision meshes that could not be read, where others could."""
-    if known_shapes(robot) != "collision":
-        return ()
-    return tuple(uri for uri, mesh in _meshes(robot, "collision").items() if isinstance(mesh, RobotError))
+    """Say which shapes of a robot are lost and why, of those that count: a sentence for each reason."""
+    return losses(visual_shapes(robot, "visual" if known_shapes(robot) == "visual" else "collision"))
 
 
 @lru_cache(maxsize=16)
 def known_shapes(robot: Robot) -> Shapes:
-    """Which shapes of a robot there are: those for collisions, or else the drawn ones, or else capsules."""
-    tags: tuple[Shapes, ...] = ("collision", "visual")
-    for tag in tags:
-        try:
+    """Return which shapes of a robot there are: those for collisions, or else the drawn ones, or else capsules."""
+    for tag in ("collision", "visual"):
+        with suppress(RobotError):
             collision_shapes(robot, tag)
-        except RobotError:
-            continue
-        return tag
+            return tag
     return "links"
 
 
 def obstacles_of(
     name: str, placement: Float[np.ndarray, "4 4"], shape: Solid | Mesh, may_touch: frozenset[str] = frozenset()
 ) -> tuple[Obstacle, ...]:
-    """A thing of the world as what links keep clear of; each part of a mesh that hangs together is one.
+    """Return a thing of the world as what links keep clear of; each part of a mesh that hangs together is one.
 
     Args:
         name: What it is called.
@@ -208,77 +184,62 @@ def obstacles_of(
 
     if isinstance(shape, Solid):
         geometry, half, _ = _solid(shape)
-        return (Obstacle(name, placement, geometry, half, may_touch),)
+        return (Obstacle(name, placement, geometry, half, shape, may_touch),)
     whole, out = trimesh.Trimesh(shape.vertices, shape.faces), list[Obstacle]()  # it joins corners in one place
     parts = whole.split(only_watertight=False, repair=False)
     for part in parts if 0 < len(parts) <= MOST_PARTS else [whole]:
-        closed = part if part.is_watertight and abs(part.volume) > FLAT * part.extents.max() ** 3 else None
-        if closed is not None and part.is_convex:
-            geometry, closed = coal.Convex(*_lists(part.convex_hull)), None
-        else:
-            geometry = _surface(part)
-        out.append(Obstacle(name, placement, geometry, np.abs(part.vertices).max(axis=0), may_touch, closed))
+        is_closed = part.is_watertight and abs(part.volume) > FLAT * part.extents.max() ** 3
+        is_convex, half = is_closed and part.is_convex, np.abs(part.vertices).max(axis=0)
+        solid = part.convex_hull if is_convex else part
+        geometry = _coal(solid, is_convex)
+        out.append(Obstacle(name, placement, geometry, half, solid, may_touch, is_closed and not is_convex))
     return tuple(out)
 
 
-def _lists(mesh: Any) -> tuple[Any, Any]:
-    """Vertices and triangles of a mesh for Coal."""
+def _coal(mesh: Any, is_convex: bool) -> Any:
+    """Return a mesh of trimesh's for Coal: as a convex body, or as its triangles."""
     vertices, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     for point in np.asarray(mesh.vertices):
         vertices.append(point)
     for corners in mesh.faces.tolist():
         triangles.append(coal.Triangle(*corners))
-    return vertices, triangles
-
-
-def _surface(mesh: Any) -> Any:
-    """The triangles of a mesh for Coal."""
+    if is_convex:
+        return coal.Convex(vertices, triangles)
     geometry = coal.BVHModelOBBRSS()
-    geometry.beginModel(len(mesh.faces), len(mesh.vertices))
-    geometry.addSubModel(*_lists(mesh))
+    geometry.beginModel(len(triangles), len(vertices))
+    geometry.addSubModel(vertices, triangles)
     geometry.endModel()
     return geometry
 
 
 def _solid(solid: Solid) -> tuple[Any, Float[np.ndarray, " 3"], float]:
-    """A plain body for Coal, half extents of the box about it, and the radius of the ball."""
+    """Return a plain body for Coal, half extents of the box about it, and the radius of the ball."""
+    geometry = getattr(coal, solid.kind.capitalize())(*solid.size)
     if solid.kind == "box":
-        return coal.Box(*solid.size), 0.5 * np.array(solid.size), 0.5 * float(np.linalg.norm(solid.size))
-    radius, half_length = solid.size[0], 0.5 * sum(solid.size[1:])
-    if solid.kind == "sphere":
-        return coal.Sphere(radius), np.full(3, radius), radius
+        return geometry, 0.5 * np.array(solid.size), 0.5 * float(np.linalg.norm(solid.size))
+    radius, far = solid.size[0], 0.5 * sum(solid.size[1:])
     if solid.kind == "cylinder":
-        return coal.Cylinder(*solid.size), np.array([radius, radius, half_length]), float(np.hypot(radius, half_length))
-    far = radius + half_length
-    return coal.Capsule(*solid.size), np.array([radius, radius, far]), far
+        return geometry, np.array([radius, radius, far]), float(np.hypot(radius, far))
+    return geometry, np.array([radius, radius, radius + far]), radius + far
 
 
-def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> CollisionShape:
+def _shape(v: Visual, shape: Solid | Mesh) -> CollisionShape:
     import trimesh
 
-    frame, whole = robot.pinocchio_model.frames[robot.frame(element.link).index], None
-    placement = np.asarray(frame.placement.homogeneous @ as_matrix(element.pose))
-    match element.geometry:
-        case None:
-            raise RobotError(element.fault, code="collision-shape", path=robot.source, line=element.line)
-        case MeshElement(uri, scale):
-            whole = trimesh.Trimesh(meshes[uri].vertices * np.array(scale), meshes[uri].faces)
-            hull = trimesh.convex.convex_hull(whole)
-            if not hull.volume > FLAT * hull.extents.max() ** 3:
-                raise RobotError(
-                    f"link {element.link!r}: its collision mesh has no volume, so that distances to it are not defined",
-                    code="collision-shape",
-                    path=robot.source,
-                    line=element.line,
-                )
-            middle = hull.bounds.mean(axis=0)
-            hull.apply_translation(-middle)
-            whole.apply_translation(-middle)
-            placement[:3, 3] += placement[:3, :3] @ middle
-            geometry, radius = coal.Convex(*_lists(hull)), float(np.linalg.norm(hull.vertices, axis=1).max())
-        case solid:
-            geometry, _, radius = _solid(solid)
-    return CollisionShape(element.link, int(frame.parentJoint), placement, geometry, radius, whole)
+    if isinstance(shape, Solid):
+        geometry, _, radius = _solid(shape)
+        return CollisionShape(v.link, v.joint, v.placement, geometry, radius, shape)
+    whole = trimesh.Trimesh(shape.vertices, shape.faces)
+    hull = trimesh.convex.convex_hull(whole)
+    if not hull.volume > FLAT * hull.extents.max() ** 3:
+        why = "its mesh has no volume, so that distances to it are not defined"
+        raise RobotError(f"link {v.link!r}: {why}", code="collision-shape")
+    middle, placement = hull.bounds.mean(axis=0), v.placement.copy()
+    hull.apply_translation(-middle)
+    whole.apply_translation(-middle)
+    placement[:3, 3] += placement[:3, :3] @ middle
+    radius = float(np.linalg.norm(hull.vertices, axis=1).max())
+    return CollisionShape(v.link, v.joint, placement, _coal(hull, True), radius, hull, whole)
 
 
 @final
@@ -330,6 +291,7 @@ class SelfCollision:
     Attributes:
         link_pairs: Names of the links whose distances from each other count.
         obstacles: What stands around.
+        geometry: Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs that count.
         pairs: Numbers in `geometry` of the shapes whose distances count, a link's first.
         faces: Numbers in `geometry` of those that are large faces, as a floor: to these a hull is as near as its mesh.
 
@@ -350,19 +312,20 @@ class SelfCollision:
         self.robot, self._given = robot, dict[str, Any](shapes=shapes, free=free, hulls=hulls)
         self._shapes = collision_shapes(robot, shapes)
         self._model, self._hulls = robot.pinocchio_model, hulls
-        self._pair_up(self._pairs_joined_by(range(2, self._model.njoints)))
+        supports = [set(self._model.supports[shape.joint]) for shape in self._shapes]
+        between = {(a, b): len(supports[a] ^ supports[b]) for a, b in combinations(range(len(supports)), 2)}
+        self._pair_up([pair for pair, joints in between.items() if joints > 1])
         touching = {p.links for p in self.closer_than(robot.neutral() if free is None else free, 0.0)}
-        self._pair_up(kept := [pair for pair in self.pairs if self.links_of(*pair) not in touching])
+        kept = [pair for pair in self.pairs if self.links_of(*pair) not in touching]
         # links with two joints between them that do not touch at any of the sampled postures
-        close = set(self._pairs_joined_by(range(2, 3)))
-        self._pair_up([pair for pair in kept if pair in close])
+        self._pair_up([pair for pair in kept if between[pair] == 2])
         apart = {self.links_of(*pair) for pair in self.pairs}
         rng = np.random.default_rng(0)  # the same pairs every time
         for _ in range(SAMPLED_POSTURES):
             _, geometry_data, far = self._placed(robot.random_configuration(rng))
             for k in np.flatnonzero(far <= -HULL_SLACK).tolist():
                 links = self.links_of(*self.pairs[k])
-                if links in apart and pin.computeDistance(self._geometry, geometry_data, k).min_distance <= -HULL_SLACK:
+                if links in apart and pin.computeDistance(self.geometry, geometry_data, k).min_distance <= -HULL_SLACK:
                     apart.discard(links)
         kept = [pair for pair in kept if self.links_of(*pair) not in apart]
         self.link_pairs = tuple(dict.fromkeys(self.links_of(*pair) for pair in kept))
@@ -378,13 +341,9 @@ class SelfCollision:
         other = object.__new__(SelfCollision)
         vars(other).update(vars(self))
         vars(other).pop("levers", None)
-        other._pair_up(self.pairs[: len(self._radii)] if own else [], obstacles)
+        n = len(self._shapes)
+        other._pair_up([pair for pair in self.pairs if own and pair[1] < n], obstacles)
         return other
-
-    @property
-    def geometry(self) -> Any:
-        """Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs whose distances count."""
-        return self._geometry
 
     @cached_property
     def levers(self) -> Float[np.ndarray, "pairs nv"]:
@@ -399,16 +358,13 @@ class SelfCollision:
                 out[k, joint.idx_v : joint.idx_v + joint.nv] = length if turns else max(1.0, length)
                 length += float(np.linalg.norm(model.jointPlacements[j].translation))
                 length += 0.0 if turns else float(np.minimum(slide, LARGE_BLOCK).sum())
-        a, b = np.array(self.pairs, dtype=np.intp).reshape(-1, 2).T
+        a, b = self._pair_table
         levers = np.where((out[a] > 0.0) & (out[b] > 0.0), 0.0, out[a] + out[b])  # what carries both changes nothing
         return levers if robot.coupling is None else levers @ np.abs(robot.coupling.lift)
 
-    def solid(self, number: int, hull: bool = False) -> Any:
-        """A shape of `geometry` as it counts where it is near something, or its hull, as an object of Pinocchio's."""
-        thing = self._geometry.geometryObjects[number]
-        if self._hulls or hull:
-            return thing
-        return pin.GeometryObject(thing.name, thing.parentJoint, thing.placement, self._solids[number].surface)
+    def solid(self, number: int, hull: bool = False) -> CollisionShape:
+        """Return a shape of `geometry` as it counts where it is near something, or its hull."""
+        return self._solids[number] if self._hulls or hull else self._solids[number].surface
 
     def is_clear(self, q: ArrayLike, distance: float) -> bool:
         """Whether no pair is at a distance of at most `distance` [m]: not `closer_than`, in a fifth of its time.
@@ -418,15 +374,13 @@ class SelfCollision:
         data, geometry_data = self._own_data()
         if getattr(self._local, "margin", None) != distance:
             for request in geometry_data.collisionRequests:
-                request.security_margin, request.break_distance = distance, distance + LOOK_CLOSELY
+                request.security_margin = distance
             self._local.margin = distance
         posture = self.robot.pinocchio_configuration(q)
-        pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data, posture)
-        if pin.computeCollisions(self._geometry, geometry_data, self._hulls):
-            for k, found in enumerate(geometry_data.collisionResults):
-                if not found.isCollision():
-                    continue
-                meshes = [] if self._hulls else self._meshes(k, geometry_data)
+        pin.updateGeometryPlacements(self._model, data, self.geometry, geometry_data, posture)
+        if pin.computeCollisions(self.geometry, geometry_data, self._hulls):
+            for k in (k for k, found in enumerate(geometry_data.collisionResults) if found.isCollision()):
+                meshes = self._meshes(k, geometry_data)
                 # that triangles cut each other is told in no time
                 if not meshes or coal.collide(*meshes, coal.CollisionRequest(), coal.CollisionResult()):
                     return False
@@ -448,15 +402,15 @@ class SelfCollision:
         data, geometry_data, far = self._placed(q, only is None)
         found = list[Proximity]()
         for k in np.flatnonzero(far <= distance).tolist() if only is None else only:
-            result, exact = self._distance(k, geometry_data, float(far[k]) if only is None else -np.inf, distance)
+            result, exact = self._distance(k, geometry_data, float(far[k]), distance)
             if exact <= distance:
                 found.append(self._proximity(k, result, exact, data))
         return found
 
     def distances(self, q: ArrayLike, only: Sequence[int]) -> list[float]:
         """Of some pairs by their numbers [m], negative where they overlap."""
-        _, geometry_data, _ = self._placed(q, bounded=False)
-        return [self._distance(k, geometry_data, -np.inf, np.inf)[1] for k in only]
+        _, geometry_data, far = self._placed(q, bounded=False)
+        return [self._distance(k, geometry_data, float(far[k]), np.inf)[1] for k in only]
 
     def nearest(self, q: ArrayLike) -> Proximity | None:
         """The pair of shapes at the smallest distance; None if nothing can touch. See `closer_than`."""
@@ -475,7 +429,7 @@ class SelfCollision:
 
         What is nearer than `most` by its hulls is looked at on its triangles.
         """
-        result, pair = pin.computeDistance(self._geometry, geometry_data, k), self.pairs[k]
+        result, pair = pin.computeDistance(self.geometry, geometry_data, k), self.pairs[k]
         # where its iterations fail on shapes that overlap, Coal returns the lowest number and no direction
         distance = max(float(result.min_distance), bound)
         if distance > 0.0 and (mesh := self._closed.get(pair[1])) is not None:
@@ -492,27 +446,22 @@ class SelfCollision:
         if self._hulls or pair[1] in self.faces or all(self._solids[i].mesh is None for i in pair):
             return out
         for place, i in ((geometry_data.oMg[i], i) for i in pair):
-            out += [self._solids[i].surface, coal.Transform3s(place.rotation, place.translation)]
+            out += [self._solids[i].surface.geometry, coal.Transform3s(place.rotation, place.translation)]
         return out
 
     def _placed(self, q: ArrayLike, bounded: bool = True) -> tuple[pin.Data, Any, Float[np.ndarray, " pairs"]]:
         """Data with Jacobians, shapes at their places, and, if `bounded`, a lower bound of each distance."""
         data, geometry_data = self._own_data()
         pin.computeJointJacobians(self._model, data, self.robot.pinocchio_configuration(q))
-        pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data)
+        pin.updateGeometryPlacements(self._model, data, self.geometry, geometry_data)
         if not bounded:
-            return data, geometry_data, self._radii
-        centres = np.array([geometry_data.oMg[k].translation for k in range(len(self._shapes))])
+            return data, geometry_data, np.full(len(self.pairs), -np.inf)
+        centres = np.array([place.translation for place in geometry_data.oMg])
+        # of the ball about a link from the ball about another or the box about an obstacle, negative within that
         first, second = self._pair_table
-        apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
-        if not self.obstacles:
-            return data, geometry_data, apart
-        # of the ball about a link from the box about an obstacle, negative where its centre is inside
-        links, places = self._met[0], self._places
-        beyond = np.abs(np.einsum("kj,kji->ki", centres[links] - places[:, :3, 3], places[:, :3, :3])) - self._halves
-        outside = np.maximum(beyond, 0.0)
-        bound = np.sqrt(np.einsum("ki,ki->k", outside, outside)) + np.minimum(beyond.max(axis=1), 0.0)
-        return data, geometry_data, np.concatenate([apart, bound - self._met_radii])
+        beyond = np.abs(np.einsum("kj,kji->ki", centres[first] - centres[second], self._turns)) - self._halves
+        far = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
+        return data, geometry_data, far - self._radii
 
     def _proximity(self, k: int, result: Any, distance: float, data: pin.Data) -> Proximity:
         a, b = self.pairs[k]
@@ -534,34 +483,28 @@ class SelfCollision:
         """Return the names of the links, or of link and obstacle, of two shapes of `geometry`."""
         return self._solids[a].link, self._solids[b].link
 
-    def _pairs_joined_by(self, numbers: range) -> list[tuple[int, int]]:
-        """Pairs of shapes whose links have that many joints between them."""
-        supports = [set(joints) for joints in self._model.supports]
-        joints = [supports[shape.joint] for shape in self._shapes]
-        every = combinations(range(len(joints)), 2)
-        return [(a, b) for a, b in every if len(joints[a] ^ joints[b]) in numbers]
-
     def _pair_up(self, pairs: list[tuple[int, int]], obstacles: Sequence[Obstacle] = ()) -> None:
         """Take these pairs of shapes, and each obstacle with every link that moves and must not touch it."""
         self.obstacles, self._local, n = tuple(obstacles), threading.local(), len(self._shapes)
         around = list(enumerate(self.obstacles, n))
         met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
-        self.pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
+        self.pairs = [*pairs, *met]
         self.faces = {b for b, o in around if min(o.half) >= LARGE_BLOCK}
-        self._closed = {b: o.closed for b, o in around if o.closed is not None}
-        world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0) for o in self.obstacles]
+        self._closed = {b: o.shape for b, o in around if o.is_closed}
+        world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0, o.shape) for o in self.obstacles]
         self._solids = [*self._shapes, *world]
-        self._geometry = pin.GeometryModel()
+        self.geometry = pin.GeometryModel()
         for number, solid in enumerate(self._solids):
             placed = pin.GeometryObject(f"{number}", solid.joint, pin.SE3(solid.placement), solid.geometry)
-            self._geometry.addGeometryObject(placed)
+            self.geometry.addGeometryObject(placed)
         for a, b in self.pairs:
-            self._geometry.addCollisionPair(pin.CollisionPair(a, b))
-        self._pair_table, self._met = (np.array(p, dtype=np.intp).reshape(-1, 2).T for p in (pairs, met))
-        radii = np.array([s.radius for s in self._shapes])
-        self._radii, self._met_radii = radii[self._pair_table].sum(axis=0), radii[self._met[0]]
-        self._places = np.array([o.placement for o in met_things]).reshape(-1, 4, 4)
-        self._halves = np.array([o.half for o in met_things]).reshape(-1, 3)
+            self.geometry.addCollisionPair(pin.CollisionPair(a, b))
+        first, second = self._pair_table = np.array(self.pairs, dtype=np.intp).reshape(-1, 2).T
+        radii = np.array([solid.radius for solid in self._solids])
+        self._radii = radii[first] + radii[second]
+        # of each pair's second the box about it and its axes: nothing but its middle, if it is a link
+        self._halves = np.array([*np.zeros((n, 3)), *(o.half for o in self.obstacles)])[second]
+        self._turns = np.array([*n * [np.eye(3)], *(o.placement[:3, :3] for o in self.obstacles)])[second]
         # 1 for each velocity of Pinocchio's model that moves a solid, else 0
         self._carries = np.zeros((len(self._solids), self._model.nv))
         for k, shape in enumerate(self._shapes):
@@ -572,7 +515,7 @@ class SelfCollision:
         try:
             return self._local.data
         except AttributeError:
-            geometry_data = pin.GeometryData(self._geometry)
+            geometry_data = pin.GeometryData(self.geometry)
             for request in geometry_data.distanceRequests:
                 request.gjk_tolerance, request.gjk_max_iterations = COAL_TOLERANCE, MOST_ITERATIONS
             self._local.data = self._model.createData(), geometry_data

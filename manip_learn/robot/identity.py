@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
 
-from manip_learn.errors import RecordingError, advice, spoken
+from manip_learn.errors import RecordingError, advice, few, spoken
+from manip_learn.linalg import finite
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
-
-MOST_LISTED = 8  # names that a sentence lists: those of an arm
 
 
 @final
@@ -69,38 +67,33 @@ class RobotIdentity:
         """
         if not isinstance(content, Mapping):
             raise ValueError(f"the robot must be an object, it is {type(content).__name__}")
-        locked, nq = content.get("locked", {}), content.get("nq")
-        if not isinstance(locked, Mapping):
-            raise ValueError(f"the locked joints must be an object, they are {type(locked).__name__}")
+        words = {"locked": {}, "objects": [], "source": "", **content}
+        texts = {key: (key, str, "text") for key in ("name", "fingerprint", "source")}
+        for key, (what, kind, wanted) in (texts | {"locked": ("locked joints", Mapping, "an object")}).items():
+            if not isinstance(words.get(key), kind):
+                raise ValueError(f"the robot's {what} must be {wanted}, it is {words.get(key)!r:.40}")
+        nq, locked = words.get("nq"), words["locked"]
         if not isinstance(nq, int) or isinstance(nq, bool) or not 0 <= nq < 100_000:
             raise ValueError(f"the robot's nq must be a number, it is {nq!r:.40}")
         for name, value in locked.items():
-            is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not is_number or not math.isfinite(value):
+            if not isinstance(name, str) or finite(value) is None:
                 raise ValueError(f"joint {name!r} is locked at {value!r:.40}, a finite number is needed")
-        return RobotIdentity(
-            _text("name", content.get("name")),
-            _text("fingerprint", content.get("fingerprint")),
-            nq,
-            names_from(content.get("joint_names"), "the robot's joint_names"),
-            {_text("locked joint", name): float(value) for name, value in locked.items()},
-            names_from(content.get("objects", []), "the robot's objects"),
-            _text("source", content.get("source", "")),
-        )
+        joints, objects = (names_from(words.get(key), f"the robot's {key}") for key in ("joint_names", "objects"))
+        held = {name: float(value) for name, value in locked.items()}
+        return RobotIdentity(words["name"], words["fingerprint"], nq, joints, held, objects, words["source"])
 
     def differences(self, robot: Robot) -> tuple[str, ...]:
         """Its differences from a loaded robot, one part of a sentence each; empty if there are none."""
         other, found = RobotIdentity.of(robot), []
         if self.joint_names != other.joint_names:
-            found.append(f"its joints are {_listed(self.joint_names)}, not {_listed(other.joint_names)}")
+            found.append(f"its joints are {few(self.joint_names)}, not {few(other.joint_names)}")
         if dict(self.locked) != dict(other.locked):
             mine, theirs = self.locked, other.locked
             changed = [j for j in dict.fromkeys([*mine, *theirs]) if mine.get(j) != theirs.get(j)]
-            parts = [f"{j!r} is {_held(mine.get(j))}, not {_held(theirs.get(j))}" for j in changed[:MOST_LISTED]]
-            more = f" and {len(changed) - MOST_LISTED} more" if len(changed) > MOST_LISTED else ""
-            found.append("; ".join(parts) + more)
+            parts = [f"{j!r} is {_held(mine.get(j))}, not {_held(theirs.get(j))}" for j in changed]
+            found.append(few(parts, between="; "))
         if self.objects != other.objects:
-            found.append(f"its objects are {_listed(self.objects)}, not {_listed(other.objects)}")
+            found.append(f"its objects are {few(self.objects)}, not {few(other.objects)}")
         if not found and self.fingerprint != other.fingerprint:
             hashes = f"hash {self.fingerprint[:12]!r}, not {other.fingerprint[:12]!r}"
             found.append(f"the description has changed (kinematics or masses; {hashes})")
@@ -111,9 +104,8 @@ class RobotIdentity:
         found = self.differences(robot)
         if not found:
             return None
-        how = (
-            f"load_robot(..., locked={dict(self.locked)!r})" if self.locked else "load_robot(...) with no joint locked"
-        )
+        locked = f"locked={dict(self.locked)!r}"
+        how = f"load_robot(..., {locked})" if self.locked else "load_robot(...) with no joint locked"
         fix = spoken(
             f"Load the robot that it was made with, {how}",
             f"Give the description of {self.name!r} that it was made with; the joints that were locked then are locked"
@@ -143,16 +135,5 @@ def names_from(value: object, what: str) -> tuple[str, ...]:
     return tuple(value)
 
 
-def _text(what: str, value: object) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"the robot's {what} must be text, it is {value!r:.40}")
-    return value
-
-
 def _held(position: float | None) -> str:
     return "free to move" if position is None else f"locked at {position:.6g}"
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
-    return ", ".join(names[:MOST_LISTED]) + more or "none"

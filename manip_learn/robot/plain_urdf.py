@@ -17,8 +17,10 @@ import pinocchio as pin
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
+from manip_learn.robot.collision import CollisionShape
 from manip_learn.robot.joints import joint_motions
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.visuals.visual_shapes import Solid
 
 # corners of a solid about the ball of radius 1: its faces are 0.8866 away where its corners are at 1
 BALL_CORNERS = np.array([np.divide(d, 0.8866 * np.linalg.norm(d)) for d in product((-1, 0, 1), repeat=3) if any(d)])
@@ -33,7 +35,7 @@ def plain_urdf(
     robot: Robot,
     lower: Float[np.ndarray, " nv"],
     upper: Float[np.ndarray, " nv"],
-    solids: Mapping[str, tuple[Any, float]],
+    solids: Mapping[str, tuple[CollisionShape, float]],
     folder: Path,
 ) -> str:
     """The text of the URDF.
@@ -42,8 +44,8 @@ def plain_urdf(
         robot: The robot.
         lower: Lowest positions of its joints [rad or m].
         upper: Highest positions.
-        solids: Name -> an object of a Pinocchio geometry model of this robot, and by how much it is larger all round
-            [m]; convex meshes, at their corners, by up to an eighth more.
+        solids: Name -> a shape on a joint of this robot, and by how much it is larger all round [m]; convex meshes, at
+            their corners, by up to an eighth more.
         folder: Where meshes are written.
 
     Raises:
@@ -75,37 +77,34 @@ def _joint(name: str, kind: str, parent: int, child: str, place: pin.SE3, inside
     return f"<joint name='{name}' type='{kind}'><parent link='l{parent:03}'/><child link='{child}'/>{inside}</joint>"
 
 
-def _link(name: str, thing: Any, larger: float, folder: Path) -> str:
+def _link(name: str, thing: CollisionShape, larger: float, folder: Path) -> str:
     """One shape, larger all round by a length [m], on a link of its own."""
-    shape, mark = thing.geometry, ""
-    match shape:
-        case coal.Box():
-            form = f"<box size='{_words(2.0 * (np.asarray(shape.halfSide) + larger))}'/>"
-        case coal.Cylinder():
-            form = f"<cylinder radius='{shape.radius + larger}' length='{2.0 * (shape.halfLength + larger)}'/>"
-        case coal.Sphere() | coal.Capsule():  # a capsule is no element of URDF: Pinocchio has a mark for it
-            length = 2.0 * getattr(shape, "halfLength", 0.0)
-            form, mark = f"<cylinder radius='{shape.radius + larger}' length='{length}'/>", "capsule"
-        case _:
-            form, mark = _mesh(shape, larger, folder / f"{name}.obj")
+    mark = ""
+    match thing.shape:
+        case Solid("box", size):
+            form = f"<box size='{_words(2.0 * (0.5 * np.array(size) + larger))}'/>"
+        case Solid("cylinder", (radius, length)):
+            form = f"<cylinder radius='{radius + larger}' length='{2.0 * (0.5 * length + larger)}'/>"
+        case Solid(_, (radius, *length)):  # a capsule is no element of URDF: Pinocchio has a mark for it
+            form, mark = f"<cylinder radius='{radius + larger}' length='{sum(length, 0.0)}'/>", "capsule"
+        case mesh:
+            mark = "convex" if isinstance(thing.geometry, coal.ConvexBase) else ""
+            points, faces = _larger(mesh, larger, bool(mark))
+            lines = [f"v {_words(p)}\n" for p in points] + [f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist()]
+            (folder / f"{name}.obj").write_text("".join(lines))
+            form = f"<mesh filename='{folder / name}.obj'/>"
     marked = f"<collision_checking><{mark} name='{name}'/></collision_checking>" if mark else ""
     link = f"<link name='{name}'><collision name='{name}'><geometry>{form}</geometry></collision>{marked}</link>"
-    return link + _joint(f"{name}_fixed", "fixed", thing.parentJoint, name, thing.placement)
+    return link + _joint(f"{name}_fixed", "fixed", thing.joint, name, pin.SE3(thing.placement))
 
 
-def _mesh(shape: Any, larger: float, file: Path) -> tuple[str, str]:
-    if convex := isinstance(shape, coal.ConvexBase):
-        hull = ConvexHull(
-            (np.array(shape.points())[:, None] + larger * BALL_CORNERS[: 26 if larger else 1]).reshape(-1, 3)
-        )
-        points, faces = hull.points[hull.vertices], np.searchsorted(hull.vertices, hull.simplices)
-    else:
-        corners = [shape.tri_indices(k) for k in range(shape.num_tris)]
-        points, faces = np.array(shape.vertices()), np.array([(t[0], t[1], t[2]) for t in corners])
-        a, b, c = np.moveaxis(points[faces], 1, 0)
-        normals = np.zeros_like(points)
-        np.add.at(normals, faces, np.cross(b - a, c - a)[:, None])
-        points = points + larger * normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    lines = [f"v {_words(p)}\n" for p in points] + [f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist()]
-    file.write_text("".join(lines))
-    return f"<mesh filename='{file}'/>", "convex" if convex else ""
+def _larger(mesh: Any, larger: float, is_convex: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Corners and triangles of a mesh of trimesh's that is larger all round [m]."""
+    points, faces = np.array(mesh.vertices), np.array(mesh.faces)
+    if is_convex:
+        hull = ConvexHull((points[:, None] + larger * BALL_CORNERS[: 26 if larger else 1]).reshape(-1, 3))
+        return hull.points[hull.vertices], np.searchsorted(hull.vertices, hull.simplices)
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    normals = np.zeros_like(points)
+    np.add.at(normals, faces, np.cross(b - a, c - a)[:, None])
+    return points + larger * normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12), faces

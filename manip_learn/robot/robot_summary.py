@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import io
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
-from manip_learn.errors import MissingExtraError, RobotError
+from manip_learn.errors import RobotError
 from manip_learn.robot.description.text import quoted
 from manip_learn.robot.joints import JointKind, Mimic
 from manip_learn.robot.robot import Robot
@@ -109,45 +109,37 @@ class RobotSummary:
 
 
 def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSummary:
-    """Summary of a robot, with an independent check of its forward kinematics at random postures."""
-    return with_cross_check(summarise(robot), robot, seed, postures)
+    """Summarise a robot, with an independent check of its forward kinematics at random postures.
 
-
-def with_cross_check(summary: RobotSummary, robot: Robot, seed: int = 0, postures: int = 10) -> RobotSummary:
-    """The summary with an independent check of forward kinematics, whose library takes a second to load."""
+    Args:
+        robot: A loaded robot.
+        seed: Of the postures.
+        postures: Their number.
+    """
+    found, missing = resolve_meshes(robot)
+    missing |= resolve_meshes(robot, "collision")[1]
+    warnings, check = [*robot.warnings, *dict.fromkeys(said_once(missing.values()).values())], None
     try:
         check = cross_check(robot, np.random.default_rng(seed), postures)
-    except (RobotError, MissingExtraError) as error:
-        said = f"no independent check of forward kinematics: {error}"
-        return replace(summary, warnings=(*summary.warnings, said))
-    if check.agrees:
-        return replace(summary, cross_check=check)
-    said = f"yourdfpy puts link {check.link!r} elsewhere (by {check.largest_difference:.2g}): do not trust this file"
-    return replace(summary, cross_check=check, warnings=(*summary.warnings, said))
-
-
-def summarise(robot: Robot) -> RobotSummary:
-    """Summary of a robot without the check."""
+    except RobotError as error:
+        warnings.append(f"no independent check of forward kinematics: {error}")
+    if check is not None and not check.agrees:
+        off = f"{check.largest_difference:.2g}"
+        warnings.append(f"yourdfpy puts link {check.link!r} elsewhere (by {off}): do not trust this file")
     kinds = [block.kind for block in robot.blocks for _ in block.units]
-    found, missing = resolve_meshes(robot)
-    tips = likely_tips(robot)
     limits = (robot.position_lower.tolist(), robot.position_upper.tolist(), robot.velocity_limit.tolist())
+    tips = likely_tips(robot)
     return RobotSummary(
-        name=robot.name,
-        source=robot.source,
-        nq=robot.nq,
-        nv=robot.nv,
+        **{name: getattr(robot, name) for name in ("name", "source", "nq", "nv", "mimics", "fingerprint")},
         joints=tuple(map(JointSummary, robot.joint_names, kinds, robot.joint_units, *limits)),
         frames=robot.frame_names,
-        mimics=robot.mimics,
         locked=dict(robot.locked),
         tips=tips,
         moving_tip=tuple(j for j in robot.joint_names if tips and robot.moves(j, tips[0])),
-        warnings=(*robot.warnings, *dict.fromkeys(said_once(missing.values()).values())),
-        cross_check=None,
+        warnings=tuple(warnings),
+        cross_check=check,
         meshes_found=found,
         meshes_missing=missing,
-        fingerprint=robot.fingerprint,
     )
 
 
@@ -156,14 +148,11 @@ def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossChe
 
     Raises:
         RobotError: The robot did not come from a URDF (`cross-check`), or yourdfpy cannot read it.
-        MissingExtraError: yourdfpy is not installed.
     """
     if robot.description is None:
         raise RobotError(f"robot {robot.name!r} did not come from a URDF: nothing to compare with", code="cross-check")
-    try:
-        import yourdfpy
-    except ImportError as error:
-        raise MissingExtraError("the independent check of forward kinematics", "all") from error
+    import yourdfpy
+
     logger = logging.getLogger("yourdfpy.urdf")  # its warnings concern meshes and mimics, which validation has handled
     before, logger.disabled = logger.disabled, True
     try:

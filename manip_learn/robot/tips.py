@@ -88,9 +88,8 @@ def _lowest(robot: Robot, names: list[str]) -> list[str]:
     frames = robot.pinocchio_model.frames
     above: set[str] = set()
     for name in names:
-        index = frames[robot.frame(name).index].parentFrame
-        while index != 0:
+        index = robot.frame(name).index
+        while index := frames[index].parentFrame:
             if frames[index].type == pin.FrameType.BODY:  # a joint may have the name of a link
                 above.add(frames[index].name)
-            index = frames[index].parentFrame
     return [n for n in names if n not in above]

@@ -11,11 +11,10 @@ import io
 import os
 import re
 import struct
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, cast, final
 from urllib.parse import unquote
 
 import numpy as np
@@ -26,13 +25,15 @@ from manip_learn.robot.description.catalogue import example_package_dir
 from manip_learn.robot.description.text import read_regular_file
 
 Colour = tuple[float, float, float, float]
-Piece = tuple[np.ndarray, np.ndarray, Colour | None]  # corners, triangles
+Piece = tuple[np.ndarray, np.ndarray, Colour | None]  # corners, triangles, of one colour
 
 MESH_KINDS = (".stl", ".obj", ".dae")
 MAX_MESH_BYTES = 50_000_000  # of a file: a million triangles of STL
 MAX_FACES = 2_000_000  # of a mesh: 0.1 GB as triangles
 MAX_NODES = 20_000  # of a COLLADA scene, each counted as often as it is used
+MOST_COLOURS = 64  # of a mesh, each of which is drawn by itself; one of more is grey
 HEAD = 4_096  # [bytes] in which a file says of which kind it is
+GREY: Colour = (0.7, 0.7, 0.72, 1.0)  # red, green, blue and opacity: shapes without a colour
 
 LEVELS_UP = 6  # folders above the URDF that may hold its package
 PACKAGE_FILE = "package.xml"
@@ -64,20 +65,14 @@ def mesh_roots(urdf: Path, package_dirs: Sequence[Path]) -> MeshRoots:
     folder = urdf.resolve().parent
     given = [Path(d).resolve() for d in package_dirs]
     ancestors = [p for p in (folder, *folder.parents[:LEVELS_UP]) if p != p.parent]
-    beside = [folder, *given]
-    package = next((p for p in ancestors if (p / PACKAGE_FILE).is_file()), None)
-    if package is not None:
-        beside.append(package)
-    elif folder.name.lower() in URDF_FOLDERS:
-        beside.append(folder.parent)
-    named = [*given, *_folders_of("ROS_PACKAGE_PATH")]
-    own = {name: p for p in [*ancestors, *named] if (name := _package_name(p))}
-    above = [*given, folder, *_folders_of("ROS_PACKAGE_PATH"), *(p / "share" for p in _folders_of("AMENT_PREFIX_PATH"))]
+    home = folder.parent if folder.name.lower() in URDF_FOLDERS else folder
+    home = next((p for p in ancestors if (p / PACKAGE_FILE).is_file()), home)
+    ros, prefixes = _folders_of("ROS_PACKAGE_PATH"), _folders_of("AMENT_PREFIX_PATH")
     # a given folder may be the package itself
-    own |= {p.name: p for p in named if p.name not in own}
-    data = example_package_dir()
-    above += [data] if data is not None else []
-    return MeshRoots(tuple(dict.fromkeys(beside)), tuple(dict.fromkeys(above)), tuple(ancestors), own)
+    own = {p.name: p for p in (*given, *ros)}
+    own |= {name: p for p in [*ancestors, *given, *ros] if (name := _package_name(p))}
+    above = [*given, folder, *ros, *(p / "share" for p in prefixes), *filter(None, [example_package_dir()])]
+    return MeshRoots(tuple(dict.fromkeys([folder, *given, home])), tuple(dict.fromkeys(above)), tuple(ancestors), own)
 
 
 def _folders_of(variable: str) -> list[Path]:
@@ -107,21 +102,19 @@ def find_mesh(uri: str, roots: MeshRoots) -> Path:
             return real
     except (OSError, ValueError, RuntimeError) as error:  # names too long, NUL bytes, circular links
         raise RobotError(f"mesh {uri[:200]!r} cannot be looked up ({error})", code="mesh-missing") from error
+    seen, fix = "was not found", "; name the folder that contains its package with {}"
     if found:
-        fix = advice("; if that is meant, name its folder with {}", "package_dirs=[...]", "--package-dir FOLDER")
-        sentence = f"leads to {found[-1]}, outside the robot's folders{fix}"
-        raise RobotError(f"mesh {uri[:200]!r} {sentence}", code="mesh-outside")
-    fix = advice("; name the folder that contains its package with {}", "package_dirs=[...]", "--package-dir FOLDER")
-    raise RobotError(f"mesh {uri[:200]!r} was not found{fix}", code="mesh-missing")
+        seen = f"leads to {found[-1]}, outside the robot's folders"
+        fix = "; if that is meant, name its folder with {}"
+    seen += advice(fix, "package_dirs=[...]", "--package-dir FOLDER")
+    raise RobotError(f"mesh {uri[:200]!r} {seen}", code="mesh-outside" if found else "mesh-missing")
 
 
 def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
     """The name of a mesh, and the folders that it can be in."""
     scheme, separator, rest = uri.partition("://")
-    if not separator:
-        return uri.replace("\\", "/"), roots.beside
-    if scheme == "file":
-        return unquote(rest), roots.beside
+    if not separator or scheme == "file":
+        return unquote(rest) if separator else uri.replace("\\", "/"), roots.beside
     if scheme not in ("package", "model"):
         sentence = f"addresses of the kind {scheme[:20]!r} are not read; use package:// or a path"
         raise RobotError(f"mesh {uri[:200]!r}: {sentence}", code="mesh-scheme")
@@ -130,9 +123,8 @@ def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
         raise RobotError(f"mesh {uri[:200]!r} names no package and file", code="mesh-missing")
     folders = [roots.own[package]] if package in roots.own else []
     folders += [d / package for d in roots.above]
-    for candidate in (d / package for d in roots.walked):
-        if roots.beside[0].is_relative_to(candidate) or (candidate / PACKAGE_FILE).is_file():
-            folders.append(candidate)
+    walked = (d / package for d in roots.walked)
+    folders += [p for p in walked if roots.beside[0].is_relative_to(p) or (p / PACKAGE_FILE).is_file()]
     if not folders[len(roots.above) :]:  # a package in a repository beside the robot's, or one whose folder was renamed
         for depth in ("*", "*/*"):
             files = roots.beside[-1].parent.glob(f"{depth}/{PACKAGE_FILE}")
@@ -147,12 +139,27 @@ class Mesh(NamedTuple):
     Attributes:
         vertices: shape (n, 3) [m], of a file without the scale of the URDF.
         faces: shape (m, 3), counted from 0, counter-clockwise from outside.
-        colour: Diffuse colour of most of its triangles, of a COLLADA file; None for other formats and textures.
+        colours: shape (m, 4), red, green, blue and opacity of each triangle, 0 to 1; None where nobody says.
     """
 
     vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"]
-    colour: Colour | None = None
+    colours: Float[np.ndarray, "m 4"] | None = None
+
+
+def compact(mesh: Mesh) -> Mesh:
+    """Return a mesh without the vertices that none of its triangles uses, and without colours."""
+    used, index = np.unique(mesh.faces, return_inverse=True)
+    return Mesh(mesh.vertices[used], index.reshape(-1, 3))
+
+
+def by_colour(mesh: Mesh) -> list[tuple[Colour | None, Mesh]]:
+    """Return the triangles of each colour as a mesh of their own."""
+    if mesh.colours is None:
+        return [(None, mesh)]
+    colours, which = np.unique(mesh.colours, axis=0, return_inverse=True)
+    parts = (compact(Mesh(mesh.vertices, mesh.faces[which.reshape(-1) == k])) for k in range(len(colours)))
+    return list(zip(map(tuple, colours.tolist()), parts, strict=True))
 
 
 def open_edges(mesh: Mesh) -> int:
@@ -173,41 +180,41 @@ def read_meshes(paths: Sequence[Path]) -> dict[Path, Mesh | RobotError]:
         try:
             out[path] = _read(path)
         except RobotError as error:
-            out[path] = error
+            out[path] = RobotError(f"mesh {path}: {error}", code=error.code, path=path)
     return out
 
 
 def _read(path: Path) -> Mesh:
     kind = path.suffix.lower()
     if kind not in MESH_KINDS:
-        raise _refusal(path, "mesh-kind", f"{kind or 'no extension'!r} is not one of {', '.join(MESH_KINDS)}")
+        raise RobotError(f"{kind or 'no extension'!r} is not one of {', '.join(MESH_KINDS)}", code="mesh-kind")
     try:
         content = read_regular_file(path, MAX_MESH_BYTES)
     except (OSError, ValueError) as error:
         code = {errno.EFBIG: "mesh-size", errno.ENXIO: "mesh-kind"}.get(getattr(error, "errno", 0), "mesh-missing")
-        raise _refusal(path, code, str(error)) from error
-    _check(kind, content, path)
+        raise RobotError(str(error), code=code) from error
+    _check(kind, content)
     try:
         pieces = _collada_pieces(content) if kind == ".dae" else _pieces(content, kind)
-        vertices, faces, painted, n = [], [], Counter[Colour](), 0
+        vertices, faces, colours, n = list[np.ndarray](), list[np.ndarray](), list[Colour | None](), 0
         for corners, triangles, colour in pieces:
             if sum(map(len, faces)) + len(triangles) > MAX_FACES:
-                raise _refusal(path, "mesh-content", f"it has more than {MAX_FACES} triangles")
-            used, indices = np.unique(triangles, return_inverse=True)
-            # single precision, as the formats have it
-            vertices.append(np.asarray(corners)[used].astype(np.float32))
-            faces.append(indices.reshape(-1, 3) + n)
-            n += len(used)
-            if colour is not None:
-                painted[colour] += len(triangles)
+                raise RobotError(f"it has more than {MAX_FACES} triangles", code="mesh-content")
+            part = compact(Mesh(np.asarray(corners), triangles))
+            vertices.append(part.vertices.astype(np.float32))  # single precision, as the formats have it
+            faces.append(part.faces + n)
+            colours.append(colour)
+            n += len(part.vertices)
     except RobotError:
         raise
     except Exception as error:  # whatever foreign parsers raise about a broken file
-        raise _refusal(path, "mesh-parser", f"{type(error).__name__}: {error}"[:300]) from error
+        raise RobotError(f"{type(error).__name__}: {error}"[:300], code="mesh-parser") from error
     if not n or not all(np.isfinite(v).all() for v in vertices):
-        raise _refusal(path, "mesh-content", "it has no triangles, or vertices that are not finite")
-    colour = painted.most_common(1)[0][0] if painted else None
-    return Mesh(np.concatenate(vertices).astype(np.float64), np.concatenate(faces), colour)
+        raise RobotError("it has no triangles, or vertices that are not finite", code="mesh-content")
+    painted = None
+    if 0 < len({*colours} - {None}) <= MOST_COLOURS:
+        painted = np.repeat([colour or GREY for colour in colours], [len(f) for f in faces], axis=0)
+    return Mesh(np.concatenate(vertices).astype(np.float64), np.concatenate(faces), painted)
 
 
 def _pieces(content: bytes, kind: str) -> Iterator[Piece]:
@@ -217,7 +224,11 @@ def _pieces(content: bytes, kind: str) -> Iterator[Piece]:
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
         if isinstance(piece := scene.geometry[name], trimesh.Trimesh):
-            yield trimesh.transform_points(piece.vertices, T), piece.faces, None
+            colour, paint = None, cast(Any, piece.visual)
+            if paint.kind in ("vertex", "face"):  # as in OBJ files whose vertices have colours
+                red, green, blue, _ = (paint.main_color / 255.0).tolist()
+                colour = (red, green, blue, 1.0)
+            yield trimesh.transform_points(piece.vertices, T), piece.faces, colour
 
 
 def _collada_pieces(content: bytes) -> Iterator[Piece]:
@@ -260,7 +271,7 @@ def _diffuse(effect: Any) -> Colour | None:
     return (rgba[0], rgba[1], rgba[2], 1.0)
 
 
-def _check(kind: str, content: bytes, path: Path) -> None:
+def _check(kind: str, content: bytes) -> None:
     """Refuse what claims to hold more than it does, or something else than its ending says."""
     head, reason = content[:HEAD], ""
     if not content:
@@ -279,8 +290,4 @@ def _check(kind: str, content: bytes, path: Path) -> None:
     elif b"<!DOCTYPE" in content or b"<!ENTITY" in content:
         reason = "it has a <!DOCTYPE>"
     if reason:
-        raise _refusal(path, "mesh-content", reason)
-
-
-def _refusal(path: Path, code: str, reason: str) -> RobotError:
-    return RobotError(f"mesh {path}: {reason}", code=code, path=path)
+        raise RobotError(reason, code="mesh-content")

@@ -1,13 +1,16 @@
 """Shapes of a robot's links: the `<visual>` or `<collision>` elements of its URDF.
 
-Meshes become checked triangles. What is wrong here costs a shape, never the robot.
+Meshes become checked triangles. What is wrong here costs a shape, never the robot: the others count, and plain shapes
+stand in for a link that loses all of its own.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Literal, NamedTuple, final
 
@@ -15,19 +18,18 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.errors import RobotError
+from manip_learn.errors import RobotError, few
 from manip_learn.robot.description.text import XmlNode, parse_xml, shortened
 from manip_learn.robot.description.urdf import ZERO, Pose, Vector, as_matrix
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.meshes import Colour, Mesh, find_mesh, mesh_roots, read_meshes
+from manip_learn.robot.visuals.meshes import GREY, Colour, Mesh, find_mesh, mesh_roots, read_meshes
 
 Tag = Literal["visual", "collision"]
 # times the length of all links together, beyond which a mesh is in millimetres; and the least such length [m]
 LONGEST_LINK, SHORTEST_REACH = 20.0, 0.2
 LARGEST_SIZE = 1e4  # [m] of a shape and its distance: more is a wrong unit
 MAX_VISUALS = 2_000  # of a robot, so that its page can be drawn
-GREY: Colour = (0.7, 0.7, 0.72, 1.0)  # red, green, blue and opacity: shapes without a colour
-MESH_REASON = re.compile(r"mesh (?P<name>'[^']*'|\"[^\"]*\")(?P<why>.*)")
+MESH_NAME = re.compile(r"^mesh ('[^']*'|\"[^\"]*\")")  # at the start of a reason
 
 
 @final
@@ -53,8 +55,8 @@ class Visual:
         link: Name of the link.
         joint: Pinocchio id of the moving joint that carries it; 0 is the fixed world.
         placement: shape (4, 4), from the shape to that joint [m].
-        shape: What to draw, a mesh with its scale applied; None where the file asks for what cannot be drawn.
-        colour: Red, green, blue, opacity in 0 ... 1.
+        shape: What it is, a mesh with its scale applied; None where the file asks for what cannot be used.
+        colour: Red, green, blue, opacity in 0 ... 1, of a shape that has no colours of its own.
         fault: Empty, or why there is no shape.
     """
 
@@ -83,12 +85,11 @@ class VisualElement:
     """
 
     link: str
-    line: int
     pose: Pose
     geometry: Solid | MeshElement | None
     colour: Colour | None
     fault: str
-    name: str
+    name: str = ""
 
 
 def visual_elements(content: bytes, path: Path, tag: Tag = "visual") -> list[VisualElement]:
@@ -110,11 +111,9 @@ def visual_elements(content: bytes, path: Path, tag: Tag = "visual") -> list[Vis
                 geometry = _geometry(node)
             except RobotError as error:
                 fault = str(error)
-            material, colour = node.first("material"), None
-            if material is not None:
-                colour = _colour(material) or colours.get(material.attributes.get("name", ""))
-            own = node.attributes.get("name", "")
-            found.append(VisualElement(name, node.line, pose, geometry, colour, fault, own))
+            material, own = node.first("material"), node.attributes.get("name", "")
+            colour = material and (_colour(material) or colours.get(material.attributes.get("name", "")))
+            found.append(VisualElement(name, pose, geometry, colour, fault, own))
     return found
 
 
@@ -132,32 +131,27 @@ def _geometry(node: XmlNode) -> Solid | MeshElement:
             if not all(1e-9 <= abs(s) <= LARGEST_SIZE for s in (x, y, z)):
                 raise _unusable(shape, f"its mesh scale is {(x, y, z)}")
             return MeshElement(uri, (x, y, z))
-        case "box":
-            x, y, z = (_size(s, shape) for s in shape.vector("size", 3) or (None,) * 3)
-            return Solid("box", (x, y, z))
-        case "sphere":
-            return Solid("sphere", (_size(shape.number("radius"), shape),))
+        case "box" as kind:
+            given: Sequence[float | None] = shape.vector("size", 3) or (None,)
+        case "sphere" as kind:
+            given = (shape.number("radius"),)
         case "cylinder" | "capsule" as kind:
-            return Solid(kind, (_size(shape.number("radius"), shape), _size(shape.number("length"), shape)))
-    raise _unusable(shape, f"the shape <{shortened(shape.tag)}> is not known")
-
-
-def _size(value: float | None, node: XmlNode) -> float:
-    if value is None or not 0.0 < value <= LARGEST_SIZE:
-        raise _unusable(node, f"a size of its {node.tag} is {value}")
-    return value
+            given = (shape.number("radius"), shape.number("length"))
+        case _:
+            raise _unusable(shape, f"the shape <{shortened(shape.tag)}> is not known")
+    sizes = tuple(size for size in given if size is not None and 0.0 < size <= LARGEST_SIZE)
+    if len(sizes) < len(given):
+        raise _unusable(shape, f"a size of its {shape.tag} is {next(size for size in given if size not in sizes)}")
+    return Solid(kind, sizes)
 
 
 def _colour(material: XmlNode) -> Colour | None:
     node = material.first("color")
-    try:
-        rgba = None if node is None else node.vector("rgba", 4)
-    except RobotError:
-        return None
-    if rgba is None:
-        return None
-    r, g, b, a = (min(max(c, 0.0), 1.0) for c in rgba)
-    return (r, g, b, a)
+    with suppress(RobotError):
+        if node is not None and (rgba := node.vector("rgba", 4)) is not None:
+            r, g, b, a = (min(max(c, 0.0), 1.0) for c in rgba)
+            return (r, g, b, a)
+    return None
 
 
 def _unusable(node: XmlNode, seen: str) -> RobotError:
@@ -165,80 +159,105 @@ def _unusable(node: XmlNode, seen: str) -> RobotError:
 
 
 def said_once(reasons: Iterable[str]) -> dict[str, str]:
-    """Reason -> sentence; reasons that differ in the name of the mesh only share one, with their number."""
-    names: dict[str, list[str]] = {}
-    found = {reason: MESH_REASON.fullmatch(reason) for reason in reasons}
-    for match in filter(None, found.values()):
-        names.setdefault(match["why"], []).append(match["name"])
-    return {
-        reason: f"mesh {same[0]} (and {len(same) - 1} more){match['why']}"
-        if match and len(same := names[match["why"]]) > 1
-        else reason
-        for reason, match in found.items()
-    }
+    """Return a sentence for each reason; reasons that differ in the name of the mesh only share one, with their number.
+
+    Args:
+        reasons: Why shapes cannot be used.
+    """
+    alike = dict[str, list[str]]()
+    for reason in dict.fromkeys(reasons):
+        alike.setdefault(MESH_NAME.sub("", reason), []).append(reason)
+    more = {same[0]: rf"\g<0> (and {len(same) - 1} more)" if len(same) > 1 else r"\g<0>" for same in alike.values()}
+    return {reason: MESH_NAME.sub(more[same[0]], same[0]) for same in alike.values() for reason in same}
 
 
-def resolve_meshes(robot: Robot) -> tuple[dict[str, Path], dict[str, str]]:
-    """Look up the visual meshes of a robot without opening them.
+def losses(shapes: Sequence[Visual]) -> tuple[str, ...]:
+    """Say in one sentence for each reason which links lose a shape.
+
+    Args:
+        shapes: All of a robot, see `visual_shapes`.
+    """
+    said, bare = said_once(v.fault for v in shapes if v.fault), bare_links(shapes)
+    links = dict[tuple[str, str], dict[str, None]]()
+    for v in shapes:
+        if v.fault:
+            head = "Plain shapes stand in for" if v.link in bare else "A shape is missing of"
+            links.setdefault((head, said[v.fault]), {})[v.link] = None
+    return tuple(f"{head} {few(list(names), 4)}: {reason}." for (head, reason), names in links.items())
+
+
+def bare_links(shapes: Sequence[Visual]) -> dict[str, int]:
+    """Return the links that lose all of their shapes, each with the joint that carries it."""
+    kept = {v.link for v in shapes if not v.fault}
+    return {v.link: v.joint for v in shapes if v.link not in kept}
+
+
+def resolve_meshes(robot: Robot, tag: Tag = "visual") -> tuple[dict[str, Path], dict[str, str]]:
+    """Look up the meshes of a robot without opening them.
+
+    Args:
+        robot: The robot.
+        tag: Whether they are those of its drawn shapes or of those for collisions.
 
     Returns:
         Address in the URDF -> file; and of the others, address -> why it cannot be used.
     """
-    addresses = [e.geometry.uri for e in _elements(robot) if isinstance(e.geometry, MeshElement)]
-    found: dict[str, Path] = {}
-    missing: dict[str, str] = {}
-    if addresses and robot.source is not None:
-        roots = mesh_roots(robot.source, robot.package_dirs)
-        for uri in dict.fromkeys(addresses):
-            try:
-                found[uri] = find_mesh(uri, roots)
-            except RobotError as error:
-                missing[uri] = str(error)
+    found, missing = dict[str, Path](), dict[str, str]()
+    roots = mesh_roots(robot.source or Path(robot.name), robot.package_dirs)
+    for uri in dict.fromkeys(e.geometry.uri for e in _elements(robot, tag) if isinstance(e.geometry, MeshElement)):
+        try:
+            found[uri] = find_mesh(uri, roots)
+        except RobotError as error:
+            missing[uri] = str(error)
     return found, missing
 
 
-def visual_shapes(robot: Robot) -> tuple[Visual, ...]:
-    """Shapes to draw, each placed on the moving joint that carries it.
+@lru_cache(maxsize=16)
+def visual_shapes(robot: Robot, tag: Tag = "visual") -> tuple[Visual, ...]:
+    """Return the shapes of a robot's links, each placed on the moving joint that carries it.
 
     A mesh that is missing, unsafe or broken is a fault of its link, told once; without visuals every link has one. A
     mesh that is used twice at one scale is one object.
+
+    Args:
+        robot: The robot.
+        tag: Whether they are the shapes to draw or those for collisions.
     """
-    elements = _elements(robot)
-    if not elements:
-        bodies = {f.name for f in robot.pinocchio_model.frames if f.type == pin.FrameType.BODY}
+    elements, model, shapes = _elements(robot, tag), robot.pinocchio_model, list[Visual]()
+    if not elements and tag == "visual":
+        bodies = {f.name for f in model.frames if f.type == pin.FrameType.BODY}
         links, why = sorted(bodies & set(robot.frame_names)), "the robot has no visuals"
-        elements = [VisualElement(link, 0, Pose(), None, None, why, "") for link in links]
-    found, missing = resolve_meshes(robot)
-    parsed, scaled = read_meshes(list(found.values())), dict[tuple[Path, Vector], Mesh]()
-    model = robot.pinocchio_model
+        elements = [VisualElement(link, Pose(), None, None, why) for link in links]
+    found, missing = resolve_meshes(robot, tag)
+    parsed = read_meshes(list(found.values()))
     reach = max(float(sum(np.linalg.norm(p.translation) for p in model.jointPlacements)), SHORTEST_REACH)
-    visuals: list[Visual] = []
+
+    @cache
+    def made(uri: str, scale: Vector, is_painted: bool) -> tuple[Mesh | None, str]:
+        mesh = parsed[found[uri]] if uri in found else missing[uri]
+        if not isinstance(mesh, Mesh):
+            return None, str(mesh)
+        length = float(np.ptp(mesh.vertices * scale, axis=0).max())
+        if length > LONGEST_LINK * reach:
+            why = f"mesh {uri!r} is {length:.3g} m long, {length / reach:.0f} times the arm's reach: its unit may be "
+            return None, why + 'millimetres; scale="0.001 0.001 0.001" in its <mesh> says so'
+        # a mirror image turns every triangle inside out
+        faces = mesh.faces[:, ::-1] if np.prod(scale) < 0 else mesh.faces
+        return Mesh(mesh.vertices * scale, faces, None if is_painted else mesh.colours), ""
+
     for e in elements:
-        shape, why, colour = e.geometry, e.fault, e.colour
+        shape, fault = e.geometry, e.fault
         if isinstance(shape, MeshElement):
-            not_found = missing.get(shape.uri, f"mesh {shape.uri!r} was not found")
-            mesh = parsed[found[shape.uri]] if shape.uri in found else RobotError(not_found)
-            if isinstance(mesh, RobotError):
-                shape, why = None, str(mesh)
-            else:
-                # a mirror image turns every triangle inside out
-                faces = mesh.faces[:, ::-1] if np.prod(shape.scale) < 0 else mesh.faces
-                made = Mesh(mesh.vertices * np.array(shape.scale), faces, mesh.colour)
-                length, why = float(np.ptp(made.vertices, axis=0).max()), e.fault
-                if length > LONGEST_LINK * reach:
-                    why = f"mesh {shape.uri!r} is {length:.3g} m long, {length / reach:.0f} times the arm's reach: its "
-                    why += 'unit may be millimetres; scale="0.001 0.001 0.001" in its <mesh> says so'
-                made = scaled.setdefault((found[shape.uri], shape.scale), made)
-                shape, colour = None if why else made, colour or mesh.colour
-        if shape is None and any(v.link == e.link and v.fault for v in visuals):
+            shape, fault = made(*shape, is_painted=e.colour is not None)
+        if fault and any((v.link, v.fault) == (e.link, fault) for v in shapes):
             continue
-        frame = robot.pinocchio_model.frames[robot.frame(e.link).index]
-        placement = frame.placement.homogeneous @ as_matrix(e.pose)
-        visuals.append(Visual(e.link, int(frame.parentJoint), placement, shape, colour or GREY, why))
-    return tuple(visuals)
+        frame = model.frames[robot.frame(e.link).index]
+        placement = np.asarray(frame.placement.homogeneous @ as_matrix(e.pose))
+        shapes.append(Visual(e.link, int(frame.parentJoint), placement, shape, e.colour or GREY, fault))
+    return tuple(shapes)
 
 
-def _elements(robot: Robot) -> list[VisualElement]:
+def _elements(robot: Robot, tag: Tag) -> list[VisualElement]:
     if robot.description is None:
         return []
-    return visual_elements(robot.description, robot.source or Path(robot.name))
+    return visual_elements(robot.description, robot.source or Path(robot.name), tag)
