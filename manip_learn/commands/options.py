@@ -216,13 +216,16 @@ class RobotsOptions:
 @final
 @dataclass(frozen=True)
 class DemoOptions:
-    """Learn from shipped recordings, compare a plan and the policies manipulability, attractor and zero in a replay.
+    """Learn from shipped recordings; open the drawer from one bad start without and with what was learnt, in a replay.
 
     manip-learn demo
     """
 
     robot: Annotated[str, Option(help="sawyer or planar3.")] = "sawyer"
     out: Annotated[Path, Option(help="Folder for the results.")] = Path("demo_out")
+    all_policies: Annotated[
+        bool, Option("--all-policies", help="Compare a plan and the policies manipulability, attractor and zero.")
+    ] = False
     browser: Annotated[bool, Option("--browser/--no-browser", help="Open the replay.")] = True
     explain: Explain = False
     as_json: Json = False

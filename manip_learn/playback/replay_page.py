@@ -8,10 +8,10 @@ import re
 import tempfile
 import webbrowser
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -164,6 +164,8 @@ def replay(
     constraint: Constraint | Sequence[Constraint] | None = None,
     report: LearningReport | Mapping[str, Any] | None = None,
     target: ArrayLike | None = None,
+    side_by_side: bool = False,
+    align: Literal["start", "grasp"] = "start",
 ) -> ReplayResult:
     """Write one HTML file that plays rollouts of a robot, without a server and without a network.
 
@@ -190,6 +192,10 @@ def replay(
         report: `report_` of the learner, or what a constraint keeps of it (`constraint.provenance`): the evidence in
             words; phases and mechanism are taken from it where they are not given.
         target: Where the task was to arrive, as `PointAttractor` takes it; rollouts that `simulate` made keep theirs.
+        side_by_side: Draw each rollout in a pane of its own, in the robot's own colours, seen by one camera, with what
+            became of it below; for two to four rollouts.
+        align: Where the common clock is zero: at the `"start"` of each rollout, or where the hand takes hold, its
+            `"grasp"`; a rollout that grasps earlier then waits at its start.
 
     Raises:
         ConstraintMismatchError: A constraint of another robot.
@@ -209,7 +215,9 @@ def replay(
         >>> ml.replay(robot, {"to the line": rollout}, "replay.html").html.name  # open it in a browser
         'replay.html'
     """
-    named = named_recordings(rollouts)
+    named, zero = _on_one_clock(named_recordings(rollouts), align)
+    if side_by_side and not 2 <= len(named) <= 4:
+        raise RecordingError(f"side_by_side needs two to four rollouts, got {len(named)}", code="side-by-side")
     guided = {name: guidance_of(robot, name, r, constraint, target) for name, r in named.items()}
     if report is not None:
         learnt = report if isinstance(report, Mapping) else report.to_dict()
@@ -245,10 +253,11 @@ def replay(
         )
     data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, all_notes, kinds, drawings)
     evidence = evidence_of(learnt) if learnt else None
-    data["evidence"] = evidence
+    data["evidence"], data["zero"] = evidence, zero
     origins = (g.constraint.provenance.get("made") for g in guided.values() if g.constraint is not None)
     data["made"] = next(filter(None, origins), None)
     data["done"] = [row for motion in motions for row in _done(motion, named[motion.name], len(named) > 1)]
+    data["panes"] = [_outcome(*pair) for pair in named.items()] if side_by_side else []
     data["odd"] = {name: why for name, why in evidence["odd"] if name in named} if evidence else {}
     content = page(data, robot=known_as(robot.source) or robot.name or "robot", subtitle=title).encode("utf-8")
     if html is None:
@@ -266,24 +275,70 @@ def replay(
     return ReplayResult(path, len(content), all_notes)
 
 
+def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Recording], float]:
+    """Return the recordings, each waiting at its start where its hand takes hold earlier than others, and when all do.
+
+    Raises:
+        RecordingError: Another `align`.
+    """
+    if align not in ("start", "grasp"):
+        raise RecordingError(f"align is {align!r}; 'start' or 'grasp' is needed", code="align")
+    begins = {name: float(r.time[0]) for name, r in named.items() if isinstance(r, Rollout) and len(r)}
+    if align == "start" or not begins:
+        return named, 0.0
+    for name, start in begins.items():
+        grasp = next((w["begins"] for w in named[name].ways if w["begins"] is not None), start)  # type: ignore[union-attr]
+        begins[name] = grasp - start
+    latest, out = max(begins.values()), dict(named)
+    for name, grasp in begins.items():
+        rollout = named[name]
+        if isinstance(rollout, Rollout) and grasp < latest:
+            first = rollout.until(float(rollout.time[0]))
+            twice = {field: np.repeat(getattr(first, field), 2, axis=0) for field in ("q", "u", "manipulability")}
+            twice |= {"task_error": np.repeat(first.task_error, 2), "status": first.status * 2}
+            time = np.array([rollout.time[0], latest - grasp])
+            still = replace(first, time=time, phases=(), ways=(), following_error=None, **twice)
+            out[name] = still.followed_by(rollout)
+    return out, latest
+
+
+def _outcome(name: str, recording: Recording) -> dict[str, str]:
+    """What became of a rollout in a few words: its name, how far each way went, and what stopped it."""
+    ways = recording.ways if isinstance(recording, Rollout) else ()
+    said, why = ("; ".join(map(of, ways)) for of in (_so_far, _stop))
+    return {"name": name, "said": said, "why": why}
+
+
+def _so_far(way: Mapping[str, Any]) -> str:
+    done, wanted, unit = (
+        _number(way.get("done")),
+        _number(way.get("wanted")),
+        "m" if way.get("unit") == "m" else "degrees",
+    )
+    return "" if done is None or wanted is None else f"{abs(done):.3g} of {abs(wanted):.3g} {unit}"
+
+
+def _stop(way: Mapping[str, Any]) -> str:
+    stopped = _text(way.get("stopped_by"))
+    return f", stopped by {stopped}" if stopped else ""
+
+
 def _done(motion: RecordedMotion, recording: Recording, several: bool) -> list[list[str]]:
     """What became of each way of a rollout: its name, where the hand took hold, and its numbers, in words."""
     rows = []
     for way in recording.ways if isinstance(recording, Rollout) else ():
         whose = ": ".join(filter(None, (motion.name if several else "", _text(way.get("name"))))) or motion.name
-        begins, unit = way["begins"], "m" if way.get("unit") == "m" else "degrees"
+        begins = way["begins"]
         place = "not reached"
         if begins is not None:
             at = [np.interp(begins - motion.first_time, motion.path_times, axis) for axis in motion.path.T]
             place = ", ".join(f"{x:.3f}" for x in at) + " m"
-        done, wanted, off, margin = (_number(way.get(key)) for key in ("done", "wanted", "deviation", "margin"))
-        far = "" if done is None or wanted is None else f"{abs(done):.3g} of {abs(wanted):.3g} {unit}"
+        off, margin = _number(way.get("deviation")), _number(way.get("margin"))
         joint = way.get("fastest_joint")
         joint = joint if isinstance(joint, Mapping) else {}
         share = _number(joint.get("share_of_limit"))
         fastest = "" if share is None else f"{100 * share:.0f} % of its limit ({_text(joint.get('name'))})"
-        stopped = _text(way.get("stopped_by"))
-        far += f", stopped by {stopped}" if stopped else ""
+        far = _so_far(way) + _stop(way)
         strayed = "" if off is None else f"{1e3 * off:.1f} mm"
         rows.append([whose, place, far, strayed, fastest, "" if margin is None else f"{100 * margin:.0f} %"])
     return rows

@@ -96,6 +96,8 @@ def scene_data(
         ],
         "ellipsoidScale": ellipsoid_scale([one for some in marks for one in some], ELLIPSOID * size),
         "notes": list(notes),
+        "panes": [],
+        "zero": 0.0,
         "phaseKinds": [vars(k) for k in kinds],
         "mechanisms": [m.to_dict() | {"constraint": k} for k, m in enumerate(mechanisms) if m is not None],
     }

@@ -1,6 +1,6 @@
 // What a plan keeps clear of, as it stands there; and all of the arm's way past it in one picture.
 
-const AROUND = { given: "#5f5a66", assumed: "#8a6d3b" };
+const AROUND = "#5f5a66";
 const BETWEEN = 0.1, MOST_STATIONS = 60; // between two pictures of the arm on its way [rad or m], and how many there are
 const OPTION = "--scene";
 const MOST_NAMES = 6; // in the picture; the legend has all
@@ -14,28 +14,28 @@ function aroundInWords(rollout) {
   return said.filter(Boolean).join("; ");
 }
 
-// A face is a patch, and a floor reaches to the rim of the picture; what was assumed is dashed.
+// What a scene states, as stated: a face is a patch, and a floor reaches to the rim of the picture.
 class AroundThing {
   constructor(rollout, described) {
     Object.assign(this, described, { rollout, group: new THREE.Group(), rests: matrixFromRows(described.pose) });
-    const isFace = this.kind === "face", isFloor = isFace && this.name === "floor", colour = linear(AROUND[this.assumed ? "assumed" : "given"]);
+    const isFace = this.kind === "face", isFloor = isFace && this.name === "floor", colour = linear(AROUND);
     // a face lies across y, out of which it looks
     const geometry = isFace ? new THREE.PlaneGeometry(...this.size).rotateX(-Math.PI / 2) : shapeGeometry({ ...described, mesh: 0 }, this.mesh ? [meshGeometry(this.mesh)] : []);
-    const body = new THREE.Mesh(geometry, new THREE.MeshStandardMaterial({ color: colour, transparent: true, opacity: isFloor ? 0.1 : this.assumed ? 0.16 : 0.5, depthWrite: false, side: THREE.DoubleSide, roughness: 0.8, ...behind(0) }));
+    const body = new THREE.Mesh(geometry, new THREE.MeshStandardMaterial({ color: colour, transparent: true, opacity: isFloor ? 0.1 : 0.5, depthWrite: false, side: THREE.DoubleSide, roughness: 0.8, ...behind(0) }));
     body.renderOrder = isFloor ? 1 : 4;
     this.group.matrixAutoUpdate = false;
     this.group.add(body);
     geometry.computeBoundingBox();
     this.top = isFloor ? null : isFace ? new THREE.Vector3(this.size[0] / 2, 0, this.size[1] / 2) : new THREE.Vector3(0, 0, geometry.boundingBox.max.z);
     if (!isFloor) {
-      const ink = this.assumed ? new THREE.LineDashedMaterial({ color: colour, dashSize: 0.025, gapSize: 0.015, toneMapped: false }) : new THREE.LineBasicMaterial({ color: colour, toneMapped: false });
-      this.group.add(new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 30), ink).computeLineDistances());
+      const ink = new THREE.LineBasicMaterial({ color: colour, toneMapped: false });
+      this.group.add(new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 30), ink));
     }
     this.group.matrix.copy(this.rests);
   }
 
-  // "floor (assumed), 0.03 m from right_l5": at the nearest
-  get words() { return `${this.name}${this.assumed ? " (assumed)" : ""}${this.nearest == null ? "" : `, ${this.nearest.toFixed(2)} m from ${this.link}`}`; }
+  // "table, 0.03 m from right_l5": at the nearest
+  get words() { return `${this.name}${this.nearest == null ? "" : `, ${this.nearest.toFixed(2)} m from ${this.link}`}`; }
 
   at() { return this.top.clone().applyMatrix4(this.group.matrix); }
 }
@@ -66,9 +66,9 @@ function sweptGroup(show, rollout, geometries) {
 // Of each rollout that keeps clear of something.
 function addAround(show, geometries) {
   for (const rollout of show.rollouts) {
-    rollout.things = rollout.around.map((described) => new AroundThing(rollout, described));
+    rollout.things = rollout.around.filter((thing) => !thing.assumed).map((described) => new AroundThing(rollout, described));
     rollout.named = rollout.things.filter((thing, k, all) => thing.top && k === all.findIndex((other) => other.name === thing.name)).slice(0, MOST_NAMES);
-    if (!rollout.things.length) continue;
+    if (!rollout.around.length) continue;
     rollout.swept = sweptGroup(show, rollout, geometries);
     rollout.instance.root.add(rollout.swept, ...rollout.things.map((thing) => thing.group));
   }

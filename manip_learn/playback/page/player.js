@@ -83,14 +83,14 @@ class Show {
   // One pane for each rollout, in its own colours, with its name and what became of it below.
   arrangePanes(panes) {
     document.body.dataset.panes = panes.length;
-    panes.forEach(({ name, said }, k) => {
-      const caption = Object.assign(document.createElement("p"), { className: "pane" });
-      caption.style.setProperty("--left", `${(100 * k) / panes.length}%`);
-      caption.style.setProperty("--wide", `${100 / panes.length}%`);
+    const row = Object.assign(document.createElement("div"), { className: "panes" });
+    panes.forEach(({ name, said, why }, k) => {
+      const caption = document.createElement("p");
       caption.style.setProperty("--colour", this.rollouts[k].colour);
-      caption.append(Object.assign(document.createElement("strong"), { textContent: name }), said);
-      get("stage").append(caption);
+      caption.append(Object.assign(document.createElement("strong"), { textContent: name }), said, Object.assign(document.createElement("span"), { textContent: why }));
+      row.append(caption);
     });
+    get("scene").append(row);
     if (this.stage) this.stage.showPanes(this.rollouts.map((r) => r.instance.root));
   }
 

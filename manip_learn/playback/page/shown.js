@@ -15,6 +15,7 @@ const SHOWN = {
 class Shown {
   constructor(data, show) {
     Object.assign(this, { show, scale: data.ellipsoidScale, on: Object.fromEntries(Object.entries(SHOWN).map(([name, { on }]) => [name, on])) });
+    this.on.swept = !show.panes; // the difference is the point there
     this.on.ellipsoid = show.rollouts.some((r) => r.curve.length); // it belongs to the curve
     const size = show.stage ? show.stage.size : 1;
     for (const rollout of show.rollouts) {
