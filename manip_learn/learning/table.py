@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
@@ -17,7 +18,8 @@ from manip_learn.errors import NotIdentifiableError, RecordingError, advice, cou
 from manip_learn.linalg import pivoted_rows, whitener
 from manip_learn.recordings.clock import MOVED
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
-from manip_learn.recordings.velocities import FEWEST_JUDGED, position_noise
+from manip_learn.recordings.velocities import FEWEST_JUDGED, position_noise, positions_along
+from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import likely_tips
 
 # strength of a row with 99 % confidence, the choice paid for, from which it counts as held: free motion of a real arm
@@ -90,14 +92,55 @@ class Stretch(NamedTuple):
     start: float
     end: float
 
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        return self.end - self.start
+
+class Hand:
+    """Samples of a table as positions of the joints of a robot, with its hand: the frame of some features.
+
+    Features of one frame are products of weights, which depend on its pose, and its Jacobian: both are evaluated once
+    for all of them.
+
+    Attributes:
+        of: Feature map of the whole twist of the frame; None for features without a frame.
+        x, step: shape (n, nv), positions without jumps, and tangent vectors to the next sample of the recording; zero
+            at its last one [rad or m].
+        poses, J: shape (n, 4, 4) and (n, 6, nv), at all samples; None without a frame.
+    """
+
+    def __init__(self, features: FeatureMap, table: Table):
+        robot, self.of = features.robot, features.twist
+        known = [None if robot is None else positions_along(t, robot) for t in table.moved]
+        self.x = np.concatenate([t.q if x is None else x for x, t in zip(known, table.moved, strict=True)])
+        self.step = np.concatenate([steps_along(robot, self.x), np.zeros((1, table.u.shape[1]))])
+        self.step[table.first[1:] - 1] = 0.0
+        self.poses, self.J = (None, None) if self.of is None else (self.of.poses(table.q), self.of.batch(table.q))
+
+    @cached_property
+    def between(self) -> Hand:
+        """Half way to the next sample of each recording."""
+        out, goes_on = copy.copy(self), np.any(self.step != 0.0, axis=1)[:-1, None]
+        out.x = np.append(np.where(goes_on, 0.5 * (self.x[1:] + self.x[:-1]), self.x[:-1]), self.x[-1:], axis=0)
+        out.poses, out.J = (None, None) if self.of is None else (self.of.poses(out.x), self.of.batch(out.x))
+        return out
+
+    def rows(self, features: FeatureMap) -> np.ndarray:
+        """Return Phi of features of this hand at all samples, shape (n, p, nv)."""
+        return features.batch(self.x) if self.of is None else features.weights_at(self.poses) @ self.J
 
 
 class Table:
-    """Samples of all recordings, concatenated."""
+    """Samples of all recordings, concatenated.
+
+    Attributes:
+        moved: Recordings, with velocities.
+        time, q, u: shape (n,), (n, nq) and (n, nv).
+        first: shape (g + 1,), first sample of each of g recordings, and n.
+        recording: shape (n,), number of the recording.
+        noises, noise: Variance of the noise of velocities of each recording, and of each sample [(rad/s)^2].
+        weight: shape (n,), time that each sample represents [s].
+        thin, step: Evenly spaced samples that are enough for the search, and their distance.
+        ends: shape (g, 2), first and last time of each recording [s].
+        wholes: Each recording as one stretch.
+    """
 
     def __init__(self, moved: Sequence[Trajectory]):
         self.moved, self.joint_names = list(moved), moved[0].joint_names
@@ -113,14 +156,16 @@ class Table:
         self.step = step = max(1, round(len(self.time) / max(self.seconds, 1e-9) / SCAN_RATE))
         self.thin = np.concatenate([np.arange(a + min(step, b - a) // 2, b, step) for a, b in pairwise(self.first)])
         self.ends = np.stack([self.time[self.first[:-1]], self.time[self.first[1:] - 1]], axis=1)
+        self.wholes = [Stretch(i, *map(float, ends)) for i, ends in enumerate(self.ends)]
+        self._hands: dict[str, Hand] = {}
 
-    def __len__(self) -> int:
-        return len(self.moved)
-
-    @property
-    def wholes(self) -> list[Stretch]:
-        """Each recording as one stretch."""
-        return [Stretch(i, *map(float, ends)) for i, ends in enumerate(self.ends)]
+    def hand(self, features: FeatureMap) -> Hand:
+        """Return the samples of the robot and the frame of some features, evaluated once."""
+        twist = features.twist
+        key = f"{id(features.robot)}" if twist is None else f"{id(features.robot)} {twist.arguments()}"
+        if key not in self._hands:
+            self._hands[key] = Hand(features, self)
+        return self._hands[key]
 
     def inside(self, stretches: Sequence[Stretch]) -> np.ndarray:
         """Return a mask of the samples in any of the stretches."""
@@ -135,10 +180,9 @@ class Table:
         low, high = self.ends[s.recording]
         return Stretch(s.recording, s.start + CHANGE * (s.start > low), s.end - CHANGE * (s.end < high))
 
-    def piece(self, s: Stretch) -> Trajectory:
-        """Return the samples of a stretch from which rows are learnt."""
-        s = self.learnt_from(s)
-        return self.moved[s.recording][s.start : s.end]
+    def samples(self, s: Stretch) -> np.ndarray:
+        """Return the numbers of the samples of a stretch from which rows are learnt."""
+        return np.flatnonzero(self.inside([self.learnt_from(s)]))
 
 
 def excitation(names: Sequence[str], u: np.ndarray) -> tuple[dict[str, float], list[str]]:
@@ -180,6 +224,7 @@ class Samples(NamedTuple):
         time: shape (n,), on the clock of each recording [s].
         first: shape (g + 1,), first sample of each of g recordings, and n.
         recording: shape (n,), number of the recording.
+        moving: shape (n,), True for samples that move beyond the noise.
     """
 
     rates: np.ndarray
@@ -190,14 +235,11 @@ class Samples(NamedTuple):
     time: np.ndarray
     first: np.ndarray
     recording: np.ndarray
+    moving: np.ndarray
 
     def at(self, k: np.ndarray, first: np.ndarray, **other: np.ndarray) -> Samples:
         """Return the samples k, with their first ones and other fields."""
         return Samples(**{n: x[k] for n, x in self._asdict().items() if n != "first"} | {"first": first} | other)
-
-    def moving(self) -> np.ndarray:
-        """Return a mask of the samples that move beyond the noise."""
-        return self.free > OVER_NOISE**2 * self.noise
 
 
 def whitening(Phi: np.ndarray, units: Sequence[str]) -> np.ndarray:
@@ -218,8 +260,9 @@ class View:
 
     Attributes:
         features, table: Feature map and table.
-        Phi: shape (n, p, nv), features of all samples.
+        hand: Samples of its robot and frame.
         W: shape (r, p), whitening matrix; r is 0 if the frame does not move.
+        Phi: shape (n, r, nv), whitened features of all samples.
         largest: Largest number of rows that leave a null space.
         all, thin: All samples, and evenly spaced ones for the search.
         tried: Number of hypotheses, of all views, among which one of this view is selected.
@@ -227,14 +270,14 @@ class View:
     """
 
     def __init__(self, features: FeatureMap, table: Table):
-        self.features, self.table = features, table
-        self.Phi = features.batch(table.q)
-        self.W = whitening(self.Phi, features.row_units)
+        self.features, self.table, self.hand = features, table, table.hand(features)
+        Phi = self.hand.rows(features)
+        self.W = whitening(Phi, features.row_units)
         self.r, self.largest, self.tried = len(self.W), 0, 1
         self.turns, self.curved = "rad/s" in features.row_units, getattr(features, "form", "") == "surface"
         if not self.r:
             return
-        white = self.W @ self.Phi
+        self.Phi = white = self.W @ Phi
         gram = white @ white.transpose(0, 2, 1)
         regular = gram + 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(self.r)
         used = np.einsum("npv,npv->nv", white, np.linalg.solve(regular, white))
@@ -242,9 +285,16 @@ class View:
         self.largest = min(rank, features.nv) - 1
         rates = np.einsum("npv,nv->np", white, table.u)
         free = np.sum(used * table.u**2, axis=1) / max(rank, 1)
-        self.all = Samples(rates, gram, free, table.noise, table.weight, table.time, table.first, table.recording)
+        t, moving = table, free > OVER_NOISE**2 * table.noise
+        self.all = Samples(rates, gram, free, t.noise, t.weight, t.time, t.first, t.recording, moving)
         k = table.thin
         self.thin = self.all.at(k, np.searchsorted(k, table.first), weight=table.weight[k] * table.step)
+
+    @cached_property
+    def y(self) -> np.ndarray:
+        """Displacements along the whitened rows, dy = Phi dq along the positions of each recording, shape (n, r)."""
+        rates = np.einsum("npv,nv->np", self.hand.between.rows(self.features), self.hand.step)
+        return np.insert(np.cumsum(rates[:-1], axis=0), 0, 0.0, axis=0) @ self.W.T
 
     def of_recording(self, i: int, alone: Table) -> View:
         """Return the view of one recording alone, with its table, whitened as that of all."""
@@ -276,7 +326,7 @@ class View:
         inside = self.table.inside([s])
         time = self.table.time[inside]
         inner = (time >= s.start + SHORTEST) & (time <= s.end - SHORTEST)
-        if s.duration < 4.0 * SHORTEST or np.count_nonzero(inner) < 10:
+        if s.end - s.start < 4.0 * SHORTEST or np.count_nonzero(inner) < 10:
             return s
         way = self.way(inside, rows)
         away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
@@ -307,7 +357,7 @@ def maps_of(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "w
     forms: dict[str, tuple[PlaceForm, ...]] = {"place": ("point",), "whole": ("point and rotation", "twist")}
     maps = [*(seen.with_axes(axes) for f in frames if axes for seen in (f, f.twist)), *others]
     for f in frames[:1]:
-        middle = f.twist.poses(table.q[:: max(1, len(table.q) // 500)])[:, :3, 3].mean(axis=0)
+        middle = table.hand(f).poses[:: max(1, len(table.q) // 500), :3, 3].mean(axis=0)
         maps += [PlaceRows(f.robot, f.frame.name, m, middle, **f.seen_from) for m in forms.get(what, ("surface",))]
     known: dict[str | int, FeatureMap] = {}
     for f in maps:
@@ -315,23 +365,11 @@ def maps_of(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "w
     return list(known.values())
 
 
-def steps_along(features: FeatureMap, x: np.ndarray) -> np.ndarray:
+def steps_along(robot: Robot | None, x: np.ndarray) -> np.ndarray:
     """Return the tangent vectors from each posture to the next, shape (n - 1, nv): differences, but of orientations."""
-    robot = getattr(features, "robot", None)
     if robot is None or robot.positions_add_up:
         return np.diff(x, axis=0)
     return np.array([robot.difference(*pair) for pair in pairwise(x)])
-
-
-def displacements(features: FeatureMap, x: np.ndarray, way: np.ndarray | None = None) -> np.ndarray:
-    """Return displacements y with dy = Phi dq along positions, from the first sample, shape (n, p).
-
-    With `way`, recorded velocities times a duration: y = Phi way of each sample on its own.
-    """
-    if way is not None:
-        return np.einsum("npv,nv->np", features.batch(x), way)
-    rates = np.einsum("npv,nv->np", features.batch(0.5 * (x[1:] + x[:-1])), steps_along(features, x))
-    return np.concatenate([np.zeros((1, rates.shape[1])), np.cumsum(rates, axis=0)])
 
 
 # --------------------------------------------------- recordings and samples from which nothing can be learnt
