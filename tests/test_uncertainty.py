@@ -16,10 +16,9 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.fit import Motion, RowFit, changes_by_links
+from manip_learn.learning.fit import Motion, RowFit, changes_by_links, errors_of, groups_of
 from manip_learn.learning.report import JOINT_ZEROS, NOISE, PARTS, POLICY, parts_in_words
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View
-from manip_learn.learning.uncertainty import errors_of, groups_of
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot.robot import Robot
@@ -142,7 +141,7 @@ def fitted(demos, truth) -> tuple[View, RowFit]:
     view = View(truth.features, Table(list(demos)))
     whole = [Stretch(i, *map(float, ends)) for i, ends in enumerate(view.table.ends)]
     motion = Motion.of(view, whole, Settings())
-    return view, RowFit(motion, orthonormal_rows(motion.least[1][:2])).best()
+    return view, RowFit(motion, orthonormal_rows(motion.levels.directions[:2])).best()
 
 
 def test_the_error_of_lambda_is_linear_in_the_offsets():

@@ -30,6 +30,7 @@ from manip_learn.learning.fit import (
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once
 from manip_learn.learning.imposed import Imposed, learn_imposed
 from manip_learn.learning.place import KEPT, Placed, asked_rows, held_kind, kind_of, placed, reshaped, whole_fit
+from manip_learn.learning.repeats import once_each
 from manip_learn.learning.search import SAME, Explanation, broken_energy, explain, lone_contacts
 from manip_learn.learning.table import (
     CLEAR_GAP,
@@ -463,7 +464,7 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     """
     fit, share, spans = part
     view, table, evidence = fit.view, fit.view.table, gate.evidence(fit.view, spans)
-    if is_firm(view, fit.rows, share, spans):
+    if evidence.verdict(len(fit.rows)) != "clear" and is_firm(view, fit.rows, share, spans):
         evidence = replace(evidence, firm=len(fit.rows))
     known, firm = placed(fit, None) if settings.mechanism else None, None
     told = known is not None and known.kind.type == "ball" and (known.mechanism.radius or 0.0) > ON_THE_AXIS
@@ -474,7 +475,7 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
             firm = firm if firm.variance <= OVER_NOISE * fit.variance else None
     sizes, _, gaps = levels_on(view, spans)
     a = Answer(view, spans, fit.rows, sizes, gaps, evidence=evidence, fit=fit, firm=firm)
-    inside = table.inside([table.learnt_from(s) for s in spans])
+    inside = table.inside(spans, learnt_from=True)
     broken, energy = np.sum(broken_energy(view.all, fit.rows[None])[inside]), np.sum(table.u[inside] ** 2)
     a.unexplained = a.held_out = float(broken / max(energy, 1e-300))
     e = np.concatenate([np.diff(table.moved[s.recording].q, 3, axis=0) for s in spans])
@@ -648,7 +649,7 @@ def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | Not
         return NotIdentifiableError(f"{asked} {max(v.r for v in views)} rows here: ask for fewer", code="no-freedom")
     v, s, gaps = best
     gap = gaps.get(s, 0.0)
-    if settings.n_constraints is None and (len(gate.pieces(v, table.wholes)[0]) >= FEWEST or gap < WEAK_GAP):
+    if settings.n_constraints is None and (len(once_each(table, table.wholes)) >= FEWEST or gap < WEAK_GAP):
         unused = f"what the motion leaves unused ({counted(s, 'direction')}, gap {gap:.3g}) is held, not never tried"
         why = f"nothing shows that {unused}: {gate.evidence(v, table.wholes, 1.0).sentence()}"
         return NotIdentifiableError(why, code="no-evidence" if gap >= WEAK_GAP else "weak-gap", gaps=gaps)

@@ -72,7 +72,7 @@ def levels_of(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> Levels:
 
 def levels_on(view: View, stretches: Sequence[Stretch]) -> Levels:
     """Return how much the velocities in some stretches use each direction of a view."""
-    inside = view.table.inside([view.table.learnt_from(s) for s in stretches])
+    inside = view.table.inside(stretches, learnt_from=True)
     rates = view.all.rates[inside]
     return levels_of(rates.T @ rates, view.all.gram[inside].sum(axis=0), view.table.u[inside])
 

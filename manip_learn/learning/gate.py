@@ -264,31 +264,24 @@ class Gate:
     seed: int = 0
     believed: float = BELIEVED
 
-    def pieces(self, view: View, stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Trajectory]]:
-        """Return the stretches that do not repeat each other, with their motions."""
-        table = view.table
-        long = [(s, k - table.first[s.recording]) for s in stretches if len(k := table.samples(s)) > 2]
-        pieces = [table.moved[s.recording].part(k) for s, k in long]
-        kept = once_each([s for s, _ in long], pieces)
-        return [long[k][0] for k in kept], [pieces[k] for k in kept]
-
     def evidence(self, view: View, stretches: Sequence[Stretch], choices: float | None = None) -> Evidence:
         """Return the evidence of stretches.
 
         `choices`, see `recombined`, are by default those of as many stretches, as long as these, from all recordings,
         times the hypotheses of all views.
         """
-        stretches, pieces = self.pieces(view, stretches)
-        m, n, numbers = view.thin, len(view.table.moved), Counter(s.recording for s in stretches)
+        pieces = once_each(view.table, stretches)
+        m, n, numbers = view.thin, len(view.table.moved), Counter(s.recording for s in pieces)
         moving = m.weight * m.moving
         whole = np.bincount(m.recording, moving, minlength=n)
         log_ways = math.lgamma(n + 1) - math.lgamma(len(numbers) + 1) - math.lgamma(n - len(numbers) + 1)
         log_ways -= sum(math.lgamma(k + 1) for k in numbers.values())
-        for s in stretches:
+        for s in pieces:
             span = np.sum(moving[(m.recording == s.recording) & (m.time >= s.start) & (m.time <= s.end)])
             log_ways += math.log(whole[s.recording] / span) if span > 0.0 else 0.0
         ways = view.tried * math.exp(min(max(log_ways, 0.0), 700.0))  # a larger number is none
-        return recombined(view.features, pieces, self.seed, ways if choices is None else choices, self.believed)
+        choices = ways if choices is None else choices
+        return recombined(view.features, list(pieces.values()), self.seed, choices, self.believed)
 
     def __call__(self, view: View, h: Hypothesis, stretches: Sequence[Stretch]) -> bool:
         """Return True if rows are constrained in stretches, by the recombination test or by one place.
@@ -305,8 +298,7 @@ class Gate:
             recs = {s.recording for s in some}
             if not recs or len(recs) < min(2, len(view.table.moved)):
                 return False
-            pieces = zip(*self.pieces(view, some), strict=True)
-            each = [(np.asarray(p.u), view.table.noises[s.recording]) for s, p in pieces]
+            each = [(p.u, view.table.noises[s.recording]) for s, p in once_each(view.table, some).items()]
             together, others = np.median([joints_at_once(*x) for x in each], axis=0) if each else (0.0, 0.0)
             if together >= 1.1 or others >= OVER_NOISE**2:
                 found = self.evidence(view, some)

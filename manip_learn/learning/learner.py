@@ -15,10 +15,20 @@ from manip_learn.constraint.skill import Skill
 from manip_learn.errors import FeatureError, NotFittedError, NumberOfConstraintsError, RecordingError, advice, an
 from manip_learn.learning.answer import Found, advised, learn
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.report import Context, LearningReport, made, reports
+from manip_learn.learning.report import Context, LearningReport, reports
 from manip_learn.learning.skill import skill_of
-from manip_learn.learning.table import BELIEVED, SWITCH, ArmErrors, EstimatorName, Settings, Table, refuse_unusable
-from manip_learn.learning.thinning import MOST_SAMPLES, EvenChoice, read_evenly
+from manip_learn.learning.table import (
+    BELIEVED,
+    MOST_SAMPLES,
+    SWITCH,
+    ArmErrors,
+    EstimatorName,
+    EvenChoice,
+    Settings,
+    Table,
+    read_evenly,
+    refuse_unusable,
+)
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.given import Given, check_joints, parts_of, recordings_given
 from manip_learn.recordings.load import Progress
@@ -211,10 +221,12 @@ class ConstraintLearner:
         demonstrations = with_velocities(recordings.demonstrations, self._robot, self.velocities)
         exact = self.velocities == "recorded" or self._robot is None or all(t.exact for t in recordings.demonstrations)
         refuse_unusable(recordings.demonstrations, demonstrations, self._feature_maps[0])
-        chosen_few = choose(*parts_of(demonstrations))
-        few, origins = chosen_few.demonstrations, tuple(recordings.origins[k.number] for k in chosen_few.kept)
-        recordings = recordings._replace(demonstrations=few, origins=origins)
-        table = Table(list(few))
+        if demonstrations.n_samples > self.max_samples:
+            choice = choose(*parts_of(demonstrations))
+            demonstrations = choice.demonstrations
+            recordings = recordings._replace(origins=tuple(recordings.origins[k.number] for k in choice.kept))
+        recordings = recordings._replace(demonstrations=demonstrations)
+        table = Table(list(demonstrations))
         arm = ArmErrors(math.radians(self.joint_offset_std), 1e-3 * self.link_error_std)
         chosen: dict[str, Any] = {"arm": arm, "by_rates": exact, "seed": self.seed, "habits": self.keep_habits}
         chosen |= {"phases": self.phases == "auto", "mechanism": self.mechanism == "auto"}
@@ -222,8 +234,7 @@ class ConstraintLearner:
         settings = Settings(self.n_constraints, self.estimator, self.policy_model, **chosen)
         # for the provenance; the features are stored in the constraint itself
         said = [name for name in inspect.signature(type(self)).parameters if name not in ("features", "renamed")]
-        origin = made(given, {name: getattr(self, name) for name in said})
-        context = Context(table, recordings, few.notes, origin, started)
+        context = Context(table, recordings, demonstrations.notes, {n: getattr(self, n) for n in said}, started)
         found = learn(table, settings, progress)
         if not isinstance(found, Found):
             raise advised(found, table, settings, recordings.warnings)

@@ -24,7 +24,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import listed
-from manip_learn.learning.table import SLIGHT, Stretch
+from manip_learn.learning.table import SLIGHT, Stretch, Table
 from manip_learn.recordings.trajectory import OPTIONAL_ARRAYS, Demonstrations, Trajectory, distinct_names
 from manip_learn.recordings.velocities import noise_variance
 
@@ -80,7 +80,10 @@ class IndependentRecordings(NamedTuple):
             return IndependentRecordings(given, tuple(((i, 0.0),) for i in range(len(given))), given)
         named = [dataclasses.replace(t, name=name) for t, name in zip(given, distinct_names(given), strict=True)]
         paths = [_Path(t) for t in named]
-        joined = [_joined(named, chain) for chain in _chains(paths)]
+        joined = [
+            _joined(named, chain) if len(chain) > 1 else (named[chain[0]], ((chain[0], 0.0),))
+            for chain in _chains(paths)
+        ]
         whole, origins = [t for t, _ in joined], tuple(origin for _, origin in joined)
         once = "are pieces of one recording, each goes on where another ends; they count once"
         warnings = [f"{t.name} {once}" for t, origin in joined if len(origin) > 1]
@@ -197,14 +200,15 @@ class _Path:
         return start, distance(start, way) or 0.0
 
 
-def once_each(stretches: Sequence[Stretch], pieces: Sequence[Trajectory]) -> list[int]:
-    """Return the numbers of pieces, each of a stretch, that repeat no other one of the same recording."""
-    repeated = set[int]()
-    for recording in {s.recording for s in stretches}:
-        own = [k for k, s in enumerate(stretches) if s.recording == recording]
-        if len(own) > 1:
-            repeated |= {own[k] for k in _repeats([_Path(pieces[k]) for k in own])}
-    return [k for k in range(len(pieces)) if k not in repeated]
+def once_each(table: Table, stretches: Sequence[Stretch]) -> dict[Stretch, Trajectory]:
+    """Return the motion of each stretch from which rows are learnt, unless it repeats another of its recording."""
+    long = [(s, k - table.first[s.recording]) for s in stretches if len(k := table.samples(s)) > 2]
+    pieces = {s: table.moved[s.recording].part(k) for s, k in long}
+    for recording in {s.recording for s in pieces}:
+        own = [s for s in pieces if s.recording == recording]
+        for k in _repeats([_Path(pieces[s]) for s in own]) if len(own) > 1 else ():
+            del pieces[own[k]]
+    return pieces
 
 
 def _repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
@@ -292,8 +296,6 @@ def _joined(given: Sequence[Trajectory], chain: list[int]) -> tuple[Trajectory, 
         parts.append(given[i].part(slice(_shared(a, given[i]), None)))
         step, pause = float(np.median(np.diff(a.time))), float(parts[-1].time[0] - a.time[-1])
         origin.append((i, added if 0.0 < pause <= 2.0 * step else added + step - pause))
-    if len(parts) == 1:
-        return parts[0], tuple(origin)
     time = np.concatenate([p.time + added for p, (_, added) in zip(parts, origin, strict=True)])
     kept = {"q"}.union(set.intersection(*(set(p.arrays) for p in parts)))
     arrays = {x: np.concatenate([getattr(p, x) for p in parts]) if x in kept else None for x in ("q", *OPTIONAL_ARRAYS)}

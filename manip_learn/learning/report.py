@@ -29,7 +29,7 @@ from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
 from manip_learn.learning.gate import RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.table import CLEAR_GAP, Table, excitation
-from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names, evenly
+from manip_learn.recordings.trajectory import Trajectory, distinct_names, evenly
 from manip_learn.robot import html_card
 
 NOISE, JOINT_ZEROS, POLICY = PARTS = ("noise", "joint zeros", "policy")
@@ -259,12 +259,18 @@ def _plain(value: Any) -> Any:
 
 
 class Context(NamedTuple):
-    """Data that all reports of a fit share; `started` is a reading of `time.perf_counter` [s]."""
+    """Data that all reports of a fit share.
+
+    Attributes:
+        table, recordings, notes: Samples, recordings, and remarks on these.
+        settings: Settings of the learner.
+        started: Reading of `time.perf_counter` when the fit began [s].
+    """
 
     table: Table
     recordings: IndependentRecordings
     notes: Sequence[str]
-    made: Mapping[str, Any]
+    settings: Mapping[str, Any]
     started: float
 
 
@@ -301,11 +307,17 @@ def reports(found: Found, context: Context) -> list[Learnt]:
         reasons = "; ".join(f"{o.trajectory}: {o.reason}" for o in odd)
         out = "what does not agree was left out of the first constraint"
         warnings.append(f"{len(odd)} of {len(names)} recordings do not agree with the others; {out}: {reasons}")
+    made = {
+        "version": version(),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "recordings": [{"name": n, "sha256": checksum(t)} for n, t in zip(given, recordings.given, strict=True)],
+        "settings": _plain(context.settings),
+    }
     overview = RecordingOverview(tuple(phases), odd, warnings)
-    return [_report(answer, overview, context) for answer in found.answers]
+    return [_report(answer, overview, context, made) for answer in found.answers]
 
 
-def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Learnt:
+def _report(answer: Answer, overview: RecordingOverview, context: Context, made: dict[str, Any]) -> Learnt:
     table, features, selection = context.table, answer.asked.features, answer.asked.selection
     warnings, notes = list(answer.warnings), list(dict.fromkeys(map(printable, context.notes)))
     used = np.linalg.norm(features.batch(table.q[evenly(len(table.q), 200)]), axis=2).max(axis=0) > 1e-9
@@ -351,7 +363,7 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Le
     )
     kept = np.flatnonzero(inside)[evenly(report.n_samples, KEPT_POSTURES)]
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
-    provenance["made"] = dict(context.made)
+    provenance["made"] = dict(made)
     provenance["postures"] = np.round(table.q[kept], 5).tolist()
     provenance["posture_trajectories"] = table.recording[kept].tolist()
     whole = answer.whole
@@ -365,22 +377,6 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Le
     if whole is answer.asked:
         return everything, everything, report
     return everything, Constraint(selection, features, provenance | {"whole": len(whole.selection)}), report
-
-
-def made(demonstrations: Demonstrations, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the entry `provenance["made"]` of a constraint.
-
-    Args:
-        demonstrations: All recordings.
-        settings: Settings of the learner.
-    """
-    names = distinct_names(demonstrations)
-    return {
-        "version": version(),
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "recordings": [{"name": n, "sha256": checksum(t)} for n, t in zip(names, demonstrations, strict=True)],
-        "settings": _plain(settings),
-    }
 
 
 def checksum(trajectory: Trajectory) -> str:

@@ -259,13 +259,10 @@ class Explanation:
             return values, np.zeros(len(free), dtype=int)
         return values, viterbi(values[:, None, 1:], samples[0].first, self.switch)[0][:, 0]
 
-    def with_(self, hypotheses: Sequence[Hypothesis]) -> Explanation:
-        """Return the explanation by other hypotheses."""
-        return Explanation(self.views, hypotheses, self.switch)
-
     def without_weakest(self) -> Explanation:
         """Return the explanation without the hypothesis that has the least support."""
-        return self.with_([h for k, h in enumerate(self.hypotheses) if k != int(self.supports.argmin())])
+        kept = [h for k, h in enumerate(self.hypotheses) if k != int(self.supports.argmin())]
+        return Explanation(self.views, kept, self.switch)
 
     def refit(self, k: int, start: Hypothesis) -> Hypothesis:
         """Fit a hypothesis to the samples of the k-th one, against the others."""
@@ -277,7 +274,8 @@ class Explanation:
         """Fit each hypothesis to the samples that it explains, and repeat while the total evidence grows."""
         best = self
         for _ in range(TURNS):
-            now = best.with_([best.refit(k, h) for k, h in enumerate(best.hypotheses)])
+            refitted = [best.refit(k, h) for k, h in enumerate(best.hypotheses)]
+            now = Explanation(self.views, refitted, self.switch)
             if now.explained.sum() <= best.explained.sum():
                 break
             best = now
@@ -300,7 +298,7 @@ class Explanation:
                 if view.largest < len(h.rows):
                     continue
                 moved = now.refit(k, Hypothesis(number, np.eye(len(h.rows), view.r), h.scale))
-                trial = now.with_([*now.hypotheses[:k], moved, *now.hypotheses[k + 1 :]])
+                trial = Explanation(self.views, [*now.hypotheses[:k], moved, *now.hypotheses[k + 1 :]], self.switch)
                 if trial.explained.sum() + h.price(seconds) - moved.price(seconds) >= now.explained.sum():
                     now = trial
                     break
@@ -421,7 +419,7 @@ def added(now: Explanation, believed: Test, refused: list[Hypothesis], allowed: 
         found = sorted(candidates(now, allowed), key=lambda h: h.price(seconds) - h.support)
         gaining = (h for h in found if h.support - h.price(seconds) > LEAST_GAIN)
         for h in islice((h for h in gaining if not any(similar(h, x) for x in refused)), MOST_TESTED):
-            trial = now.with_([*now.hypotheses, h]).settled()
+            trial = Explanation(views, [*now.hypotheses, h], now.switch).settled()
             last, stretches = trial.hypotheses[-1], trial.stretches(len(trial.hypotheses))
             if last.support > LEAST_GAIN and not trial.has_twins() and believed(views[h.view], last, stretches):
                 break
@@ -478,7 +476,7 @@ def lone_contacts(
         if not firm:
             continue
         h, k = max(firm, key=lambda h: h.support), len(found.hypotheses)
-        both = rest.with_([*found.hypotheses, h])
+        both = Explanation(views, [*found.hypotheses, h], found.switch)
         values = both.values[:, k + 1] - both.others[k]
         for s in both.stretches(k + 1, both.seen([v.all for v in views])[1]):
             # less the quarter that gains most, the price, and the change into it and out of it

@@ -13,7 +13,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.shown import poses_of, shown_by
 from manip_learn.constraint.skill import MOST_TAKES, Skill, Step, Take
 from manip_learn.errors import counted
-from manip_learn.learning.answer import Answer, Found
+from manip_learn.learning.answer import Found
 from manip_learn.learning.table import Table
 from manip_learn.recordings.trajectory import Trajectory, evenly
 
@@ -31,7 +31,14 @@ class _Contact(NamedTuple):
 
 def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> Skill:
     """Return the constraints in the order in which most recordings show them, each with the motion shown there."""
-    order = _contacts_in_order(found.answers, table)
+    numbered = [(number, stretch) for number, answer in enumerate(found.answers) for stretch in answer.stretches]
+    order: dict[int, list[_Contact]] = {stretch.recording: [] for _, stretch in numbered}
+    for number, stretch in sorted(numbered, key=lambda one: one[1].start):
+        piece, kept = table.moved[stretch.recording][stretch.start : stretch.end], order[stretch.recording]
+        if kept and kept[-1].constraint == number:  # of successive contacts with one constraint, the longest
+            kept[-1] = max(kept[-1], _Contact(number, piece), key=lambda c: c.piece.duration)
+        else:
+            kept.append(_Contact(number, piece))
     sequences = Counter(tuple(c.constraint for c in contacts) for contacts in order.values())
     if not sequences:
         return Skill(tuple(constraints), ())
@@ -65,20 +72,6 @@ def _takes(constraint: Constraint, table: Table, chosen: dict[int, list[_Contact
         since, begin, end, until = [-np.inf, *ends, np.inf][2 * k : 2 * k + 4]
         takes.append(Take.of(constraint.robot, table.moved[recording], since, begin, end, until))
     return tuple(takes)
-
-
-def _contacts_in_order(answers: Sequence[Answer], table: Table) -> dict[int, list[_Contact]]:
-    """Return the contacts of each recording in order; of successive contacts with one constraint, the longest."""
-    stretches = [(number, stretch) for number, answer in enumerate(answers) for stretch in answer.stretches]
-    out: dict[int, list[_Contact]] = {stretch.recording: [] for _, stretch in stretches}
-    for number, stretch in sorted(stretches, key=lambda numbered: numbered[1].start):
-        piece, kept = table.moved[stretch.recording][stretch.start : stretch.end], out[stretch.recording]
-        contact = _Contact(number, piece)
-        if kept and kept[-1].constraint == number:
-            kept[-1] = max(kept[-1], contact, key=lambda c: c.piece.duration)
-        else:
-            kept.append(contact)
-    return out
 
 
 def _gripping(features: FeatureMap, table: Table, chosen: dict[int, list[_Contact]], k: int) -> list[dict[str, Any]]:
