@@ -198,8 +198,7 @@ def learn(table: Table, settings: Settings, progress: Progress) -> Found | Refus
     nv = table.u.shape[1]
     if other := {f.nv for f in settings.asked} - {nv}:
         return RecordingError(f"the recordings have {nv} joint velocities, the features {min(other)}", code="shape")
-    views = {f: View(f, table) for f in settings.asked}
-    asked = [v for v in views.values() if v.r]
+    asked = [v for v in (View(f, table) for f in settings.asked) if v.r]
     if not asked:
         why = "all rows are zero on these recordings: choose axes in which the frame can move"
         return NotIdentifiableError(why, code="zero-features")
@@ -212,9 +211,8 @@ def learn(table: Table, settings: Settings, progress: Progress) -> Found | Refus
     if settings.mechanism and settings.n_constraints is None:
         curved = maps_of(settings.asked, table, "surface") if len(table.moved) >= FEWEST else ()
         maps = [maps_of(settings.asked, table, "place"), maps_of(settings.asked, table, "whole"), curved]
-    each = ((views.get(f) or View(f, table) for f in some) for some in maps)
-    first, whole, curved = ([v for v in some if v.largest > 0] for some in each)
-    for rivals, own in ((first, first), ([*first, *whole], whole), (curved, curved)):
+    first, whole, curved = ([v for v in (View(f, table) for f in some) if v.largest > 0] for some in maps)
+    for rivals, own in ((first, first), ([*first, *whole], whole), (curved, curved), (asked, asked)):
         for view in own:
             view.tried = sum(rival.largest for rival in rivals)
     switch, gate = settings.switch if settings.phases else np.inf, Gate(settings.seed, settings.strength)
@@ -637,8 +635,6 @@ def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | Not
     """Return the answer of too few recordings, or of a given number of rows; else the refusal."""
     table = views[0].table
     best: Any = None
-    for v in views:
-        v.tried = sum(rival.largest for rival in views)
     for v in [v for v in views if isinstance(v.features, PoseRows) or v is views[0]]:
         gaps = levels_on(v, table.wholes).gaps
         s = settings.n_constraints or max(gaps, key=lambda k: gaps[k])

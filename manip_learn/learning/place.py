@@ -411,22 +411,19 @@ def asked_rows(
             return features, np.eye(features.n_rows)
     if len(poses) < len(asked) or not isinstance(features, PoseRows | PlaceRows):
         return features, selection
-    columns = features.row_names
-
-    def inside(kept: Sequence[str]) -> np.ndarray:
-        """Return the rows with no share in other columns."""
-        own = np.array([n in kept for n in columns])
-        _, sigma, Vt = np.linalg.svd(selection[:, ~own].T)
-        return Vt[np.append(sigma, np.zeros(len(selection) - len(sigma))) < MIXED] @ (selection * own)
-
-    own_axes = isinstance(features, PoseRows) and features.own_axes
-    given: FeatureMap | None = next((f for f in poses if f.own_axes == own_axes), None)
-    rows = inside(given.row_names if given is not None else ())
+    columns, own_axes = features.row_names, isinstance(features, PoseRows) and features.own_axes
+    options: list[FeatureMap] = [f for f in poses if f.own_axes == own_axes][:1]
     if isinstance(features, PlaceRows) and features.form != "twist":
         form: PlaceForm = "point" if names <= set(AXES[:3]) else "point and rotation"
-        wide = PlaceRows(features.robot, features.frame.name, form, features.middle, **features.twist.seen_from)
-        if len(among := inside(wide.row_names)) > len(rows):
-            given, rows = (features if form == features.form else wide), among
-    if given is None or given is features or not len(rows):
+        hand = features.robot, features.frame.name
+        wide = PlaceRows(*hand, form, features.middle, **features.twist.seen_from)
+        options.append(features if form == features.form else wide)
+    given, rows = features, selection[:0]
+    for option in options:
+        own = np.array([n in option.row_names for n in columns])
+        _, sigma, Vt = np.linalg.svd(selection[:, ~own].T)
+        inside = Vt[np.append(sigma, np.zeros(len(selection) - len(sigma))) < MIXED] @ (selection * own)
+        given, rows = (option, inside) if len(inside) > len(rows) else (given, rows)
+    if given is features:
         return features, selection
     return given, pivoted_rows(rows) @ np.array([[column == n for n in given.row_names] for column in columns])

@@ -262,14 +262,13 @@ class Context(NamedTuple):
     """Data that all reports of a fit share.
 
     Attributes:
-        table, recordings, notes: Samples, recordings, and remarks on these.
+        table, recordings: Samples, and the recordings that they are of.
         settings: Settings of the learner.
         started: Reading of `time.perf_counter` when the fit began [s].
     """
 
     table: Table
     recordings: IndependentRecordings
-    notes: Sequence[str]
     settings: Mapping[str, Any]
     started: float
 
@@ -319,7 +318,10 @@ def reports(found: Found, context: Context) -> list[Learnt]:
 
 def _report(answer: Answer, overview: RecordingOverview, context: Context, made: dict[str, Any]) -> Learnt:
     table, features, selection = context.table, answer.asked.features, answer.asked.selection
-    warnings, notes = list(answer.warnings), list(dict.fromkeys(map(printable, context.notes)))
+    warnings, notes = (
+        list(answer.warnings),
+        list(dict.fromkeys(map(printable, context.recordings.demonstrations.notes))),
+    )
     used = np.linalg.norm(features.batch(table.q[evenly(len(table.q), 200)]), axis=2).max(axis=0) > 1e-9
     if unused := [n for n, u in zip(features.row_names, used, strict=True) if not u]:
         warnings.append(f"always zero for this robot and frame, so left out: {listed(unused)}")

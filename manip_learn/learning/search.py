@@ -290,20 +290,6 @@ class Explanation:
                     return True
         return False
 
-    def plainest(self) -> Explanation:
-        """Move each hypothesis to the first view in which as many rows explain no less, net of their price."""
-        now, seconds = self, self.views[0].table.seconds
-        for k, h in enumerate(self.hypotheses):
-            for number, view in enumerate(self.views[: h.view]):
-                if view.largest < len(h.rows):
-                    continue
-                moved = now.refit(k, Hypothesis(number, np.eye(len(h.rows), view.r), h.scale))
-                trial = Explanation(self.views, [*now.hypotheses[:k], moved, *now.hypotheses[k + 1 :]], self.switch)
-                if trial.explained.sum() + h.price(seconds) - moved.price(seconds) >= now.explained.sum():
-                    now = trial
-                    break
-        return now
-
     def stretches(self, k: int, fine: np.ndarray | None = None) -> list[Stretch]:
         """Return the stretches of state k, from the first to the last moving sample, or to ends of the recording.
 
@@ -379,7 +365,7 @@ def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
     whole = [f.frame for f in maps if isinstance(f, PlaceRows) and f.form == "point and rotation"]
     for number in allowed:
         f = maps[number]
-        # other views have the whole twist and more; `plainest` moves their hypotheses back in the end
+        # other views have the whole twist and more; `explain` moves their hypotheses back in the end
         if isinstance(f, FrameJacobian) and (f.reference, f.n_rows) == ("world", 6) and f.frame in whole:
             continue
         for rows in proposed(views[number].thin, now.states, views[number].largest, bool(np.isinf(switch))):
@@ -447,7 +433,17 @@ def explain(views: Sequence[View], believed: Test, switch: float, first: int = 0
     moving = now.states[views[0].thin.moving]
     if np.count_nonzero(moving) < FEW_HELD * max(len(moving), 1):
         now = added(now, believed, refused, range(first, len(views)))
-    now = now.plainest()
+    # each one in the first view in which as many rows explain no less, net of their price
+    for k, h in enumerate(now.hypotheses):
+        for number, view in enumerate(views[: h.view]):
+            if view.largest < len(h.rows):
+                continue
+            moved = now.refit(k, Hypothesis(number, np.eye(len(h.rows), view.r), h.scale))
+            trial = Explanation(views, [*now.hypotheses[:k], moved, *now.hypotheses[k + 1 :]], switch)
+            price = moved.price(views[0].table.seconds) - h.price(views[0].table.seconds)
+            if trial.explained.sum() - price >= now.explained.sum():
+                now = trial
+                break
     while now.has_twins():
         now = now.without_weakest()
     return now

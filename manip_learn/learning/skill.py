@@ -52,9 +52,15 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
         shown = constraint.shown
         if usual.count(number) > 1:
             shown = shown_by(constraint.features, constraint.selection, constraint.mechanism, pieces)
+        takes = list[Take]()  # how the joints went to the contact, along it and away from it
+        few = [*chosen.items()] if constraint.robot is not None else []
+        for recording, contacts in (few[i] for i in evenly(len(few), MOST_TAKES)):
+            ends = [float(x) for contact in contacts for x in contact.piece.time[[0, -1]]]
+            between = [-np.inf, *ends, np.inf][2 * place : 2 * place + 4]
+            takes.append(Take.of(constraint.robot, table.moved[recording], *between))
         reach = Step("reach", constraint, **opening)
         closing, opening = _gripping(constraint.features, table, chosen, place)
-        steps += [reach, Step("way", constraint, shown, takes=_takes(constraint, table, chosen, place), **closing)]
+        steps += [reach, Step("way", constraint, shown, takes=tuple(takes), **closing)]
     ends = [(contacts[-1].piece.q[-1], table.moved[recording].q[-1]) for recording, contacts in chosen.items()]
     poses = poses_of(constraints[usual[-1]].features, np.concatenate(ends).reshape(2 * len(ends), -1))
     if poses is not None:
@@ -62,16 +68,6 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
         if np.median(np.linalg.norm(end - last, axis=1)) > LEAVES:
             steps.append(Step("reach", None, place=np.median(end, axis=0), **opening))
     return Skill(tuple(constraints), tuple(steps), (note,) if times < len(order) else ())
-
-
-def _takes(constraint: Constraint, table: Table, chosen: dict[int, list[_Contact]], k: int) -> tuple[Take, ...]:
-    """Return how the joints went to contact k, along it and away from it, in some of the recordings."""
-    takes, names = list[Take](), list(chosen) if constraint.robot is not None else []
-    for recording in (names[i] for i in evenly(len(names), MOST_TAKES)):
-        ends = [float(x) for contact in chosen[recording] for x in contact.piece.time[[0, -1]]]
-        since, begin, end, until = [-np.inf, *ends, np.inf][2 * k : 2 * k + 4]
-        takes.append(Take.of(constraint.robot, table.moved[recording], since, begin, end, until))
-    return tuple(takes)
 
 
 def _gripping(features: FeatureMap, table: Table, chosen: dict[int, list[_Contact]], k: int) -> list[dict[str, Any]]:
