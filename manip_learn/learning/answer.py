@@ -16,17 +16,7 @@ from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import CurveRows, PlaceRows
 from manip_learn.constraint.mechanism import ON_THE_AXIS, Grip, Mechanism
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named, number_if_known
-from manip_learn.learning.fit import (
-    STATED,
-    Errors,
-    Motion,
-    RowFit,
-    angles,
-    errors_of,
-    groups_of,
-    levels_on,
-    misfit,
-)
+from manip_learn.learning.fit import STATED, Errors, Motion, RowFit, angles, errors_of, groups_of, levels_on, misfit
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once
 from manip_learn.learning.imposed import Imposed, learn_imposed
 from manip_learn.learning.place import KEPT, Placed, asked_rows, held_kind, kind_of, placed, reshaped, whole_fit

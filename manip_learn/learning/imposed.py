@@ -49,7 +49,7 @@ from scipy.spatial import cKDTree
 from manip_learn.errors import NotIdentifiableError, advice, counted
 from manip_learn.learning.fit import STATED, Errors, angles, levels_on, solve
 from manip_learn.learning.table import CLEAR_GAP, LEAST_GAIN, NONE, WEAK_GAP, Settings, Table, View
-from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned
+from manip_learn.linalg import inverse_triangles_beside, null_basis, orthonormal_rows, row_bases
 
 POLYNOMIALS = ("constant", "affine", "quadratic", "cubic", "quartic", "quintic")
 # grades of each policy model; "affine-offset" has a rest posture for each recording; those of "auto" are taken in this
@@ -160,7 +160,7 @@ class PolicyFit:
 
     def __init__(self, d: Data, rows: np.ndarray, before: PolicyFit | None = None, exact: bool = False):
         (n, nv), held = d.u.shape, not len(d.grades)
-        self.d, self.rows, self.perp, self.exact = d, rows, complement_rows(rows), exact or held
+        self.d, self.rows, self.perp, self.exact = d, rows, null_basis(rows).T, exact or held
         Q, R = row_bases((rows @ d.Phi).transpose(2, 1, 0))
         Q = Q.transpose(2, 0, 1)
         N = np.eye(nv) - Q @ Q.transpose(0, 2, 1)
@@ -230,7 +230,8 @@ class PolicyFit:
             kept = (here.determined >= min(0.1, np.max(here.determined, initial=0.0)))[here.d.grades]
             d = copy(here.d)
             d.beta, d.grades = d.beta[:, kept], d.grades[kept]
-            there = PolicyFit(d, turned(here.rows, B), here, here.exact)
+            turned = here.rows + B.reshape(len(here.rows), -1) @ here.perp
+            there = PolicyFit(d, orthonormal_rows(turned), here, here.exact)
             if there.cost < here.cost:
                 here, damping = there, 0.1 * damping if damping > 1e-9 else 0.0
             else:

@@ -216,7 +216,7 @@ class ConstraintLearner:
             derived = derive(recordings.demonstrations)
             refuse_unusable(recordings.demonstrations, derived, self._feature_maps[0])
             exact = self._robot is None or all(t.exact for t in recordings.demonstrations)
-            if derived.n_samples > self.max_samples:
+            if sum(map(len, derived)) > self.max_samples:
                 choice = choose(*parts_of(derived))
                 derived, origins = choice.demonstrations, tuple(recordings.origins[k.number] for k in choice.kept)
                 recordings = recordings._replace(origins=origins)

@@ -80,10 +80,7 @@ class IndependentRecordings(NamedTuple):
             return IndependentRecordings(given, tuple(((i, 0.0),) for i in range(len(given))), given)
         named = [dataclasses.replace(t, name=name) for t, name in zip(given, distinct_names(given), strict=True)]
         paths = [_Path(t) for t in named]
-        joined = [
-            _joined(named, chain) if len(chain) > 1 else (named[chain[0]], ((chain[0], 0.0),))
-            for chain in _chains(paths)
-        ]
+        joined = [_joined(named, chain) for chain in _chains(paths)]
         whole, origins = [t for t, _ in joined], tuple(origin for _, origin in joined)
         once = "are pieces of one recording, each goes on where another ends; they count once"
         warnings = [f"{t.name} {once}" for t, origin in joined if len(origin) > 1]
@@ -104,16 +101,6 @@ class IndependentRecordings(NamedTuple):
             return IndependentRecordings(given, origins, given)
         demonstrations = Demonstrations([whole[i] for i in kept], given.notes)
         return IndependentRecordings(demonstrations, tuple(origins[i] for i in kept), given, tuple(warnings))
-
-    def places(self, stretch: Stretch) -> tuple[Stretch, ...]:
-        """Return the stretches of the given recordings, on their own clocks, that make up one of `demonstrations`."""
-        out = []
-        for number, added in self.origins[stretch.recording]:
-            time = self.given[number].time
-            start, end = max(stretch.start - added, float(time[0])), min(stretch.end - added, float(time[-1]))
-            if start < end or len(self.origins[stretch.recording]) == 1:
-                out.append(Stretch(number, start, end))
-        return tuple(out)
 
 
 def _near(within: float) -> str:
@@ -296,6 +283,8 @@ def _joined(given: Sequence[Trajectory], chain: list[int]) -> tuple[Trajectory, 
         parts.append(given[i].part(slice(_shared(a, given[i]), None)))
         step, pause = float(np.median(np.diff(a.time))), float(parts[-1].time[0] - a.time[-1])
         origin.append((i, added if 0.0 < pause <= 2.0 * step else added + step - pause))
+    if len(parts) == 1:
+        return parts[0], tuple(origin)
     time = np.concatenate([p.time + added for p, (_, added) in zip(parts, origin, strict=True)])
     kept = {"q"}.union(set.intersection(*(set(p.arrays) for p in parts)))
     arrays = {x: np.concatenate([getattr(p, x) for p in parts]) if x in kept else None for x in ("q", *OPTIONAL_ARRAYS)}

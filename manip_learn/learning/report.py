@@ -294,9 +294,14 @@ def reports(found: Found, context: Context) -> list[Learnt]:
     names, given = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
     stretches = [(s, k, "") for k, answer in enumerate(found.answers) for s in answer.stretches]
     stretches += [(s, None, "") for s in found.free] + [(s, None, why) for s, why in found.unlearnt]
-    phases = []  # on the clocks of the recordings that were given
+    phases = list[_Phase]()  # on the clocks of the recordings that were given
     for s, k, why in sorted(stretches, key=lambda x: (x[0].recording, x[0].start)):
-        phases += [_Phase(given[p.recording], p.start, p.end, k, why) for p in recordings.places(s)]
+        pieces = recordings.origins[s.recording]
+        for number, added in pieces:
+            time = recordings.given[number].time
+            start, end = max(s.start - added, float(time[0])), min(s.end - added, float(time[-1]))
+            if start < end or len(pieces) == 1:
+                phases.append(_Phase(given[number], start, end, k, why))
     odd = tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(found.odd.items()))
     warnings = [*recordings.warnings, *found.warnings]
     if alone := [p for p in phases if p.reason == IN_ONE_ONLY]:
@@ -306,22 +311,17 @@ def reports(found: Found, context: Context) -> list[Learnt]:
         reasons = "; ".join(f"{o.trajectory}: {o.reason}" for o in odd)
         out = "what does not agree was left out of the first constraint"
         warnings.append(f"{len(odd)} of {len(names)} recordings do not agree with the others; {out}: {reasons}")
-    made = {
-        "version": version(),
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "recordings": [{"name": n, "sha256": checksum(t)} for n, t in zip(given, recordings.given, strict=True)],
-        "settings": _plain(context.settings),
-    }
+    hashed = [{"name": n, "sha256": checksum(t)} for n, t in zip(given, recordings.given, strict=True)]
+    made = {"version": version(), "date": datetime.now(UTC).isoformat(timespec="seconds"), "recordings": hashed}
+    made["settings"] = _plain(context.settings)
     overview = RecordingOverview(tuple(phases), odd, warnings)
     return [_report(answer, overview, context, made) for answer in found.answers]
 
 
 def _report(answer: Answer, overview: RecordingOverview, context: Context, made: dict[str, Any]) -> Learnt:
     table, features, selection = context.table, answer.asked.features, answer.asked.selection
-    warnings, notes = (
-        list(answer.warnings),
-        list(dict.fromkeys(map(printable, context.recordings.demonstrations.notes))),
-    )
+    recorded = context.recordings.demonstrations
+    warnings, notes = list(answer.warnings), list(dict.fromkeys(map(printable, recorded.notes)))
     used = np.linalg.norm(features.batch(table.q[evenly(len(table.q), 200)]), axis=2).max(axis=0) > 1e-9
     if unused := [n for n, u in zip(features.row_names, used, strict=True) if not u]:
         warnings.append(f"always zero for this robot and frame, so left out: {listed(unused)}")

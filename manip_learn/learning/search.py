@@ -242,7 +242,7 @@ class Explanation:
         m = views[0].thin
         self.values, self.states = self.seen([v.thin for v in views])
         self.explained = self.values[np.arange(len(self.values)), self.states]
-        # evidence of each sample for its best explanation without each of the hypotheses
+        # evidence of each sample for its best explanation without each of the hypotheses [nats]
         self.others = [np.delete(self.values, k + 1, axis=1).max(axis=1) for k in range(len(hypotheses))]
         for k, h in enumerate(hypotheses):
             gain = np.where(self.states == k + 1, self.values[:, k + 1] - self.others[k], 0.0)
@@ -265,7 +265,7 @@ class Explanation:
         return Explanation(self.views, kept, self.switch)
 
     def refit(self, k: int, start: Hypothesis) -> Hypothesis:
-        """Fit a hypothesis to the samples of the k-th one, against the others."""
+        """Return a hypothesis fitted to the samples of the k-th one, against the others."""
         held = self.states == k + 1
         baseline = np.where((self.states > 0) & ~held, self.others[k], 0.0)
         return fitted(self.views, [start], held[:, None], baseline, self.switch)[0]
