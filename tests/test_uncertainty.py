@@ -172,6 +172,28 @@ def test_recordings_that_share_a_place_are_one_group(apart):
     assert sorted(map(sorted, groups_of(fit))) == ([list(range(8))] if not apart else [[0, 1, 2, 3], [4, 5, 6, 7]])
 
 
+@pytest.mark.parametrize("apart", [0.0, 5e-3])
+def test_the_stated_noise_is_the_error_that_is_made(apart):
+    """With white noise alone, or with rows that scatter between recordings: over 30 sets the error of Lambda is as
+    large as the stated draws, larger than about half of them (0.39 and 0.44). Twice the variance, or a scatter between
+    recordings that is counted with a wrong sign, weight or freedom, is far from that.
+    """
+    ranks = []
+    for seed in range(30):
+        rng, given = np.random.default_rng([7, seed]), []
+        rows = oblique(2, 3, rng)
+        for _ in range(6):
+            turn = Rotation.from_rotvec(apart * rng.standard_normal(3)).as_matrix()
+            demos, truth = guided_motions(arm_features(), rows @ turn.T, rng, 1, 20, 0.05)
+            given += [replace(t, q=t.q + rng.normal(0.0, 1e-4, t.q.shape)) for t in demos]
+        view, fit = fitted(given, truth)
+        true, noise = rows @ np.linalg.pinv(view.W), errors_of(fit, ArmErrors(), rng).noise
+        B = np.linalg.solve(true @ fit.rows.T, true @ fit.perp.T).reshape(-1)
+        made, stated = (np.einsum("...i,ij,...j", b, np.linalg.inv(np.cov(noise.T)), b) for b in (B, noise))
+        ranks.append(np.mean(stated < made))
+    assert 0.33 < np.mean(ranks) < 0.58
+
+
 @pytest.mark.parametrize("motions", [5, 60])
 def test_noise_alone_is_no_offset_however_much_is_recorded(motions):
     """Of an arm that nobody thinks to be off: what its zeros may turn the rows by is less than the scatter."""

@@ -476,9 +476,8 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     a.errors = errors_of(last, settings.arm, np.random.default_rng(settings.seed))
     if a.errors is not None:
         both = (np.quantile(angles(last.rows, last.view.W, B), STATED) for B in (a.errors.noise, a.errors.arm))
-        noise, arm = map(float, np.degrees([*both]))
-        a.uncertainty = {"noise": noise, "joint zeros": arm if arm > 1e-9 else 0.0}
-        a.uncertainty_deg = float(np.linalg.norm([*a.uncertainty.values()]))
+        noise, arm = (x if x > 1e-9 else 0.0 for x in np.degrees([*both]).tolist())
+        a.uncertainty, a.uncertainty_deg = {"noise": noise, "joint zeros": arm}, float(np.linalg.norm([noise, arm]))
         a.mu_uncertainty = mu_within(last.view, last, a.errors, inside)
     if settings.mechanism:
         a.placed = placed(last, a.errors)

@@ -298,7 +298,7 @@ class Gate:
             recs = {s.recording for s in some}
             if not recs or len(recs) < min(2, len(view.table.moved)):
                 return False
-            each = [(p.u, view.table.noises[s.recording]) for s, p in once_each(view.table, some).items()]
+            each = [(np.asarray(p.u), view.table.noises[s.recording]) for s, p in once_each(view.table, some).items()]
             together, others = np.median([joints_at_once(*x) for x in each], axis=0) if each else (0.0, 0.0)
             if together >= 1.1 or others >= OVER_NOISE**2:
                 found = self.evidence(view, some)

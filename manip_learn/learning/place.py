@@ -412,7 +412,7 @@ def asked_rows(
     if len(poses) < len(asked) or not isinstance(features, PoseRows | PlaceRows):
         return features, selection
     columns, own_axes = features.row_names, isinstance(features, PoseRows) and features.own_axes
-    options: list[FeatureMap] = [f for f in poses if f.own_axes == own_axes][:1]
+    options = list[FeatureMap](f for f in poses if f.own_axes == own_axes)[:1]
     if isinstance(features, PlaceRows) and features.form != "twist":
         form: PlaceForm = "point" if names <= set(AXES[:3]) else "point and rotation"
         hand = features.robot, features.frame.name

@@ -122,6 +122,9 @@ class Hand:
         poses, J: shape (n, 4, 4) and (n, 6, nv), at all samples; None without a frame.
     """
 
+    poses: Any
+    J: Any
+
     def __init__(self, features: FeatureMap, table: Table):
         robot, self.of = features.robot, features.twist
         known = [None if robot is None else positions_along(t, robot) for t in table.moved]
@@ -138,7 +141,7 @@ class Hand:
         out.poses, out.J = (None, None) if self.of is None else (self.of.poses(out.x), self.of.batch(out.x))
         return out
 
-    def rows(self, features: FeatureMap) -> np.ndarray:
+    def rows(self, features: Any) -> np.ndarray:
         """Return Phi of features of this hand at all samples, shape (n, p, nv)."""
         return features.batch(self.x) if self.of is None else features.weights_at(self.poses) @ self.J
 
