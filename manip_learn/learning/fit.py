@@ -128,18 +128,6 @@ class Motion:
             y, x = (np.concatenate([z[p] - z[p].mean(axis=0) for p in self.parts]) for z in (y, x))
         return levels_of(y.T @ y, np.einsum("npv,nqv->pq", self.Phi, self.Phi), x)
 
-    def by_the_arm(self, x: np.ndarray) -> np.ndarray:
-        """Return the change of y along postures by unit joint offsets and, in proportion, errors of links (n, r, e)."""
-        features, way = self.view.features, self.way
-        middle, step = (0.5 * (x[1:] + x[:-1]), steps_along(features.robot, x)) if way is None else (x, way)
-        change = np.einsum("npvk,nv->npk", features.batch_with_derivative(middle)[1], step, optimize=True)
-        if self.arm.links and self.arm.zeros > 0.0:
-            links = self.arm.links / self.arm.zeros * changes_by_links(features, middle, step)
-            change = np.concatenate([change, links], axis=2)
-        if way is None:
-            change = np.concatenate([np.zeros((1, *change.shape[1:])), np.cumsum(change, axis=0)])
-        return self.view.W @ change
-
 
 def changes_by_links(
     features: FeatureMap, q: Float[np.ndarray, "n nv"], u: Float[np.ndarray, "n nv"]
@@ -236,13 +224,21 @@ class RowFit:
     def X(self) -> np.ndarray:
         """Columns [J K r], shape (n, s, m + e + 1).
 
-        The pattern K of errors of the arm is evaluated at the nearest postures on the mechanism: at the recorded ones
-        it would contain the residual itself (errors in variables).
+        K is the change of y by unit joint offsets and, in proportion, errors of links. It is evaluated at the nearest
+        postures on the mechanism: at the recorded ones it would contain the residual itself (errors in variables).
         """
+        motion, features, arm = self.motion, self.view.features, self.motion.arm
         dq = self.shortest_way_back()
-        y = self.motion.y - np.einsum("nrv,nv->nr", self.motion.Phi, dq)
+        y, x, way = motion.y - np.einsum("nrv,nv->nr", motion.Phi, dq), motion.x - dq, motion.way
+        middle, step = (0.5 * (x[1:] + x[:-1]), steps_along(features.robot, x)) if way is None else (x, way)
+        change = np.einsum("npvk,nv->npk", features.batch_with_derivative(middle)[1], step, optimize=True)
+        if arm.links and arm.zeros > 0.0:
+            links = arm.links / arm.zeros * changes_by_links(features, middle, step)
+            change = np.concatenate([change, links], axis=2)
+        if way is None:
+            change = np.concatenate([np.zeros((1, *change.shape[1:])), np.cumsum(change, axis=0)])
         J = np.einsum("nai,nj->naij", self.root, y @ self.perp.T).reshape(*self.r.shape, self.m)
-        K = self.root @ (self.rows @ self.motion.by_the_arm(self.motion.x - dq))
+        K = self.root @ (self.rows @ (self.view.W @ change))
         return np.concatenate([self.without_constants(np.concatenate([J, K], axis=2)), self._JR[:, :, -1:]], axis=2)
 
     @cached_property
