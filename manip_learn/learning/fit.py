@@ -115,7 +115,8 @@ class Motion:
         if settings.by_rates:  # the spread of a steady motion
             spread = [np.ptp(table.time[i]) / np.sqrt(12.0) for i in own]
             way = table.u[k] * np.repeat(spread, np.diff(ends))[:, None]
-        y = view.y[k] if way is None else np.einsum("nrv,nv->nr", view.Phi[k], way)
+        first = np.repeat([i[0] for i in own], np.diff(ends))
+        y = view.y[k] - view.y[first] if way is None else np.einsum("nrv,nv->nr", view.Phi[k], way)
         poses, J = (None, None) if hand.of is None else (hand.poses[k], hand.J[k])
         parts, recs = [slice(*edges) for edges in pairwise(ends)], [s.recording for s in stretches]
         return Motion(view, settings.arm, hand.x[k], y, view.Phi[k], poses, J, way, parts, recs)
