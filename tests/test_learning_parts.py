@@ -29,6 +29,7 @@ from manip_learn.learning.table import (
     velocity_noise,
 )
 from manip_learn.linalg import orthonormal_rows, row_space_angle
+from manip_learn.recordings.load import load_demonstrations
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot import load_robot
 
@@ -154,6 +155,16 @@ def test_displacements_are_the_rates_along_the_positions(robot_of):
         places = np.array([robot.position(x, features.frame) for x in view.table.q[some][::400]])
         ways = np.linalg.solve(view.W, (view.y[some][::400] - view.y[some.start or 0]).T).T
         np.testing.assert_allclose(ways, places - places[0], atol=1e-7)
+
+
+def test_a_fit_evaluates_the_frame_a_few_times_a_sample(monkeypatch):
+    """All feature maps of one frame share its Jacobian: at and between the samples, on the mechanism, in the gate."""
+    robot, evaluated, plain = load_robot("sawyer"), list[int](), FrameJacobian.batch
+    demos = load_demonstrations("sawyer_drawer", robot)[:6]
+    monkeypatch.setattr(FrameJacobian, "batch", lambda self, q: evaluated.append(len(q)) or plain(self, q))
+    both = [FrameJacobian(robot, "right_gripper_tip", "xyz", reference) for reference in ("world", "local")]
+    assert ConstraintLearner(both).fit(demos).report_.n_constraints == 2
+    assert sum(evaluated) < 5 * demos.n_samples
 
 
 def motion(n: int = 6, noise: float = 1e-3, dt: float = 0.05) -> tuple[Motion, np.ndarray]:
