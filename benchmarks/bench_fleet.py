@@ -23,7 +23,7 @@ from timing import Ratio, keep
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.audit import audit_episodes
-from manip_learn.learning.thinning import MOST_SAMPLES, dask_client
+from manip_learn.learning.table import MOST_SAMPLES, dask_client
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load import RecordingSource
 from manip_learn.robot import load_robot

@@ -84,13 +84,17 @@ logging.getLogger("manip_learn").addFilter(_printable_record)  # where all recor
 
 def counted(n: SupportsInt, noun: str) -> str:
     """A number with its noun: "1 row", "2 trajectories", "3 stretches"."""
-    return f"{int(n):,} {noun if int(n) == 1 else _plural(noun)}"
+    if int(n) == 1:
+        return f"1 {noun}"
+    if noun[-1] == "y" and noun[-2] not in "aeiou":
+        return f"{int(n):,} {noun[:-1]}ies"
+    return f"{int(n):,} {noun}" + ("es" if noun.endswith(("s", "x", "ch", "sh")) else "s")
 
 
 def named(noun: str, names: Iterable[str]) -> str:
     """Names with their noun: "joint a", "joints a and b"."""
     words = list(names)
-    return f"{noun if len(words) == 1 else _plural(noun)} {listed(words)}"
+    return f"{counted(len(words), noun).partition(' ')[2]} {listed(words)}"
 
 
 def under_new_names(who: str, former: Mapping[str, str], renamed: Mapping[str, Any]) -> dict[str, Any]:
@@ -122,12 +126,6 @@ def error_in_words(value: float, unit: str) -> str:
     if value < 1e-4:  # nobody asks for more digits, and 3e-06 is no word
         return f"better than 0.0001 {unit}"
     return f"{value:.1g} {unit}" if value < 0.095 else f"{value:.2g} {unit}"
-
-
-def _plural(noun: str) -> str:
-    if noun[-1] == "y" and noun[-2] not in "aeiou":
-        return f"{noun[:-1]}ies"
-    return noun + ("es" if noun.endswith(("s", "x", "ch", "sh")) else "s")
 
 
 def listed(words: Iterable[str]) -> str:

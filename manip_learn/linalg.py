@@ -118,14 +118,6 @@ def complement_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "k p"]:
     return null_basis(M).T
 
 
-def turned(
-    rows: Float[np.ndarray, "s p"], B: Float[np.ndarray, "s k"] | Float[np.ndarray, " m"]
-) -> Float[np.ndarray, "s p"]:
-    """Orthonormal rows after the step rows + B rows_perp on the Grassmann manifold; the entries of B row after row."""
-    perp = complement_rows(rows)
-    return orthonormal_rows(rows + B.reshape(len(rows), len(perp)) @ perp)
-
-
 def whitener(S: Float[np.ndarray, "n n"], least: float = 1e-12) -> Float[np.ndarray, "r n"]:
     """W with W S W^T = I over what a symmetric S >= 0 determines; no rows if that is nothing.
 
@@ -153,8 +145,7 @@ def row_space_angle(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) 
 
 def row_space_angles(stack: Float[np.ndarray, "n s p"], M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, " n"]:
     """Largest principal angle [rad] between the row space of M and each of a stack; all rows must be independent."""
-    Q1 = np.linalg.qr(stack.transpose(0, 2, 1))[0].transpose(0, 2, 1)
-    Q2 = row_basis(M)
+    Q1, Q2 = np.linalg.qr(stack.transpose(0, 2, 1))[0].transpose(0, 2, 1), np.linalg.qr(M.T)[0].T
     shared = Q1 @ Q2.T
     cosines = np.linalg.svd(shared, compute_uv=False)
     # both together are accurate for tiny angles and for right ones

@@ -16,8 +16,7 @@ from scale_motions import motions
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.errors import ManipLearnError, MissingExtraError, RecordingError
-from manip_learn.learning import thinning
-from manip_learn.learning.thinning import dask_client
+from manip_learn.learning.table import dask_client, each_part
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings import load as trajectory_source
 
@@ -118,7 +117,7 @@ def test_errors_of_workers_come_back(client, features, folder, source):
     settings = {"distributed.scheduler.allowed-failures": 0}
     with pytest.raises(ManipLearnError, match="is there enough memory"), dask.config.set(settings):
         with dask_client("local", 1) as frail:
-            list(thinning.each_part(os._exit, [1, 1], frail, None))
+            list(each_part(os._exit, [1, 1], frail, None))
 
 
 def test_command_line(client, folder, capsys):
@@ -145,7 +144,7 @@ def test_command_line(client, folder, capsys):
 )
 def test_without_a_scheduler(monkeypatch, address: str, advice: str):
     """Nobody at the address, or a way there that is not set up: one sentence that says so, and what to do."""
-    monkeypatch.setattr(thinning, "PATIENCE", "1s")
+    monkeypatch.setattr("manip_learn.learning.table.PATIENCE", "1s")
     with pytest.raises(ManipLearnError, match=advice), dask_client(address):
         pass
     gc.collect()  # a client that failed closes as it is collected, for which it waits if another one is starting then

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from manip_learn.constraint.selection_in_words import describe, free_directions
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.fit import Motion, RowFit, gaps_of, levels_on
+from manip_learn.learning.fit import Motion, RowFit, levels_of, levels_on
 from manip_learn.learning.gate import Evidence
 from manip_learn.learning.table import (
     ArmErrors,
@@ -23,12 +24,12 @@ from manip_learn.learning.table import (
     Stretch,
     Table,
     View,
-    displacements,
     refuse_unusable,
     unusable,
     velocity_noise,
 )
 from manip_learn.linalg import orthonormal_rows, row_space_angle
+from manip_learn.recordings.load import load_demonstrations
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot import load_robot
 
@@ -122,7 +123,7 @@ def test_a_joint_that_hardly_moves_is_named(share: float, named: bool):
 def test_levels_are_relative_to_a_motion_of_all_joints():
     """Ten times as fast, a motion has the same levels; they are root mean squares along whitened directions."""
     view, _ = held(4)
-    sizes, directions = levels_on(view, whole(view))
+    sizes, directions, _ = levels_on(view, whole(view))
     table = view.table
     faster = [Trajectory(t.time, t.q, 10.0 * np.asarray(t.u), t.joint_names) for t in table.moved]
     np.testing.assert_allclose(levels_on(View(view.features, Table(faster)), whole(view))[0], sizes, rtol=1e-6)
@@ -133,20 +134,37 @@ def test_levels_are_relative_to_a_motion_of_all_joints():
 
 def test_gaps():
     """The ratio of each level to the one before, 1 after the last; levels below rounding say nothing."""
-    assert gaps_of(np.array([1e-3, 2e-3, 0.5, 1.0]), 6) == pytest.approx({1: 2.0, 2: 250.0, 3: 2.0, 4: 1.0})
-    assert gaps_of(np.array([1e-3, 2e-3, 0.5]), 3) == pytest.approx({1: 2.0, 2: 250.0})
-    gaps = gaps_of(np.array([0.0, 2e-8, 1.0]), 6)
+
+    def gaps_of(levels: list[float], nv: int) -> dict[int, float]:
+        return levels_of(np.diag(np.square(levels)), np.eye(len(levels)), np.ones((1, nv))).gaps
+
+    assert gaps_of([1e-3, 2e-3, 0.5, 1.0], 6) == pytest.approx({1: 2.0, 2: 250.0, 3: 2.0, 4: 1.0})
+    assert gaps_of([1e-3, 2e-3, 0.5], 3) == pytest.approx({1: 2.0, 2: 250.0})
+    gaps = gaps_of([0.0, 2e-8, 1.0], 6)
     assert max(gaps, key=lambda s: gaps[s]) == 2
 
 
 def test_displacements_are_the_rates_along_the_positions(robot_of):
-    """Along a fine path that of the tip's place, whatever the clock: 0 at the first sample; so along its velocities."""
+    """Along fine paths those of the tip's place, whatever the clock, from the first sample of each recording."""
     robot, t = robot_of("panda"), np.linspace(0.0, 1.0, 4000)[:, None]
     q = np.array([0.2, -0.4, 0.1, -2.0, 0.1, 1.7, 0.8]) + 0.5 * np.sin(t * np.arange(1.0, 8.0))
     features = FrameJacobian(robot, "panda_hand_tcp", "xyz")
-    places = np.array([robot.position(x, features.frame) for x in q[::400]])
-    np.testing.assert_allclose(displacements(features, q)[::400], places - places[0], atol=1e-7)
-    np.testing.assert_allclose(displacements(features, q, q), np.einsum("npv,nv->np", features.batch(q), q))
+    moved = [Trajectory(t[:, 0], x, np.gradient(x, axis=0), robot.joint_names) for x in (q, q[::-1])]
+    view = View(features, Table(moved))
+    for some in (slice(4000), slice(4000, None)):
+        places = np.array([robot.position(x, features.frame) for x in view.table.q[some][::400]])
+        ways = np.linalg.solve(view.W, (view.y[some][::400] - view.y[some.start or 0]).T).T
+        np.testing.assert_allclose(ways, places - places[0], atol=1e-7)
+
+
+def test_a_fit_evaluates_the_frame_a_few_times_a_sample(monkeypatch):
+    """All feature maps of one frame share its Jacobian: at and between the samples, on the mechanism, in the gate."""
+    robot, evaluated, plain = load_robot("sawyer"), list[int](), FrameJacobian.batch
+    demos = load_demonstrations("sawyer_drawer", robot)[:6]
+    monkeypatch.setattr(FrameJacobian, "batch", lambda self, q: evaluated.append(len(q)) or plain(self, q))
+    both = [FrameJacobian(robot, "right_gripper_tip", "xyz", reference) for reference in ("world", "local")]
+    assert ConstraintLearner(both).fit(demos).report_.n_constraints == 2
+    assert sum(evaluated) < 5 * demos.n_samples
 
 
 def motion(n: int = 6, noise: float = 1e-3, dt: float = 0.05) -> tuple[Motion, np.ndarray]:
@@ -162,7 +180,7 @@ def motion(n: int = 6, noise: float = 1e-3, dt: float = 0.05) -> tuple[Motion, n
 def test_the_fit_by_positions_from_random_starts(rng):
     """The closed-form start leads to the best optimum that random starts find, and nearly all of them find it."""
     moved, true = motion()
-    best = RowFit(moved, orthonormal_rows(moved.least[1][:2])).best()
+    best = RowFit(moved, orthonormal_rows(moved.levels.directions[:2])).best()
     assert row_space_angle(best.rows, true) < 0.01
     others = [RowFit(moved, np.linalg.qr(rng.standard_normal((3, 2)))[0].T).best() for _ in range(12)]
     assert min(other.cost for other in others) >= best.cost - 1e-2 * best.variance  # a tenth of a standard error
@@ -177,7 +195,9 @@ def test_columns_of_the_fit_are_derivatives():
     fit, h, nv = RowFit(moved, true), 1e-6, moved.x.shape[1]
 
     def residual(rows: np.ndarray, zeros: np.ndarray) -> np.ndarray:
-        y = np.concatenate([displacements(moved.features, moved.x[p] + zeros) for p in moved.parts]) @ moved.W.T
+        off = [replace(t, q=t.q + zeros) for t in moved.view.table.moved]
+        shifted = View(moved.view.features, Table(off))
+        y = shifted.y @ np.linalg.solve(shifted.W.T, moved.view.W.T)
         return fit.without_constants(np.einsum("nai,ni->na", fit.root, y @ rows.T)[:, :, None])[:, :, 0]
 
     steps = [(B.reshape(2, -1) @ fit.perp, np.zeros(nv)) for B in np.eye(fit.m)]
@@ -186,7 +206,9 @@ def test_columns_of_the_fit_are_derivatives():
         slope = residual(true + h * rows, h * zeros) - residual(true - h * rows, -h * zeros)
         np.testing.assert_allclose(fit.X[:, :, column], slope / (2.0 * h), atol=1e-6)
     n_errors = fit.X.shape[2] - fit.m - 1
-    assert n_errors == nv + 6 * len(moved.features.robot.joint_names)  # six of each link behind the first, and the tip
+    assert n_errors == nv + 6 * len(
+        moved.view.features.robot.joint_names
+    )  # six of each link behind the first, and the tip
 
 
 def answer(gap: float, strengths: tuple[float, ...]) -> Answer:

@@ -16,7 +16,6 @@ from manip_learn.linalg import (
     EPS,
     along_axes,
     batch_row_spaces,
-    complement_rows,
     finite,
     inverse_singular_values,
     inverse_triangles_beside,
@@ -26,7 +25,6 @@ from manip_learn.linalg import (
     row_basis,
     row_space_angle,
     row_space_angles,
-    turned,
     whitener,
 )
 
@@ -100,16 +98,6 @@ def test_whitener(rng):
     assert whitener(flat.T @ flat).shape == (4, 5) and whitener(np.zeros((3, 3))).shape == (0, 3)
     np.testing.assert_allclose(whitener(np.diag([4.0, 0.0])), [[0.5, 0.0]])
     assert whitener(np.array([[1.0, 0.9], [0.9, 1.0]]), least=0.1).shape == (1, 2)  # 0.1 over 1.9
-
-
-def test_turned_rows(rng):
-    """A step B on the Grassmann manifold, as a matrix or row after row: orthonormal rows of the space rows + B perp."""
-    rows, B = np.linalg.qr(rng.normal(size=(5, 2)))[0].T, 0.3 * rng.normal(size=(2, 3))
-    wanted = rows + B @ complement_rows(rows)
-    for step in (B, B.reshape(-1)):
-        got = turned(rows, step)
-        np.testing.assert_allclose(got @ got.T, np.eye(2), rtol=0, atol=1e-14)
-        assert row_space_angle(got, wanted) < 1e-13
 
 
 def test_rows_along_axes(rng):

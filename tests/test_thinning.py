@@ -14,7 +14,7 @@ from task_sets import generated, true_rows
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.learning.thinning import EvenChoice, read_evenly
+from manip_learn.learning.table import EvenChoice, read_evenly
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings import load as trajectory_source
 from manip_learn.recordings.velocities import with_velocities

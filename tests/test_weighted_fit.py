@@ -8,10 +8,9 @@ from mechanism_motions import about, ball, demonstrate
 
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.learning.fit import Motion, RowFit
+from manip_learn.learning.fit import Motion, RowFit, errors_of
 from manip_learn.learning.place import placed
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View
-from manip_learn.learning.uncertainty import errors_of
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings.velocities import derive_velocities
 
@@ -36,8 +35,8 @@ def fitted(robot: ml.Robot, kind: str, postures: list[np.ndarray]) -> tuple[RowF
     handle = robot.position(MIDDLE, robot.frame(TIP))
     view = View(PlaceRows(robot, TIP, form, handle), Table(demos))
     motion = Motion.of(view, [Stretch(i, *map(float, ends)) for i, ends in enumerate(view.table.ends)], Settings())
-    fit = RowFit(motion, orthonormal_rows(motion.least[1][:s])).best()
-    found = placed(view, fit, errors_of(fit, ArmErrors(), np.random.default_rng(0)))
+    fit = RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
+    found = placed(fit, errors_of(fit, ArmErrors(), np.random.default_rng(0)))
     assert found is not None and found.kind.name == kind
     return fit, found.mechanism
 

@@ -13,7 +13,7 @@ from manip_learn.commands.loading import robot_of_constraint
 from manip_learn.commands.options import AuditOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.learning.audit import AuditReport, EpisodeAudit, audit_episodes
-from manip_learn.learning.thinning import dask_client
+from manip_learn.learning.table import dask_client
 from manip_learn.recordings.load import Progress, RecordingSource
 
 

@@ -19,8 +19,7 @@ from manip_learn.control.tasks import motion
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
-from manip_learn.learning.table import BELIEVED
-from manip_learn.learning.thinning import dask_client
+from manip_learn.learning.table import BELIEVED, dask_client
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load import Progress, RecordingSource
 from manip_learn.recordings.trajectory import Demonstrations, distinct_names

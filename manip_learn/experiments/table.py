@@ -98,7 +98,7 @@ def learn(estimator: str, features: FeatureMap, given: Demonstrations, true: Mat
         if isinstance(w, NotIdentifiableError):
             raise w
         if estimator == "separate-row-by-row":
-            return view.selection(fit_row_by_row(view.W @ view.Phi, w, s)), False
+            return view.selection(fit_row_by_row(view.Phi, w, s)), False
         view.table.u = w
         every = [Stretch(i, *ends) for i, ends in enumerate(view.table.ends)]
         return view.selection(levels_on(View(features, view.table), every)[1][:s]), False

@@ -16,10 +16,11 @@ from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import CurveRows, PlaceRows
 from manip_learn.constraint.mechanism import ON_THE_AXIS, Grip, Mechanism
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named, number_if_known
-from manip_learn.learning.fit import Motion, RowFit, gaps_of, levels_on
+from manip_learn.learning.fit import STATED, Errors, Motion, RowFit, angles, errors_of, groups_of, levels_on, misfit
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once
 from manip_learn.learning.imposed import Imposed, learn_imposed
-from manip_learn.learning.place import Placed, kind_of, placed, reshaped
+from manip_learn.learning.place import KEPT, Placed, asked_rows, held_kind, kind_of, placed, reshaped, whole_fit
+from manip_learn.learning.repeats import once_each
 from manip_learn.learning.search import SAME, Explanation, broken_energy, explain, lone_contacts
 from manip_learn.learning.table import (
     CLEAR_GAP,
@@ -37,8 +38,6 @@ from manip_learn.learning.table import (
     maps_of,
     unusable,
 )
-from manip_learn.learning.uncertainty import STATED, Errors, angles, errors_of, groups_of, misfit
-from manip_learn.learning.whole_hand import KEPT, asked_rows, held_kind, whole_fit
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.load import Progress
 
@@ -68,13 +67,17 @@ class Answer:
         view, rows: View, and whitened rows (s, r) of the position of the hand, or of the requested features.
         s, gap: Number of these rows, and its gap.
         stretches: Stretches in which the rows are constrained.
-        levels, gaps: See `levels_on` and `gaps_of`.
+        levels, gaps: Sizes and gaps of `levels_on`.
         unexplained, held_out: Share of the energy that violates the rows, and the same on held-out recordings.
         fit, errors, uncertainty: Fit by displacements, draws of its error, and parts of the uncertainty [deg].
         placed, shape: Mechanism with its place; shape that replaces the rows where no constant rows fit.
         misfit: See `uncertainty.misfit`.
         over_noise: Residual of the rows over the noise of recorded positions.
-        firm: Fit and view of rows of the whole hand, for a firm grip.
+        firm: Fit of rows of the whole hand, for a firm grip.
+        mechanism: Mechanism, or None.
+        uncertainty_deg: Error of the rows that is not exceeded in 68 % of cases [deg], in the places of the hand.
+        contradiction: Contradiction by its own tests, in words; empty if there is none.
+        clear: True if evidence and gap are clear.
         whole, asked: All rows that constrain the hand, and the rows in the requested axes.
     """
 
@@ -98,43 +101,26 @@ class Answer:
     warnings: list[str] = field(default_factory=list)
     policy_model: str | None = None
     policy_residuals: dict[str, float] = field(default_factory=dict)
-    firm: tuple[RowFit, View] | None = None
+    firm: RowFit | None = None
+    mechanism: Mechanism | None = None
+    uncertainty_deg: float | None = None
+    contradiction: str = ""
+    clear: bool = False
 
     def __post_init__(self) -> None:
         self.whole = self.asked = Rows(self.view.features, self.view.selection(self.rows), self.levels, self.gaps)
         self.s, self.gap = len(self.rows), self.gaps.get(len(self.rows), 0.0)
-
-    @property
-    def mechanism(self) -> Mechanism | None:
-        """Mechanism, or None."""
-        if isinstance(self.shape, CurveRows):
-            return self.shape.mechanism(np.eye(2), {})
-        return None if self.placed is None else self.placed.mechanism
-
-    @property
-    def uncertainty_deg(self) -> float | None:
-        """Error of the rows that is not exceeded in 68 % of cases [deg], in the places of the hand."""
-        known = [part for part in self.uncertainty.values() if part is not None]
-        total = float(np.linalg.norm(known)) if known else None
-        full = len(self.whole.selection) == self.whole.features.n_rows
-        return self.placed.off_deg if full and self.placed is not None and self.placed.off_deg is not None else total
-
-    @property
-    def contradiction(self) -> str:
-        """Contradiction by its own tests, in words; empty if there is none."""
+        if self.evidence is None:
+            return
+        best, s = max(self.gaps, key=lambda s: self.gaps[s], default=self.s), self.evidence.n_rows
         if self.firm is not None:  # more rows than were asked of the tests
-            return ""
-        best = max(self.gaps, key=lambda s: self.gaps[s])
-        if self.evidence.n_rows < self.s:
-            return f"the recombination test supports {self.evidence.n_rows}: {self.evidence.sentence()}"
-        if best < self.s and self.gaps[best] >= WEAK_GAP * self.gap:
-            return f"the gap supports {best}: {self.gaps[best]:.3g} against {self.gap:.3g}"
-        return ""
-
-    @property
-    def clear(self) -> bool:
-        """True if evidence and gap are clear."""
-        return self.evidence.verdict(self.s) == "clear" and self.gap >= CLEAR_GAP and not self.contradiction
+            pass
+        elif s < self.s:
+            self.contradiction = f"the recombination test supports {s}: {self.evidence.sentence()}"
+        elif best < self.s and self.gaps[best] >= WEAK_GAP * self.gap:
+            self.contradiction = f"the gap supports {best}: {self.gaps[best]:.3g} against {self.gap:.3g}"
+        is_clear = self.evidence.verdict(self.s) == "clear" and self.gap >= CLEAR_GAP
+        self.clear = is_clear and not self.contradiction
 
 
 @dataclass(eq=False)
@@ -162,8 +148,8 @@ def _moved_on_purpose(found: Imposed) -> Found:
     names = ("held_out", "estimator", "uncertainty", "warnings", "policy_model", "policy_residuals")
     same = {name: getattr(found, name) for name in names}
     mu = None if found.errors is None else mu_within(view, fit, found.errors, view.table.inside(wholes))
-    answer = Answer(view, wholes, fit.rows, found.levels, found.gaps, fit.unexplained, mu_uncertainty=mu, **same)
-    return Found([answer])
+    same["uncertainty_deg"] = float(np.linalg.norm([*found.uncertainty.values()])) if found.uncertainty else None
+    return Found([Answer(view, wholes, fit.rows, found.levels, found.gaps, fit.unexplained, mu_uncertainty=mu, **same)])
 
 
 def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[str]) -> Refusal:
@@ -172,8 +158,8 @@ def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[
         return refusal
     causes = list(refusal.advice)
     if refusal.code in ADVISED:
-        if len(table) < FEWEST:
-            given = counted(len(table), "recording")
+        if len(table.moved) < FEWEST:
+            given = counted(len(table.moved), "recording")
             causes.append(f"record at least {FEWEST}, better 5, that differ in way and posture, not {given}")
         if not settings.phases:
             allowed = advice(", or allow {}", "phases='auto'", "--phases auto")
@@ -213,18 +199,18 @@ def learn(table: Table, settings: Settings, progress: Progress) -> Found | Refus
         return _moved_on_purpose(imposed) if isinstance(imposed, Imposed) else imposed
     maps = [settings.asked, (), ()]
     if settings.mechanism and settings.n_constraints is None:
-        curved = maps_of(settings.asked, table, "surface") if len(table) >= FEWEST else ()
+        curved = maps_of(settings.asked, table, "surface") if len(table.moved) >= FEWEST else ()
         maps = [maps_of(settings.asked, table, "place"), maps_of(settings.asked, table, "whole"), curved]
     first, whole, curved = ([v for v in (View(f, table) for f in some) if v.largest > 0] for some in maps)
-    for rivals, views in ((first, first), ([*first, *whole], whole), (curved, curved), (asked, asked)):
-        for view in views:
+    for rivals, own in ((first, first), ([*first, *whole], whole), (curved, curved), (asked, asked)):
+        for view in own:
             view.tried = sum(rival.largest for rival in rivals)
     switch, gate = settings.switch if settings.phases else np.inf, Gate(settings.seed, settings.strength)
     # the place of the hand first; then its whole twist, if that does not explain; then curved surfaces
     out: Found | NotIdentifiableError | None = None
-    for share, views in enumerate(([*first, *whole], whole if first else [], curved)):
+    for share, own in enumerate(([*first, *whole], whole if first else [], curved)):
         progress("searching", 0.2 * share)
-        found = explain(views, gate, switch, len(first) if views[0] in first else 0) if views else None
+        found = explain(own, gate, switch, len(first) if own[0] in first else 0) if own else None
         if found is not None and found.hypotheses:
             progress("fitting", 0.2 * share + 0.1)
             now = _divided(found, [*first, *whole, *curved], whole, gate, settings)
@@ -235,7 +221,7 @@ def learn(table: Table, settings: Settings, progress: Progress) -> Found | Refus
     if isinstance(out, Found) and (best := out.answers[0]):
         told = best.evidence.verdict(best.s) == "clear" or (best.gap >= CLEAR_GAP and best.unexplained < 1e-4)
         few = told * len({s.recording for a in out.answers for s in a.stretches})
-    if settings.estimator == "auto" and len(table) > 1 and 2 * few < len(table):
+    if settings.estimator == "auto" and len(table.moved) > 1 and 2 * few < len(table.moved):
         imposed = learn_imposed(asked, settings)
         if isinstance(imposed, Imposed):
             return _moved_on_purpose(imposed)
@@ -252,7 +238,6 @@ class _Part(NamedTuple):
     """Rows that a fit by displacements gave, where they are constrained, and the share of motion that violates them."""
 
     fit: RowFit
-    view: View
     share: float
     spans: list[Stretch]
 
@@ -265,33 +250,35 @@ def _fitted(found: Explanation, views: list[View], out: Found, settings: Setting
         h = found.hypotheses[k]
         view = found.views[h.view]
         given = [view.sharpened(h.rows, s) for s in found.stretches(k + 1, states)]
-        usual = np.median([s.duration for s in given]) if given else 0.0
-        given = [s for s in given if s.duration >= 0.25 * usual and len(table.piece(s)) > 2]  # a shorter one is chance
+        usual = np.median([s.end - s.start for s in given]) if given else 0.0
+        # a shorter one is chance
+        given = [s for s in given if s.end - s.start >= 0.25 * usual and len(table.samples(s)) > 2]
         if not given:
             continue
         alike = [v for v in views if v.turns == view.turns]
         spans = view.steady(h.rows, given)
-        fit, view = best_fit(alike, view, h.rows, spans, settings)
-        if len(spans) < len(given) and len(again := view.steady(fit.rows, given)) > len(spans):
+        fit = best_fit(alike, view, h.rows, spans, settings)
+        if len(spans) < len(given) and len(again := fit.view.steady(fit.rows, given)) > len(spans):
             spans = again
-            fit, view = best_fit(alike, view, fit.rows, spans, settings)
+            fit = best_fit(alike, fit.view, fit.rows, spans, settings)
         for s in (s for s in given if s not in spans):
-            out.odd[s.recording] = differs(view, fit, [s], {x.recording for x in spans})
+            out.odd[s.recording] = differs(fit, [s], {x.recording for x in spans})
             out.unlearnt.append((s, DISAGREES))
-        part = _Part(fit, view, h.scale[1], spans)
+        part = _Part(fit, h.scale[1], spans)
         for j, other in enumerate(done):  # apart for an arm that is not quite its description
             if both := _at_the_same_place(other, part, settings):
                 done[j] = both
                 break
         else:
-            done += _at_each_place(part, out, settings)
+            places = groups_of(fit)
+            done += [part] if len(places) == 1 else _at_each_place(part, places, out, settings)
     return done
 
 
 def angle_between(one: _Part | Answer, other: _Part | Answer) -> float:
     """Return the angle between rows [rad]; infinite for rows of different features or numbers."""
-    a, b, view = one.fit.rows, other.fit.rows, one.view
-    if view is not other.view or len(a) != len(b):
+    a, b, view = one.fit.rows, other.fit.rows, one.fit.view
+    if view is not other.fit.view or len(a) != len(b):
         return np.inf
     return row_space_angle(view.selection(a), view.selection(b))
 
@@ -301,32 +288,30 @@ def _at_the_same_place(one: _Part, other: _Part, settings: Settings) -> _Part | 
     if angle_between(one, other) > 3.0 * SAME or {s.recording for s in one.spans} & {s.recording for s in other.spans}:
         return None
     spans = [*one.spans, *other.spans]
-    both, view = best_fit([other.view], other.view, one.fit.rows, spans, settings)
-    return _Part(both, view, other.share, spans) if len(groups_of(both)) == 1 else None
+    both = best_fit([other.fit.view], other.fit.view, one.fit.rows, spans, settings)
+    return _Part(both, other.share, spans) if len(groups_of(both)) == 1 else None
 
 
-def _at_each_place(part: _Part, out: Found, settings: Settings) -> list[_Part]:
+def _at_each_place(part: _Part, groups: list[set[int]], out: Found, settings: Settings) -> list[_Part]:
     """Return the part for each place that several recordings share; names the recordings of no such place in `out`."""
-    (fit, view, _, spans), groups, recordings = part, groups_of(part.fit), set(part.fit.motion.recs)
-    if len(groups) == 1:
-        return [part]
+    (fit, _, spans), recordings = part, set(part.fit.motion.recs)
 
     def of(some: set[int]) -> _Part:
         """Return the part in some recordings."""
         own = [s for s in spans if s.recording in some]
-        return part._replace(fit=best_fit([view], view, fit.rows, own, settings)[0], spans=own)
+        return part._replace(fit=best_fit([fit.view], fit.view, fit.rows, own, settings), spans=own)
 
     several = [g for g in groups if len(g) > 1]
     if 2 * sum(map(len, several)) <= len(recordings):
         last = max(recordings)
         places = f"{len(groups)} places in {counted(len(recordings), 'recording')}"
-        stood = f"it is learnt as it stood in {view.table.moved[last].name}"
+        stood = f"it is learnt as it stood in {fit.view.table.moved[last].name}"
         out.warnings.append(f"what holds the hand was moved between recordings ({places}): {stood}")
         return [of({last})._replace(spans=spans)]
     done = [of(g) for g in several]
     for s in (s for s in spans if not any(s.recording in g for g in several)):
         own = [x for x in spans if x.recording == s.recording]
-        out.odd[s.recording] = differs(view, done[0].fit, own, several[0])
+        out.odd[s.recording] = differs(done[0].fit, own, several[0])
         out.unlearnt.append((s, DISAGREES))
     return done
 
@@ -364,7 +349,7 @@ def _divided(
             )
     _odd_ones(out, table)
     taken = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
-    if settings.phases and len(table) > 1:
+    if settings.phases and len(table.moved) > 1:
         places = [k for k, v in enumerate(found.views) if not v.turns and not v.curved]
         lone = lone_contacts(found, places, lambda view, s: gate.evidence(view, [s]).n_rows)
         lone = [s for s in lone if not any(meet(s, other) for other in taken)]
@@ -382,34 +367,35 @@ def meet(a: Stretch, b: Stretch) -> bool:
 def _odd_ones(out: Found, table: Table) -> None:
     """Name recordings that do not show a constraint of most, and those with an interrupted contact, as by a slip."""
     stretches = [s for a in out.answers for s in a.stretches]
-    missing = set(range(len(table))) - {s.recording for s in stretches}
+    missing = set(range(len(table.moved))) - {s.recording for s in stretches}
     for a in out.answers:
         numbers, view, motion = Counter(s.recording for s in a.stretches), a.view, a.fit.motion
-        if len(numbers) >= max(2.0, 0.5 * len(table)):
+        if len(numbers) >= max(2.0, 0.5 * len(table.moved)):
             for i in missing - set(out.odd):
-                out.odd[i] = differs(view, a.fit, [table.wholes[i]], set(numbers))
+                out.odd[i] = differs(a.fit, [table.wholes[i]], set(numbers))
         held = np.median([np.ptp(motion.y[p] @ a.rows.T, axis=0).max() for p in motion.parts])
         for x, y in pairwise(sorted(a.stretches)):
             gap = Stretch(x.recording, x.end, y.start)
             often = numbers[x.recording] > np.median([*numbers.values()])
-            if x.recording != y.recording or not often or gap.duration > 1.5 or any(meet(s, gap) for s in stretches):
+            short = x.recording == y.recording and often and gap.end - gap.start <= 1.5
+            if not short or any(meet(s, gap) for s in stretches):
                 continue
             way = view.way(table.inside([gap]), a.rows)
             if len(way) and np.ptp(way, axis=0).max() > 5.0 * held:
                 when = f"its contact is interrupted from {x.end:.2f} s to {y.start:.2f} s, as by a slip: "
-                out.odd.setdefault(x.recording, when + differs(view, a.fit, [gap], set(numbers)))
+                out.odd.setdefault(x.recording, when + differs(a.fit, [gap], set(numbers)))
 
 
-def differs(view: View, fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
+def differs(fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
     """Return the motion of a recording along rows that others constrain, in words.
 
     Args:
-        view: View of the rows of the others.
-        fit: Their fit.
+        fit: Fit of the others.
         spans: Stretches of the recording.
         others: Numbers of the others.
     """
-    table, rows, back = view.table, view.selection(fit.rows), np.linalg.pinv(view.W)
+    view, table = fit.view, fit.view.table
+    rows, back = view.selection(fit.rows), np.linalg.pinv(view.W)
     inside = table.inside(spans)
     way = view.way(inside, rows @ back)
     worst = np.linalg.svd(way - way.mean(axis=0), full_matrices=False)[2][0]
@@ -425,7 +411,7 @@ def differs(view: View, fit: RowFit, spans: Sequence[Stretch], others: set[int])
 
 def best_fit(
     candidates: Sequence[View], view: View, rows: np.ndarray, spans: Sequence[Stretch], settings: Settings
-) -> tuple[RowFit, View]:
+) -> RowFit:
     """Return the fit by displacements, in the plainest features that explain these stretches as well as any.
 
     Args:
@@ -438,23 +424,21 @@ def best_fit(
     s = settings.n_constraints or len(rows)
 
     def fitted(v: View) -> RowFit:
-        start = rows if v is view and s == len(rows) else orthonormal_rows(levels_on(v, spans)[1][:s])
+        start = rows if v is view and s == len(rows) else orthonormal_rows(levels_on(v, spans).directions[:s])
         return RowFit(Motion.of(v, spans, settings), start).best()
 
-    fits = [(fitted(v), v) for v in candidates if (v.largest >= s or v is view) and (v is view or not v.curved)]
+    fits = [fitted(v) for v in candidates if v is view or (v.largest >= s and not v.curved)]
     best = fits[0]
-    for fit, v in fits[1:]:
-        if fit.nats(best[0]) > LEAST_GAIN:
-            best = fit, v
+    for fit in fits[1:]:
+        best = fit if fit.nats(best) > LEAST_GAIN else best
     curved = [v for v in candidates if v.curved and v is not view] if s == 1 else []
-    gain, left = misfit(best[0]) if curved else (0.0, 0.0)
+    gain, left = misfit(best) if curved else (0.0, 0.0)
     if gain > LEAST_GAIN and left > LEAST_MOTION:
         fit = fitted(curved[0])  # what has another shape, beyond what the arm's own errors explain
-        gaps = gaps_of(levels_on(curved[0], spans)[0], view.features.nv)
-        if fit.nats(best[0]) > LEAST_GAIN and gaps.get(s, 0.0) >= WEAK_GAP:
-            return fit, curved[0]
-    near = [(f, v) for f, v in fits if best[0].nats(f) < LEAST_GAIN]
-    return next((x for x in near if kind_of(*x)), near[0])
+        if fit.nats(best) > LEAST_GAIN and levels_on(curved[0], spans).gaps.get(s, 0.0) >= WEAK_GAP:
+            return fit
+    near = [f for f in fits if best.nats(f) < LEAST_GAIN]
+    return next((f for f in near if kind_of(f)), near[0])
 
 
 def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings) -> Answer | NotIdentifiableError:
@@ -466,38 +450,38 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
         whole: Views of the whole twist of the hand.
         settings: Settings of the fit.
     """
-    fit, view, share, spans = part
-    table, levels = view.table, levels_on(view, spans)[0]
-    a = Answer(view, spans, fit.rows, levels, gaps_of(levels, table.u.shape[1]), fit=fit)
-    inside = table.inside([table.learnt_from(s) for s in spans])
+    fit, share, spans = part
+    view, table, evidence = fit.view, fit.view.table, gate.evidence(fit.view, spans)
+    if evidence.verdict(len(fit.rows)) != "clear" and is_firm(view, fit.rows, share, spans):
+        evidence = replace(evidence, firm=len(fit.rows))
+    known, firm = placed(fit, None) if settings.mechanism else None, None
+    told = known is not None and known.kind.type == "ball" and (known.mechanism.radius or 0.0) > ON_THE_AXIS
+    if whole and fit.motion.J is not None and not told:
+        firm = whole_fit(whole, fit, spans, settings, gate)
+        if firm and known is not None and held_kind(known, fit.motion)[0] is not known.kind:
+            # a grip that gives way turns more than it slides: where the place tells as much, it tells it better
+            firm = firm if firm.variance <= OVER_NOISE * fit.variance else None
+    sizes, _, gaps = levels_on(view, spans)
+    a = Answer(view, spans, fit.rows, sizes, gaps, evidence=evidence, fit=fit, firm=firm)
+    inside = table.inside(spans, learnt_from=True)
     broken, energy = np.sum(broken_energy(view.all, fit.rows[None])[inside]), np.sum(table.u[inside] ** 2)
     a.unexplained = a.held_out = float(broken / max(energy, 1e-300))
-    a.evidence = gate.evidence(view, spans)
-    if is_firm(view, fit.rows, share, spans):
-        a.evidence = replace(a.evidence, firm=a.s)
-    known = placed(view, fit, None) if settings.mechanism else None
-    told = known is not None and known.kind.type == "ball" and (known.mechanism.radius or 0.0) > ON_THE_AXIS
-    if whole and fit.motion.hand is not None and not told:
-        a.firm = whole_fit(whole, fit, lambda f, v: gate.evidence(v, spans).verdict(len(f.rows)) == "clear")
-        if a.firm and known is not None and held_kind(known, fit.motion)[0] is not known.kind:
-            # a grip that gives way turns more than it slides: where the place tells as much, it tells it better
-            a.firm = a.firm if a.firm[0].variance <= OVER_NOISE * fit.variance else None
     e = np.concatenate([np.diff(table.moved[s.recording].q, 3, axis=0) for s in spans])
     noise = np.sqrt(np.median(e**2) / 0.455 / 20.0) if len(e) else 0.0  # of positions, by their third differences
     a.over_noise = float(np.sqrt(fit.variance) / (noise + 1e-6))
     if refusal := _refused(a, settings):
         return refusal
     a.misfit = misfit(fit)
-    last, seen = a.firm or (fit, view)
+    last = firm or fit
     a.errors = errors_of(last, settings.arm, np.random.default_rng(settings.seed))
     if a.errors is not None:
-        both = (np.quantile(angles(last.rows, seen.W, B), STATED) for B in (a.errors.noise, a.errors.arm))
-        noise, arm = map(float, np.degrees([*both]))
-        a.uncertainty = {"noise": noise, "joint zeros": arm if arm > 1e-9 else 0.0}
-        a.mu_uncertainty = mu_within(seen, last, a.errors, inside)
+        both = (np.quantile(angles(last.rows, last.view.W, B), STATED) for B in (a.errors.noise, a.errors.arm))
+        noise, arm = (x if x > 1e-9 else 0.0 for x in np.degrees([*both]).tolist())
+        a.uncertainty, a.uncertainty_deg = {"noise": noise, "joint zeros": arm}, float(np.linalg.norm([noise, arm]))
+        a.mu_uncertainty = mu_within(last.view, last, a.errors, inside)
     if settings.mechanism:
-        a.placed = placed(seen, last, a.errors)
-        if a.firm is None and a.misfit[0] > LEAST_GAIN:
+        a.placed = placed(last, a.errors)
+        if firm is None and a.misfit[0] > LEAST_GAIN:
             a.shape = reshaped(fit, a.placed, a.uncertainty.get("joint zeros") or 0.0)
             a.placed = a.placed if a.shape is None else a.shape if isinstance(a.shape, Placed) else None
     a.warnings += _doubts(a, settings)
@@ -512,7 +496,7 @@ def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     if settings.n_constraints is not None or a.firm is not None:
         return None
     told = a.evidence.n_pieces < FEWEST or a.evidence.verdict(a.s) == "clear"
-    soft = a.gap < CLEAR_GAP and not at_one_place(a.fit, a.view)
+    soft = a.gap < CLEAR_GAP and not at_one_place(a.fit)
     if a.gap < WEAK_GAP:
         why, code = f"no constraint is shown: the gap is {a.gap:.2g} for {rows}, {WEAK_GAP:g} is the least", "weak-gap"
     elif a.over_noise > OVER_NOISE and (soft or (not told and a.gap < 2.0 * CLEAR_GAP)):
@@ -541,7 +525,8 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
     elif evidence.verdict(a.s) != "clear":
         out.append(f"weak evidence: {evidence.sentence()}")
     table = a.view.table
-    together = np.median([joints_at_once(table.piece(s), table.noises[s.recording])[0] for s in a.stretches])
+    each = [joints_at_once(table.u[table.samples(s)], table.noises[s.recording])[0] for s in a.stretches]
+    together = np.median(each)
     if together < FEW_JOINTS_AT_ONCE and table.u.shape[1] > 3:
         out.append(f"move all joints together: where {together:.1f} move at a time, friction looks like a constraint")
     if a.errors is not None and a.errors.beyond and settings.arm.zeros:
@@ -556,24 +541,26 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
         out.append(f"{leaves} in the same way in all recordings: the true shape is another one")
     elif left > LEAST_MOTION and fit.alike > 2.0 and a.over_noise > OVER_NOISE:
         out.append(f"{leaves}, {a.over_noise:.0f} times the encoders' noise: it gives way, or has another shape")
-    if a.view.curved and kind_of(fit, a.view) is None:
+    if a.view.curved and kind_of(fit) is None:
         out.append("what holds the hand is a curved surface of no simple kind: its rows are right only where shown")
     return out
 
 
 def completed(a: Answer, settings: Settings) -> Answer:
     """Return the answer with all rows of the hand, its grip, and the rows in the requested axes."""
-    table, known, (fit, view) = a.view.table, a.placed, a.firm or (a.fit, a.view)
+    table, known, fit = a.view.table, a.placed, a.firm or a.fit
+    view = fit.view
     if a.firm is not None:
-        levels = fit.motion.least[0]
-        a.whole = Rows(view.features, view.selection(fit.rows), levels, gaps_of(levels, table.u.shape[1]))
+        sizes, _, gaps = fit.motion.levels
+        a.whole = Rows(view.features, view.selection(fit.rows), sizes, gaps)
     if known is not None:
         a.warnings += [known.doubt] if known.doubt else []
         kind, rms, apart = held_kind(known, fit.motion)
         kept = rms < min(KEPT, apart / WEAK_GAP)
         grip: Grip = "firm" if kind.orientation != "free" else "kept" if kept else "loose"
         held: dict[str, Any] = {"orientation": kind.orientation, "name": kind.name, "orientation_rms": rms}
-        a.placed = replace(known, kind=kind, mechanism=replace(known.mechanism, grip=grip, **held))
+        a.mechanism = replace(known.mechanism, grip=grip, **held)
+        a.placed = replace(known, kind=kind, mechanism=a.mechanism)
         # constant rows that were asked for say all of a knob
         is_knob = kind.kind == "hinge" and any(str(f) == str(view.features) for f in settings.asked)
         if not is_knob and (isinstance(view.features, PlaceRows) or a.firm or a.shape or grip == "firm"):
@@ -581,7 +568,9 @@ def completed(a: Answer, settings: Settings) -> Answer:
             gaps = a.whole.gaps if a.firm is not None else {len(selection): a.gap}
             a.whole = a.whole._replace(features=features, selection=selection, gaps=gaps)
     if isinstance(a.shape, CurveRows):
-        a.whole = a.whole._replace(features=a.shape, selection=np.eye(2))
+        a.whole, a.mechanism = a.whole._replace(features=a.shape, selection=np.eye(2)), a.shape.mechanism(np.eye(2), {})
+    if a.placed is not None and a.placed.off_deg is not None and len(a.whole.selection) == a.whole.features.n_rows:
+        a.uncertainty_deg = a.placed.off_deg
     features, selection = asked_rows(*a.whole[:2], a.placed, settings.asked, table.q)
     if features is a.whole.features and selection is a.whole.selection:
         a.asked = a.whole
@@ -589,23 +578,23 @@ def completed(a: Answer, settings: Settings) -> Answer:
         a.asked = a.whole._replace(features=features, selection=selection)
     else:
         v = View(features, table)
-        levels = fit.motion.seen_as(features, v.W).least[0] if a.firm else levels_on(v, a.stretches)[0]
-        a.asked = Rows(features, selection, levels, gaps_of(levels, table.u.shape[1]))
+        sizes, _, gaps = Motion.of(v, a.stretches, settings).levels if a.firm else levels_on(v, a.stretches)
+        a.asked = Rows(features, selection, sizes, gaps)
     if (gap := a.asked.gaps.get(len(selection), 0.0)) < CLEAR_GAP:
         said = f"weak gap: {gap:.2g} for {counted(len(selection), 'row')}, {CLEAR_GAP:g} is clear"
         a.warnings.append(f"{said}; the constraint may be soft, or the recordings noisy")
     return a
 
 
-def at_one_place(fit: RowFit, view: View) -> bool:
+def at_one_place(fit: RowFit) -> bool:
     """Return True if the rows are at one place in all recordings, within the scatter of each.
 
     Rows other than constant rows of the position are not judged.
     """
-    f, motion = view.features, fit.motion
-    if not isinstance(f, PoseRows) or f.own_axes or not f.only_linear or motion.place is None:
+    f, motion = fit.view.features, fit.motion
+    if not isinstance(f, PoseRows) or f.own_axes or not f.only_linear:
         return True
-    along = motion.place[:, [("x", "y", "z").index(n) for n in f.row_names]] @ view.selection(fit.rows).T
+    along = motion.poses[:, [("x", "y", "z").index(n) for n in f.row_names], 3] @ fit.view.selection(fit.rows).T
     centres = np.array([along[p].mean(axis=0) for p in motion.parts])
     within = np.median([np.sqrt(np.mean((along[p] - c) ** 2)) for p, c in zip(motion.parts, centres, strict=True)])
     return float(np.sqrt(np.mean((centres - np.median(centres, axis=0)) ** 2))) <= OVER_NOISE * within
@@ -620,8 +609,8 @@ def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float
     few = few[:: max(1, len(few) // 48)]
     Lambda, beside = fit.rows @ view.W, fit.perp @ view.W
     Phi = view.Phi[few]
-    back = np.linalg.pinv(Lambda @ Phi, rcond=1e-6)
-    by_rows = (beside @ Phi @ back).transpose(0, 2, 1) - (beside @ np.linalg.pinv(Lambda)).T
+    back = np.linalg.pinv(fit.rows @ Phi, rcond=1e-6)
+    by_rows = (fit.perp @ Phi @ back).transpose(0, 2, 1) - (beside @ np.linalg.pinv(Lambda)).T
     change = (errors.noise + errors.arm) @ by_rows.reshape(len(few), -1).T
     turned = view.features.batch_with_derivative(view.table.q[few])[1]
     by_zeros = np.einsum("nvp,npve->en", back @ Lambda, turned)
@@ -636,7 +625,7 @@ def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | Not
     table = views[0].table
     best: Any = None
     for v in [v for v in views if isinstance(v.features, PoseRows) or v is views[0]]:
-        gaps = gaps_of(levels_on(v, table.wholes)[0], table.u.shape[1])
+        gaps = levels_on(v, table.wholes).gaps
         s = settings.n_constraints or max(gaps, key=lambda k: gaps[k])
         if s <= v.r and (best is None or gaps.get(s, 0.0) > 1.1 * best[2].get(best[1], 0.0)):
             best = v, s, gaps
@@ -645,14 +634,16 @@ def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | Not
         return NotIdentifiableError(f"{asked} {max(v.r for v in views)} rows here: ask for fewer", code="no-freedom")
     v, s, gaps = best
     gap = gaps.get(s, 0.0)
-    if settings.n_constraints is None and (len(gate.pieces(v, table.wholes)[0]) >= FEWEST or gap < WEAK_GAP):
+    if settings.n_constraints is None and (len(once_each(table, table.wholes)) >= FEWEST or gap < WEAK_GAP):
         unused = f"what the motion leaves unused ({counted(s, 'direction')}, gap {gap:.3g}) is held, not never tried"
         why = f"nothing shows that {unused}: {gate.evidence(v, table.wholes, 1.0).sentence()}"
         return NotIdentifiableError(why, code="no-evidence" if gap >= WEAK_GAP else "weak-gap", gaps=gaps)
     settings = replace(settings, n_constraints=s)
-    fit, v = best_fit([v], v, np.eye(s, v.r), table.wholes, settings)
-    a = answered(_Part(fit, v, 1.0, table.wholes), gate, (), settings)
-    if isinstance(a, Answer) and len(table) < FEWEST:
-        few = f"{counted(len(table), 'recording')} cannot show that {counted(s, 'row')} held rather than never tried"
-        a.warnings.append(f"record 3, better 5, that differ: {few}")
+    fit = best_fit([v], v, np.eye(s, v.r), table.wholes, settings)
+    a = answered(_Part(fit, 1.0, table.wholes), gate, (), settings)
+    if isinstance(a, Answer) and len(table.moved) < FEWEST:
+        few, rows = counted(len(table.moved), "recording"), counted(s, "row")
+        a.warnings.append(
+            f"record 3, better 5, that differ: {few} cannot show that {rows} held rather than never tried"
+        )
     return Found([a]) if isinstance(a, Answer) else a

@@ -9,8 +9,7 @@ from scipy.special import stdtrit
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import RecordingError, counted
-from manip_learn.learning.table import REST_SPEED
-from manip_learn.learning.thinning import each_part
+from manip_learn.learning.table import REST_SPEED, each_part
 from manip_learn.recordings.given import Given, parts_of, recordings_given
 from manip_learn.recordings.load import Progress, Reader
 from manip_learn.recordings.options import Velocities, refuse_unmatched

@@ -15,10 +15,10 @@ step, the noise, groups of recordings that share a place, the effect of errors o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
-from typing import Any
+from itertools import combinations, combinations_with_replacement, pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -27,97 +27,106 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.learning.search import least_used
-from manip_learn.learning.table import ArmErrors, Settings, Stretch, View, displacements, steps_along
-from manip_learn.linalg import complement_rows, turned
+from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, ArmErrors, Settings, Stretch, View, steps_along
+from manip_learn.linalg import null_basis, orthonormal_rows, row_space_angles
 from manip_learn.recordings.trajectory import evenly
-from manip_learn.recordings.velocities import positions_along
 
 MOST, LEAST = 4000, 60  # samples of all stretches, and of each
 LEAST_RAD = 4e-5  # less is no difference: rails, tables and encoders are no better
 FLOOR = 0.05  # share of the mean variance that every sample has besides
+DRAWS = 1000  # of an error: a quantile of 68 % to 3 %
+STATED = 0.68  # share of cases within what is stated
+TAU = np.append(0.0, np.geomspace(1e-6, 3e-2, 60))  # [rad] zeros to be thought of beyond what is thought beforehand
+NONE_TO_SOME = 20.0  # odds of no such zeros
+
+
+class Levels(NamedTuple):
+    """How much motion uses each direction.
+
+    Attributes:
+        sizes: shape (r,), smallest first, over that of a motion that is equally strong in all joints [1].
+        directions: shape (r, r), as whitened rows.
+        gaps: Number of rows that leaves a joint -> ratio of the next size to its largest one.
+    """
+
+    sizes: np.ndarray
+    directions: np.ndarray
+    gaps: dict[int, float]
+
+
+def levels_of(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> Levels:
+    """Return how much motion uses each direction.
+
+    Args:
+        M: shape (r, r), sum of r r^T of the rates, or displacements, r = Phi x.
+        S: shape (r, r), sum of Phi Phi^T.
+        x: shape (n, nv), motion of the joints.
+    """
+    (sizes,), (directions,) = least_used(M[None], S[None], np.zeros(1))
+    sizes = sizes * np.sqrt(x.size / max(float(np.sum(x**2)), 1e-300))
+    padded = np.maximum(np.append(sizes, 1.0), 3e-8 * max(float(sizes[-1]), 1.0))
+    rows = range(1, min(len(sizes) + 1, x.shape[1]))
+    return Levels(sizes, directions, {s: float(padded[s] / padded[s - 1]) for s in rows})
+
+
+def levels_on(view: View, stretches: Sequence[Stretch]) -> Levels:
+    """Return how much the velocities in some stretches use each direction of a view."""
+    inside = view.table.inside(stretches, learnt_from=True)
+    rates = view.all.rates[inside]
+    return levels_of(rates.T @ rates, view.all.gram[inside].sum(axis=0), view.table.u[inside])
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Samples of some stretches in one feature map, in whitened rows.
+    """Evenly spaced samples of some stretches in one view.
 
     Attributes:
-        features: Feature map Phi.
-        W: shape (r, p), whitening matrix.
+        view: View, whose rows are whitened.
         arm: Prior of the errors of the arm.
         x: shape (n, nv), recorded positions [rad or m].
         y: shape (n, r), displacements along the rows.
-        Phi: shape (n, r, nv), whitened features.
-        place: shape (n, 3), position of the hand [m]; None without a frame.
+        Phi: shape (n, r, nv), features.
+        poses, J: shape (n, 4, 4) and (n, 6, nv), pose of the hand and all six rows of its frame; None without a frame.
         way: shape (n, nv), recorded velocities times a duration, as large as displacements; None if positions are
             used. What is held is then zero in each sample, not constant in each stretch.
         parts: Samples of each stretch.
         recs: Recording of each stretch.
     """
 
-    features: FeatureMap
-    W: np.ndarray
+    view: View
     arm: ArmErrors
     x: np.ndarray
     y: np.ndarray
     Phi: np.ndarray
-    place: np.ndarray | None
+    poses: Any
+    J: Any
     way: np.ndarray | None
-    hand: Any  # all six rows of the frame, where mechanisms are constant (`PoseRows`); None for other features
     parts: list[slice]
     recs: list[int]
 
     @staticmethod
     def of(view: View, stretches: Sequence[Stretch], settings: Settings) -> Motion:
-        """Return evenly spaced samples of the stretches of a table."""
-        features, table, out = view.features, view.table, []
-        robot, twist = getattr(features, "robot", None), features.twist
-        for t in map(table.piece, stretches):
-            x = t.q if robot is None else positions_along(t, robot)
-            x = t.q if x is None else x
-            way = np.asarray(t.u) * (t.time[-1] - t.time[0]) / np.sqrt(12.0)  # the spread of a steady motion
-            y = displacements(features, x, way if settings.by_rates else None)
-            k = evenly(len(x), max(LEAST, MOST // len(stretches)))
-            out.append((y[k], x[k], way[k]))
-        ends = np.cumsum([0, *(len(z) for z, *_ in out)])
-        y, x, way = (np.concatenate(z) for z in zip(*out, strict=True))
-        y, Phi, way = y @ view.W.T, view.W @ features.batch(x), way if settings.by_rates else None
-        place = None if twist is None else twist.poses(x)[:, :3, 3]
+        """Return samples of the stretches from which rows are learnt."""
+        table, hand, most = view.table, view.hand, max(LEAST, MOST // len(stretches))
+        own = [table.samples(s) for s in stretches]
+        chosen = [k[evenly(len(k), most)] for k in own]
+        ends, k, way = np.cumsum([0, *map(len, chosen)]), np.concatenate(chosen), None
+        if settings.by_rates:  # the spread of a steady motion
+            spread = [np.ptp(table.time[i]) / np.sqrt(12.0) for i in own]
+            way = table.u[k] * np.repeat(spread, np.diff(ends))[:, None]
+        first = np.repeat([i[0] for i in own], np.diff(ends))
+        y = view.y[k] - view.y[first] if way is None else np.einsum("nrv,nv->nr", view.Phi[k], way)
+        poses, J = (None, None) if hand.of is None else (hand.poses[k], hand.J[k])
         parts, recs = [slice(*edges) for edges in pairwise(ends)], [s.recording for s in stretches]
-        return Motion(features, view.W, settings.arm, x, y, Phi, place, way, twist, parts, recs)
-
-    def by_the_arm(self, x: np.ndarray) -> np.ndarray:
-        """Return the change of y along postures by unit joint offsets and, in proportion, errors of links (n, r, e)."""
-        way = self.way
-        middle, step = (0.5 * (x[1:] + x[:-1]), steps_along(self.features, x)) if way is None else (x, way)
-        change = np.einsum("npvk,nv->npk", self.features.batch_with_derivative(middle)[1], step, optimize=True)
-        if self.arm.links and self.arm.zeros > 0.0:
-            links = self.arm.links / self.arm.zeros * changes_by_links(self.features, middle, step)
-            change = np.concatenate([change, links], axis=2)
-        if way is None:
-            change = np.concatenate([np.zeros((1, *change.shape[1:])), np.cumsum(change, axis=0)])
-        return self.W @ change
-
-    def seen_as(self, features: FeatureMap, W: np.ndarray) -> Motion:
-        """Return the same motion in another feature map."""
-        y = [displacements(features, self.x[p], None if self.way is None else self.way[p]) for p in self.parts]
-        return replace(self, features=features, W=W, y=np.concatenate(y) @ W.T, Phi=W @ features.batch(self.x))
+        return Motion(view, settings.arm, hand.x[k], y, view.Phi[k], poses, J, way, parts, recs)
 
     @cached_property
-    def turned_by_joints(self) -> float:
-        """RMS rotation of the hand by independent motions of the joints that are as large as these [deg]."""
-        middles = np.array([self.x[(p.start + p.stop) // 2] for p in self.parts])
-        turns = np.sum(self.hand.batch(middles)[:, 3:] ** 2, axis=1)
-        spread = np.array([np.var(self.x[p], axis=0) for p in self.parts])
-        return float(np.degrees(np.median(np.sqrt(np.sum(turns * spread, axis=1)))))
-
-    @cached_property
-    def least(self) -> tuple[np.ndarray, np.ndarray]:
-        """RMS displacement along each direction, smallest first, over that of equally strong joints [1]; directions."""
+    def levels(self) -> Levels:
+        """RMS displacement along each direction."""
         y, x = self.y, self.x if self.way is None else self.way
         if self.way is None:
             y, x = (np.concatenate([z[p] - z[p].mean(axis=0) for p in self.parts]) for z in (y, x))
-        return relative_levels(y.T @ y, np.einsum("npv,nqv->pq", self.Phi, self.Phi), x)
+        return levels_of(y.T @ y, np.einsum("npv,nqv->pq", self.Phi, self.Phi), x)
 
 
 def changes_by_links(
@@ -165,7 +174,7 @@ class RowFit:
     """Fit of a Lambda (whitened, orthonormal rows) to a motion, with its residual and derivatives.
 
     Attributes:
-        motion: Samples.
+        motion, view: Samples, and their view.
         rows, perp: shape (s, r) and (r - s, r), rows of Lambda and their orthonormal complement.
         r: shape (n, s), weighted residual [rad].
         cost: Sum of squares of the residual.
@@ -175,7 +184,7 @@ class RowFit:
     """
 
     def __init__(self, motion: Motion, rows: np.ndarray):
-        self.motion, self.rows, self.perp = motion, rows, complement_rows(rows)
+        self.motion, self.view, self.rows, self.perp = motion, motion.view, rows, null_basis(rows).T
         self.m, self._A = len(rows) * len(self.perp), rows @ motion.Phi
         S = self._A @ self._A.transpose(0, 2, 1)
         S = S + FLOOR * np.mean(np.einsum("nii->ni", S), axis=0).max() * np.eye(len(rows))
@@ -215,13 +224,21 @@ class RowFit:
     def X(self) -> np.ndarray:
         """Columns [J K r], shape (n, s, m + e + 1).
 
-        The pattern K of errors of the arm is evaluated at the nearest postures on the mechanism: at the recorded ones
-        it would contain the residual itself (errors in variables).
+        K is the change of y by unit joint offsets and, in proportion, errors of links. It is evaluated at the nearest
+        postures on the mechanism: at the recorded ones it would contain the residual itself (errors in variables).
         """
+        motion, features, arm = self.motion, self.view.features, self.motion.arm
         dq = self.shortest_way_back()
-        y = self.motion.y - np.einsum("nrv,nv->nr", self.motion.Phi, dq)
+        y, x, way = motion.y - np.einsum("nrv,nv->nr", motion.Phi, dq), motion.x - dq, motion.way
+        middle, step = (0.5 * (x[1:] + x[:-1]), steps_along(features.robot, x)) if way is None else (x, way)
+        change = np.einsum("npvk,nv->npk", features.batch_with_derivative(middle)[1], step, optimize=True)
+        if arm.links and arm.zeros > 0.0:
+            links = arm.links / arm.zeros * changes_by_links(features, middle, step)
+            change = np.concatenate([change, links], axis=2)
+        if way is None:
+            change = np.concatenate([np.zeros((1, *change.shape[1:])), np.cumsum(change, axis=0)])
         J = np.einsum("nai,nj->naij", self.root, y @ self.perp.T).reshape(*self.r.shape, self.m)
-        K = self.root @ (self.rows @ self.motion.by_the_arm(self.motion.x - dq))
+        K = self.root @ (self.rows @ (self.view.W @ change))
         return np.concatenate([self.without_constants(np.concatenate([J, K], axis=2)), self._JR[:, :, -1:]], axis=2)
 
     @cached_property
@@ -238,7 +255,8 @@ class RowFit:
             B = -solve(H + damping * np.diag(np.diag(H)), g)
             if B @ H @ B <= 1e-6 * here.cost / here.dof:
                 break
-            there = RowFit(self.motion, turned(here.rows, B))
+            turned = here.rows + B.reshape(len(here.rows), -1) @ here.perp
+            there = RowFit(self.motion, orthonormal_rows(turned))
             gain = here.cost - there.cost
             here, damping = (there, 0.1 * damping) if gain > 0.0 else (here, max(10.0 * damping, 1e-4))
             if 0.0 < gain < 1e-9 * here.cost or damping > 1e6:
@@ -276,29 +294,144 @@ def autocorrelation(r: np.ndarray, parts: Sequence[slice]) -> float:
     return total
 
 
-def relative_levels(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how much motion uses each direction, smallest first, and the directions as rows (r, r).
+# --------------------------------------------------------------------------------- which recordings share a place
 
-    Args:
-        M: shape (r, r), sum of r r^T of the rates, or displacements, r = Phi x.
-        S: shape (r, r), sum of Phi Phi^T.
-        x: shape (n, nv), motion of the joints; levels are relative to one that is equally strong in all of them [1].
+
+def groups_of(fit: RowFit) -> list[set[int]]:
+    """Return the groups of recordings that share Lambda, largest first: one unless several explain much more.
+
+    Joint offsets explain what they can in both cases: with them one drawer seems to run in other directions from other
+    postures. To first order in B.
     """
-    sizes, directions = least_used(M[None], S[None], np.zeros(1))
-    return sizes[0] * np.sqrt(x.size / max(float(np.sum(x**2)), 1e-300)), directions[0]
+    m, recs = fit.m, sorted(set(fit.motion.recs))
+    away = [np.sqrt(np.mean(np.sum(fit.r[p] ** 2, axis=1))) for p in fit.motion.parts]
+    if len(recs) < 2 or not m or max(away) < 0.5 * LEAST_MOTION:
+        return [set(recs)]
+    few = [recs[i] for i in evenly(len(recs), 16)]
+    ridge = 1e-9 * np.diag(np.diag(np.sum([*fit.G.values()], axis=0)[:m, :m]))
+
+    def reduced(members: Sequence[int]) -> np.ndarray:
+        """Return [K r]^T [K r] with B eliminated."""
+        total = np.sum([fit.G[i] for i in members], axis=0)
+        return total[m:, m:] - total[m:, :m] @ np.linalg.solve(total[:m, :m] + ridge, total[:m, m:])
+
+    groups: dict[tuple[int, ...], np.ndarray] = {(i,): reduced([i]) for i in few}
+    dof = max(fit.dof * len(few) / len(recs) - m * (len(few) - 1), 1.0)
+    variance = sum(x[-1, -1] for x in groups.values()) / dof + LEAST_RAD**2
+    r = fit.r.copy()  # with B of its own for each of the few
+    for p, i in zip(fit.motion.parts, fit.motion.recs, strict=True):
+        if i in few:
+            r[p] -= fit.X[p][:, :, :m] @ solve(fit.G[i][:m, :m], fit.G[i][:m, -1])
+    n = dof / autocorrelation(r, fit.motion.parts)
+
+    def nats(groups: dict[tuple[int, ...], np.ndarray]) -> float:
+        """Return the evidence of groups with joint offsets eliminated, net of their price [nats]."""
+        S = np.sum([*groups.values()], axis=0)
+        K = S[:-1, :-1] + variance / TAU[-1] ** 2 * np.eye(len(S) - 1)
+        cost = max(float(S[-1, -1] - S[-1, :-1] @ np.linalg.solve(K, S[:-1, -1])), 0.0) + dof * LEAST_RAD**2
+        return -0.5 * n * float(np.log(cost)) - 0.5 * m * len(groups) * float(np.log(max(n, 2.0)))
+
+    if nats(groups) - nats({tuple(few): reduced(few)}) < LEAST_GAIN:
+        return [set(recs)]
+    while len(groups) > 1:
+        options = []
+        for a, b in combinations(groups, 2):
+            others = {k: v for k, v in groups.items() if k not in (a, b)}
+            options.append(others | {tuple(sorted(a + b)): reduced(a + b)})
+        fewer = max(options, key=nats)
+        if nats(groups) - nats(fewer) >= LEAST_GAIN:
+            break
+        groups = fewer
+    out = sorted((set(g) for g in groups), key=len, reverse=True)
+    for i in set(recs) - set(few):  # the others join the group that they fit best
+        losses = [reduced([*g, i])[-1, -1] - reduced(list(g))[-1, -1] for g in out]
+        out[int(np.argmin(losses))].add(i)
+    return out
 
 
-def levels_on(view: View, stretches: Sequence[Stretch]) -> tuple[np.ndarray, np.ndarray]:
-    """Return how much the velocities use each direction, smallest first, and the directions as whitened rows (r, r).
+def misfit(fit: RowFit) -> tuple[float, float]:
+    """Return the evidence for another shape, and the RMS residual along the rows [m or rad].
 
-    Levels are relative to a motion that is equally strong in all joints [1], shape (r,).
+    The evidence is the gain of cubics in the position of the hand that are fitted to the other recordings, over joint
+    offsets alone [nats]: a residual that repeats in all recordings.
     """
-    inside = view.table.inside([view.table.learnt_from(s) for s in stretches])
-    rates = view.all.rates[inside]
-    return relative_levels(rates.T @ rates, view.all.gram[inside].sum(axis=0), view.table.u[inside])
+    motion, off = fit.motion, np.linalg.solve(fit.root, fit.r[:, :, None])
+    left = float(np.sqrt(np.mean(np.sum(off**2, axis=(1, 2)))))
+    if motion.poses is None or len(set(motion.recs)) < 3 or not fit.m:
+        return 0.0, left
+    x = motion.poses[:, :3, 3] - motion.poses[:, :3, 3].mean(axis=0)
+    factors = [[*axes] for n in (2, 3) for axes in combinations_with_replacement(range(3), n)]
+    powers = np.stack([np.prod(x[:, axes], axis=1) for axes in factors], axis=1)
+    P = np.einsum("nai,nc->naic", fit.root, powers).reshape(*fit.r.shape, -1)
+    X = np.concatenate([fit.X[:, :, :-1], fit.without_constants(P), fit.X[:, :, -1:]], axis=2)
+    G, plain = fit.sums(X), fit.X.shape[2] - 1
+    total, prior, costs = np.sum([*G.values()], axis=0), np.zeros(X.shape[2] - 1), np.full(2, fit.dof * LEAST_RAD**2)
+    prior[fit.m : plain] = fit.variance / TAU[-1] ** 2
+    for mine in G.values():
+        rest = total - mine
+        for i, d in enumerate((plain, len(prior))):
+            b = np.append(-solve(rest[:d, :d] + np.diag(prior[:d]), rest[:d, -1]), 1.0)
+            columns = [*range(d), -1]
+            costs[i] += b @ mine[np.ix_(columns, columns)] @ b
+    return 0.5 * fit.dof / fit.alike * float(np.log(costs[0] / costs[1])), left
 
 
-def gaps_of(levels: np.ndarray, nv: int) -> dict[int, float]:
-    """Return the gap of each number of rows below nv: the ratio of the next level to its largest level."""
-    padded = np.maximum(np.append(levels, 1.0), 3e-8 * max(float(levels[-1]), 1.0))
-    return {s: float(padded[s] / padded[s - 1]) for s in range(1, len(levels) + 1) if s < nv}
+# ------------------------------------------------------------------------------------------------------ uncertainty
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Draws of the error of B.
+
+    Attributes:
+        noise, arm: shape (k, m), parts caused by noise and by errors of the arm.
+        delta: shape (k, e), errors of the arm of each draw.
+    """
+
+    noise: np.ndarray
+    arm: np.ndarray
+    delta: np.ndarray
+    beyond: float = 0.0  # [rad] of the joints' zeros that explain far more than what was thought of the arm
+
+
+def errors_of(fit: RowFit, arm: ArmErrors, rng: np.random.Generator) -> Errors | None:
+    """Draw errors of the rows of a fit; None with a single recording, or if only one row space is possible."""
+    m, n = fit.m, len(set(fit.motion.recs))
+    if not m or n < 2:
+        return None
+    total, variance = np.sum([*fit.G.values()], axis=0), fit.cost / fit.dof * fit.alike + 1e-30
+    H = total[:m, :m]
+    C = variance * solve(H, np.eye(m))
+    # what the recordings scatter beyond that: their influences, corrected for the leverage of each
+    white = np.linalg.cholesky(np.linalg.inv(0.5 * (C + C.T) + (1e-14 * np.trace(C) / m + 1e-300) * np.eye(m)))
+    moves = [white.T @ solve(1.001 * H - own[:m, :m], own[:m, -1]) for own in fit.G.values()]
+    ratio, freedom = (1.0 - 1.0 / n) * float(np.sum(np.square(moves))) / m, max(m * (n - 1.0), 2.0)
+    values, vectors = np.linalg.eigh(C)
+    noise = rng.standard_normal((DRAWS, m)) @ ((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    if ratio > 1.0 + 1.5 * np.sqrt(2.0 / freedom):
+        noise *= np.sqrt(ratio * freedom / rng.chisquare(freedom, DRAWS))[:, None]
+    # the arm: delta ~ N(0, (z^2 + tau^2)), its pattern and the residual less what B takes up
+    variance += LEAST_RAD**2
+    response = -solve(H, total[:m, m:])
+    S = total[m:, m:] + total[m:, :m] @ response
+    lam, V = np.linalg.eigh(S[:-1, :-1])
+    lam, hv = np.maximum(lam, 0.0), V.T @ S[:-1, -1]
+    seen = lam > 1e-8 * max(lam.max(), 1e-300)
+    sizes = arm.zeros**2 + TAU**2
+    # log-likelihood of each size of joint offsets beyond their prior, none first
+    v = lam[seen] * (variance + lam[seen] * sizes[:, None]) + 1e-300
+    likelihood = -0.5 * np.sum(np.log(v) + hv[seen] ** 2 / v, axis=1)
+    weight = np.exp(likelihood - likelihood.max())
+    weight[0] *= NONE_TO_SOME * (len(TAU) - 1)
+    prior = sizes[rng.choice(len(TAU), DRAWS, p=weight / weight.sum()), None]
+    posterior = np.divide(1.0, lam / variance + 1.0 / np.maximum(prior, 1e-300))
+    mean = -posterior * np.where(seen, hv / variance, 0.0)
+    delta = (mean + np.sqrt(posterior) * (rng.standard_normal(posterior.shape) @ V)) @ V.T
+    likeliest = int(np.argmax(likelihood))
+    far = TAU[likeliest] > 3.0 * arm.zeros and likelihood[likeliest] - likelihood[0] > LEAST_GAIN
+    return Errors(noise, delta @ response[:, :-1].T, delta, float(TAU[likeliest]) if far else 0.0)
+
+
+def angles(rows: np.ndarray, W: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Return the angle of each of Lambda + B Lambda_perp to Lambda, in the rows of the features [rad]."""
+    return row_space_angles((rows + B.reshape(len(B), len(rows), -1) @ null_basis(rows).T) @ W, rows @ W)

@@ -20,7 +20,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import counted
 from manip_learn.learning.repeats import once_each
 from manip_learn.learning.search import Hypothesis, least_used
-from manip_learn.learning.table import BELIEVED, CLEAR_GAP, OVER_NOISE, SLIGHT, Stretch, View, displacements, whitening
+from manip_learn.learning.table import BELIEVED, CLEAR_GAP, OVER_NOISE, SLIGHT, Stretch, View, steps_along, whitening
 from manip_learn.recordings.trajectory import Trajectory
 
 FEWEST = 3  # recordings, below which nothing is clear
@@ -216,12 +216,12 @@ def recombined(
             return found
 
 
-def joints_at_once(t: Trajectory, noise: float) -> tuple[float, float]:
+def joints_at_once(u: np.ndarray, noise: float) -> tuple[float, float]:
     """Return how many joints move at the same time, and how much all but the fastest do over a variance of the noise.
 
     The number is an effective one, 1 for a single joint, 0 at rest; the other is a mean square velocity over the noise.
     """
-    square = np.asarray(t.u) ** 2
+    square = u**2
     others = np.sort(np.mean(square, axis=0))[:-1].mean() / max(noise, 1e-300)
     square = square[np.sum(square, axis=1) > OVER_NOISE**2 * noise * square.shape[1]]
     at_once = np.median(np.sum(square, axis=1) ** 2 / np.sum(square**2, axis=1)) if len(square) else 0.0
@@ -249,8 +249,11 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
         came.append(np.linalg.norm(np.ptp(way, axis=0)) if len(way) else 0.0)
         t = table.moved[x.recording]
         middles.append(t.q[np.searchsorted(t.time, 0.5 * (x.start + x.end))])
-    straight = [np.linspace(middles[0], q, 21) for q in middles[1:]]
-    off = [np.linalg.norm(rows @ view.W @ displacements(view.features, line)[-1]) for line in straight]
+    off, features = [], view.features
+    for line in (np.linspace(middles[0], q, 21) for q in middles[1:]):
+        steps = steps_along(features.robot, line)
+        moved = np.einsum("npv,nv->p", features.batch(0.5 * (line[1:] + line[:-1])), steps)
+        off.append(np.linalg.norm(rows @ view.W @ moved))
     return bool(max(off) <= SLIGHT * np.median(came))
 
 
@@ -261,30 +264,24 @@ class Gate:
     seed: int = 0
     believed: float = BELIEVED
 
-    def pieces(self, view: View, stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Trajectory]]:
-        """Return the stretches that do not repeat each other, with their motions."""
-        stretches = [s for s in stretches if len(view.table.piece(s)) > 2]
-        pieces = [view.table.piece(s) for s in stretches]
-        kept = once_each(stretches, pieces)
-        return [stretches[k] for k in kept], [pieces[k] for k in kept]
-
     def evidence(self, view: View, stretches: Sequence[Stretch], choices: float | None = None) -> Evidence:
         """Return the evidence of stretches.
 
         `choices`, see `recombined`, are by default those of as many stretches, as long as these, from all recordings,
         times the hypotheses of all views.
         """
-        stretches, pieces = self.pieces(view, stretches)
-        m, n, numbers = view.thin, len(view.table), Counter(s.recording for s in stretches)
-        moving = m.weight * m.moving()
+        pieces = once_each(view.table, stretches)
+        m, n, numbers = view.thin, len(view.table.moved), Counter(s.recording for s in pieces)
+        moving = m.weight * m.moving
         whole = np.bincount(m.recording, moving, minlength=n)
         log_ways = math.lgamma(n + 1) - math.lgamma(len(numbers) + 1) - math.lgamma(n - len(numbers) + 1)
         log_ways -= sum(math.lgamma(k + 1) for k in numbers.values())
-        for s in stretches:
+        for s in pieces:
             span = np.sum(moving[(m.recording == s.recording) & (m.time >= s.start) & (m.time <= s.end)])
             log_ways += math.log(whole[s.recording] / span) if span > 0.0 else 0.0
         ways = view.tried * math.exp(min(max(log_ways, 0.0), 700.0))  # a larger number is none
-        return recombined(view.features, pieces, self.seed, ways if choices is None else choices, self.believed)
+        choices = ways if choices is None else choices
+        return recombined(view.features, list(pieces.values()), self.seed, choices, self.believed)
 
     def __call__(self, view: View, h: Hypothesis, stretches: Sequence[Stretch]) -> bool:
         """Return True if rows are constrained in stretches, by the recombination test or by one place.
@@ -294,17 +291,18 @@ class Gate:
             h: Hypothesis of the rows.
             stretches: Stretches in which they are constrained.
         """
-        if view.curved and h.s > 2:  # three surfaces meet in points
+        if view.curved and len(h.rows) > 2:  # three surfaces meet in points
             return False
         agreeing = view.steady(h.rows, stretches)
         for some in (stretches, agreeing) if len(agreeing) < len(stretches) else (stretches,):
             recs = {s.recording for s in some}
-            if not recs or len(recs) < min(2, len(view.table)):
+            if not recs or len(recs) < min(2, len(view.table.moved)):
                 return False
-            each = [(p, view.table.noises[s.recording]) for s, p in zip(*self.pieces(view, some), strict=True)]
+            each = [(np.asarray(p.u), view.table.noises[s.recording]) for s, p in once_each(view.table, some).items()]
             together, others = np.median([joints_at_once(*x) for x in each], axis=0) if each else (0.0, 0.0)
             if together >= 1.1 or others >= OVER_NOISE**2:
                 found = self.evidence(view, some)
-                if found.n_rows >= h.s and (len(recs) >= FEWEST or found.verdict(h.s, 0) == "clear"):
+                s = len(h.rows)
+                if found.n_rows >= s and (len(recs) >= FEWEST or found.verdict(s, 0) == "clear"):
                     return True
         return is_firm(view, h.rows, h.scale[1], stretches)

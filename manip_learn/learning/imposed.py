@@ -47,10 +47,9 @@ from scipy.linalg import LinAlgError, cholesky, eigh, solve_triangular
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError, advice, counted
-from manip_learn.learning.fit import gaps_of, levels_on, solve
+from manip_learn.learning.fit import STATED, Errors, angles, levels_on, solve
 from manip_learn.learning.table import CLEAR_GAP, LEAST_GAIN, NONE, WEAK_GAP, Settings, Table, View
-from manip_learn.learning.uncertainty import STATED, Errors, angles
-from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned
+from manip_learn.linalg import inverse_triangles_beside, null_basis, orthonormal_rows, row_bases
 
 POLYNOMIALS = ("constant", "affine", "quadratic", "cubic", "quartic", "quintic")
 # grades of each policy model; "affine-offset" has a rest posture for each recording; those of "auto" are taken in this
@@ -91,7 +90,7 @@ def regressors(table: Table, grade: str, seed: int) -> np.ndarray:
         size = np.sqrt(math.factorial(degree) / (np.array(repeats) * m**degree))
         return np.stack([np.prod(x[:, t], axis=1) for t in terms], axis=1) * size
     if grade == "offset":  # a constant for each recording
-        return np.eye(len(table))[table.recording]
+        return np.eye(len(table.moved))[table.recording]
     if grade.startswith("harmonic"):
         wave = int(grade[-1]) * angle
         return np.concatenate([np.sin(wave), np.cos(wave)], axis=1) / math.sqrt(2.0 * m)
@@ -123,7 +122,7 @@ class Data:
         self.grades = np.repeat(np.arange(len(beta)), [part.shape[1] for part in beta])
         self.recording = np.unique(table.recording[some], return_inverse=True)[1]
         self.mixing = np.eye(table.u.shape[1]) if mixing is None else mixing
-        self.Phi, self.u = view.W @ view.Phi[some] @ self.mixing.T, table.u[some] @ self.mixing.T
+        self.Phi, self.u = view.Phi[some] @ self.mixing.T, table.u[some] @ self.mixing.T
         self.mean_square = float(np.mean(self.u**2))
         self.floor = (LEAST if self.own else RESOLVED) * self.mean_square
         self.enough = ABOVE_NOISE * max(self.floor, 0.0 if self.own else float(np.median(table.noise[some])))
@@ -161,7 +160,7 @@ class PolicyFit:
 
     def __init__(self, d: Data, rows: np.ndarray, before: PolicyFit | None = None, exact: bool = False):
         (n, nv), held = d.u.shape, not len(d.grades)
-        self.d, self.rows, self.perp, self.exact = d, rows, complement_rows(rows), exact or held
+        self.d, self.rows, self.perp, self.exact = d, rows, null_basis(rows).T, exact or held
         Q, R = row_bases((rows @ d.Phi).transpose(2, 1, 0))
         Q = Q.transpose(2, 0, 1)
         N = np.eye(nv) - Q @ Q.transpose(0, 2, 1)
@@ -231,7 +230,8 @@ class PolicyFit:
             kept = (here.determined >= min(0.1, np.max(here.determined, initial=0.0)))[here.d.grades]
             d = copy(here.d)
             d.beta, d.grades = d.beta[:, kept], d.grades[kept]
-            there = PolicyFit(d, turned(here.rows, B), here, here.exact)
+            turned = here.rows + B.reshape(len(here.rows), -1) @ here.perp
+            there = PolicyFit(d, orthonormal_rows(turned), here, here.exact)
             if there.cost < here.cost:
                 here, damping = there, 0.1 * damping if damping > 1e-9 else 0.0
             else:
@@ -376,7 +376,7 @@ def learn_imposed(views: list[View], settings: Settings) -> Imposed | NotIdentif
     if not isinstance(best, Imposed):
         return best
     if settings.estimator == "auto":
-        rows = levels_on(best.view, table.wholes)[1][: len(best.fit.rows)]
+        rows = levels_on(best.view, table.wholes).directions[: len(best.fit.rows)]
         d = Data(best.view, (), 0, _few(table, MOST))
         if best.held_out > EXPLAINED or best.nats <= PolicyFit(d, orthonormal_rows(rows)).nats(d.floor):
             return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
@@ -389,12 +389,12 @@ def _unidentifiable(table: Table, settings: Settings) -> NotIdentifiableError | 
     joint, known = settings.estimator != "separate", ", ".join(map(repr, MODELS))
     differ = "from other starts to other targets"
     one = "one trajectory does not show which part of it is steered on purpose: give several"
-    same = f"the {len(table)} recordings repeat one motion, which shows no more than one of them: give some that differ"
+    same = f"the {len(table.moved)} recordings repeat one motion, which shows no more than one of them: give some that"
     reasons = (
         ("policy-model", model not in MODELS, f"unknown policy model {model!r}: use {known}"),
         ("no-freedom", s >= nv, f"{s} constraints leave no null space for {nv} joints"),
-        ("one-trajectory", joint and len(table) < 2, f"{one}, {differ}"),
-        ("repeated-motion", joint and is_one_path(table), f"{same}, {differ}"),
+        ("one-trajectory", joint and len(table.moved) < 2, f"{one}, {differ}"),
+        ("repeated-motion", joint and is_one_path(table), f"{same} differ, {differ}"),
         ("too-few-samples", n * (nv - s) < 2 * nv * (1 + nv), f"{n} samples are too few: record more"),
     )
     return next((NotIdentifiableError(why, code=code) for code, wrong, why in reasons if wrong), None)
@@ -407,7 +407,7 @@ def is_one_path(table: Table) -> bool:
         few, most = t.q[:: max(1, len(t) // 100)], SAME_PATH * float(np.linalg.norm(np.std(t.q, axis=0)))
         if not any(np.sqrt(np.mean(path.query(few)[0] ** 2)) < most for path in kept):
             kept.append(cKDTree(np.linspace(few[:-1], few[1:], 5).reshape(-1, t.q.shape[1])))
-    return len(kept) < min(3, len(table))
+    return len(kept) < min(3, len(table.moved))
 
 
 def _few(table: Table, most: int, own: bool = False) -> np.ndarray:
@@ -542,8 +542,7 @@ def _separate(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
     table.u, name = w, f"rbf{min(MOST_CENTRES, len(w) // SAMPLES_PER_CENTRE)}"
     null, length = View(v.features, table), np.maximum(np.linalg.norm(w, axis=1), TINY**0.5)
     cost = float(np.sum((np.einsum("nv,nv->n", w, u) / length - length) ** 2) / np.sum(u**2))
-    levels, directions = levels_on(null, table.wholes)
-    gaps = gaps_of(levels, u.shape[1])
+    levels, directions, gaps = levels_on(null, table.wholes)
     likely = max(gaps, key=lambda s: gaps[s])
     rows = orthonormal_rows(directions[: settings.n_constraints or likely])
     fit = PolicyFit(Data(null, (), 0, np.arange(len(w))), rows).best()

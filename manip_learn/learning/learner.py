@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Self, final, get_args
 
@@ -15,10 +15,20 @@ from manip_learn.constraint.skill import Skill
 from manip_learn.errors import FeatureError, NotFittedError, NumberOfConstraintsError, RecordingError, advice, an
 from manip_learn.learning.answer import Found, advised, learn
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.report import Context, LearningReport, made, reports
+from manip_learn.learning.report import Context, LearningReport, reports
 from manip_learn.learning.skill import skill_of
-from manip_learn.learning.table import BELIEVED, SWITCH, ArmErrors, EstimatorName, Settings, Table, refuse_unusable
-from manip_learn.learning.thinning import MOST_SAMPLES, EvenChoice, read_evenly
+from manip_learn.learning.table import (
+    BELIEVED,
+    MOST_SAMPLES,
+    SWITCH,
+    ArmErrors,
+    EstimatorName,
+    EvenChoice,
+    Settings,
+    Table,
+    read_evenly,
+    refuse_unusable,
+)
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.given import Given, check_joints, parts_of, recordings_given
 from manip_learn.recordings.load import Progress
@@ -200,37 +210,34 @@ class ConstraintLearner:
         given = recordings_given(demonstrations, self._robot, self._feature_maps[0].nv, self.velocities)
         if not isinstance(given, Demonstrations):
             given = read_evenly(choose, given, client, progress).demonstrations
-        with one_thread():
-            self._learn(given, choose, progress or (lambda stage, share: None))
+        with one_thread():  # independent recordings -> one table -> hypotheses -> answers -> reports and a skill
+            started, progress = time.perf_counter(), progress or (lambda stage, share: None)
+            recordings = IndependentRecordings.of(given)
+            derived = derive(recordings.demonstrations)
+            refuse_unusable(recordings.demonstrations, derived, self._feature_maps[0])
+            exact = self._robot is None or all(t.exact for t in recordings.demonstrations)
+            if sum(map(len, derived)) > self.max_samples:
+                choice = choose(*parts_of(derived))
+                derived, origins = choice.demonstrations, tuple(recordings.origins[k.number] for k in choice.kept)
+                recordings = recordings._replace(origins=origins)
+            recordings, table = recordings._replace(demonstrations=derived), Table(list(derived))
+            arm = ArmErrors(math.radians(self.joint_offset_std), 1e-3 * self.link_error_std)
+            chosen: dict[str, Any] = {"arm": arm, "seed": self.seed, "asked": tuple(self._feature_maps)}
+            chosen |= {"phases": self.phases == "auto", "mechanism": self.mechanism == "auto"}
+            chosen |= {"strength": self.strength, "switch": self.switching_cost, "habits": self.keep_habits}
+            chosen |= {"by_rates": exact or self.velocities == "recorded"}
+            settings = Settings(self.n_constraints, self.estimator, self.policy_model, **chosen)
+            found = learn(table, settings, progress)
+            if not isinstance(found, Found):
+                raise advised(found, table, settings, recordings.warnings)
+            # for the provenance; the features are stored in the constraint itself
+            names = [name for name in inspect.signature(type(self)).parameters if name not in ("features", "renamed")]
+            context = Context(table, recordings, {name: getattr(self, name) for name in names}, started)
+            wholes, self.constraints_, self.reports_ = zip(*reports(found, context), strict=True)
+            self.constraint_, self.report_ = self.constraints_[0], self.reports_[0]
+            self.skill_ = skill_of(wholes, found, table)
+            progress("learning", 1.0)
         return self
-
-    def _learn(self, given: Demonstrations, choose: Callable[..., EvenChoice], progress: Progress) -> None:
-        """Learn: independent recordings -> one table -> hypotheses -> answers -> reports, constraints and a skill."""
-        started = time.perf_counter()
-        recordings = IndependentRecordings.of(given)
-        demonstrations = with_velocities(recordings.demonstrations, self._robot, self.velocities)
-        exact = self.velocities == "recorded" or self._robot is None or all(t.exact for t in recordings.demonstrations)
-        refuse_unusable(recordings.demonstrations, demonstrations, self._feature_maps[0])
-        chosen_few = choose(*parts_of(demonstrations))
-        few, origins = chosen_few.demonstrations, tuple(recordings.origins[k.number] for k in chosen_few.kept)
-        recordings = recordings._replace(demonstrations=few, origins=origins)
-        table = Table(list(few))
-        arm = ArmErrors(math.radians(self.joint_offset_std), 1e-3 * self.link_error_std)
-        chosen: dict[str, Any] = {"arm": arm, "by_rates": exact, "seed": self.seed, "habits": self.keep_habits}
-        chosen |= {"phases": self.phases == "auto", "mechanism": self.mechanism == "auto"}
-        chosen |= {"strength": self.strength, "switch": self.switching_cost, "asked": tuple(self._feature_maps)}
-        settings = Settings(self.n_constraints, self.estimator, self.policy_model, **chosen)
-        # for the provenance; the features are stored in the constraint itself
-        said = [name for name in inspect.signature(type(self)).parameters if name not in ("features", "renamed")]
-        origin = made(given, {name: getattr(self, name) for name in said})
-        context = Context(table, recordings, few.notes, origin, started)
-        found = learn(table, settings, progress)
-        if not isinstance(found, Found):
-            raise advised(found, table, settings, recordings.warnings)
-        wholes, self.constraints_, self.reports_ = zip(*reports(found, context), strict=True)
-        self.constraint_, self.report_ = self.constraints_[0], self.reports_[0]
-        self.skill_ = skill_of(wholes, found, table)
-        progress("learning", 1.0)
 
     if not TYPE_CHECKING:  # otherwise every name would be an attribute
 

@@ -1,29 +1,54 @@
-"""Mechanism of a Lambda with its place and uncertainty: from rows in which it is constant, or a shape without any."""
+"""Mechanism of a Lambda with its place and uncertainty, its grip, and the rows in selected axes.
+
+It is read from rows in which a mechanism is constant, or is a shape without any. The search uses the position of the
+hand. A mechanism may also rotate the hand, keep its orientation, or leave it free: the orientations in the stretches
+that were found tell which. Where the position does not move about an axis (a knob, a peg), the rows of the whole twist
+are fitted to displacements instead. Nothing is searched twice, and rotation is never compared with translation.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import make_lsq_spline
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from manip_learn.constraint.curve import Curve
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, rows_of
-from manip_learn.constraint.mechanism import KIND_BY_NAME, ON_THE_AXIS, Mechanism, MechanismKind, mechanism_of
+from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
+from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, PlaceForm, PlaceRows, rows_of
+from manip_learn.constraint.mechanism import (
+    KIND_BY_NAME,
+    MECHANISM_KINDS,
+    ON_THE_AXIS,
+    Mechanism,
+    MechanismKind,
+    held_rows,
+    mechanism_of,
+)
 from manip_learn.constraint.place import Place
-from manip_learn.constraint.reading import LEAST_PITCH
+from manip_learn.constraint.reading import LEAST_PITCH, MIXED
 from manip_learn.errors import FeatureError
-from manip_learn.learning.fit import LEAST_RAD, RowFit, autocorrelation
-from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, View
-from manip_learn.learning.uncertainty import STATED, Errors
-from manip_learn.linalg import null_basis
+from manip_learn.learning.fit import LEAST_RAD, STATED, Errors, Motion, RowFit, autocorrelation
+from manip_learn.learning.gate import Gate
+from manip_learn.learning.table import (
+    CLEAR_GAP,
+    LEAST_GAIN,
+    LEAST_MOTION,
+    OVER_NOISE,
+    WEAK_GAP,
+    Settings,
+    Stretch,
+    View,
+)
+from manip_learn.linalg import null_basis, orthonormal_rows, pivoted_rows
 from manip_learn.recordings.trajectory import evenly
 
 FEW = 200  # draws of an error for which a place is read again
@@ -32,6 +57,10 @@ PIECES = (2, 4, 8, 16, 32)  # of a spline; as many as foretell the other recordi
 KNOWN = {"axis": slice(0, 3), "point": slice(3, 6), "point-across": slice(3, 6), "pitch": slice(6, 7)}
 Places = Float[np.ndarray, "n 3"]
 FARTHEST = 3.0  # [m] beyond this an axis or a centre is not told from a line or a plane
+# [deg] RMS orientation of a firmly held hand about the mechanism: grips of a weld in simulation give way by 0.03
+# to 1.5, hands kept straight by habit by 1.6 to 5
+GIVES_WAY = 1.5
+KEPT = OVER_NOISE * GIVES_WAY  # above which a hand was free to turn: loose grips reach 5.9 to 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +88,7 @@ class Placed:
 
     def rows(self, view: View) -> tuple[FeatureMap, np.ndarray]:
         """Return Phi and Lambda of the mechanism, without rows that this arm cannot move."""
-        hand: Any = view.features.twist
-        features, selection = rows_of(self.kind, self.place, self.mechanism.radius, hand)
+        features, selection = rows_of(self.kind, self.place, self.mechanism.radius, view.features.twist)
         if not isinstance(features, MechanismRows):
             return features, selection
         features = movable(features, view.table.q)
@@ -73,17 +101,16 @@ def movable(features: MechanismRows, q: np.ndarray) -> MechanismRows:
     return features.with_rows([n for n, x in zip(features.row_names, sizes, strict=True) if x > 1e-6], features.radius)
 
 
-def placed(view: View, fit: RowFit, errors: Errors | None) -> Placed | None:
+def placed(fit: RowFit, errors: Errors | None) -> Placed | None:
     """Return the mechanism of fitted rows, with the uncertainty of its place; None if there is none.
 
     Args:
-        view: View of the rows.
         fit: Fit of the rows.
         errors: Draws of their errors; None for no uncertainty.
     """
-    if (read := kind_of(fit, view)) is None:
+    if (read := kind_of(fit)) is None:
         return None
-    kind, place, p = read[0], read[1].as_told(), np.asarray(fit.motion.place)
+    kind, place, p = read[0], read[1].as_told(), fit.motion.poses[:, :3, 3]
     if kind.type in ("line", "plane"):  # where the hand was, not where the axes of the rows begin
         place = replace(place, point=p.mean(axis=0))
     radius = arc_of(kind, place, p)
@@ -93,7 +120,7 @@ def placed(view: View, fit: RowFit, errors: Errors | None) -> Placed | None:
     ahead = headings(kind, place, few)
     for B in (errors.noise + errors.arm)[:FEW] if errors is not None else ():
         rows = fit.rows + B.reshape(len(fit.rows), -1) @ fit.perp
-        other = kind_of(fit, view, np.linalg.qr(rows.T)[0].T)
+        other = kind_of(fit, np.linalg.qr(rows.T)[0].T)
         if other is None or other[0].type != kind.type:
             continue
         there = other[1].as_told()
@@ -137,14 +164,17 @@ def _placed(
 ) -> Placed:
     """Return the mechanism of a kind at a place, with the radius [m] and the arc [rad] of the hand."""
     (away, arc), grip = arc_of(kind, place, p) or (None, None), "loose" if kind.orientation == "free" else "firm"
-    known = {"grip": grip, "uncertainty": uncertainty, "arc": arc, **fit.motion.hand.seen_from}
+    known = {"grip": grip, "uncertainty": uncertainty, "arc": arc, **fit.view.features.twist.seen_from}
     return Placed(mechanism_of(kind, place, away, **known), kind, place, off)
 
 
-def kind_of(fit: RowFit, view: View, rows: np.ndarray | None = None) -> tuple[MechanismKind, Place] | None:
+def kind_of(fit: RowFit, rows: np.ndarray | None = None) -> tuple[MechanismKind, Place] | None:
     """Return the mechanism of fitted rows, or of others near to them, and its place; None if it is none."""
-    p, selection = fit.motion.place, view.selection(fit.rows if rows is None else rows)
-    return None if p is None else view.features.kind_of(selection, null_basis(view.W).T, p)
+    view, poses = fit.view, fit.motion.poses
+    if poses is None:
+        return None
+    selection = view.selection(fit.rows if rows is None else rows)
+    return view.features.kind_of(selection, null_basis(view.W).T, poses[:, :3, 3])
 
 
 def arc_of(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, float] | None:
@@ -172,11 +202,11 @@ def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | Curv
         known: Mechanism of these rows, or None.
         arm_deg: Angle by which errors of the arm may turn the shape [deg].
     """
-    p, parts = fit.motion.place, fit.motion.parts
-    if p is None or fit.rows.shape[0] > 2:
+    parts, hand = fit.motion.parts, fit.view.features.twist
+    if hand is None or fit.rows.shape[0] > 2:
         return None
     chosen = [part.start + evenly(part.stop - part.start, max(2, 1500 // len(parts))) for part in parts]
-    p, ends = p[np.concatenate(chosen)], np.cumsum([0, *map(len, chosen)])
+    p, ends = fit.motion.poses[np.concatenate(chosen), :3, 3], np.cumsum([0, *map(len, chosen)])
     parts = [slice(*edges) for edges in pairwise(ends)]
     middle = p.mean(axis=0)
     first, second, normal = np.linalg.svd(p - middle, full_matrices=False)[2]
@@ -210,7 +240,6 @@ def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | Curv
     curve = _curve(p, parts) if len(fit.rows) == 2 and len(parts) > 2 and before > LEAST_MOTION**2 else None
     if curve is None or gain(curve[1], 12) <= LEAST_GAIN:
         return None
-    hand = fit.motion.hand
     return CurveRows(hand.robot, hand.frame.name, curve[0], ("across-1", "across-2"), **hand.seen_from)
 
 
@@ -268,3 +297,133 @@ def _through(curve: Curve, p: Places, pieces: int) -> Curve:
     s, p = s[order], p[order]
     knots = np.concatenate([np.full(4, s[0]), np.quantile(s, np.arange(1, pieces) / pieces), np.full(4, s[-1])])
     return Curve(make_lsq_spline(s, p, knots, 3)(np.linspace(s[0], s[-1], 4 * pieces + 1)))
+
+
+# ---- the whole hand: its grip, and the rows in selected axes
+
+
+def whole_fit(
+    views: Sequence[View], place: RowFit, spans: Sequence[Stretch], settings: Settings, gate: Gate
+) -> RowFit | None:
+    """Return the rows of the whole twist that constrain the hand, more than those of its position; None if loose.
+
+    They are rows of a mechanism, or else clear and accepted; they constrain the orientation as well as a grip does, and
+    the position with no fewer rows than were found. Of these, the rows with the largest gap between the displacements
+    along them and along free directions are returned.
+
+    Args:
+        views: Views of the whole twist.
+        place: Fit of the rows that constrain the position of the hand.
+        spans: Stretches in which they are constrained.
+        settings: Settings of the fit.
+        gate: Test of the evidence.
+    """
+    best, largest, apart = None, (False, WEAK_GAP), turned_by_joints(place.motion)
+    J, few = place.motion.J, evenly(len(place.motion.x), 50)
+    for view in views:
+        motion = Motion.of(view, spans, settings)
+        levels = np.append(motion.levels.sizes, 1.0)
+        for s in range(view.largest, len(place.rows), -1):
+            gap = float(levels[s] / max(levels[s - 1], 1e-12))
+            if gap <= WEAK_GAP or (True, gap) <= largest:
+                continue
+            fit = RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
+            turned = np.sum(np.einsum("nij,nj->ni", J[:, 3:], fit.shortest_way_back()) ** 2, axis=1)
+            away = np.degrees(np.median([np.sqrt(np.mean(turned[p])) for p in motion.parts]))
+            free = (x @ null_basis(A) for x, A in zip(J[few, :3], fit.rows @ motion.Phi[few], strict=True))
+            moves = [np.count_nonzero(np.linalg.svd(x, compute_uv=False) > ON_THE_AXIS) for x in free]
+            # where the gap is clear, rotation by independent joints alone counts
+            most = min(GIVES_WAY if gap < CLEAR_GAP else np.inf, apart / CLEAR_GAP)
+            if away > most or 3 - int(np.median(moves)) < len(place.rows):
+                continue
+            named = kind_of(fit) is not None
+            if (named, gap) <= largest or not (named or gap > CLEAR_GAP):
+                continue
+            if named or gate.evidence(view, spans).verdict(s) == "clear":
+                best, largest = fit, (named, gap)
+    return best
+
+
+def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, float]:
+    """Return the kind of mechanism with the orientation that it constrains, and how well the orientation is kept.
+
+    Args:
+        known: Mechanism that constrains the position of the hand.
+        motion: Contacts.
+
+    Returns:
+        The kind with the most rows from which the hand deviates by no more than a grip gives way; the known one if
+        there is none. The smallest RMS deviation of the orientation from one that is fixed or carried by the mechanism,
+        and that by independent joints [deg], medians of the contacts.
+    """
+    place, apart, seen = known.place, turned_by_joints(motion), list[dict[str, float]]()
+    for T in (motion.poses[p] for p in motion.parts):  # RMS rotation from each orientation that may be constrained
+        rotation, away = Rotation.from_matrix(T[:, :3, :3]), T[:, :3, 3] - place.point
+        turns, directions = {"fixed": rotation}, dict[str, np.ndarray]()
+        if known.kind.type == "ball":
+            directions["carried"] = rotation.inv().apply(-away)
+        elif known.kind.type != "line":
+            directions["about-axis"] = rotation.inv().apply(place.axis)
+        if known.kind.type in ("hinge", "screw", "other"):
+            angle = np.unwrap(np.arctan2(away @ place.across[1], away @ place.across[0]))
+            turns["carried"] = Rotation.from_rotvec(-angle[:, None] * place.axis) * rotation
+        off = {name: (turn * turn.mean().inv()).magnitude() for name, turn in turns.items()}
+        for name, vectors in directions.items():
+            units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+            mean = units.mean(axis=0)
+            off[name] = np.arccos(np.clip(units @ mean / np.linalg.norm(mean), -1.0, 1.0))
+        seen.append({name: float(np.degrees(np.sqrt(np.mean(angles**2)))) for name, angles in off.items()})
+    rms = {name: float(np.median([x[name] for x in seen])) for name in seen[0]}
+    kept, most = min(rms["fixed"], rms.get("carried", np.inf)), min(GIVES_WAY, apart / CLEAR_GAP)
+    kinds = [k for k in MECHANISM_KINDS if k.type == known.kind.type and k.n_rows > known.kind.n_rows]
+    firm = [k for k in kinds if rms.get(k.orientation, np.inf) <= most]
+    firm = [k for k in firm if k.orientation != "about-axis" or kept > KEPT]
+    return max(firm, key=lambda k: (k.n_rows, -rms[k.orientation]), default=known.kind), kept, apart
+
+
+def turned_by_joints(motion: Motion) -> float:
+    """Return the RMS rotation of the hand by independent motions of the joints that are as large as these [deg]."""
+    turns = np.array([np.sum(motion.J[(p.start + p.stop) // 2, 3:] ** 2, axis=0) for p in motion.parts])
+    spread = np.array([np.var(motion.x[p], axis=0) for p in motion.parts])
+    return float(np.degrees(np.median(np.sqrt(np.sum(turns * spread, axis=1)))))
+
+
+def asked_rows(
+    features: FeatureMap, selection: np.ndarray, known: Placed | None, asked: Sequence[FeatureMap], q: np.ndarray
+) -> tuple[FeatureMap, Float[np.ndarray, "k r"]]:
+    """Return the rows in the requested axes: combinations x Lambda with no share in other columns; else all.
+
+    Args:
+        features: Phi of all rows that constrain the hand.
+        selection: shape (s, p), their Lambda.
+        known: Mechanism, or None.
+        asked: Requested feature maps.
+        q: shape (n, nq), postures.
+
+    Returns:
+        Phi and Lambda.
+    """
+    poses, names = [f for f in asked if isinstance(f, PoseRows)], {n for f in asked for n in f.row_names}
+    if isinstance(features, MechanismRows) and known is not None and names == set(AXES[:3]):
+        own, radius = held_rows(known.kind.kind, "free"), known.mechanism.radius
+        if len(poses) == len(asked) and (radius is None or radius >= ON_THE_AXIS):
+            features = movable(features.with_rows(own, None if known.kind.type == "screw" else radius), q)
+            return features, np.eye(features.n_rows)
+    if len(poses) < len(asked) or not isinstance(features, PoseRows | PlaceRows):
+        return features, selection
+    columns, own_axes = features.row_names, isinstance(features, PoseRows) and features.own_axes
+    options = list[FeatureMap](f for f in poses if f.own_axes == own_axes)[:1]
+    if isinstance(features, PlaceRows) and features.form != "twist":
+        form: PlaceForm = "point" if names <= set(AXES[:3]) else "point and rotation"
+        hand = features.robot, features.frame.name
+        wide = PlaceRows(*hand, form, features.middle, **features.twist.seen_from)
+        options.append(features if form == features.form else wide)
+    given, rows = features, selection[:0]
+    for option in options:
+        own = np.array([n in option.row_names for n in columns])
+        _, sigma, Vt = np.linalg.svd(selection[:, ~own].T)
+        inside = Vt[np.append(sigma, np.zeros(len(selection) - len(sigma))) < MIXED] @ (selection * own)
+        given, rows = (option, inside) if len(inside) > len(rows) else (given, rows)
+    if given is features:
+        return features, selection
+    return given, pivoted_rows(rows) @ np.array([[column == n for n in given.row_names] for column in columns])

@@ -24,7 +24,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import listed
-from manip_learn.learning.table import SLIGHT, Stretch
+from manip_learn.learning.table import SLIGHT, Stretch, Table
 from manip_learn.recordings.trajectory import OPTIONAL_ARRAYS, Demonstrations, Trajectory, distinct_names
 from manip_learn.recordings.velocities import noise_variance
 
@@ -101,16 +101,6 @@ class IndependentRecordings(NamedTuple):
             return IndependentRecordings(given, origins, given)
         demonstrations = Demonstrations([whole[i] for i in kept], given.notes)
         return IndependentRecordings(demonstrations, tuple(origins[i] for i in kept), given, tuple(warnings))
-
-    def places(self, stretch: Stretch) -> tuple[Stretch, ...]:
-        """Return the stretches of the given recordings, on their own clocks, that make up one of `demonstrations`."""
-        out = []
-        for number, added in self.origins[stretch.recording]:
-            time = self.given[number].time
-            start, end = max(stretch.start - added, float(time[0])), min(stretch.end - added, float(time[-1]))
-            if start < end or len(self.origins[stretch.recording]) == 1:
-                out.append(Stretch(number, start, end))
-        return tuple(out)
 
 
 def _near(within: float) -> str:
@@ -197,14 +187,15 @@ class _Path:
         return start, distance(start, way) or 0.0
 
 
-def once_each(stretches: Sequence[Stretch], pieces: Sequence[Trajectory]) -> list[int]:
-    """Return the numbers of pieces, each of a stretch, that repeat no other one of the same recording."""
-    repeated = set[int]()
-    for recording in {s.recording for s in stretches}:
-        own = [k for k, s in enumerate(stretches) if s.recording == recording]
-        if len(own) > 1:
-            repeated |= {own[k] for k in _repeats([_Path(pieces[k]) for k in own])}
-    return [k for k in range(len(pieces)) if k not in repeated]
+def once_each(table: Table, stretches: Sequence[Stretch]) -> dict[Stretch, Trajectory]:
+    """Return the motion of each stretch from which rows are learnt, unless it repeats another of its recording."""
+    long = [(s, k - table.first[s.recording]) for s in stretches if len(k := table.samples(s)) > 2]
+    pieces = {s: table.moved[s.recording].part(k) for s, k in long}
+    for recording in {s.recording for s in pieces}:
+        own = [s for s in pieces if s.recording == recording]
+        for k in _repeats([_Path(pieces[s]) for s in own]) if len(own) > 1 else ():
+            del pieces[own[k]]
+    return pieces
 
 
 def _repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:

@@ -29,7 +29,7 @@ from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
 from manip_learn.learning.gate import RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.table import CLEAR_GAP, Table, excitation
-from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names, evenly
+from manip_learn.recordings.trajectory import Trajectory, distinct_names, evenly
 from manip_learn.robot import html_card
 
 NOISE, JOINT_ZEROS, POLICY = PARTS = ("noise", "joint zeros", "policy")
@@ -259,12 +259,17 @@ def _plain(value: Any) -> Any:
 
 
 class Context(NamedTuple):
-    """Data that all reports of a fit share; `started` is a reading of `time.perf_counter` [s]."""
+    """Data that all reports of a fit share.
+
+    Attributes:
+        table, recordings: Samples, and the recordings that they are of.
+        settings: Settings of the learner.
+        started: Reading of `time.perf_counter` when the fit began [s].
+    """
 
     table: Table
     recordings: IndependentRecordings
-    notes: Sequence[str]
-    made: Mapping[str, Any]
+    settings: Mapping[str, Any]
     started: float
 
 
@@ -289,9 +294,14 @@ def reports(found: Found, context: Context) -> list[Learnt]:
     names, given = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
     stretches = [(s, k, "") for k, answer in enumerate(found.answers) for s in answer.stretches]
     stretches += [(s, None, "") for s in found.free] + [(s, None, why) for s, why in found.unlearnt]
-    phases = []  # on the clocks of the recordings that were given
+    phases = list[_Phase]()  # on the clocks of the recordings that were given
     for s, k, why in sorted(stretches, key=lambda x: (x[0].recording, x[0].start)):
-        phases += [_Phase(given[p.recording], p.start, p.end, k, why) for p in recordings.places(s)]
+        pieces = recordings.origins[s.recording]
+        for number, added in pieces:
+            time = recordings.given[number].time
+            start, end = max(s.start - added, float(time[0])), min(s.end - added, float(time[-1]))
+            if start < end or len(pieces) == 1:
+                phases.append(_Phase(given[number], start, end, k, why))
     odd = tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(found.odd.items()))
     warnings = [*recordings.warnings, *found.warnings]
     if alone := [p for p in phases if p.reason == IN_ONE_ONLY]:
@@ -301,13 +311,17 @@ def reports(found: Found, context: Context) -> list[Learnt]:
         reasons = "; ".join(f"{o.trajectory}: {o.reason}" for o in odd)
         out = "what does not agree was left out of the first constraint"
         warnings.append(f"{len(odd)} of {len(names)} recordings do not agree with the others; {out}: {reasons}")
+    hashed = [{"name": n, "sha256": checksum(t)} for n, t in zip(given, recordings.given, strict=True)]
+    made = {"version": version(), "date": datetime.now(UTC).isoformat(timespec="seconds"), "recordings": hashed}
+    made["settings"] = _plain(context.settings)
     overview = RecordingOverview(tuple(phases), odd, warnings)
-    return [_report(answer, overview, context) for answer in found.answers]
+    return [_report(answer, overview, context, made) for answer in found.answers]
 
 
-def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Learnt:
+def _report(answer: Answer, overview: RecordingOverview, context: Context, made: dict[str, Any]) -> Learnt:
     table, features, selection = context.table, answer.asked.features, answer.asked.selection
-    warnings, notes = list(answer.warnings), list(dict.fromkeys(map(printable, context.notes)))
+    recorded = context.recordings.demonstrations
+    warnings, notes = list(answer.warnings), list(dict.fromkeys(map(printable, recorded.notes)))
     used = np.linalg.norm(features.batch(table.q[evenly(len(table.q), 200)]), axis=2).max(axis=0) > 1e-9
     if unused := [n for n, u in zip(features.row_names, used, strict=True) if not u]:
         warnings.append(f"always zero for this robot and frame, so left out: {listed(unused)}")
@@ -351,7 +365,7 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Le
     )
     kept = np.flatnonzero(inside)[evenly(report.n_samples, KEPT_POSTURES)]
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
-    provenance["made"] = dict(context.made)
+    provenance["made"] = dict(made)
     provenance["postures"] = np.round(table.q[kept], 5).tolist()
     provenance["posture_trajectories"] = table.recording[kept].tolist()
     whole = answer.whole
@@ -365,22 +379,6 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context) -> Le
     if whole is answer.asked:
         return everything, everything, report
     return everything, Constraint(selection, features, provenance | {"whole": len(whole.selection)}), report
-
-
-def made(demonstrations: Demonstrations, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the entry `provenance["made"]` of a constraint.
-
-    Args:
-        demonstrations: All recordings.
-        settings: Settings of the learner.
-    """
-    names = distinct_names(demonstrations)
-    return {
-        "version": version(),
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "recordings": [{"name": n, "sha256": checksum(t)} for n, t in zip(names, demonstrations, strict=True)],
-        "settings": _plain(settings),
-    }
 
 
 def checksum(trajectory: Trajectory) -> str:

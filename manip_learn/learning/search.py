@@ -48,11 +48,6 @@ class Hypothesis:
     gains: np.ndarray = field(default_factory=lambda: np.zeros(1))
 
     @property
-    def s(self) -> int:
-        """Number of rows."""
-        return len(self.rows)
-
-    @property
     def support(self) -> float:
         """Gain without the recording that gains most [nats]."""
         return float(self.gains.sum() - (self.gains.max() if len(self.gains) > 1 else 0.0))
@@ -61,10 +56,6 @@ class Hypothesis:
         """Return the price of the free parameters for recordings of a total duration [s], in nats (Schwarz, 1978)."""
         s, r = self.rows.shape
         return 0.5 * s * (r - s) * float(np.log(max(seconds / CHANGE, 2.0)))
-
-    def nats(self, m: Samples) -> np.ndarray:
-        """Return its evidence in each sample of its view, shape (n,)."""
-        return evidence(m, broken_energy(m, self.rows[None]), self.s, [self.scale])[:, 0, 0]
 
 
 def broken_energy(m: Samples, rows: np.ndarray) -> np.ndarray:
@@ -84,23 +75,25 @@ def broken_energy(m: Samples, rows: np.ndarray) -> np.ndarray:
     return np.sum(np.square(y), axis=0)
 
 
-def evidence(m: Samples, energy: np.ndarray, s: int, scales: Sequence[Scale]) -> np.ndarray:
+def evidence(m: Samples, rows: np.ndarray, scales: Sequence[Scale]) -> np.ndarray:
     """Return the evidence of each sample: log-likelihood with constrained rows less that with free rows [nats].
 
     Args:
         m: n samples.
-        energy: shape (n, h), u^T A^+ A u for each hypothesis, see `broken_energy`.
-        s: Number of rows.
+        rows: shape (h, s, r), rows of h hypotheses.
         scales: k scales, see `Hypothesis`.
 
     Returns:
         shape (n, h, k).
     """
-    steady, share = np.array(scales).T ** 2
+    energy, (steady, share) = broken_energy(m, rows), np.array(scales).T ** 2
     floor = m.noise[:, None] * steady
     free = np.maximum(m.free[:, None], floor)
     held = np.minimum(floor + share * free, free)
-    exponent = 0.5 * s * np.log(free / held)[:, None] - energy[:, :, None] * (0.5 * (1.0 / held - 1.0 / free))[:, None]
+    exponent = (
+        0.5 * rows.shape[1] * np.log(free / held)[:, None]
+        - energy[:, :, None] * (0.5 * (1.0 / held - 1.0 / free))[:, None]
+    )
     ratio = np.log(FAR_OFF + (1.0 - FAR_OFF) * np.exp(np.minimum(exponent, 50.0)))
     return ratio * (m.weight[:, None, None] / CHANGE)
 
@@ -190,7 +183,7 @@ def proposed(m: Samples, states: np.ndarray, largest: int, whole: bool) -> list[
     """
     n, r = m.rates.shape
     squares = (m.rates[:, :, None] * m.rates[:, None]).reshape(n, -1)
-    products = np.column_stack([squares, m.gram.reshape(n, -1), m.noise, m.moving(), np.ones(n)])
+    products = np.column_stack([squares, m.gram.reshape(n, -1), m.noise, m.moving, np.ones(n)])
 
     def used(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         M, S = (np.ascontiguousarray(x).reshape(-1, r, r) for x in np.split(sums[:, : 2 * r * r], 2, axis=1))
@@ -249,8 +242,10 @@ class Explanation:
         m = views[0].thin
         self.values, self.states = self.seen([v.thin for v in views])
         self.explained = self.values[np.arange(len(self.values)), self.states]
+        # evidence of each sample for its best explanation without each of the hypotheses [nats]
+        self.others = [np.delete(self.values, k + 1, axis=1).max(axis=1) for k in range(len(hypotheses))]
         for k, h in enumerate(hypotheses):
-            gain = np.where(self.states == k + 1, self.values[:, k + 1] - self.others(k), 0.0)
+            gain = np.where(self.states == k + 1, self.values[:, k + 1] - self.others[k], 0.0)
             gains = np.bincount(m.recording, gain, minlength=len(m.first) - 1)
             self.hypotheses[k] = replace(h, gains=gains)
         self.supports = np.array([h.support for h in self.hypotheses])
@@ -258,34 +253,29 @@ class Explanation:
     def seen(self, samples: Sequence[Samples]) -> tuple[np.ndarray, np.ndarray]:
         """Return the evidence of samples of each view for free motion and all hypotheses, and their states."""
         free = np.zeros(len(samples[0].time))
-        values = np.column_stack([free, *(h.nats(samples[h.view]) for h in self.hypotheses)])
+        each = (evidence(samples[h.view], h.rows[None], [h.scale])[:, 0, 0] for h in self.hypotheses)
+        values = np.column_stack([free, *each])
         if not self.hypotheses:
             return values, np.zeros(len(free), dtype=int)
         return values, viterbi(values[:, None, 1:], samples[0].first, self.switch)[0][:, 0]
 
-    def others(self, k: int) -> np.ndarray:
-        """Return the evidence of each sample for its best explanation without the k-th hypothesis [nats]."""
-        return np.delete(self.values, k + 1, axis=1).max(axis=1)
-
-    def with_(self, hypotheses: Sequence[Hypothesis]) -> Explanation:
-        """Return the explanation by other hypotheses."""
-        return Explanation(self.views, hypotheses, self.switch)
-
     def without_weakest(self) -> Explanation:
         """Return the explanation without the hypothesis that has the least support."""
-        return self.with_([h for k, h in enumerate(self.hypotheses) if k != int(self.supports.argmin())])
+        kept = [h for k, h in enumerate(self.hypotheses) if k != int(self.supports.argmin())]
+        return Explanation(self.views, kept, self.switch)
 
     def refit(self, k: int, start: Hypothesis) -> Hypothesis:
-        """Fit a hypothesis to the samples of the k-th one, against the others."""
+        """Return a hypothesis fitted to the samples of the k-th one, against the others."""
         held = self.states == k + 1
-        baseline = np.where((self.states > 0) & ~held, self.others(k), 0.0)
+        baseline = np.where((self.states > 0) & ~held, self.others[k], 0.0)
         return fitted(self.views, [start], held[:, None], baseline, self.switch)[0]
 
     def settled(self) -> Explanation:
         """Fit each hypothesis to the samples that it explains, and repeat while the total evidence grows."""
         best = self
         for _ in range(TURNS):
-            now = best.with_([best.refit(k, h) for k, h in enumerate(best.hypotheses)])
+            refitted = [best.refit(k, h) for k, h in enumerate(best.hypotheses)]
+            now = Explanation(self.views, refitted, self.switch)
             if now.explained.sum() <= best.explained.sum():
                 break
             best = now
@@ -294,25 +284,11 @@ class Explanation:
     def has_twins(self) -> bool:
         """Return True if two hypotheses differ by less than their own scales."""
         for a, b in combinations(self.hypotheses, 2):
-            if a.view == b.view and a.s == b.s:
+            if a.view == b.view and len(a.rows) == len(b.rows):
                 v = self.views[a.view]
                 if row_space_angle(v.selection(a.rows), v.selection(b.rows)) < a.scale[1] + b.scale[1]:
                     return True
         return False
-
-    def plainest(self) -> Explanation:
-        """Move each hypothesis to the first view in which as many rows explain no less, net of their price."""
-        now, seconds = self, self.views[0].table.seconds
-        for k, h in enumerate(self.hypotheses):
-            for number, view in enumerate(self.views[: h.view]):
-                if view.largest < h.s:
-                    continue
-                moved = now.refit(k, Hypothesis(number, np.eye(h.s, view.r), h.scale))
-                trial = now.with_([*now.hypotheses[:k], moved, *now.hypotheses[k + 1 :]])
-                if trial.explained.sum() + h.price(seconds) - moved.price(seconds) >= now.explained.sum():
-                    now = trial
-                    break
-        return now
 
     def stretches(self, k: int, fine: np.ndarray | None = None) -> list[Stretch]:
         """Return the stretches of state k, from the first to the last moving sample, or to ends of the recording.
@@ -323,7 +299,7 @@ class Explanation:
         """
         view, out = self.views[0], list[Stretch]()
         m, states = (view.thin, self.states) if fine is None else (view.all, fine)
-        shown = m.moving() & (states == k)
+        shown = m.moving & (states == k)
         edges = np.unique(np.concatenate([np.flatnonzero(np.diff(states)) + 1, m.first]))
         for a, b in pairwise(edges.tolist()):
             inside = a + np.flatnonzero(shown[a:b])
@@ -349,9 +325,9 @@ def scored(
     at_once = max(1, AT_ONCE // (n * len(scales)))
     for i in range(0, len(tried), at_once):
         values = []
-        for (view, s), alike in groupby(tried[i : i + at_once], key=lambda h: (h.view, h.s)):
-            energy = broken_energy(views[view].thin, np.stack([h.rows for h in alike]))
-            values.append(evidence(views[view].thin, energy, s, scales) - baseline[:, None, None])
+        for (view, _), alike in groupby(tried[i : i + at_once], key=lambda h: (h.view, len(h.rows))):
+            rows = np.stack([h.rows for h in alike])
+            values.append(evidence(views[view].thin, rows, scales) - baseline[:, None, None])
         gains = viterbi(np.concatenate(values, axis=1).reshape(n, -1, 1), first, switch, path=False)[1]
         out.append(gains.reshape(len(gains), -1, len(scales)))
     return np.concatenate(out, axis=1)
@@ -372,10 +348,10 @@ def fitted(
     out = list[Hypothesis]()
     for h, own in zip(hypotheses, held.T, strict=True):
         m, (steady, share) = views[h.view].thin, np.square(h.scale)
-        if np.count_nonzero(own & m.moving()) >= 3 * m.rates.shape[1]:
+        if np.count_nonzero(own & m.moving) >= 3 * m.rates.shape[1]:
             w = np.where(own, m.weight / (m.noise * steady + m.free * share), 0.0)  # by their expected variance
             M, S = (m.rates.T * w) @ m.rates, np.tensordot(w, m.gram, axes=1)
-            h = replace(h, rows=orthonormal_rows(least_used(M[None], S[None], np.zeros(1))[1][0, : h.s]))
+            h = replace(h, rows=orthonormal_rows(least_used(M[None], S[None], np.zeros(1))[1][0, : len(h.rows)]))
         out.append(h)
     gains = scored(views, out, SCALES, baseline, switch)
     best = gains.sum(axis=0).argmax(axis=1)
@@ -389,7 +365,7 @@ def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
     whole = [f.frame for f in maps if isinstance(f, PlaceRows) and f.form == "point and rotation"]
     for number in allowed:
         f = maps[number]
-        # other views have the whole twist and more; `plainest` moves their hypotheses back in the end
+        # other views have the whole twist and more; `explain` moves their hypotheses back in the end
         if isinstance(f, FrameJacobian) and (f.reference, f.n_rows) == ("world", 6) and f.frame in whole:
             continue
         for rows in proposed(views[number].thin, now.states, views[number].largest, bool(np.isinf(switch))):
@@ -405,7 +381,8 @@ def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
     for _ in range(TURNS):
         if not going:
             break
-        values = np.column_stack([h.nats(views[h.view].thin) - baseline for h in going])
+        each = (evidence(views[h.view].thin, h.rows[None], [h.scale])[:, 0, 0] for h in going)
+        values = np.column_stack([nats - baseline for nats in each])
         held = viterbi(values[:, :, None], views[0].thin.first, switch)[0] > 0
         pairs = list(zip(going, fitted(views, going, held, baseline, switch), strict=True))
         out += [old for old, new in pairs if new.gains.sum() <= old.gains.sum()]
@@ -428,7 +405,7 @@ def added(now: Explanation, believed: Test, refused: list[Hypothesis], allowed: 
         found = sorted(candidates(now, allowed), key=lambda h: h.price(seconds) - h.support)
         gaining = (h for h in found if h.support - h.price(seconds) > LEAST_GAIN)
         for h in islice((h for h in gaining if not any(similar(h, x) for x in refused)), MOST_TESTED):
-            trial = now.with_([*now.hypotheses, h]).settled()
+            trial = Explanation(views, [*now.hypotheses, h], now.switch).settled()
             last, stretches = trial.hypotheses[-1], trial.stretches(len(trial.hypotheses))
             if last.support > LEAST_GAIN and not trial.has_twins() and believed(views[h.view], last, stretches):
                 break
@@ -453,10 +430,20 @@ def explain(views: Sequence[View], believed: Test, switch: float, first: int = 0
     """
     refused = list[Hypothesis]()
     now = added(Explanation(views, (), switch), believed, refused, range(first))
-    moving = now.states[views[0].thin.moving()]
+    moving = now.states[views[0].thin.moving]
     if np.count_nonzero(moving) < FEW_HELD * max(len(moving), 1):
         now = added(now, believed, refused, range(first, len(views)))
-    now = now.plainest()
+    # each one in the first view in which as many rows explain no less, net of their price
+    for k, h in enumerate(now.hypotheses):
+        for number, view in enumerate(views[: h.view]):
+            if view.largest < len(h.rows):
+                continue
+            moved = now.refit(k, Hypothesis(number, np.eye(len(h.rows), view.r), h.scale))
+            trial = Explanation(views, [*now.hypotheses[:k], moved, *now.hypotheses[k + 1 :]], switch)
+            price = moved.price(views[0].table.seconds) - h.price(views[0].table.seconds)
+            if trial.explained.sum() - price >= now.explained.sum():
+                now = trial
+                break
     while now.has_twins():
         now = now.without_weakest()
     return now
@@ -479,19 +466,19 @@ def lone_contacts(
         alone = Table([moved])
         views = [v.of_recording(i, alone) for v in found.views]
         rest, m = Explanation(views, found.hypotheses, found.switch), views[0].thin
-        free = np.sum(m.weight[(rest.states == 0) & m.moving()])
+        free = np.sum(m.weight[(rest.states == 0) & m.moving])
         tried = candidates(rest, places) if free > SHORTEST else []
         firm = [h for h in tried if h.scale[1] <= SLIGHT and h.support > LEAST_GAIN]
         if not firm:
             continue
         h, k = max(firm, key=lambda h: h.support), len(found.hypotheses)
-        both = rest.with_([*found.hypotheses, h])
-        values = both.values[:, k + 1] - both.others(k)
+        both = Explanation(views, [*found.hypotheses, h], found.switch)
+        values = both.values[:, k + 1] - both.others[k]
         for s in both.stretches(k + 1, both.seen([v.all for v in views])[1]):
             # less the quarter that gains most, the price, and the change into it and out of it
             parts = [values[(m.time >= a) & (m.time < b)].sum() for a, b in pairwise(np.linspace(s.start, s.end, 5))]
-            worth = sum(parts) - max(parts) - h.price(s.duration) - found.switch
+            worth = sum(parts) - max(parts) - h.price(s.end - s.start) - found.switch
             there = s._replace(recording=i)
-            if worth > LEAST_GAIN and supported(found.views[h.view], there) >= h.s:
+            if worth > LEAST_GAIN and supported(found.views[h.view], there) >= len(h.rows):
                 out.append(there)
     return out

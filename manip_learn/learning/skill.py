@@ -13,7 +13,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.shown import poses_of, shown_by
 from manip_learn.constraint.skill import MOST_TAKES, Skill, Step, Take
 from manip_learn.errors import counted
-from manip_learn.learning.answer import Answer, Found
+from manip_learn.learning.answer import Found
 from manip_learn.learning.table import Table
 from manip_learn.recordings.trajectory import Trajectory, evenly
 
@@ -31,7 +31,14 @@ class _Contact(NamedTuple):
 
 def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> Skill:
     """Return the constraints in the order in which most recordings show them, each with the motion shown there."""
-    order = _contacts_in_order(found.answers, table)
+    numbered = [(number, stretch) for number, answer in enumerate(found.answers) for stretch in answer.stretches]
+    order: dict[int, list[_Contact]] = {stretch.recording: [] for _, stretch in numbered}
+    for number, stretch in sorted(numbered, key=lambda one: one[1].start):
+        piece, kept = table.moved[stretch.recording][stretch.start : stretch.end], order[stretch.recording]
+        if kept and kept[-1].constraint == number:  # of successive contacts with one constraint, the longest
+            kept[-1] = max(kept[-1], _Contact(number, piece), key=lambda c: c.piece.duration)
+        else:
+            kept.append(_Contact(number, piece))
     sequences = Counter(tuple(c.constraint for c in contacts) for contacts in order.values())
     if not sequences:
         return Skill(tuple(constraints), ())
@@ -45,9 +52,15 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
         shown = constraint.shown
         if usual.count(number) > 1:
             shown = shown_by(constraint.features, constraint.selection, constraint.mechanism, pieces)
+        takes = list[Take]()  # how the joints went to the contact, along it and away from it
+        few = [*chosen.items()] if constraint.robot is not None else []
+        for recording, contacts in (few[i] for i in evenly(len(few), MOST_TAKES)):
+            ends = [float(x) for contact in contacts for x in contact.piece.time[[0, -1]]]
+            between = [-np.inf, *ends, np.inf][2 * place : 2 * place + 4]
+            takes.append(Take.of(constraint.robot, table.moved[recording], *between))
         reach = Step("reach", constraint, **opening)
         closing, opening = _gripping(constraint.features, table, chosen, place)
-        steps += [reach, Step("way", constraint, shown, takes=_takes(constraint, table, chosen, place), **closing)]
+        steps += [reach, Step("way", constraint, shown, takes=tuple(takes), **closing)]
     ends = [(contacts[-1].piece.q[-1], table.moved[recording].q[-1]) for recording, contacts in chosen.items()]
     poses = poses_of(constraints[usual[-1]].features, np.concatenate(ends).reshape(2 * len(ends), -1))
     if poses is not None:
@@ -55,30 +68,6 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
         if np.median(np.linalg.norm(end - last, axis=1)) > LEAVES:
             steps.append(Step("reach", None, place=np.median(end, axis=0), **opening))
     return Skill(tuple(constraints), tuple(steps), (note,) if times < len(order) else ())
-
-
-def _takes(constraint: Constraint, table: Table, chosen: dict[int, list[_Contact]], k: int) -> tuple[Take, ...]:
-    """Return how the joints went to contact k, along it and away from it, in some of the recordings."""
-    takes, names = list[Take](), list(chosen) if constraint.robot is not None else []
-    for recording in (names[i] for i in evenly(len(names), MOST_TAKES)):
-        ends = [float(x) for contact in chosen[recording] for x in contact.piece.time[[0, -1]]]
-        since, begin, end, until = [-np.inf, *ends, np.inf][2 * k : 2 * k + 4]
-        takes.append(Take.of(constraint.robot, table.moved[recording], since, begin, end, until))
-    return tuple(takes)
-
-
-def _contacts_in_order(answers: Sequence[Answer], table: Table) -> dict[int, list[_Contact]]:
-    """Return the contacts of each recording in order; of successive contacts with one constraint, the longest."""
-    stretches = [(number, stretch) for number, answer in enumerate(answers) for stretch in answer.stretches]
-    out: dict[int, list[_Contact]] = {stretch.recording: [] for _, stretch in stretches}
-    for number, stretch in sorted(stretches, key=lambda numbered: numbered[1].start):
-        piece, kept = table.moved[stretch.recording][stretch.start : stretch.end], out[stretch.recording]
-        contact = _Contact(number, piece)
-        if kept and kept[-1].constraint == number:
-            kept[-1] = max(kept[-1], contact, key=lambda c: c.piece.duration)
-        else:
-            kept.append(contact)
-    return out
 
 
 def _gripping(features: FeatureMap, table: Table, chosen: dict[int, list[_Contact]], k: int) -> list[dict[str, Any]]:
