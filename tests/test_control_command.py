@@ -190,24 +190,22 @@ def test_a_hand_whose_joint_meets_its_limit_stays_on_the_line(run, shown):
         assert answer["reached"] or answer["stopped_by"]
 
 
-def test_the_demo_opens_the_drawer(run):
-    """A plan and every policy open it as far as was shown, to 1 mm; the plan keeps the largest margin."""
+def test_the_demo_shows_the_difference(run):
+    """From one start: as far as was shown with what was learnt, at most a third as far without; side by side."""
     code, out, _err = run("demo", "--no-browser", "--json")
     answer = json.loads(out)
-    rollouts = answer["rollouts"]
-    assert code == 0 and list(rollouts) == ["plan", "manipulability", "attractor", "zero"]
-    assert answer["constraint"]["n_constraints"] == 2 and data_in(Path(answer["html"]))["rollouts"]
-    for answer in rollouts.values():
-        assert abs(answer["wanted"] - 0.232) < 1e-3  # the median that was shown
-        assert abs(answer["done"] - answer["wanted"]) < 1e-3 and answer["seconds"] < 5.0 and answer["margin"] > 0.0
-        assert answer["deviation"] < 1e-3
-    planned, climbing, still = (rollouts[name] for name in ("plan", "manipulability", "zero"))
-    assert climbing["least_manipulability"] > 3.0 * still["least_manipulability"]
-    assert planned["least_manipulability"] > 10.0 * still["least_manipulability"]
-    assert planned["fastest_joint"]["share_of_limit"] < min(
-        answer["fastest_joint"]["share_of_limit"] for name, answer in rollouts.items() if name != "plan"
-    )
-    assert planned["plan"]["margin"] > 0.3 and len(planned["plan"]["hold"]) == 7
+    rollouts, page = answer["rollouts"], data_in(Path(answer["html"]))
+    assert code == 0 and list(rollouts) == ["without", "with"] and answer["constraint"]["n_constraints"] == 2
+    done = {name: rollout["done"] / rollout["wanted"] for name, rollout in rollouts.items()}
+    assert abs(rollouts["with"]["wanted"] - 0.232) < 1e-3  # the median that was shown
+    assert done["with"] >= 0.97 and done["without"] <= 1.0 / 3.0, done
+    assert rollouts["without"]["stopped_by"] and rollouts["with"]["stopped_by"] is None
+    assert rollouts["with"]["deviation"] < 1e-3 and rollouts["with"]["margin"] > 0.3
+    assert [pane["name"] for pane in page["panes"]] == ["without", "with"]
+    grasps = [r["phases"][-1][0] if r["phases"] else page["zero"] for r in page["rollouts"]]
+    assert grasps == pytest.approx([page["zero"]] * 2, abs=0.02)  # one clock from the grasp
+    code, out, _err = run("demo", "--no-browser", "--json", "--all-policies")
+    assert code == 0 and list(json.loads(out)["rollouts"]) == ["plan", "manipulability", "attractor", "zero"]
 
 
 def test_a_plan_on_the_command_line(run, shown):

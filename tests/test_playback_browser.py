@@ -452,8 +452,8 @@ def test_the_drawer_is_in_the_hand_and_says_how_far_it_is_open(robot_of, opening
             tip = robot.position(opening[name].q[i], robot.frame("right_gripper_tip"))
             np.testing.assert_allclose(handle, tip, atol=1e-3)
             value = page.evaluate("([t, name]) => manipLearn.trackValues(t).opening[name]['']", [t, name])
-            wait_until(page, f"document.getElementById('labels').textContent.includes('drawer {value:.3f} m open')")
-            assert f"{value:.3f} m open" in page.locator("#legend .state").nth(k).inner_text()
+            wait_until(page, f"document.getElementById('labels').textContent.includes('handle moved {value:.3f} m')")
+            assert f"moved {value:.3f} m" in page.locator("#legend .state").nth(k).inner_text()
         assert value == pytest.approx({"far": 0.15, "near": 0.08}[name], abs=2e-3)
     words = {"free to move", "held", "target", "line that was learnt", "speed within reach (μ)"}
     assert words <= set(page.locator("#labels span:visible").all_inner_texts())
@@ -486,7 +486,7 @@ def test_a_plan_beside_other_rollouts(robot_of, opening, tmp_path, opened):
         assert page.locator("#phase").inner_text() == f"plan: {phase}"
         states = page.locator("#legend .state").all_inner_texts()
         assert [phase in state for state in states] == [True, False, False]
-        assert ("0.000 m open" in states[0]) == shut
+        assert ("moved 0.000 m" in states[0]) == shut
         wait_for_frames(page)
         labels = page.locator("#labels span:not([hidden])").all_text_contents()  # in the way of the robot, or not
         assert ("held" in labels) == (phase != "approach")

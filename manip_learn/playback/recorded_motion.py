@@ -331,6 +331,7 @@ def recorded_motion(
     path_times, path = time[path_keys], np.array([robot.pose(x, tip)[:3, 3] for x in q[path_keys]])
     measures = tracks_of(robot, recording, samples, guidance, bands)
     held = _held(recording, own, first_time) if isinstance(recording, Rollout) else {}
+    held = {k: spans for k, spans in held.items() if (guidance.mechanism(k) or mechanism or {}).get("type")}
     poses = robot.frame_kinematics(tip).poses(q[path_keys]) if held else np.zeros((0, 4, 4))
     for kind, unit in (("turning", "rad"), ("opening", "m")):
         ways = [_way(guidance.mechanism(k) or mechanism, unit, path_times, poses, spans) for k, spans in held.items()]
@@ -364,8 +365,9 @@ def _held(recording: Rollout, bands: Sequence[PhaseBand], first_time: float) -> 
     for band in bands:
         if band.part == WAY:
             held.setdefault(band.constraint or 0, []).append((band.start, band.end))
-    if not held and recording.ways and recording.ways[0]["begins"] is not None:
-        held[0] = [(recording.ways[0]["begins"] - first_time, float(recording.time[-1]) - first_time)]
+    begins = [way["begins"] for way in recording.ways[:1]] or [first_time]  # else in the hand all the time
+    if not held and not bands and begins[0] is not None:
+        held[0] = [(begins[0] - first_time, float(recording.time[-1]) - first_time)]
     return held
 
 
@@ -388,7 +390,7 @@ def _way(
             way[inside[0] :] = moved
             way[inside] += at
             way[inside[-1] :] = moved = way[inside[-1]]
-    return way * np.sign(way[np.argmax(np.abs(way))] or 1.0)
+    return way * np.sign(way[np.argmax(np.abs(way))] or 1.0) + 0.0
 
 
 def _within(phases: tuple[PhaseBand, ...], first_time: float, duration: float) -> tuple[PhaseBand, ...]:
