@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from statistics import NormalDist
 from typing import Any, Literal, final
@@ -14,14 +14,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import UnivariateSpline
 
-from manip_learn.constraint.chart import Chart
-from manip_learn.constraint.curve import Curve
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.mechanism import CURVE, ON_THE_AXIS, Mechanism
-from manip_learn.constraint.place import across
-from manip_learn.errors import counted
+from manip_learn.constraint.mechanism import CURVE, Mechanism, plain, saved
+from manip_learn.constraint.place import Chart, Curve, across
+from manip_learn.errors import FeatureError, counted
 from manip_learn.linalg import complement_rows, row_basis
 from manip_learn.recordings.trajectory import Trajectory, evenly
+from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.rotations import angles_between, rotation_matrix, rotation_vectors
 
 Unit = Literal["m", "rad"]
@@ -38,13 +37,7 @@ EFFORTS = 200  # samples of a contact whose efforts are looked at
 CARRIED = 0.3  # share by which efforts may miss the weight that they carry: payloads, friction, the force itself
 LEAST_FORCE = 10.0  # [N] which the friction of an arm that a hand guides does not look like
 LEAST_SEEN = 0.02  # of the largest singular value of the hand's motion: in directions below, efforts tell no force
-FINGERS = 0.1  # [m] from an axis in the hand: half the length of a hand, as that of the turns of a path
 LEAK = 0.1  # share by which a learnt row holds what it does not mean to: its uncertainty
-
-
-def poses_of(features: FeatureMap, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 4 4"] | None:
-    """Poses of the frame of the features [m], those of a relative one in its own base; None of features without one."""
-    return None if features.twist is None else features.twist.poses(q)
 
 
 def free_mechanism(
@@ -161,8 +154,8 @@ class Shown:
     @property
     def poses(self) -> Float[np.ndarray, "T 4 4"]:
         """Poses along the path, of a hand that turns with the mechanism only [m]."""
-        chart, sizes = self.chart, _sizes(self.mechanism)
-        return np.array([chart.pose(c / sizes) for c in self.path])
+        chart = self.chart
+        return np.array([chart.pose(c / chart.sizes) for c in self.path])
 
     @property
     def points(self) -> Float[np.ndarray, "T 3"]:
@@ -182,7 +175,8 @@ class Shown:
 
     def place_before(self, pose: Float[np.ndarray, "4 4"], far: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
         """Return the place of a hand that is taken back along the way from a pose, by such coordinates [m]."""
-        return self.mechanism.at(pose, np.inf).pose(-far / _sizes(self.mechanism))[:3, 3]
+        chart = self.mechanism.at(pose, np.inf)
+        return chart.pose(-far / chart.sizes)[:3, 3]
 
     def along(self, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
         """Return the coordinates of the path of a hand along a motion [m or rad], 0 at its first pose."""
@@ -224,19 +218,14 @@ class Shown:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, for a constraint file."""
-        content = {each.name: getattr(self, each.name) for each in fields(self)}
-        plain = {n: np.round(x, 6).tolist() if isinstance(x, np.ndarray) else x for n, x in content.items()}
-        return plain | {"mechanism": self.mechanism.to_dict()}
+        """Return plain numbers and lists, for a constraint file."""
+        return plain(self, 6)
 
     @staticmethod
     def from_dict(content: Any) -> Shown | None:
-        """What `to_dict` wrote; None of anything else."""
+        """Return what `to_dict` wrote; None of anything else."""
         try:
-            saved = {each.name: content[each.name] for each in fields(Shown) if each.name in content}
-            values: dict[str, Any] = {
-                n: np.array(x, dtype=float) if isinstance(x, list) else x for n, x in saved.items()
-            }
+            values = saved(Shown, content)
             if "mechanism" in content:
                 values["mechanism"] = Mechanism.from_dict(content["mechanism"])
             else:
@@ -261,27 +250,12 @@ def _of_02(c: dict[str, Any], path: Float[np.ndarray, "T k"]) -> tuple[Mechanism
     axis = None if kind == "ball" or name else axes[0]
     known = Mechanism(kind, axis, point, orientation=orientation, name=name, curve=curve, **told)  # type: ignore[arg-type]
     arcs = np.array([known.radius or 1.0, 1.0]) if kind == "other" and not name else np.ones(1)  # as 0.2 had them
-    return known, path * (_sizes(known) / arcs)
-
-
-def _sizes(mechanism: Mechanism) -> Float[np.ndarray, "..."]:
-    """Return by what coordinates are multiplied so that all have one unit: on a cylinder angles become arcs [m].
-
-    About an axis in the hand they are arcs of the fingers.
-    """
-    if mechanism.kind != "cylinder":
-        return np.ones(1)
-    return np.array([FINGERS if _is_on_axis(mechanism) else mechanism.radius or 1.0, 1.0])
-
-
-def _is_on_axis(mechanism: Mechanism) -> bool:
-    carried = mechanism.kind == "cylinder" and mechanism.orientation == "carried"
-    return carried and (mechanism.radius or 1.0) < ON_THE_AXIS
+    return known, path * (known.at(np.eye(4), np.inf).sizes / arcs)
 
 
 def _ways(mechanism: Mechanism, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
     chart = mechanism.at(poses[0], np.inf)
-    return chart.coordinates(poses)[:, : chart.n_ways] * _sizes(mechanism)
+    return chart.coordinates(poses)[:, : chart.n_ways] * chart.sizes
 
 
 def shown_by(
@@ -299,23 +273,24 @@ def shown_by(
         contacts: Each contact, from where it began.
     """
     contacts = [contact for contact in contacts if len(contact) > 1]
-    poses = [poses_of(features, contact.q) for contact in contacts]
-    if not poses or any(p is None for p in poses):
+    if not contacts or features.twist is None:
         return None
-    motions: list[np.ndarray] = [p for p in poses if p is not None]
+    motions = [features.twist.poses(contact.q) for contact in contacts]
     free = free_mechanism(features, selection, mechanism, motions)
     if free is None:
         return None
     ways = [_ways(free, p) for p in motions]
     is_way = ways[0].shape[1] == 1
-    gone = [w[:, 1:] if _is_on_axis(free) else w for w in ways]  # where the hand turns about itself it goes nowhere
+    gone = [w[:, int(free.in_fingers) :] for w in ways]  # where the hand turns about itself it goes nowhere
     farthest = [int(np.argmax(np.linalg.norm(w, axis=1))) for w in gone]
     signed = np.array([float(w[i, 0]) for w, i in zip(ways, farthest, strict=True)])
     one_way = True
     if is_way:
         one_way = abs(float(np.sum(signed))) >= ONE_SIDED * float(np.sum(np.abs(signed)))
         if np.sum(signed) < 0.0:
-            free, ways, signed = free.reversed(), [-w for w in ways], -signed
+            axis = None if free.axis is None else -free.axis
+            curve = None if free.curve is None else Curve(free.curve.points[::-1])
+            free, ways, signed = replace(free, axis=axis, curve=curve), [-w for w in ways], -signed
     extents = np.array([float(np.linalg.norm(w[i])) for w, i in zip(gone, farthest, strict=True)])
     if not np.all(np.isfinite(extents)) or float(np.median(extents)) <= 0.0:
         return None
@@ -340,15 +315,21 @@ def shown_by(
     if free.kind == "ball":  # each chart has axes of its own
         own, kept = (chart.turn[: chart.n_ways] for chart in (free.at(grasps[typical], np.inf), free.at(begin, np.inf)))
         path = path @ own @ kept.T
-    unit: Unit = "rad" if free.kind in ("hinge", "screw", "ball") else "m"
     extent, spread, least, most = (float(f(extents)) for f in (np.median, np.std, np.min, np.max))
+    span = most
+    if is_way:  # grips differ, so that the angle of a hand that is carried says nothing of where another began
+        carried = free.orientation == "carried"
+        begins = np.zeros(len(ways)) if carried else _ways(free, grasps)[:, 0]
+        low, high = (begins + [end(way) for way in ways] for end in (np.min, np.max))
+        span = float(np.max(high - low) if carried else np.max(high) - np.min(low))
+    unit: Unit = "rad" if free.kind in ("hinge", "screw", "ball") else "m"
     return Shown(
         unit=unit,
         extent=extent,
         spread=spread,
         least=least,
         most=most,
-        span=_span(free, motions, ways) if is_way else most,
+        span=span,
         speed=float(np.median(lengths / np.maximum(seconds, 1e-9))),
         seconds=float(np.median(seconds)),
         back=bool(np.median(ends / extents) <= BACK),
@@ -411,15 +392,6 @@ def _duration(time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], fart
     return float(ends - begins) / (1.0 - 2.0 * STARTED)
 
 
-def _span(free: Mechanism, motions: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> float:
-    """How far apart along a way the contacts' farthest places are [m or rad]."""
-    if free.orientation == "carried":  # grips differ, so that the angle of a hand says nothing of where another began
-        return float(max(np.ptp(way) for way in ways))
-    begins = _ways(free, np.array([motion[0] for motion in motions]))[:, 0]
-    ends = [(b + way.min(), b + way.max()) for b, way in zip(begins, ways, strict=True)]
-    return float(max(high for _, high in ends) - min(low for low, _ in ends))
-
-
 def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> int:
     """The contact whose path has the least mean distance from those of the others, each at equal shares of its time."""
     shares = np.linspace(0.0, 1.0, 50)  # a path of some strokes, each seen several times
@@ -454,3 +426,148 @@ def _path(
             warnings.simplefilter("ignore")  # of a search for knots that ends a little above or below the noise
             path = np.column_stack([UnivariateSpline(even, c, s=s)(even) for c, s in zip(path.T, least, strict=True)])
     return begun, even, path - path[0] * np.linspace(1.0, 0.0, len(path))[:, None]  # it begins where the hand took hold
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Take:
+    """How the joints went in one recording: to a contact, along it, and away from it.
+
+    Attributes:
+        name: Of the recording.
+        time: shape (k,), from where the contact began [s].
+        q: shape (k, nv), joint positions, thinned [rad or m].
+        end: When the contact ended [s].
+        moved: shape (4, 4): the fixtures stand elsewhere now, p' = R p + t.
+    """
+
+    name: str
+    time: Float[np.ndarray, " k"]
+    q: Float[np.ndarray, "k nv"]
+    end: float
+    moved: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+
+    @staticmethod
+    def of(robot: Any, whole: Trajectory, since: float, begin: float, end: float, until: float) -> Take:
+        """Return a recording, thinned evenly along its path before, during and after a contact.
+
+        Args:
+            robot: The robot.
+            whole: The recording.
+            since: When the contact before it ended [s].
+            begin: When the contact began, a time of a sample [s].
+            end: When it ended, likewise.
+            until: When the next one begins [s].
+        """
+        time, q = whole.time, unwound(robot, whole.q)
+        thin = []  # times and joint positions, the first and the last sample of each part among them
+        for first, last, most in ((since, begin, 24), (begin, end, 40), (end, until, 16)):  # 4 kB of a file for an arm
+            part = (first <= time) & (time <= last)
+            samples, steps = np.c_[time[part] - begin, q[part]], np.diff(q[part], axis=0)
+            ways = np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
+            even = np.linspace(0.0, ways[-1], min(len(samples), most))
+            thin.append(np.column_stack([np.interp(even, ways, x) for x in samples.T]) if ways[-1] else samples[:1])
+        knots = np.concatenate([thin[0][:-1], thin[1], thin[2][1:]])
+        return Take(whole.name, knots[:, 0], knots[:, 1:], end - begin)
+
+    @property
+    def before(self) -> Float[np.ndarray, "k nv"]:
+        """Joint positions up to the contact, the first one of it included."""
+        return self.q[self.time <= 0.0]
+
+    @property
+    def along(self) -> Float[np.ndarray, "k nv"]:
+        """Joint positions of the contact."""
+        return self.q[(self.time >= 0.0) & (self.time <= self.end)]
+
+    @property
+    def after(self) -> Float[np.ndarray, "k nv"]:
+        """Joint positions from the last one of the contact on."""
+        return self.q[self.time >= self.end]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, for a skill's file."""
+        plain = {"name": self.name, "time": np.round(self.time, 4).tolist(), "q": np.round(self.q, 5).tolist()}
+        return plain | {"end": round(self.end, 4), "moved": self.moved.tolist()}
+
+    @staticmethod
+    def from_dict(content: Mapping[str, Any]) -> Take:
+        """Return what `to_dict` wrote."""
+        arrays = {name: np.array(content[name], dtype=np.float64) for name in ("time", "q", "moved")}
+        return Take(name=str(content["name"]), end=float(content["end"]), **arrays)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Intention:
+    """b = gain (r* - Lambda r(q)): a point towards which the constrained rows were moved.
+
+    Attributes:
+        target: shape (s,), r* along the rows of Lambda, the mean over the recordings [m or rad].
+        gain: Rate at which the distance was taken back [1/s].
+        targets: shape (n, s), of each recording.
+        spread: Root mean square distance of these from their mean [m or rad].
+        common: Whether they are one target.
+        unexplained: Share of the rows' motion that is something else.
+    """
+
+    target: Float[np.ndarray, " s"]
+    gain: float
+    targets: Float[np.ndarray, "n s"]
+    spread: float
+    common: bool
+    unexplained: float
+
+    @property
+    def sentence(self) -> str:
+        """What was meant, in words."""
+        where = "(" + ", ".join(f"{x:.3g}" for x in self.target) + ")"
+        if not self.common:
+            return f"The {len(self.targets)} recordings go to different targets, {self.spread:.2g} (m or rad) apart."
+        return f"The recordings go to one target, {where} along the steered rows, at a rate of {self.gain:.2g} /s."
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers and lists, for a constraint file."""
+        return plain(self)
+
+    @staticmethod
+    def from_dict(content: Any) -> Intention | None:
+        """Return what `to_dict` wrote; None of anything else."""
+        try:
+            return Intention(**saved(Intention, content))
+        except (KeyError, TypeError, ValueError):
+            return None
+
+
+def intention_of(
+    features: FeatureMap,
+    selection: Float[np.ndarray, "s p"],
+    recordings: Sequence[tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T nv"]]],
+) -> Intention | None:
+    """Return the attractor that explains how the rows were moved; None if none does, or the rows have no coordinates.
+
+    One gain for all recordings, a target for each, by least squares of Lambda Phi(q) u on Lambda r(q).
+
+    Args:
+        features: Phi.
+        selection: Lambda.
+        recordings: Configurations and velocities of each recording.
+    """
+    # two numbers a row are fitted: more than 2000 samples cost time and tell nothing new
+    step = max(1, sum(len(q) for q, _ in recordings) // 2000)
+    try:
+        places = [np.array([selection @ features.coordinates(row) for row in q[::step]]) for q, _ in recordings]
+    except FeatureError:
+        return None
+    rates = [np.einsum("sp,npv,nv->ns", selection, features.batch(q[::step]), u[::step]) for q, u in recordings]
+    x, y = (np.concatenate([part - part.mean(axis=0) for part in parts]) for parts in (places, rates))
+    moved, energy = float(np.sum(x * x)), float(sum(np.sum(rate * rate) for rate in rates))
+    gain = -float(np.sum(x * y)) / moved if moved > 0.0 else 0.0
+    left = float(np.sum((y + gain * x) ** 2)) / energy if energy > 0.0 else 1.0
+    if gain <= 0.0 or left > 0.1:  # an attractor leaves a third of the rows' motion unexplained, in amplitude
+        return None
+    targets = np.array([r.mean(axis=0) + b.mean(axis=0) / gain for r, b in zip(places, rates, strict=True)])
+    spread = float(np.sqrt(np.mean(np.sum((targets - targets.mean(axis=0)) ** 2, axis=1))))
+    far = float(np.mean([np.linalg.norm(r[0] - r[-1]) for r in places]))
+    # they are one target if they spread by up to a tenth of the distance at which recordings began
+    return Intention(targets.mean(axis=0), gain, targets, spread, spread <= 0.1 * far, left)

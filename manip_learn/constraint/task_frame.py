@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.mechanism import MIXED, Mechanism
 from manip_learn.constraint.place import AXES
-from manip_learn.constraint.reading import MIXED
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_basis
 from manip_learn.robot.rotations import skew

@@ -13,12 +13,17 @@ from jaxtyping import Float
 from scipy.interpolate import make_lsq_spline
 from scipy.optimize import least_squares
 
-from manip_learn.constraint.curve import Curve
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, rows_of
-from manip_learn.constraint.mechanism import KIND_BY_NAME, ON_THE_AXIS, Mechanism, MechanismKind, mechanism_of
-from manip_learn.constraint.place import Place
-from manip_learn.constraint.reading import LEAST_PITCH
+from manip_learn.constraint.mechanism import (
+    KIND_BY_NAME,
+    LEAST_PITCH,
+    ON_THE_AXIS,
+    Mechanism,
+    MechanismKind,
+    mechanism_of,
+)
+from manip_learn.constraint.place import Curve, Place
 from manip_learn.errors import FeatureError
 from manip_learn.learning.fit import LEAST_RAD, RowFit, autocorrelation
 from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, View

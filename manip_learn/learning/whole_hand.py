@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceForm, PlaceRows
-from manip_learn.constraint.mechanism import MECHANISM_KINDS, ON_THE_AXIS, MechanismKind, held_rows
-from manip_learn.constraint.reading import MIXED
+from manip_learn.constraint.mechanism import KINDS, MECHANISM_KINDS, MIXED, ON_THE_AXIS, MechanismKind
 from manip_learn.learning.fit import Motion, RowFit
 from manip_learn.learning.place import Placed, kind_of, movable
 from manip_learn.learning.table import CLEAR_GAP, OVER_NOISE, WEAK_GAP, View
@@ -82,10 +81,10 @@ def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, floa
     seen = [_turned(known, motion.hand.poses(motion.x[p])) for p in motion.parts]
     rms = {name: float(np.median([x[name] for x in seen])) for name in seen[0]}
     kept, apart = min(rms["fixed"], rms.get("carried", np.inf)), motion.turned_by_joints
-    kinds = [k for k in MECHANISM_KINDS if k.type == known.kind.type and k.n_rows > known.kind.n_rows]
+    kinds = [k for k in MECHANISM_KINDS if k.type == known.kind.type and len(k.rows) > len(known.kind.rows)]
     firm = [k for k in kinds if rms.get(k.orientation, np.inf) <= gives_way(motion)]
     firm = [k for k in firm if k.orientation != "about-axis" or kept > KEPT]
-    return max(firm, key=lambda k: (k.n_rows, -rms[k.orientation]), default=known.kind), kept, apart
+    return max(firm, key=lambda k: (len(k.rows), -rms[k.orientation]), default=known.kind), kept, apart
 
 
 def gives_way(motion: Motion, gap: float = 0.0) -> float:
@@ -132,7 +131,7 @@ def asked_rows(
     """
     poses, names = [f for f in asked if isinstance(f, PoseRows)], {n for f in asked for n in f.row_names}
     if isinstance(features, MechanismRows) and known is not None and names == set(AXES[:3]):
-        own, radius = held_rows(known.kind.kind, "free"), known.mechanism.radius
+        own, radius = KINDS[known.kind.kind, "free"].rows, known.mechanism.radius
         if len(poses) == len(asked) and (radius is None or radius >= ON_THE_AXIS):
             features = movable(features.with_rows(own, None if known.kind.type == "screw" else radius), q)
             return features, np.eye(features.n_rows)

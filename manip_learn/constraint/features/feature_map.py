@@ -13,11 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.constraint.reading import Read
+from manip_learn.constraint.mechanism import Mechanism, Read
 from manip_learn.errors import ConstraintError, FeatureError, TargetError
-
-NEGLIGIBLE_ENTRY = 5e-3  # entries of a unit vector below it are printed as 0: half of the last of two digits
 
 Selection = Float[np.ndarray, "_ p"]  # Lambda, or other combinations of the rows
 
@@ -247,14 +244,6 @@ def parsed_rows(
         either = "".join(f"{name!r}, " for name in sets or ()) + "or " * bool(sets)
         raise FeatureError(f"{rows!r}: {reason}; use {either}any of {' '.join(known)}, each at most once")
     return names
-
-
-def row_in_words(row: Float[np.ndarray, " p"], names: Sequence[str]) -> str:
-    """A combination of rows: the name of the only one that counts, else all entries, e.g. `(0.91, 0.42, 0.00)`."""
-    counts = np.abs(row) >= NEGLIGIBLE_ENTRY
-    if np.count_nonzero(counts) == 1:
-        return names[int(np.argmax(counts))]
-    return "(" + ", ".join(f"{c + 0.0:.2f}" for c in np.where(counts, row, 0.0)) + ")"
 
 
 def sum_in_words(row: Float[np.ndarray, " p"], names: Sequence[str], form: str, least: float) -> str:

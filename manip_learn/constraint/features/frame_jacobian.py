@@ -25,9 +25,16 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parsed_rows
-from manip_learn.constraint.mechanism import Mechanism, mechanism_of
+from manip_learn.constraint.mechanism import (
+    Mechanism,
+    Read,
+    hinge_or_screw,
+    mechanism_of,
+    of_point_rows,
+    of_twists,
+    on_twist,
+)
 from manip_learn.constraint.place import AXES, AXIS_UNITS
-from manip_learn.constraint.reading import Read, hinge_or_screw, of_point_rows, of_twists, on_twist
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.linalg import null_basis
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics

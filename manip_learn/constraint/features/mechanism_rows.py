@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.curve import CURVE_ROWS, Curve
 from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parsed_rows
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian, PoseRows, RelativeFrameJacobian
 from manip_learn.constraint.mechanism import (
@@ -20,19 +19,26 @@ from manip_learn.constraint.mechanism import (
     TURNING,
     Mechanism,
     MechanismKind,
+    Read,
+    hinge_or_screw,
     kind_of_rows,
     mechanism_of,
+    of_point_rows,
+    of_surface,
+    of_twists,
 )
 from manip_learn.constraint.place import (
     AT_A_DISTANCE,
     AXES,
     AXIS_UNITS,
+    CURVE_ROWS,
     ROW_UNITS,
+    Curve,
+    CurveWeights,
     Place,
     PlaceWeights,
     mechanism_weights,
 )
-from manip_learn.constraint.reading import Read, hinge_or_screw, of_point_rows, of_surface, of_twists
 from manip_learn.errors import FeatureError
 from manip_learn.linalg import finite, null_basis
 from manip_learn.robot.joints import Frame
@@ -64,7 +70,7 @@ class WeighedVelocity(FeatureMap):
     robot: Robot
     frame: Frame
     relative_to: Frame | None
-    place_weights: PlaceWeights
+    place_weights: PlaceWeights | CurveWeights
 
     def __init__(self, robot: Robot, frame: str, relative_to: str | None = None):
         self.robot, self.frame, self.nv = robot, robot.frame(frame), robot.nv
@@ -72,17 +78,9 @@ class WeighedVelocity(FeatureMap):
         self.twist: PoseRows = (RelativeFrameJacobian if seen else FrameJacobian)(robot, frame, axes=AXES, **seen)
         self.relative_to, self._relative_to = self.twist.relative_to, relative_to
 
-    def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """W(p) and dW/dp at n places [m]; row i of W weighs (v, w) of the frame."""
-        return self.place_weights.at(p)
-
     def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
-        """Weights of the rows of `twist` in these rows, at n poses of the frame."""
-        return self.values(poses[:, :3, 3])
-
-    def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """W(p) at n places [m]."""
-        return self.place_weights.values(p)
+        """Return the weights of the rows of `twist` in these rows, at n poses of the frame."""
+        return self.place_weights.values(poses[:, :3, 3])
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q) = W(p) J(q).
@@ -90,11 +88,11 @@ class WeighedVelocity(FeatureMap):
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        return self.values(self.twist.placement(q)[0][None])[0] @ self.twist(q)
+        return self.place_weights.values(self.twist.placement(q)[0][None])[0] @ self.twist(q)
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J."""
-        W, dW = (x[0] for x in self.weights(self.twist.placement(q)[0][None]))
+        W, dW = (x[0] for x in self.place_weights.at(self.twist.placement(q)[0][None]))
         return _product(W, dW, *self.twist.value_and_derivative(q))
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
@@ -107,7 +105,7 @@ class WeighedVelocity(FeatureMap):
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n postures, in bulk; errors as for `batch`."""
-        W, dW = self.weights(self.twist.poses(q)[:, :3, 3])
+        W, dW = self.place_weights.at(self.twist.poses(q)[:, :3, 3])
         return _product(W, dW, *self.twist.batch_with_derivative(q))
 
 
@@ -246,11 +244,11 @@ def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: Pose
 
     Of a helix no radius is said: its row is that of one radius only, and grips differ.
     """
-    if not kind.constant:
+    if kind.kind not in ("line", "plane", "space"):
         of_one = set(kind.rows) & set(AT_A_DISTANCE) and kind.type != "screw"
         options: dict[str, Any] = {"axis": place.axis, "point": place.point, "pitch": place.pitch, **twist.seen_from}
         options["radius"] = radius if of_one else None
-        return MechanismRows(twist.robot, twist.frame.name, kind.rows, **options), np.eye(kind.n_rows)
+        return MechanismRows(twist.robot, twist.frame.name, kind.rows, **options), np.eye(len(kind.rows))
     # the point of the hand that is held is its own origin, wherever that is
     rows = mechanism_weights(kind.rows, Place(place.axis, np.zeros(3)), None).values(np.zeros((1, 3)))[0]
     used = [part for part in (slice(0, 3), slice(3, 6)) if np.any(rows[:, part])]
@@ -397,7 +395,7 @@ class CurveRows(WeighedVelocity):
         self.row_names = parsed_rows(rows, CURVE_ROWS, "row")
         self.row_units = tuple(AXIS_UNITS.get(name, "m/s") for name in self.row_names)
         self.curve = points if isinstance(points, Curve) else Curve(points)
-        self._rows = [CURVE_ROWS.index(name) for name in self.row_names]
+        self.place_weights = CurveWeights(self.curve, self.row_names)
 
     def with_rows(self, rows: Sequence[str]) -> CurveRows:
         """Other rows of the same curve."""
@@ -413,27 +411,18 @@ class CurveRows(WeighedVelocity):
             return None
         return Mechanism("other", name=CURVE, curve=self.curve, relative_to=self._relative_to)
 
-    def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """W(p) and dW/dp at n places [m]."""
-        W, dW = self.curve.weights(p)
-        return W[:, self._rows], dW[:, self._rows]
-
-    def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """W(p) at n places [m]."""
-        return self.weights(p)[0]
-
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Distances from the curve along n_1 and n_2, and the length along it [m].
 
         Raises:
             FeatureError: Rows of the angular velocity, which is the rate of nothing.
         """
-        if max(self._rows) >= len(AXES[:3]):
+        if set(self.row_names) & set(AXES):
             return super().coordinates(q)
         place = self.twist.placement(q)[0]
         s = self.curve.nearest(place[None])
         across = self.curve.frame(s)[0] @ (place - self.curve.at(s)[0])
-        return np.append(across, s)[self._rows]
+        return np.append(across, s)[[CURVE_ROWS.index(name) for name in self.row_names]]
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
         """Return the same rows of a curve that stands elsewhere, unless that is in another frame (see `FeatureMap`)."""

@@ -13,12 +13,11 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, pose_error
 from manip_learn.constraint.mechanism import CURVE, Mechanism, kind_of_rows, mechanism_of
-from manip_learn.constraint.place import Place, across
+from manip_learn.constraint.place import Chart, Place, across
 from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.control.tasks.motion_profile import PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
