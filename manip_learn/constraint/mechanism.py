@@ -156,7 +156,7 @@ def plain(record: Any, digits: int | None = None) -> dict[str, Any]:
         record: The dataclass.
         digits: To which arrays are rounded; None for all.
     """
-    values = {each.name: getattr(record, each.name) for each in dataclasses.fields(record)}
+    values = {each.name: getattr(record, each.name) for each in dataclasses.fields(record) if each.init}
     for name, value in values.items():
         if isinstance(value, np.ndarray):
             values[name] = (value if digits is None else np.round(value, digits)).tolist()
@@ -167,10 +167,15 @@ def plain(record: Any, digits: int | None = None) -> dict[str, Any]:
     return values
 
 
-def saved(make: type, content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a dataclass that `plain` wrote down, lists as arrays, as arguments of its constructor."""
-    given = {each.name: content[each.name] for each in dataclasses.fields(make) if each.name in content}
-    return {name: np.array(x, dtype=np.float64) if isinstance(x, list) else x for name, x in given.items()}
+def saved(make: Any, content: Mapping[str, Any]) -> Any:
+    """Return the dataclass that `plain` wrote down, whatever else stands beside its fields."""
+    values = {each.name: content[each.name] for each in dataclasses.fields(make) if each.init and each.name in content}
+    for name, value in values.items():
+        if isinstance(value, list):
+            values[name] = Curve(value) if name == "curve" else np.array(value, dtype=np.float64)
+        elif name == "mechanism":
+            values[name] = saved(Mechanism, value)
+    return make(**values)
 
 
 @final
@@ -204,6 +209,8 @@ class Mechanism:
             turns with the mechanism, the smaller one [deg]; None if it was not determined.
         relative_to: Name of the frame in which axis and point are given and the hand is seen; None for the base.
         curve: Of a hand that goes along one; None for the others.
+        kind: What the place of the hand is held to; of a held orientation nothing, `"space"`.
+        in_fingers: Whether its axis is that of a sleeve in the hand, so that the fingers turn about it.
     """
 
     type: MechanismType
@@ -219,6 +226,8 @@ class Mechanism:
     orientation_rms: float | None = None
     relative_to: str | None = None
     curve: Curve | None = None
+    kind: Kind = field(init=False, repr=False)
+    in_fingers: bool = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for what in ("axis", "point"):
@@ -228,6 +237,11 @@ class Mechanism:
                 vector.setflags(write=False)
                 object.__setattr__(self, what, vector)
         object.__setattr__(self, "uncertainty", MappingProxyType(dict(self.uncertainty)))
+        own = {"held-orientation": "space", "other": CURVE if self.name == CURVE else "cylinder"}
+        kind = KIND_BY_NAME[self.name].kind if self.name in KIND_BY_NAME else own.get(self.type, self.type)
+        object.__setattr__(self, "kind", kind)
+        is_sleeve = kind == "cylinder" and self.orientation == "carried"
+        object.__setattr__(self, "in_fingers", is_sleeve and (self.radius or 1.0) < ON_THE_AXIS)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Mechanism) and self.to_dict() == other.to_dict()
@@ -239,14 +253,6 @@ class Mechanism:
         return Mechanism.from_dict, (self.to_dict(),)  # a read-only view of a dictionary cannot be pickled
 
     @property
-    def kind(self) -> Kind:
-        """What the place of the hand is held to; of a held orientation nothing, `"space"`."""
-        if self.name in KIND_BY_NAME:
-            return KIND_BY_NAME[self.name].kind
-        own: dict[str, Kind] = {"held-orientation": "space", "other": "curve" if self.name == CURVE else "cylinder"}
-        return own.get(self.type, self.type)  # type: ignore[arg-type]  # the others are called as they are
-
-    @property
     def rows(self) -> tuple[str, ...]:
         """Names of the rows that are zero."""
         return KINDS[self.kind, self.orientation].rows
@@ -255,12 +261,6 @@ class Mechanism:
     def n_free(self) -> int:
         """Number of free coordinates: along the mechanism, and of the hand's own turn."""
         return 6 - len(self.rows)
-
-    @property
-    def in_fingers(self) -> bool:
-        """Whether its axis is that of a sleeve in the hand, so that the fingers turn about it."""
-        carried = self.kind == "cylinder" and self.orientation == "carried"
-        return carried and (self.radius or 1.0) < ON_THE_AXIS
 
     @property
     def sentence(self) -> str:
@@ -387,7 +387,8 @@ class Mechanism:
         spin = {"free": np.eye(3), "about-axis": g.axis[None]}.get(self.orientation, np.zeros((0, 3)))
         still, rest = np.zeros((len(turn) + len(travel), 3)), np.zeros((len(spin), 3))
         turns = np.vstack([turn, np.zeros_like(travel)])
-        moves = np.vstack([g.pitch * turn, travel]) + np.cross(g.point, turns)
+        pitch = g.pitch if self.kind in ("hinge", "screw") else 0.0
+        moves = np.vstack([pitch * turn, travel]) + np.cross(g.point, turns)
         sizes = (FINGERS if self.in_fingers else self.radius or 1.0, 1.0) if self.kind == "cylinder" else (1.0,)
         screws = np.vstack([moves, rest]), np.vstack([turns, rest]), np.vstack([still, spin])
         more: dict[str, Any] = {"centre": g.point, "curve": self.curve, "rows": self._weights, "sizes": sizes}
@@ -422,10 +423,7 @@ class Mechanism:
     @staticmethod
     def from_dict(described: Mapping[str, Any]) -> Mechanism:
         """Return what `to_dict` wrote."""
-        values = saved(Mechanism, described)
-        if values.get("curve") is not None:
-            values["curve"] = Curve(values["curve"])
-        return Mechanism(**values)
+        return saved(Mechanism, described)
 
     def __str__(self) -> str:
         return self.sentence

@@ -58,26 +58,21 @@ class Place:
     pitch: float = 0.0
 
     def as_told(self) -> Place:
-        """This place, its axis in the sense in which mechanisms are told: the largest number is positive.
+        """Return this place, its axis in the sense in which mechanisms are told: the largest number is positive.
 
         The pitch stays: of an axis the other way both the turn and the travel count the other way.
         """
         sense = 1.0 if self.axis[int(np.argmax(np.abs(self.axis)))] > 0.0 else -1.0
         return Place(sense * self.axis, self.point, self.pitch)
 
-    @cached_property
-    def across(self) -> Float[np.ndarray, "2 3"]:
-        """Two unit vectors that make a right-handed base with the axis."""
-        return across(self.axis)
-
     def moved(self, step: Float[np.ndarray, " 7"]) -> Place:
-        """The place after a step of the seven numbers axis, point, pitch."""
+        """Return the place after a step of the seven numbers axis, point, pitch."""
         axis = self.axis + step[:3]
         return Place(axis / np.linalg.norm(axis), self.point + step[3:6], self.pitch + float(step[6]))
 
 
 def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
-    """Two unit vectors that make a right-handed orthonormal base with a unit vector: (first, second, axis)."""
+    """Return two unit vectors that make a right-handed orthonormal base with a unit vector: (first, second, axis)."""
     a = axis.tolist()  # three numbers: floats are faster than arrays
     least = min(range(3), key=lambda i: abs(a[i]))
     first = [-a[least] * x for x in a]
@@ -88,7 +83,7 @@ def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
 
 
 def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None) -> PlaceWeights:
-    """The rows of that name, see `MechanismRows`.
+    """Return the weights of rows of that name, see `MechanismRows`.
 
     - `radial` f = x / rho; `tangential` f = a x x / rho; `spherical` f = d / |d|;
     - `helical` f = (rho^2 a - h a x x) / (rho sqrt(rho^2 + h^2)), orthogonal to the velocity a x x + h a of a point
@@ -100,7 +95,7 @@ def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None
     With a radius, rho (and |d|) in these formulas are that number; without one they are the hand's own.
     """
     a, c, h = place.axis, place.point, place.pitch
-    directions = {"1": place.across[0], "2": place.across[1]}
+    directions = dict(zip("12", across(a), strict=True))
     fields = {"radial": np.eye(3) - np.outer(a, a), "tangential": skew(a), "spherical": np.eye(3), "helical": skew(a)}
     constant, by_place = np.zeros((len(names), 6)), np.zeros((len(names), 6, 3))
     free = {i: (a, h) if x == "helical" else (np.zeros(3), 0.0) for i, x in enumerate(names) if x in fields}
@@ -141,7 +136,7 @@ class PlaceWeights:
     free: Mapping[int, tuple[Float[np.ndarray, " 3"], float]] = field(default_factory=dict)
 
     def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """W(p) at n places [m]."""
+        """Return W(p) at n places [m]."""
         W = self.constant + (p @ self.by_place.reshape(-1, 3).T).reshape(len(p), -1, 6)
         for i, (b, h) in self.free.items():
             y = W[:, i, :3]
@@ -151,7 +146,7 @@ class PlaceWeights:
         return W
 
     def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """W(p) and dW/dp at n places [m]."""
+        """Return W(p) and dW/dp at n places [m]."""
         W, dW = self.values(p), np.broadcast_to(self.by_place, (len(p), *self.by_place.shape))
         dW = dW.copy() if self.free else dW
         for i, (b, h) in self.free.items():
@@ -208,7 +203,7 @@ class Curve:
         self.length = float(at[-1])
 
     def at(self, s: Float[np.ndarray, " n"], order: int = 0) -> Float[np.ndarray, "n 3"]:
-        """Places [m] at lengths s [m], or their derivatives of an order up to 3."""
+        """Return places [m] at lengths s [m], or their derivatives of an order up to 3."""
         inside = np.clip(s, 0.0, self.length)
         beyond, value = s - inside, self._spline(inside, order)
         if order == 0:
@@ -236,7 +231,7 @@ class Curve:
         return CubicSpline(s, np.array(frames), bc_type="clamped")
 
     def frame(self, s: Float[np.ndarray, " n"], order: int = 0) -> Float[np.ndarray, "n 2 3"]:
-        """Two unit vectors across the curve at lengths s [m], or their derivatives."""
+        """Return two unit vectors across the curve at lengths s [m], or their derivatives."""
         inside = np.clip(s, 0.0, self.length)
         value = self._frames(inside, order)
         return value if order == 0 else np.where((s == inside)[:, None, None], value, 0.0)
@@ -249,7 +244,7 @@ class Curve:
         return np.stack([tangent, normal, np.cross(tangent, normal)], axis=2)
 
     def nearest(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Length at which the curve comes nearest to places [m]; beyond its ends that of the straight lines there."""
+        """Return the length at which the curve comes nearest to places [m], beyond its ends on the straight lines."""
         # the search begins at the nearest of three places from one point to the next
         some = np.linspace(0.0, self.length, 3 * (len(self.points) - 1) + 1)
         places, step = self.at(some), some[1]

@@ -225,24 +225,20 @@ class Shown:
     def from_dict(content: Any) -> Shown | None:
         """Return what `to_dict` wrote; None of anything else."""
         try:
-            values = saved(Shown, content)
-            if "mechanism" in content:
-                values["mechanism"] = Mechanism.from_dict(content["mechanism"])
-            else:
-                values["mechanism"], values["path"] = _of_02(content["coordinates"], values["path"])
-            return Shown(**values)
+            return saved(Shown, content if "mechanism" in content else {**content, **_of_02(content)})
         except (KeyError, TypeError, ValueError):
             return None
 
 
-def _of_02(c: dict[str, Any], path: Float[np.ndarray, "T k"]) -> tuple[Mechanism, Float[np.ndarray, "T n"]]:
+def _of_02(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the mechanism and the path of a file of 0.2, which says directions; until 0.4."""
+    c, path = content["coordinates"], np.array(content["path"], dtype=np.float64)
     axes, point = (np.array(c[name], dtype=np.float64) for name in ("axes", "point"))
     orientation = "carried" if c["by_hand"] or c["kind"] == "ball" else "free"
     if c["kind"] == "straight":
         mechanism = straight(axes)
         travel = np.eye(3) if len(axes) == 3 else axes if len(axes) == 1 else across(mechanism.axis)  # type: ignore
-        return mechanism, path @ axes @ travel.T  # type: ignore[return-value]  # there is a direction
+        return {"mechanism": mechanism.to_dict(), "path": path @ axes @ travel.T}  # type: ignore[union-attr]
     curve = Curve(c["curve"]) if "curve" in c else None
     kind = {"around": "screw" if c["pitch"] else "hinge", "ball": "ball"}.get(c["kind"], "other")
     told: dict[str, Any] = {"pitch": c["pitch"] or None, "radius": c["radius"] if c["kind"] == "sleeve" else None}
@@ -250,7 +246,7 @@ def _of_02(c: dict[str, Any], path: Float[np.ndarray, "T k"]) -> tuple[Mechanism
     axis = None if kind == "ball" or name else axes[0]
     known = Mechanism(kind, axis, point, orientation=orientation, name=name, curve=curve, **told)  # type: ignore[arg-type]
     arcs = np.array([known.radius or 1.0, 1.0]) if kind == "other" and not name else np.ones(1)  # as 0.2 had them
-    return known, path * (known.at(np.eye(4), np.inf).sizes / arcs)
+    return {"mechanism": known.to_dict(), "path": path * (known.at(np.eye(4), np.inf).sizes / arcs)}
 
 
 def _ways(mechanism: Mechanism, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
@@ -343,7 +339,7 @@ def shown_by(
         turned=float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3]))),
         one_way=one_way,
         mechanism=free,
-        force=_force(features, free, contacts),
+        force=_force(features, free, contacts) if all(c.effort is not None for c in contacts) else None,
         start=start,
         hand=hand,
         grasps=grasps[evenly(len(grasps), MOST_GRASPS)],
@@ -358,13 +354,11 @@ def _force(features: FeatureMap, free: Mechanism, contacts: Sequence[Trajectory]
     larger across what is free.
     """
     twist = features.twist
-    if twist is None or twist.relative_to is not None or twist.robot.nq != twist.robot.nv:
+    if twist.relative_to is not None or twist.robot.nq != twist.robot.nv:
         return None
     robot, frame, largest = twist.robot, twist.frame, list[Float[np.ndarray, " 2"]]()
     n = free.at(robot.pose(contacts[0].q[0], frame), np.inf).n_ways
     for contact in contacts:
-        if contact.effort is None:
-            return None
         chosen, forces = evenly(len(contact), EFFORTS), []
         weights = np.array([robot.weight_effort(q) for q in contact.q[chosen]])
         carried = float(np.sum(weights * contact.effort[chosen])), float(np.sum(weights**2))
@@ -534,7 +528,7 @@ class Intention:
     def from_dict(content: Any) -> Intention | None:
         """Return what `to_dict` wrote; None of anything else."""
         try:
-            return Intention(**saved(Intention, content))
+            return saved(Intention, content)
         except (KeyError, TypeError, ValueError):
             return None
 

@@ -23,7 +23,7 @@ from manip_learn.constraint.mechanism import (
     MechanismKind,
     mechanism_of,
 )
-from manip_learn.constraint.place import Curve, Place
+from manip_learn.constraint.place import Curve, Place, across
 from manip_learn.errors import FeatureError
 from manip_learn.learning.fit import LEAST_RAD, RowFit, autocorrelation
 from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, View
@@ -233,13 +233,13 @@ def _nearest(
 
 def _left(kind: MechanismKind, place: Place, p: Places, parts: list[slice]) -> Float[np.ndarray, "n k"]:
     """Return the quantities of the position that a mechanism keeps, less their means in each stretch [m]."""
-    d = p - place.point
+    d, sides = p - place.point, across(place.axis)
     z = d @ place.axis
     rho = np.linalg.norm(d - np.outer(z, place.axis), axis=1)
     if kind.type == "screw":
-        angle = np.arctan2(*(d @ place.across.T).T[::-1])
+        angle = np.arctan2(*(d @ sides.T).T[::-1])
         z = z - place.pitch * np.concatenate([np.unwrap(angle[part]) for part in parts])
-    kept = {"line": (d @ place.across.T).T, "plane": [z], "ball": [np.linalg.norm(d, axis=1)], "other": [rho]}
+    kept = {"line": (d @ sides.T).T, "plane": [z], "ball": [np.linalg.norm(d, axis=1)], "other": [rho]}
     out = np.stack(kept.get(kind.type, [rho, z]), axis=1)
     return np.concatenate([out[part] - out[part].mean(axis=0) for part in parts])
 

@@ -305,7 +305,7 @@ def maps_of(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "w
         others = [f for f in asked if f not in frames]
     axes = {"place": AXES[:3], "whole": AXES, "surface": ()}[what]
     forms: dict[str, tuple[PlaceForm, ...]] = {"place": ("point",), "whole": ("point and rotation", "twist")}
-    maps = [*(seen.with_axes(axes) for f in frames if axes for seen in (f, f.twist)), *others]
+    maps = [*(seen.changed(axes=axes) for f in frames if axes for seen in (f, f.twist)), *others]
     for f in frames[:1]:
         middle = f.twist.poses(table.q[:: max(1, len(table.q) // 500)])[:, :3, 3].mean(axis=0)
         maps += [PlaceRows(f.robot, f.frame.name, m, middle, **f.seen_from) for m in forms.get(what, ("surface",))]

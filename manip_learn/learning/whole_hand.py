@@ -18,6 +18,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import KINDS, MECHANISM_KINDS, MIXED, ON_THE_AXIS, MechanismKind
+from manip_learn.constraint.place import across
 from manip_learn.learning.fit import Motion, RowFit
 from manip_learn.learning.place import Placed, kind_of, movable
 from manip_learn.learning.table import CLEAR_GAP, OVER_NOISE, WEAK_GAP, View
@@ -104,7 +105,8 @@ def _turned(known: Placed, T: Float[np.ndarray, "T 4 4"]) -> dict[str, float]:
     elif known.kind.type != "line":
         directions["about-axis"] = rotation.inv().apply(place.axis)
     if known.kind.type in ("hinge", "screw", "other"):
-        angle = np.unwrap(np.arctan2(away @ place.across[1], away @ place.across[0]))
+        sides = across(place.axis)
+        angle = np.unwrap(np.arctan2(away @ sides[1], away @ sides[0]))
         turns["carried"] = Rotation.from_rotvec(-angle[:, None] * place.axis) * rotation
     out = {name: (turn * turn.mean().inv()).magnitude() for name, turn in turns.items()}
     for name, vectors in directions.items():

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parsed_rows
+from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parse_axes
 from manip_learn.constraint.mechanism import (
     Mechanism,
     Read,
@@ -36,15 +36,11 @@ from manip_learn.constraint.mechanism import (
 )
 from manip_learn.constraint.place import AXES, AXIS_UNITS
 from manip_learn.errors import FeatureError, TargetError, an
-from manip_learn.linalg import null_basis
+from manip_learn.linalg import null_basis, orthonormal_rows
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
-
-EXACT_ROTATION = 1e-12  # a matrix that is orthonormal to this is taken as it is
-NEARLY_ROTATION = 1e-3  # printed with few digits: made orthonormal; beyond this it is no rotation
-NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
 
 
 def pose_coordinates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
@@ -59,10 +55,9 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
         TargetError: It is none.
     """
     off = float(np.max(np.abs(R @ R.T - np.eye(3))))
-    if not off < NEARLY_ROTATION or np.linalg.det(R) < 0.0:
+    if not off < 1e-3 or np.linalg.det(R) < 0.0:  # one printed with few digits is made orthonormal
         raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
-    U, _, Vt = np.linalg.svd(R)
-    return R if off < EXACT_ROTATION else U @ Vt
+    return R if off < 1e-12 else orthonormal_rows(R)
 
 
 def pose_error(
@@ -74,21 +69,13 @@ def pose_error(
     return error.reshape(2, 3).dot(R).reshape(6) if own_axes else error
 
 
-def parse_axes(axes: str | Sequence[str]) -> tuple[str, ...]:
-    """Axis names from `"xyz"`, `"pose"`, `"planar"`, `"rotation"`, or any of `x y z rx ry rz` in any order.
-
-    Raises:
-        FeatureError: Unknown or repeated axis, or none.
-    """
-    return parsed_rows(axes, AXES, "axis", NAMED_AXES)
-
-
 class PoseRows(FeatureMap):
     """Rows of the twist of a frame, seen from the base, from itself or from another frame, and the error of its pose.
 
     Attributes of every child:
         frame: The frame.
         relative_to: The frame from which it is seen; None for the robot's base.
+        seen_from: Argument `relative_to` of rows of the same frame seen from the same; empty for the base.
         only_linear: Whether the rows are positions along axes that do not turn with the frame.
         own_axes: Whether the rows are along the frame's own axes.
     """
@@ -107,19 +94,11 @@ class PoseRows(FeatureMap):
         self._rows: Any = slice(span.start, span.stop) if rows == list(span) else np.array(rows)
         self.frame = robot.frame(frame)
         self.relative_to = None if relative_to is None else robot.frame(relative_to)
+        self.seen_from: dict[str, Any] = {} if relative_to is None else {"relative_to": relative_to}
         self.own_axes, self.only_linear = own_axes, not own_axes and max(rows) < 3
 
-    @property
-    def seen_from(self) -> dict[str, str]:
-        """Argument `relative_to` of rows of the same frame seen from the same; empty for the base."""
-        return {} if self.relative_to is None else {"relative_to": self.relative_to.name}
-
-    def with_axes(self, axes: str | Sequence[str]) -> PoseRows:
-        """Return other rows of the same frame, seen from the same and along the same axes."""
-        return self.changed(axes=axes)
-
     def _with_turns(self) -> PoseRows:
-        return self.with_axes(AXES)
+        return self.changed(axes=AXES)
 
     def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
         """Return the kind of a mechanism whose rows are the same everywhere, and where it is (see `FeatureMap`)."""

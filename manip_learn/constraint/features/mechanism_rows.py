@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parsed_rows
+from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parse_axes
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian, PoseRows, RelativeFrameJacobian
 from manip_learn.constraint.mechanism import (
     CLEAR_SHARE,
@@ -175,15 +175,19 @@ class MechanismRows(WeighedVelocity):
         relative_to: str | None = None,
     ):
         super().__init__(robot, frame, relative_to)
-        self.row_names = parsed_rows(rows, ROW_UNITS, "row")
+        self.row_names = parse_axes(rows, ROW_UNITS, "row")
         self.row_units = tuple(ROW_UNITS[n] for n in self.row_names)
-        direction, place = _vector(axis, "axis"), _vector(point, "point")
+        direction, place = finite(axis, 3), finite(point, 3)
+        for what, given, read in (("axis", axis, direction), ("point", point, place)):
+            if read is None:
+                raise FeatureError(f"the {what} must be three finite numbers, got {given!r}")
         if not np.linalg.norm(direction) > 0.0:
             raise FeatureError("the axis has no direction: its three numbers are zero")
         if not np.isfinite(pitch):
             raise FeatureError(f"the pitch must be a finite number [m/rad], not {pitch!r}")
         if radius is not None and not 0.0 < radius < np.inf:
             raise FeatureError(f"the radius must be a positive number [m], or None for any distance, not {radius!r}")
+        place.setflags(write=False)
         self.geometry = Place(direction / np.linalg.norm(direction), place, float(pitch))
         self.radius = None if radius is None else float(radius)
         self.place_weights = mechanism_weights(self.row_names, self.geometry, self.radius)
@@ -253,15 +257,7 @@ def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: Pose
     rows = mechanism_weights(kind.rows, Place(place.axis, np.zeros(3)), None).values(np.zeros((1, 3)))[0]
     used = [part for part in (slice(0, 3), slice(3, 6)) if np.any(rows[:, part])]
     axes = [name for part in used for name in AXES[part]]
-    return twist.with_axes(axes), np.concatenate([rows[:, part] for part in used], axis=1)
-
-
-def _vector(values: ArrayLike, what: str) -> np.ndarray:
-    vector = finite(values, 3)
-    if vector is None:
-        raise FeatureError(f"the {what} must be three finite numbers, got {values!r}")
-    vector.setflags(write=False)
-    return vector
+    return twist.changed(axes=axes), np.concatenate([rows[:, part] for part in used], axis=1)
 
 
 @final
@@ -306,7 +302,9 @@ class PlaceRows(WeighedVelocity):
     ):
         if form not in FORMS:
             raise FeatureError(f"form must be one of {', '.join(map(repr, FORMS))}, not {form!r}")
-        m = _vector(middle, "middle")
+        if (m := finite(middle, 3)) is None:
+            raise FeatureError(f"the middle must be three finite numbers, got {middle!r}")
+        m.setflags(write=False)
         super().__init__(robot, frame, relative_to)
         self.form, self.middle = form, m
         self.row_names = FORMS[form]
@@ -392,7 +390,7 @@ class CurveRows(WeighedVelocity):
         relative_to: str | None = None,
     ):
         super().__init__(robot, frame, relative_to)
-        self.row_names = parsed_rows(rows, CURVE_ROWS, "row")
+        self.row_names = parse_axes(rows, CURVE_ROWS, "row")
         self.row_units = tuple(AXIS_UNITS.get(name, "m/s") for name in self.row_names)
         self.curve = points if isinstance(points, Curve) else Curve(points)
         self.place_weights = CurveWeights(self.curve, self.row_names)

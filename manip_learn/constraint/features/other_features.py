@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian, RelativeFrameJacobian, parse_axes
+from manip_learn.constraint.features.feature_map import FeatureMap, parse_axes
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian, RelativeFrameJacobian
 from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, PlaceRows
 from manip_learn.errors import FeatureError
 from manip_learn.robot.robot import Robot

@@ -197,7 +197,8 @@ def _in_hand(v: np.ndarray, w: np.ndarray, origin: Origin) -> Chart:
 
 def _outwards(g: Place, origin: Origin) -> Chart:
     """Return the chart of a hand that moves away from an axis."""
-    out = g.across.T @ (g.across @ (origin[:3, 3] - g.point))
+    sides = across(g.axis)
+    out = sides.T @ (sides @ (origin[:3, 3] - g.point))
     return screw(out / np.linalg.norm(out))(origin)
 
 
@@ -306,7 +307,7 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
     turning = np.zeros((0, 3)) if known is None or known.orientation == "free" else np.eye(3)
     if known is not None and known.orientation == "about-axis" and known.axis is not None:
         turning = across(known.axis)
-    features = twist.with_axes(AXES if len(turning) else AXES[:3])
+    features = twist.changed(axes=AXES if len(turning) else AXES[:3])
     rows = Constraint(block_diag(np.eye(3), turning[:, : features.n_rows - 3]), features, constraint.provenance)
     poses = shown.poses
     turns = _LEVER * rotation_vectors(poses[:, :3, :3] @ poses[0, :3, :3].T) * (len(turning) > 0)
