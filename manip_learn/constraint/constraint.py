@@ -17,20 +17,19 @@ from numpy.typing import ArrayLike
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.other_features import described_features
-from manip_learn.constraint.mechanism import NEGLIGIBLE_ENTRY, SHAPES, Mechanism, as_learnt, in_words, on_twist
+from manip_learn.constraint.mechanism import (
+    NEGLIGIBLE_ENTRY,
+    SHAPES,
+    Mechanism,
+    as_learnt,
+    in_words,
+    known_to,
+    on_twist,
+)
 from manip_learn.constraint.place import AXES
 from manip_learn.constraint.shown import Intention, Shown
 from manip_learn.constraint.task_frame import TaskFrame, task_frame
-from manip_learn.errors import (
-    DAMAGE,
-    ConstraintError,
-    ConstraintMismatchError,
-    ManipLearnError,
-    an,
-    error_in_words,
-    listed,
-    spoken,
-)
+from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, an, listed, spoken
 from manip_learn.linalg import along_axes, manipulability_of, null_basis, orthonormal_rows
 from manip_learn.recordings.guards import reason_of
 from manip_learn.recordings.trajectory import Trajectory
@@ -44,20 +43,9 @@ SCHEMA = 2  # number of the format that `save` writes; 1 is that of 0.2
 SIGNATURE = "sha256"  # entry of a file: the SHA-256 of what says where an arm goes
 # vector-Jacobian product of A(q): weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k
 Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
-# of linear and of angular rows: verb -> preposition, all directions in words, and all but one
-_VERBS = {
-    "move": ("along", "in every direction", "across it"),
-    "turn": ("about", "about every axis", "about every other axis"),
-}
-_FREE_MOVES = {"line": 1, "plane": 2}  # directions that a mechanism leaves free, where they are the same everywhere
-# error of the rows or of a parameter -> what it is called, and its unit
-_PARAMETERS = {
-    "direction": ("direction", 1.0, "degrees"),
-    "axis": ("axis", 1.0, "degrees"),
-    "point": ("place", 1e3, "mm"),
-    "radius": ("radius", 1e3, "mm"),
-    "pitch": ("pitch", 1e3, "mm/rad"),
-}
+# of linear and of angular rows: verb, preposition, all directions in words, and all but one
+_MOVE = ("move", "along", "in every direction", "across it")
+_TURN = ("turn", "about", "about every axis", "about every other axis")
 
 
 @final
@@ -93,19 +81,16 @@ class Constraint:
 
     def __init__(self, selection: ArrayLike, features: FeatureMap, provenance: Mapping[str, Any] | None = None):
         if not isinstance(features, FeatureMap):
-            raise ConstraintError(
-                f"call Constraint(selection, features): got {an(selection)} and {an(features)}, in this order"
-            )
+            given = f"{an(selection)} and {an(features)}"
+            raise ConstraintError(f"call Constraint(selection, features): got {given}, in this order")
         try:
             matrix = np.atleast_2d(np.array(selection, dtype=np.float64))
         except (TypeError, ValueError, OverflowError) as error:
             raise ConstraintError(f"the selection matrix must be numbers in rows of equal length: {error}") from error
         p = features.n_rows
         if matrix.ndim != 2 or matrix.shape[1] != p:
-            raise ConstraintError(
-                f"the selection matrix must have {p} columns, one a feature row ({', '.join(features.row_names)}); "
-                f"got shape {matrix.shape}"
-            )
+            wanted = f"{p} columns, one a feature row ({', '.join(features.row_names)})"
+            raise ConstraintError(f"the selection matrix must have {wanted}; got shape {matrix.shape}")
         if not np.all(np.isfinite(matrix)):
             raise ConstraintError("the selection matrix has entries that are not finite")
         matrix = matrix[np.linalg.norm(matrix, axis=1) > 0.0]
@@ -114,10 +99,9 @@ class Constraint:
         unit = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
         smallest = np.linalg.svd(unit, compute_uv=False)[-1] if len(unit) <= p else 0.0
         if smallest < 1e-10:
-            raise ConstraintError(
-                f"the rows of the selection matrix depend on each other (smallest singular value {smallest:.1e}): "
-                "leave out the rows that follow from the others"
-            )
+            depend = f"depend on each other (smallest singular value {smallest:.1e})"
+            remedy = "leave out the rows that follow from the others"
+            raise ConstraintError(f"the rows of the selection matrix {depend}: {remedy}")
         # orthonormal rows are kept to the last bit: paper-mode truncation depends on it
         is_exact = np.max(np.abs(matrix @ matrix.T - np.eye(len(matrix)))) < 1e-14
         self.selection: Float[np.ndarray, "s p"] = matrix if is_exact else orthonormal_rows(matrix)
@@ -149,18 +133,24 @@ class Constraint:
         return Intention.from_dict(self.provenance.get("intention"))
 
     def task_frame(self, q: ArrayLike) -> TaskFrame:
-        """The frame along whose axes this constraint leaves the hand free or holds it, at a posture.
+        """Return the frame along whose axes this constraint leaves the hand free or holds it, at a posture.
 
         What force and impedance controllers ask for; `manip-learn export --to urscript` and others write it for them.
+
+        Args:
+            q: Posture.
+
+        Returns:
+            The frame.
 
         Raises:
             ConstraintError: Features that are no rows of one frame's twist.
             ConfigurationError: q has the wrong size or is not finite.
         """
-        return task_frame(self.selection, self.features, self.mechanism, self.provenance, q)
+        return task_frame(self, q)
 
     def about_its_mechanism(self) -> Constraint:
-        """These rows, named after the mechanism: `MechanismRows`, or a frame's, in the place of `PlaceRows`.
+        """Return these rows, named after the mechanism: `MechanismRows`, or a frame's, in the place of `PlaceRows`.
 
         The constraint itself where its features are others, or hold no mechanism that has a name.
         """
@@ -168,7 +158,7 @@ class Constraint:
         return self if features is self.features else Constraint(selection, features, self.provenance)
 
     def with_orientation(self) -> Constraint:
-        """These rows, and below them those that hold the orientation of the frame too, as far as these do not.
+        """Return these rows, and below them those that hold the orientation of the frame too, as far as these do not.
 
         Raises:
             ConstraintError: Features without a frame that could turn.
@@ -178,11 +168,11 @@ class Constraint:
         return Constraint(selection, features, self.provenance)
 
     def showing(self, shown: Shown) -> Constraint:
-        """The same rows, with something else shown along what they leave free."""
+        """Return the same rows, with something else shown along what they leave free."""
         return Constraint(self.selection, self.features, self.provenance | {"shown": shown.to_dict()})
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Constraint:
-        """What holds the hand, where it stands elsewhere: p' = R p + t in the base's frame.
+        """Return what holds the hand where it stands elsewhere, p' = R p + t in the base's frame.
 
         Rows in the hand's own axes move with these, and rows relative to another frame stay as they are.
 
@@ -192,17 +182,15 @@ class Constraint:
         if self.features.relative_to is not None:
             return self
         provenance = {k: v for k, v in self.provenance.items() if not k.startswith("posture")}
-        mechanism, shown = self.mechanism, self.shown
-        if mechanism is not None:
-            provenance["mechanism"] = mechanism.moved(transform).to_dict()
-        if shown is not None:
-            provenance["shown"] = shown.moved(transform).to_dict()
+        for name, known in (("mechanism", self.mechanism), ("shown", self.shown)):
+            if known is not None:
+                provenance[name] = known.moved(transform).to_dict()
         named = self.about_its_mechanism()
         features, selection = named.features.moved(transform, named.selection)
         return Constraint(selection, features, provenance)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "s nv"]:
-        """A(q).
+        """Return A(q).
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -210,7 +198,7 @@ class Constraint:
         return self.selection.dot(self.features(q))
 
     def manipulability(self, q: ArrayLike) -> float:
-        """mu(q) = sqrt(det(A A^T)), as `manip_learn.manipulability(constraint, q)`.
+        """Return mu(q) = sqrt(det(A A^T)), as `manip_learn.manipulability(constraint, q)`.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -218,23 +206,23 @@ class Constraint:
         return manipulability_of(self(q))
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "s nv nv"]:
-        """dA/dq; entry [i, j, k] = d A_ij / d q_k along tangent coordinate k."""
+        """Return dA/dq; entry [i, j, k] = d A_ij / d q_k along tangent coordinate k."""
         return self.value_and_derivative(q)[1]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Float[np.ndarray, "s nv nv"]]:
-        """A(q) and dA/dq, sharing the work."""
+        """Return A(q) and dA/dq, sharing the work."""
         Phi, dPhi = self.features.value_and_derivative(q)
         dA = self.selection @ dPhi.reshape(dPhi.shape[0], -1)
         return self.selection @ Phi, dA.reshape(-1, *dPhi.shape[1:])
 
     def value_and_vjp(self, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
-        """A(q) and its vector-Jacobian product, weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k."""
+        """Return A(q) and its vector-Jacobian product, weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k."""
         A, dA = self.value_and_derivative(q)
         flat = dA.reshape(-1, self.nv)
         return A, lambda weights: weights.reshape(-1).dot(flat)
 
     def residual(self, demonstrations: Iterable[Trajectory]) -> float:
-        """Fraction of the motion that breaks A(q) u = 0: sqrt(sum |A^+ A u|^2 / sum |u|^2), 0 to 1.
+        """Return the fraction of the motion that breaks A(q) u = 0: sqrt(sum |A^+ A u|^2 / sum |u|^2), 0 to 1.
 
         Only says something for motion-constrained recordings (b = 0).
 
@@ -311,7 +299,7 @@ class Constraint:
     def from_dict(
         content: Mapping[str, Any], robot: Robot, *, source: str = "the constraint", same_urdf: bool = True
     ) -> Constraint:
-        """What `to_dict` wrote, for the robot that it was made for; errors call it `source`, the rest is as for `load`.
+        """Return what `to_dict` wrote, for its robot; errors call it `source`, the rest is as for `load`.
 
         Raises:
             ConstraintMismatchError: Another robot, another schema, or no constraint at all.
@@ -329,9 +317,8 @@ class Constraint:
                 either = spoken(", or say same_urdf=False for another description with the same joints", "")
                 raise ConstraintError(other + either * same_joints)
             normal(content)
-            constraint = Constraint(
-                content["selection"], described_features(content["features"], robot), content.get("provenance")
-            )
+            features = described_features(content["features"], robot)
+            constraint = Constraint(content["selection"], features, content.get("provenance"))
             _check_rows(content, constraint)
             digest = signed(content)[SIGNATURE]
         except DAMAGE as error:
@@ -339,10 +326,9 @@ class Constraint:
         except ManipLearnError as error:
             raise ConstraintMismatchError(f"{source}: {error}") from error
         if content.get(SIGNATURE, digest) != digest:
-            raise ConstraintMismatchError(
-                f"{source} was changed after it was saved: its contents do not have the SHA-256 that it states. Learn "
-                f'it again or fetch the original; if the change is meant, delete the entry "{SIGNATURE}"'
-            )
+            changed = f"{source} was changed after it was saved: its contents do not have the SHA-256 that it states"
+            remedy = f'Learn it again or fetch the original; if the change is meant, delete the entry "{SIGNATURE}"'
+            raise ConstraintMismatchError(f"{changed}. {remedy}")
         if SIGNATURE not in content:
             unsigned = f"{source} states no SHA-256, as a file of 0.1 or one changed by hand; saved again, it does"
             constraint.notes = (unsigned,)
@@ -358,7 +344,7 @@ class Constraint:
         return f"Constraint({self.rows_in_words()} of {self.features!r})"
 
     def rows_in_words(self) -> str:
-        """The held rows, turned towards single axes: `"(-0.42, 0.91, 0.00); z"`; the same space as `selection`."""
+        """Return the held rows, turned towards single axes: `"(-0.42, 0.91, 0.00); z"`; their space is Lambda's."""
         return "; ".join(in_words(row, self.features.row_names) for row in along_axes(self.selection))
 
     def _repr_html_(self) -> str:
@@ -413,13 +399,13 @@ def _text_of_02(value: Any) -> str:
 
 
 def damaged(source: str, error: BaseException) -> ConstraintMismatchError:
-    """The refusal of a file whose reading raised an error."""
+    """Return the refusal of a file whose reading raised an error."""
     said = f"it lacks {error}" if isinstance(error, KeyError) else reason_of(error)
     return ConstraintMismatchError(f"{source} is damaged: {said}. Fetch the original, or learn it again")
 
 
 def read_constraint_file(path: Path) -> dict[str, Any]:
-    """The JSON document in a constraint file.
+    """Return the JSON document in a constraint file.
 
     Raises:
         ConstraintMismatchError: There is no such file, it is none that may be read, or it is no JSON.
@@ -506,13 +492,13 @@ def describe(
             freedom = f"can {listed(map(_way, moves, turns))}, and is {held} in every other way"
         else:
             known = np.split(np.isin(AXES, names), 2)
-            freedom = "; it ".join(filter(None, map(_clause, _VERBS, (moves, turns), known, (held, held))))
+            freedom = "; it ".join(filter(None, map(_clause, (_MOVE, _TURN), (moves, turns), known, (held, held))))
     sentences, reference = [f"{subject} {freedom}."], getattr(features, "reference", None)
     told = said_by_rows(mechanism, features.row_names, reference, free)
     if mechanism is not None:
         place = f", {mechanism.place}" if mechanism.place and not told else ""
         turn = mechanism.grip == "kept" or (mechanism.orientation != "free" and not set(AXES[3:]) & set(names))
-        other = not told and mechanism.type in _FREE_MOVES and reference == "world"
+        other = not told and mechanism.type in ("line", "plane") and reference == "world"
         it = "The path alone looks" if other and set(AXES[:3]) <= set(names) else "It looks"
         looks = SHAPES[mechanism.kind][0]
         sentences.append(f"{it} like {looks}{place}{f'; {mechanism.turns}' if turn else ''}.")
@@ -542,34 +528,12 @@ def said_by_rows(
     if mechanism is None or reference is None:
         return mechanism is not None
     moves = np.count_nonzero(np.any(on_twist(names, free)[:, :3], axis=1))
-    return reference == "world" and set(AXES[:3]) <= set(names) and moves == _FREE_MOVES.get(mechanism.type)
+    return reference == "world" and set(AXES[:3]) <= set(names) and moves == {"line": 1, "plane": 2}.get(mechanism.type)
 
 
-def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None, told: bool = False) -> str:
-    """Return how sure each thing is, once: `"direction known to 0.001 degrees"`; empty if nothing is known of it.
-
-    Args:
-        uncertainty_deg: Of the rows [deg].
-        mechanism: What holds the hand.
-        told: Whether the rows say where it is: then its axis is their direction.
-    """
-    errors = {"direction": uncertainty_deg} | ({} if mechanism is None else dict(mechanism.uncertainty))
-    if told and mechanism is not None and mechanism.type in _FREE_MOVES:
-        axis = errors.pop("axis", None)
-        errors["direction"] = axis if uncertainty_deg is None else uncertainty_deg
-    known, lost = list[str](), list[str]()
-    for name, error in errors.items():
-        what, scale, unit = _PARAMETERS[name]
-        if error is not None and unit == "degrees" and error > 45.0:  # nothing determines such a direction
-            lost.append(f"{what} not determined")
-        elif error is not None:
-            known.append(f"{what} {'to' if known else 'known to'} {error_in_words(scale * error, unit)}")
-    return listed([*known, *lost]) if known or lost else ""
-
-
-def _clause(verb: str, rows: Float[np.ndarray, "k 3"], known: Bool[np.ndarray, " 3"], held: str) -> str:
+def _clause(words: tuple[str, ...], rows: Float[np.ndarray, "k 3"], known: Bool[np.ndarray, " 3"], held: str) -> str:
     """Return what can move or turn, and what of the rows that are `known` is held; empty if none is."""
-    preposition, everywhere, elsewhere = _VERBS[verb]
+    verb, preposition, everywhere, elsewhere = words
     free, n = [row for row in rows if np.any(row)], int(np.count_nonzero(known))
     ways = f"can {verb} {preposition} {listed(in_words(v, AXES[:3]) for v in free)}" if free else ""
     if len(free) == n:

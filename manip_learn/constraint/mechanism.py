@@ -22,7 +22,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.place import AXES, CURVE_ROWS, Chart, Curve, CurveWeights, Place, across, mechanism_weights
-from manip_learn.errors import ConstraintError
+from manip_learn.errors import ConstraintError, error_in_words, listed
 from manip_learn.linalg import finite
 from manip_learn.robot.rotations import skew
 
@@ -30,7 +30,6 @@ Kind = Literal["line", "plane", "space", "hinge", "screw", "cylinder", "ball", "
 MechanismType = Literal["line", "plane", "hinge", "ball", "screw", "held-orientation", "other"]
 Orientation = Literal["free", "about-axis", "fixed", "carried"]
 Grip = Literal["firm", "kept", "loose"]
-TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
 _ABOUT, _FIRM, _AXLE = "turn-1 turn-2", "turn-1 turn-2 slide-1 slide-2", "axis point-across"
 
 
@@ -87,6 +86,8 @@ SHAPES: dict[Kind, tuple[str, str]] = {
     "cylinder": ("a cylinder (a sleeve on a rod)", "move on a cylinder{radius} about {axle} and cannot leave it"),
     "curve": ("a rail that is bent", "move along it and cannot leave it"),
 }
+# error of the rows or of a parameter -> its unit in words
+_PARAMETERS = {"direction": "degrees", "axis": "degrees", "point": "mm", "radius": "mm", "pitch": "mm/rad"}
 Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
 CLEAR_SHARE = 0.1  # a row of `MechanismRows` is held, or free, to this share: see `MIXED`
 # [m] distance from an axis below which the place of the hand does not tell the angle about it: an arm that places its
@@ -128,7 +129,8 @@ class MechanismKind:
 def _kind(kind: Kind, orientation: Orientation) -> MechanismKind:
     known, (turning, _, suffix) = _KINDS[kind], _TURNS[orientation]
     names = (orientation == "carried" and known.carried) or f"{known.place} {turning}"
-    own = dict[str, str](zip(TURNING, CURVE_ROWS[3:], strict=True)) if kind == "curve" else {}  # along the base's axes
+    turns = zip(_TURNS["fixed"][0].split(), CURVE_ROWS[3:], strict=True)  # of a curve they are about the base's axes
+    own = dict[str, str](turns) if kind == CURVE else {}
     name = _OTHER_NAMES.get(f"{kind}{suffix}", f"{kind}{suffix}")
     unknowns = "axis" if name == "direction" else known.unknowns
     rows = tuple(own.get(row, row) for row in names.split())
@@ -141,6 +143,7 @@ KINDS = {(kind, orientation): _kind(kind, orientation) for kind in _KINDS for or
 MECHANISM_KINDS = tuple(kind for kind in KINDS.values() if kind.orientation in _KINDS[kind.kind].told.split())
 KIND_BY_NAME = {kind.name: kind for kind in MECHANISM_KINDS}
 Read = tuple[MechanismKind, Place]
+Rows = Float[np.ndarray, "_ k"]
 
 
 def kind_of_rows(names: Iterable[str]) -> MechanismKind | None:
@@ -301,6 +304,11 @@ class Mechanism:
         curve = None if self.curve is None else self.curve.moved(transform)
         return dataclasses.replace(self, axis=axis, point=point, curve=curve)
 
+    def reversed(self) -> Mechanism:
+        """Return this mechanism with the other sense of its axis, or of its curve; a pitch stays as it is."""
+        curve = None if self.curve is None else Curve(self.curve.points[::-1])
+        return dataclasses.replace(self, axis=None if self.axis is None else -self.axis, curve=curve)
+
     def by_place(self) -> Mechanism:
         """Return this mechanism for a hand that may turn: its place alone tells how far it is."""
         return dataclasses.replace(self, orientation="free")
@@ -331,9 +339,8 @@ class Mechanism:
         """
         needed = {name.removesuffix("-across") for name in _KINDS[self.kind].unknowns.split()} - {"pitch"}
         if any(getattr(self, name) is None for name in needed) or (self.kind == CURVE and self.curve is None):
-            raise ConstraintError(
-                f"it is not known where the mechanism is ({self.sentence}): learn it from rows along the base's axes"
-            )
+            unknown = f"it is not known where the mechanism is ({self.sentence})"
+            raise ConstraintError(f"{unknown}: learn it from rows along the base's axes")
         axis = Z if self.axis is None else self.axis / np.linalg.norm(self.axis)
         return Place(axis, np.zeros(3) if self.point is None else self.point, self.pitch or 0.0)
 
@@ -374,10 +381,10 @@ class Mechanism:
         elif self.radius is not None and not is_carried:
             off = abs(float(np.linalg.norm(lever if self.kind == "ball" else out)) - self.radius)
         if off > within:
-            raise ConstraintError(
-                f"the hand is {1e3 * off:.3g} mm off the mechanism ({self.sentence}), {1e3 * within:.3g} mm are "
-                "allowed: begin where it can hold it"
+            far = (
+                f"the hand is {1e3 * off:.3g} mm off the mechanism ({self.sentence}), {1e3 * within:.3g} mm are allowed"
             )
+            raise ConstraintError(f"{far}: begin where it can hold it")
         axis = g.axis[None] if self.curve is None else self.curve.tangents_at(self.curve.nearest(p[None]))
         directions = {"": np.zeros((0, 3)), "axis": axis, "across": across(g.axis), "all": np.eye(3)}
         turn, travel = directions[known.turns], directions[known.travels]
@@ -447,6 +454,29 @@ def in_words(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
     return "(" + ", ".join(f"{x + 0.0:.2f}" for x in np.round(vector, 2)) + ")"
 
 
+def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None, told: bool = False) -> str:
+    """Return how sure each thing is, once: `"direction known to 0.001 degrees"`; empty if nothing is known of it.
+
+    Args:
+        uncertainty_deg: Of the rows [deg].
+        mechanism: What holds the hand.
+        told: Whether the rows say where it is: then its axis is their direction.
+    """
+    errors = {"direction": uncertainty_deg} | ({} if mechanism is None else dict(mechanism.uncertainty))
+    if told and mechanism is not None and mechanism.type in ("line", "plane"):
+        axis = errors.pop("axis", None)
+        errors["direction"] = axis if uncertainty_deg is None else uncertainty_deg
+    known, lost = list[str](), list[str]()
+    for name, error in errors.items():
+        what, unit = "place" if name == "point" else name, _PARAMETERS[name]
+        if error is not None and unit == "degrees" and error > 45.0:  # nothing determines such a direction
+            lost.append(f"{what} not determined")
+        elif error is not None:
+            size = error_in_words(error if unit == "degrees" else 1e3 * error, unit)
+            known.append(f"{what} {'to' if known else 'known to'} {size}")
+    return listed([*known, *lost]) if known or lost else ""
+
+
 def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **known: Any) -> Mechanism:
     """Return the mechanism of a kind at a place, with the radius of the hand [m] and what else is known of it."""
     told = {
@@ -458,9 +488,7 @@ def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **know
     return Mechanism(kind.type, radius=radius, orientation=kind.orientation, name=kind.name, **told | known)
 
 
-def on_twist(
-    names: Sequence[str], rows: Float[np.ndarray, "s p"], *, distance: bool = False
-) -> Float[np.ndarray, "s k"]:
+def on_twist(names: Sequence[str], rows: np.ndarray, *, distance: bool = False) -> Rows:
     """Return rows of some of (v, w) as rows of all six, or of [v; (p - m).v; w] with no share of the distance."""
     out = np.zeros((len(rows), len(AXES) + distance))
     out[:, [AXES.index(name) + (distance and AXES.index(name) > 2) for name in names]] = rows
@@ -468,15 +496,17 @@ def on_twist(
 
 
 def of_point_rows(
-    selection: Float[np.ndarray, "s k"],
-    immovable: Float[np.ndarray, "m k"],
-    middle: Float[np.ndarray, " 3"],
-    *,
-    aligned: bool = True,
+    selection: Rows, immovable: Rows, middle: Float[np.ndarray, " 3"], *, aligned: bool = True
 ) -> Read | None:
-    """From rows of [v; (p - m).v; w]: what holds the point, and how the hand may turn besides.
+    """Return what holds the point, and how the hand may turn besides, from rows of [v; (p - m).v; w].
 
     Rows that the arm cannot move hold the point as well as any; of how the hand is held they say nothing.
+
+    Args:
+        selection: shape (s, k), rows that are zero.
+        immovable: shape (m, k), rows that this arm cannot move.
+        middle: m [m].
+        aligned: Whether a hand that turns about one axis only must turn about that of the mechanism.
     """
     position, turning = np.concatenate([selection, immovable])[:, :4], selection[:, 4:]
     sizes = [np.linalg.svd(block, compute_uv=False) if block.size else np.zeros(0) for block in (position, turning)]
@@ -504,7 +534,7 @@ def of_point_rows(
 
 
 def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -> Read | None:
-    """From the twists (v, w) about m that are left free; every displacement is a screw (G. Chasles)."""
+    """Return what leaves the twists (v, w) about m free; every displacement is a screw (G. Chasles)."""
     U, turning, axes = np.linalg.svd(free[:, 3:])
     turns, axis = int(np.count_nonzero(turning > MIXED)), axes[0]
     spun, slides = U.T[:turns] @ free, (U.T[turns:] @ free)[:, :3]
@@ -533,10 +563,8 @@ def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -
     return None
 
 
-def of_surface(
-    selection: Float[np.ndarray, "s 12"], middle: Float[np.ndarray, " 3"], p: Float[np.ndarray, "N 3"]
-) -> Read | None:
-    """From rows n.v + sum B_ij (p - m)_i v_j: a cylinder's side, B = I - a a^T; a helix has another row, B = [a]."""
+def of_surface(selection: Rows, middle: Float[np.ndarray, " 3"], p: Float[np.ndarray, "N 3"]) -> Read | None:
+    """Return the surface of rows n.v + sum B_ij (p - m)_i v_j: a cylinder, B = I - a a^T, or a helix, B = [a]."""
     n, B = selection[:, :3], selection[:, 3:].reshape(-1, 3, 3)
     odd = 0.5 * (B - B.transpose(0, 2, 1)).reshape(len(B), -1)
     U, sizes, _ = np.linalg.svd(odd)

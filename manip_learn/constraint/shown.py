@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import UnivariateSpline
 
-from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.feature_map import FeatureMap, Selection
 from manip_learn.constraint.mechanism import CURVE, Mechanism, plain, saved
 from manip_learn.constraint.place import Chart, Curve, across
 from manip_learn.errors import FeatureError, counted
@@ -24,27 +24,11 @@ from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.rotations import angles_between, rotation_matrix, rotation_vectors
 
 Unit = Literal["m", "rad"]
-# [m] contacts that begin within this distance of their middle begin at one place: a person finds a handle again to a
-# millimetre or two, a hand that is put down on a table does not
-SAME_PLACE = 3e-3
-BACK = 0.1  # share of the way out within which a hand that was taken back ends
-MOST_GRASPS = 24  # kept in a file: 10 kB
 STARTED = 0.02  # share of the way that a hand has gone when its motion has begun, and that is left when it has ended
-PATH_POINTS = 400  # kept of a path: a millimetre apart on a wipe of 0.4 m
-LEAST_SMOOTHED = 8  # samples of a path, from which a cubic spline has something to smooth
-ONE_SIDED = 0.5  # share of all ways by which one side must exceed the other for it to be the way shown
-EFFORTS = 200  # samples of a contact whose efforts are looked at
-CARRIED = 0.3  # share by which efforts may miss the weight that they carry: payloads, friction, the force itself
-LEAST_FORCE = 10.0  # [N] which the friction of an arm that a hand guides does not look like
-LEAST_SEEN = 0.02  # of the largest singular value of the hand's motion: in directions below, efforts tell no force
-LEAK = 0.1  # share by which a learnt row holds what it does not mean to: its uncertainty
 
 
 def free_mechanism(
-    features: FeatureMap,
-    selection: Float[np.ndarray, "s p"],
-    mechanism: Mechanism | None,
-    contacts: Sequence[Float[np.ndarray, "_ 4 4"]],
+    features: FeatureMap, selection: Selection, mechanism: Mechanism | None, contacts: Sequence[np.ndarray]
 ) -> Mechanism | None:
     """Return the mechanism along which a constraint leaves the hand's place free; None where nothing of it is free.
 
@@ -54,22 +38,21 @@ def free_mechanism(
         features: Phi.
         selection: Lambda.
         mechanism: What the rows hold, where that has a name.
-        contacts: Poses of the hand along each contact.
+        contacts: shape (T, 4, 4) each, poses of the hand along a contact [m].
     """
     kind = None if mechanism is None else mechanism.kind
-    in_hand = mechanism is not None and kind in ("line", "plane") and mechanism.axis is None
-    if mechanism is not None and not in_hand:
+    if mechanism is not None and (mechanism.axis is not None or kind not in ("line", "plane")):
         placed = mechanism.point is not None or kind in ("line", "plane", "space", "curve")
         return mechanism if placed else None
     axes = np.zeros((0, 3))
-    if in_hand:  # its directions are those in which the hand did move
+    if mechanism is not None:  # its directions in the hand are those in which the hand did move
         places = np.concatenate([c[:, :3, 3] - c[:, :3, 3].mean(axis=0) for c in contacts])
         axes = np.linalg.svd(places, full_matrices=False)[2][: 1 if kind == "line" else 2]
     elif features.own_axes is False:  # translations that the rows show and Lambda leaves free, but for what it leaks
         rows = features.weights_at(contacts[0][:1])[0, :, :3]  # type: ignore[attr-defined]  # of a frame
         shows = row_basis(rows)
         _, sizes, Vt = np.linalg.svd(selection @ rows @ shows.T)
-        axes = Vt[int(np.count_nonzero(sizes > LEAK)) :] @ shows
+        axes = Vt[int(np.count_nonzero(sizes > 0.1)) :] @ shows  # a learnt row leaks by its uncertainty
     return straight(axes)
 
 
@@ -112,7 +95,7 @@ class Shown:
             were recorded, or where they show no such force, as those of an arm that a hand has guided.
         start: shape (k,), coordinates where contacts began, the median, counted from `begin` [m or rad].
         hand: shape (T, 3), rotation vectors by which the typical hand had turned by then [rad]; none in files of 0.2.
-        grasps: shape (n, 4, 4), pose of the hand where each contact began, of at most `MOST_GRASPS` contacts.
+        grasps: shape (n, 4, 4), pose of the hand where each contact began, of at most 24 contacts.
     """
 
     unit: Unit
@@ -159,7 +142,7 @@ class Shown:
 
     @property
     def points(self) -> Float[np.ndarray, "T 3"]:
-        """Places along the path [m]."""
+        """Places along the path, in the base frame [m]."""
         return self.poses[:, :3, 3]
 
     @cached_property
@@ -185,37 +168,26 @@ class Shown:
     @property
     def sentence(self) -> str:
         """What was shown, in words."""
-        each = counted(self.n, "contact")
-        where = f"In {each} the hand took hold " + (
-            "at the same place" if self.hold is not None else f"at places up to {100 * self.scatter:.2g} cm apart"
-        )
-        size = 1.0 if self.unit == "m" else math.degrees(1.0)
-        unit = "m" if self.unit == "m" else "degrees"
-        digits = 2 if self.unit == "m" else 0
+        at = "at the same place" if self.hold is not None else f"at places up to {100 * self.scatter:.2g} cm apart"
+        where = f"In {counted(self.n, 'contact')} the hand took hold {at}"
+        size, unit, digits = (1.0, "m", 2) if self.unit == "m" else (math.degrees(1.0), "degrees", 0)
         far, low, high = (f"{size * x:.{digits}f}" for x in (self.extent, self.least, self.most))
-        range_ = "" if low == high else f" ({low} to {high})"
+        far += f" {unit}" if low == high else f" {unit} ({low} to {high})"
         took = "" if self.force is None else f" It took up to {self.force:.2g} N."
         if not self.is_way:
-            return f"{where}, and went up to {far} {unit}{range_} from there on a path of {self.time[-1]:.1f} s.{took}"
-        back = ", and back" if self.back else ""
-        back += "" if self.one_way else "; not all went the same way"
-        return f"{where}, moved {far} {unit}{range_} at about {size * self.speed:.2g} {unit}/s{back}.{took}"
+            return f"{where}, and went up to {far} from there on a path of {self.time[-1]:.1f} s.{took}"
+        back = (", and back" if self.back else "") + ("" if self.one_way else "; not all went the same way")
+        return f"{where}, moved {far} at about {size * self.speed:.2g} {unit}/s{back}.{took}"
 
     def __repr__(self) -> str:
         return f"Shown({self.sentence})"
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Shown:
-        """The same at fixtures that stand elsewhere, p' = R p + t."""
+        """Return the same at fixtures that stand elsewhere, p' = R p + t."""
         R, t = transform[:3, :3], transform[:3, 3]
-        hold = None if self.hold is None else R @ self.hold + t
-        return replace(
-            self,
-            hold=hold,
-            begin=R @ self.begin + t,
-            orientation=R @ self.orientation,
-            grasps=transform @ self.grasps,
-            mechanism=self.mechanism.moved(transform),
-        )
+        places = {"hold": None if self.hold is None else R @ self.hold + t, "begin": R @ self.begin + t}
+        turned = {"orientation": R @ self.orientation, "grasps": transform @ self.grasps}
+        return replace(self, **places, **turned, mechanism=self.mechanism.moved(transform))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers and lists, for a constraint file."""
@@ -255,12 +227,9 @@ def _ways(mechanism: Mechanism, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.n
 
 
 def shown_by(
-    features: FeatureMap,
-    selection: Float[np.ndarray, "s p"],
-    mechanism: Mechanism | None,
-    contacts: Sequence[Trajectory],
+    features: FeatureMap, selection: Selection, mechanism: Mechanism | None, contacts: Sequence[Trajectory]
 ) -> Shown | None:
-    """What contacts with one constraint show along its free directions; None where the place of no frame is free.
+    """Return what contacts with one constraint show along its free directions; None where no frame's place is free.
 
     Args:
         features: Phi.
@@ -282,11 +251,10 @@ def shown_by(
     signed = np.array([float(w[i, 0]) for w, i in zip(ways, farthest, strict=True)])
     one_way = True
     if is_way:
-        one_way = abs(float(np.sum(signed))) >= ONE_SIDED * float(np.sum(np.abs(signed)))
+        # one side exceeds the other by half of all ways, or is not the way shown
+        one_way = abs(float(np.sum(signed))) >= 0.5 * float(np.sum(np.abs(signed)))
         if np.sum(signed) < 0.0:
-            axis = None if free.axis is None else -free.axis
-            curve = None if free.curve is None else Curve(free.curve.points[::-1])
-            free, ways, signed = replace(free, axis=axis, curve=curve), [-w for w in ways], -signed
+            free, ways, signed = free.reversed(), [-w for w in ways], -signed
     extents = np.array([float(np.linalg.norm(w[i])) for w, i in zip(gone, farthest, strict=True)])
     if not np.all(np.isfinite(extents)) or float(np.median(extents)) <= 0.0:
         return None
@@ -296,58 +264,48 @@ def shown_by(
     grasps = np.array([p[0] for p in motions])
     middle = np.median(grasps[:, :3, 3], axis=0)
     scatter = float(np.max(np.linalg.norm(grasps[:, :3, 3] - middle, axis=1)))
-    hold = middle if scatter <= SAME_PLACE else None
+    # contacts that begin within 3 mm of their middle begin at one place: a person finds a handle again to a millimetre
+    # or two, a hand that is put down on a table does not
+    hold = middle if scatter <= 3e-3 else None
     off = np.abs(extents - np.median(extents)) + np.where(signed > 0.0, 0.0, np.inf)  # of those that went as most did
     # of an even number two are as near to the median, but for rounding: the first
     typical = int(np.argmin(np.round(off, 9))) if is_way else _typical(times, ways)
-    first, time, path = _path(times[typical], ways[typical], farthest[typical], is_way)
-    turns = rotation_vectors(motions[typical][:, :3, :3] @ grasps[typical, :3, :3].T)
-    hand = np.column_stack([np.interp(first + time, times[typical], x) for x in turns.T])
-    ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
     begin = grasps[typical].copy()
     if hold is not None:
         begin[:3, 3] = hold
-    start = np.median([_ways(free, np.array([begin, grasp]))[1] for grasp in grasps], axis=0)
-    if free.kind == "ball":  # each chart has axes of its own
-        own, kept = (chart.turn[: chart.n_ways] for chart in (free.at(grasps[typical], np.inf), free.at(begin, np.inf)))
-        path = path @ own @ kept.T
-    extent, spread, least, most = (float(f(extents)) for f in (np.median, np.std, np.min, np.max))
-    span = most
+    ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
+    sizes = {"extent": np.median, "spread": np.std, "least": np.min, "most": np.max}
+    far = {name: float(size(extents)) for name, size in sizes.items()}
+    span = far["most"]
     if is_way:  # grips differ, so that the angle of a hand that is carried says nothing of where another began
         carried = free.orientation == "carried"
         begins = np.zeros(len(ways)) if carried else _ways(free, grasps)[:, 0]
         low, high = (begins + [end(way) for way in ways] for end in (np.min, np.max))
         span = float(np.max(high - low) if carried else np.max(high) - np.min(low))
-    unit: Unit = "rad" if free.kind in ("hinge", "screw", "ball") else "m"
     return Shown(
-        unit=unit,
-        extent=extent,
-        spread=spread,
-        least=least,
-        most=most,
+        unit="rad" if free.kind in ("hinge", "screw", "ball") else "m",
+        **far,
         span=span,
         speed=float(np.median(lengths / np.maximum(seconds, 1e-9))),
         seconds=float(np.median(seconds)),
-        back=bool(np.median(ends / extents) <= BACK),
+        back=bool(np.median(ends / extents) <= 0.1),  # of the way out
         n=len(ways),
         hold=hold,
         scatter=scatter,
-        path=path,
-        time=time,
+        **_path(free, times[typical], ways[typical], farthest[typical], motions[typical], begin),
         begin=begin[:3, 3],
         orientation=begin[:3, :3],
         turned=float(np.max(angles_between(begin[:3, :3], grasps[:, :3, :3]))),
         one_way=one_way,
         mechanism=free,
         force=_force(features, free, contacts) if all(c.effort is not None for c in contacts) else None,
-        start=start,
-        hand=hand,
-        grasps=grasps[evenly(len(grasps), MOST_GRASPS)],
+        start=np.median([_ways(free, np.array([begin, grasp]))[1] for grasp in grasps], axis=0),
+        grasps=grasps[evenly(len(grasps), 24)],  # 10 kB of a file
     )
 
 
 def _force(features: FeatureMap, free: Mechanism, contacts: Sequence[Trajectory]) -> float | None:
-    """The largest force along free coordinates, by the efforts beside what carries the links; see `Shown.force`.
+    """Return the largest force along free coordinates, by the efforts beside what carries the links; see `Shown.force`.
 
     The force on the hand is the one that explains the rest best, joint friction included. One in twenty samples may
     exceed it. Efforts that are not in newton metres, or leave weights out, say nothing, and neither do forces that are
@@ -359,23 +317,24 @@ def _force(features: FeatureMap, free: Mechanism, contacts: Sequence[Trajectory]
     robot, frame, largest = twist.robot, twist.frame, list[Float[np.ndarray, " 2"]]()
     n = free.at(robot.pose(contacts[0].q[0], frame), np.inf).n_ways
     for contact in contacts:
-        chosen, forces = evenly(len(contact), EFFORTS), []
+        chosen, forces = evenly(len(contact), 200), []  # samples whose efforts are looked at
         weights = np.array([robot.weight_effort(q) for q in contact.q[chosen]])
         carried = float(np.sum(weights * contact.effort[chosen])), float(np.sum(weights**2))
-        if not abs(carried[0] - carried[1]) < CARRIED * carried[1]:
+        if not abs(carried[0] - carried[1]) < 0.3 * carried[1]:  # payloads, friction, the force itself
             return None
         for q, rest in zip(contact.q[chosen], contact.effort[chosen] - weights, strict=True):
-            force = np.linalg.pinv(robot.jacobian(q, frame).T, rcond=LEAST_SEEN)[:3] @ rest
+            # in directions in which the hand moves by less than 2 % of its most, efforts tell no force
+            force = np.linalg.pinv(robot.jacobian(q, frame).T, rcond=0.02)[:3] @ rest
             ways = free.at(robot.pose(q, frame), np.inf).twist([])[:3, :n]
             along = (ways / np.linalg.norm(ways, axis=0)).T @ force
             forces.append((np.linalg.norm(along), math.sqrt(max(0.0, float(force @ force - along @ along)))))
         largest.append(np.quantile(forces, 0.95, axis=0))
     along, across = np.median(largest, axis=0).tolist()
-    return along if along > max(across, LEAST_FORCE) else None
+    return along if along > max(across, 10.0) else None  # [N]: friction of an arm that a hand guides is less
 
 
 def _duration(time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], farthest: int, is_way: bool) -> float:
-    """How long the motion took [s]: a way from its beginning to its farthest point, rest at either end left out."""
+    """Return how long the motion took [s]: a way out to its farthest point, rest at either end left out."""
     if not is_way:
         return float(time[-1])
     out = np.abs(way[: farthest + 1, 0]) / abs(float(way[farthest, 0]) or 1.0)
@@ -387,7 +346,7 @@ def _duration(time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], fart
 
 
 def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> int:
-    """The contact whose path has the least mean distance from those of the others, each at equal shares of its time."""
+    """Return the contact whose path is nearest to those of the others on average, each at equal shares of its time."""
     shares = np.linspace(0.0, 1.0, 50)  # a path of some strokes, each seen several times
     even = np.array([[np.interp(shares * t[-1], t, c) for c in w.T] for t, w in zip(times, ways, strict=True)])
     apart = np.linalg.norm(even[:, None] - even[None], axis=2).mean(axis=(1, 2)) if len(ways) > 1 else np.zeros(1)
@@ -395,31 +354,43 @@ def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> int:
 
 
 def _path(
-    time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], farthest: int, is_way: bool
-) -> tuple[float, Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
-    """When a contact's path begins [s], and the path at even times.
+    free: Mechanism, time: np.ndarray, way: np.ndarray, farthest: int, poses: np.ndarray, begin: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return the path of a contact at even times, these times, and how the hand had turned by then.
 
-    That is a way out to its farthest point, or a path on a surface without rest at its ends.
+    The path is a way out to its farthest point, or one on a surface without rest at its ends. On a surface it is
+    smoothed, by a cubic spline that leaves out as much as the noise is (Reinsch, "Smoothing by spline functions",
+    1967): steps of encoders would be strokes of the hand.
 
-    On a surface it is smoothed, by a cubic spline that leaves out as much as the noise is (Reinsch, "Smoothing by
-    spline functions", 1967): steps of encoders would be strokes of the hand.
+    Args:
+        free: What the hand goes along.
+        time: shape (T,), of the contact [s].
+        way: shape (T, k), coordinates along it [m or rad].
+        farthest: Number of its farthest sample.
+        poses: shape (T, 4, 4), of the hand.
+        begin: shape (4, 4), pose from which the coordinates of the path are counted.
     """
-    first, last = 0, farthest + 1
-    if not is_way:
-        near = STARTED * float(np.max(np.linalg.norm(way, axis=1)))
-        first = int(np.flatnonzero(np.linalg.norm(way, axis=1) > near)[0]) - 1
+    turns, begun, last, is_way = rotation_vectors(poses[:, :3, :3] @ poses[0, :3, :3].T), 0, farthest + 1, True
+    if way.shape[1] > 1:
+        near, is_way = STARTED * float(np.max(np.linalg.norm(way, axis=1))), False
+        begun = int(np.flatnonzero(np.linalg.norm(way, axis=1) > near)[0]) - 1
         last = int(np.flatnonzero(np.linalg.norm(way - way[-1], axis=1) > near)[-1]) + 2
-    begun, time, way = float(time[first]), time[first:last] - time[first], way[first:last]
-    even = np.linspace(0.0, float(time[-1]), min(PATH_POINTS, max(len(time), 2)))
-    path = np.column_stack([np.interp(even, time, c) for c in way.T])
-    if not is_way and len(even) >= LEAST_SMOOTHED:
+    at, way = time[begun:last] - time[begun], way[begun:last]
+    even = np.linspace(0.0, float(at[-1]), min(400, max(len(at), 2)))  # a millimetre apart on a wipe of 0.4 m
+    path = np.column_stack([np.interp(even, at, c) for c in way.T])
+    if not is_way and len(even) >= 8:  # a cubic spline has something to smooth
         # a hand has no third derivative between two samples: third differences are noise, of variance 1 + 9 + 9 + 1
         noise = np.median(np.abs(np.diff(path, 3, axis=0)), axis=0) / (NormalDist().inv_cdf(0.75) * math.sqrt(20.0))
         least = len(even) * noise**2
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a search for knots that ends a little above or below the noise
             path = np.column_stack([UnivariateSpline(even, c, s=s)(even) for c, s in zip(path.T, least, strict=True)])
-    return begun, even, path - path[0] * np.linspace(1.0, 0.0, len(path))[:, None]  # it begins where the hand took hold
+    path -= path[0] * np.linspace(1.0, 0.0, len(path))[:, None]  # it begins where the hand took hold
+    if free.kind == "ball":  # each chart has axes of its own
+        own, kept = (chart.turn[: chart.n_ways] for chart in (free.at(poses[0], np.inf), free.at(begin, np.inf)))
+        path = path @ own @ kept.T
+    hand = np.column_stack([np.interp(float(time[begun]) + even, time, x) for x in turns.T])
+    return {"path": path, "time": even, "hand": hand}
 
 
 @final
@@ -534,9 +505,7 @@ class Intention:
 
 
 def intention_of(
-    features: FeatureMap,
-    selection: Float[np.ndarray, "s p"],
-    recordings: Sequence[tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T nv"]]],
+    features: FeatureMap, selection: Selection, recordings: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> Intention | None:
     """Return the attractor that explains how the rows were moved; None if none does, or the rows have no coordinates.
 
@@ -545,7 +514,7 @@ def intention_of(
     Args:
         features: Phi.
         selection: Lambda.
-        recordings: Configurations and velocities of each recording.
+        recordings: Configurations (T, n) and velocities (T, nv) of each recording.
     """
     # two numbers a row are fitted: more than 2000 samples cost time and tell nothing new
     step = max(1, sum(len(q) for q, _ in recordings) // 2000)

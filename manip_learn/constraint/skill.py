@@ -83,9 +83,9 @@ class Skill:
         return self.constraints[0].robot
 
     def __repr__(self) -> str:
-        said = [f"{i + 1}. {_in_words(step)}" for i, step in enumerate(self.steps[:8])]
-        more = f"\n... and {len(self.steps) - 8} more" if len(self.steps) > 8 else ""
-        return f"Skill of {counted(len(self.steps), 'step')}\n" + "\n".join(said) + more
+        lines = [f"{i + 1}. {_in_words(step)}" for i, step in enumerate(self.steps[:8])]
+        lines += [f"... and {len(self.steps) - 8} more"] if len(self.steps) > 8 else []
+        return "\n".join([f"Skill of {counted(len(self.steps), 'step')}", *lines])
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Skill:
         """The skill at fixtures that stand elsewhere: p' = R p + t in the base's frame."""

@@ -19,6 +19,7 @@ from manip_learn.errors import ConstraintError, FeatureError, TargetError
 
 NAMED_AXES = {"xyz": AXES[:3], "pose": AXES, "planar": ("x", "y", "rz"), "rotation": AXES[3:]}
 Selection = Float[np.ndarray, "_ p"]  # Lambda, or other combinations of the rows
+ErrorAndRate = tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]
 
 
 class FeatureMap(ABC):
@@ -91,10 +92,8 @@ class FeatureMap(ABC):
         """
         raise FeatureError(f"{self!r} has no task coordinates: give the controller a task that returns b itself")
 
-    def error_and_jacobian(
-        self, target: ArrayLike, q: ArrayLike
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
-        """Displacement e from r(q) to the target in the rows' axes, and E with de/dt = -E u for a fixed target.
+    def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
+        """Return the displacement e from r(q) to the target in the rows' axes, and E: de/dt = -E u for a fixed target.
 
         E is None where that is Phi(q) itself.
 
@@ -120,9 +119,8 @@ class FeatureMap(ABC):
         """
         goal = np.asarray(target, dtype=np.float64)
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
-            raise TargetError(
-                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}), got {goal.tolist()}"
-            )
+            wanted = f"{self.n_rows} finite numbers ({', '.join(self.row_names)})"
+            raise TargetError(f"the target must be {wanted}, got {goal.tolist()}")
         return goal
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:

@@ -24,16 +24,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parse_axes
-from manip_learn.constraint.mechanism import (
-    Mechanism,
-    Read,
-    hinge_or_screw,
-    mechanism_of,
-    of_point_rows,
-    of_twists,
-    on_twist,
-)
+from manip_learn.constraint.features.feature_map import ErrorAndRate, FeatureMap, Read, Selected, Selection, parse_axes
+from manip_learn.constraint.mechanism import Mechanism, hinge_or_screw, mechanism_of, of_point_rows, of_twists, on_twist
 from manip_learn.constraint.place import AXES, AXIS_UNITS
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.linalg import null_basis, orthonormal_rows
@@ -183,10 +175,8 @@ class PoseRows(FeatureMap):
         C[3:, 3:] = left_jacobian_inverse(rotation_vector(self.pose(q)[:3, :3]))
         return C[self._rows] @ self.twist_rows(q, False)
 
-    def error_and_jacobian(
-        self, target: ArrayLike, q: ArrayLike
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
-        """Displacement to a target, in the axes of the rows, and E of `FeatureMap`, exact; None for positions.
+    def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
+        """Return the displacement to a target in the axes of the rows, and E of `FeatureMap`; None for positions.
 
         Args:
             target: p numbers in the order of the rows: position of the origin in the base frame [m], rotation vector
@@ -231,17 +221,13 @@ class PoseRows(FeatureMap):
             return meant, None
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
             given = f"shape {goal.shape}" if goal.size > 6 else goal.tolist()
-            seen = "" if self.relative_to is None else f" in frame {self.relative_to.name!r}"
-            raise TargetError(
-                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose{seen}, "
-                f"got {given}"
-            )
+            wanted = f"{self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose"
+            wanted += "" if self.relative_to is None else f" in frame {self.relative_to.name!r}"
+            raise TargetError(f"the target must be {wanted}, got {given}")
         for triple in (AXES[:3], AXES[3:]) if self.own_axes else ():
             if 0 < len(set(triple) & set(self.row_names)) < 3:
-                raise TargetError(
-                    f"a target for the rows {' '.join(self.row_names)} in the frame's own axes is not determined: "
-                    f"use all of {' '.join(triple)}, or give a 4 x 4 pose"
-                )
+                rows, remedy = " ".join(self.row_names), f"use all of {' '.join(triple)}, or give a 4 x 4 pose"
+                raise TargetError(f"a target for the rows {rows} in the frame's own axes is not determined: {remedy}")
         numbers = pose_coordinates(pose)
         numbers[self._rows] = goal
         meant[:3, :3], meant[:3, 3] = rotation_matrix(numbers[3:]), numbers[:3]

@@ -16,7 +16,6 @@ from manip_learn.constraint.mechanism import (
     CLEAR_SHARE,
     CURVE,
     KIND_BY_NAME,
-    TURNING,
     Mechanism,
     MechanismKind,
     Read,
@@ -33,6 +32,7 @@ from manip_learn.constraint.place import (
     AXIS_UNITS,
     CURVE_ROWS,
     ROW_UNITS,
+    TURNING,
     Curve,
     CurveWeights,
     Place,
@@ -177,10 +177,9 @@ class MechanismRows(WeighedVelocity):
         super().__init__(robot, frame, relative_to)
         self.row_names = parse_axes(rows, ROW_UNITS, "row")
         self.row_units = tuple(ROW_UNITS[n] for n in self.row_names)
-        direction, place = finite(axis, 3), finite(point, 3)
-        for what, given, read in (("axis", axis, direction), ("point", point, place)):
-            if read is None:
-                raise FeatureError(f"the {what} must be three finite numbers, got {given!r}")
+        if (direction := finite(axis, 3)) is None or (place := finite(point, 3)) is None:
+            what, given = ("axis", axis) if direction is None else ("point", point)
+            raise FeatureError(f"the {what} must be three finite numbers, got {given!r}")
         if not np.linalg.norm(direction) > 0.0:
             raise FeatureError("the axis has no direction: its three numbers are zero")
         if not np.isfinite(pitch):
@@ -195,10 +194,6 @@ class MechanismRows(WeighedVelocity):
     def with_rows(self, rows: Sequence[str], radius: float | None = None) -> MechanismRows:
         """Return other rows of the same mechanism, at the radius or, if that is None, at any distance."""
         return self.changed(rows=rows, radius=radius)
-
-    def about(self, place: Place) -> MechanismRows:
-        """Return the same rows of a mechanism that is elsewhere."""
-        return self.changed(axis=place.axis, point=place.point, pitch=place.pitch)
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
         """Return the same rows of a mechanism that stands elsewhere, unless that is in another frame."""
@@ -249,10 +244,10 @@ def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: Pose
     Of a helix no radius is said: its row is that of one radius only, and grips differ.
     """
     if kind.kind not in ("line", "plane", "space"):
-        of_one = set(kind.rows) & set(AT_A_DISTANCE) and kind.type != "screw"
-        options: dict[str, Any] = {"axis": place.axis, "point": place.point, "pitch": place.pitch, **twist.seen_from}
-        options["radius"] = radius if of_one else None
-        return MechanismRows(twist.robot, twist.frame.name, kind.rows, **options), np.eye(len(kind.rows))
+        at = radius if set(kind.rows) & set(AT_A_DISTANCE) and kind.type != "screw" else None
+        where = {"axis": place.axis, "point": place.point, "pitch": place.pitch, "radius": at}
+        rows = MechanismRows(twist.robot, twist.frame.name, kind.rows, **where, **twist.seen_from)
+        return rows, np.eye(len(kind.rows))
     # the point of the hand that is held is its own origin, wherever that is
     rows = mechanism_weights(kind.rows, Place(place.axis, np.zeros(3)), None).values(np.zeros((1, 3)))[0]
     used = [part for part in (slice(0, 3), slice(3, 6)) if np.any(rows[:, part])]

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, parse_axes
+from manip_learn.constraint.features.feature_map import ErrorAndRate, FeatureMap, parse_axes
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian, RelativeFrameJacobian
 from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, PlaceRows
 from manip_learn.errors import FeatureError
@@ -184,10 +184,8 @@ class Stacked(FeatureMap):
         """Rates of the coordinates, part by part."""
         return self._stack([part.coordinates_jacobian(q) for part in self.parts], q)
 
-    def error_and_jacobian(
-        self, target: ArrayLike, q: ArrayLike
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
-        """Displacement to a target and E, part by part (see the parts)."""
+    def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
+        """Return the displacement to a target and E, part by part (see the parts)."""
         goals = np.split(self._goal(target), np.cumsum([part.n_rows for part in self.parts])[:-1])
         both = [part.error_and_jacobian(own, q) for part, own in zip(self.parts, goals, strict=True)]
         return np.concatenate([e for e, _ in both]), self._stack([E for _, E in both], q)

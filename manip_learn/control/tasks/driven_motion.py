@@ -258,8 +258,7 @@ def _along_row(constraint: Constraint, direction: Direction, unit: Unit | None, 
             axis = advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
             words = "a ball leaves turns about every axis free: give three numbers not all zero in the base frame"
             raise (ConstraintError if direction is None else TargetError)(f"{words}{axis}; got {direction!r}")
-        place = Place(turn / np.linalg.norm(turn), rows.geometry.point)
-        rows, direction, unit = rows.about(place), None, "rad"
+        rows, direction, unit = rows.changed(axis=turn, pitch=0.0), None, "rad"
     g: Place = rows.geometry  # None of a curve
     is_firm = any(name.startswith("slide") or name == "screw" for name in held)
     names = ("along",) if g is None else ("turn", "slide") if is_firm else ("tangential", "axial", "radial")
