@@ -274,8 +274,8 @@ def shown_by(
     if hold is not None:
         begin[:3, 3] = hold
     ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
-    sizes = {"extent": np.median, "spread": np.std, "least": np.min, "most": np.max}
-    far = {name: float(size(extents)) for name, size in sizes.items()}
+    sizes: dict[str, Any] = {"extent": np.median, "spread": np.std, "least": np.min, "most": np.max}
+    far: dict[str, Any] = {name: float(size(extents)) for name, size in sizes.items()}
     span = far["most"]
     if is_way:  # grips differ, so that the angle of a hand that is carried says nothing of where another began
         carried = free.orientation == "carried"
@@ -318,11 +318,12 @@ def _force(features: FeatureMap, free: Mechanism, contacts: Sequence[Trajectory]
     n = free.at(robot.pose(contacts[0].q[0], frame), np.inf).n_ways
     for contact in contacts:
         chosen, forces = evenly(len(contact), 200), []  # samples whose efforts are looked at
+        effort: Any = contact.effort
         weights = np.array([robot.weight_effort(q) for q in contact.q[chosen]])
-        carried = float(np.sum(weights * contact.effort[chosen])), float(np.sum(weights**2))
+        carried = float(np.sum(weights * effort[chosen])), float(np.sum(weights**2))
         if not abs(carried[0] - carried[1]) < 0.3 * carried[1]:  # payloads, friction, the force itself
             return None
-        for q, rest in zip(contact.q[chosen], contact.effort[chosen] - weights, strict=True):
+        for q, rest in zip(contact.q[chosen], effort[chosen] - weights, strict=True):
             # in directions in which the hand moves by less than 2 % of its most, efforts tell no force
             force = np.linalg.pinv(robot.jacobian(q, frame).T, rcond=0.02)[:3] @ rest
             ways = free.at(robot.pose(q, frame), np.inf).twist([])[:3, :n]
@@ -355,7 +356,7 @@ def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> int:
 
 def _path(
     free: Mechanism, time: np.ndarray, way: np.ndarray, farthest: int, poses: np.ndarray, begin: np.ndarray
-) -> dict[str, np.ndarray]:
+) -> dict[str, Any]:
     """Return the path of a contact at even times, these times, and how the hand had turned by then.
 
     The path is a way out to its farthest point, or one on a surface without rest at its ends. On a surface it is

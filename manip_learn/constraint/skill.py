@@ -88,7 +88,7 @@ class Skill:
         return "\n".join([f"Skill of {counted(len(self.steps), 'step')}", *lines])
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Skill:
-        """The skill at fixtures that stand elsewhere: p' = R p + t in the base's frame."""
+        """Return the skill at fixtures that stand elsewhere: p' = R p + t in the base's frame."""
         transform = np.asarray(transform, dtype=np.float64)
         elsewhere = {id(c): c.moved(transform) for c in self.constraints}
         steps = []
@@ -103,7 +103,7 @@ class Skill:
         return replace(self, constraints=tuple(elsewhere[id(c)] for c in self.constraints), steps=tuple(steps))
 
     def to_dict(self) -> dict[str, Any]:
-        """The content of a skill's file: that of its first constraint, with the others and the steps beside it.
+        """Return the content of a skill's file: that of its first constraint, with the others and the steps beside it.
 
         Raises:
             FeatureError: The features are Python functions and cannot be written down.
@@ -167,7 +167,7 @@ def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step
 
 
 def one_way(constraint: Constraint) -> Skill:
-    """The skill of a single constraint: to take hold, and its way."""
+    """Return the skill of a single constraint: to take hold, and its way."""
     return Skill((constraint,), (Step("reach", constraint), Step("way", constraint, constraint.shown)))
 
 

@@ -30,7 +30,6 @@ from manip_learn.constraint.place import AXES, AXIS_UNITS
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.linalg import null_basis, orthonormal_rows
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
@@ -72,7 +71,6 @@ class PoseRows(FeatureMap):
         own_axes: Whether the rows are along the frame's own axes.
     """
 
-    robot: Robot
     own_axes: bool
 
     def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str], relative_to: str | None, own_axes: bool):
@@ -333,7 +331,6 @@ class RelativeFrameJacobian(PoseRows):
         FeatureError: Unknown axes, or twice the same frame.
     """
 
-    relative_to: Frame
     kind = "relative-frame-jacobian"
     saved = {"frame": "frame.name", "relative_to": "relative_to.name", "axes": "row_names"}
 

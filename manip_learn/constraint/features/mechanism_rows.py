@@ -41,7 +41,6 @@ from manip_learn.constraint.place import (
 )
 from manip_learn.errors import FeatureError
 from manip_learn.linalg import finite, null_basis
-from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import skew
 
@@ -67,9 +66,6 @@ class WeighedVelocity(FeatureMap):
         place_weights: W.
     """
 
-    robot: Robot
-    frame: Frame
-    relative_to: Frame | None
     place_weights: PlaceWeights | CurveWeights
 
     def __init__(self, robot: Robot, frame: str, relative_to: str | None = None):
@@ -338,10 +334,9 @@ class PlaceRows(WeighedVelocity):
 
     def named(self, selection: Selection, mechanism: Mechanism | None) -> Selected:
         """Return Phi and Lambda of rows with the names of the mechanism's, if it has a name."""
-        kind = None if mechanism is None else KIND_BY_NAME.get(mechanism.name)
-        if mechanism is None or kind is None:
+        if mechanism is None or mechanism.name not in KIND_BY_NAME:
             return self, selection
-        return rows_of(kind, mechanism.located(), mechanism.radius, self.twist)
+        return rows_of(KIND_BY_NAME[mechanism.name], mechanism.located(), mechanism.radius, self.twist)
 
     def describe(self) -> dict[str, Any]:
         """Return frame, form and middle, and the names of the rows."""
