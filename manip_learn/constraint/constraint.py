@@ -315,7 +315,7 @@ class Constraint:
             other, same_joints = made.mismatch(robot, "it"), made.joint_names == robot.joint_names
             if other and (same_urdf or not same_joints):
                 either = spoken(", or say same_urdf=False for another description with the same joints", "")
-                raise ConstraintError(other + either * same_joints)
+                raise ConstraintMismatchError(other + either * same_joints)
             normal(content)
             features = described_features(content["features"], robot)
             constraint = Constraint(content["selection"], features, content.get("provenance"))

@@ -284,12 +284,7 @@ class PlaceRows(WeighedVelocity):
     saved = {"frame": "frame.name", "form": "form", "middle": "middle", "relative_to": "_relative_to"}
 
     def __init__(
-        self,
-        robot: Robot,
-        frame: str,
-        form: PlaceForm,
-        middle: ArrayLike = (0.0, 0.0, 0.0),
-        relative_to: str | None = None,
+        self, robot: Robot, frame: str, form: PlaceForm, middle: ArrayLike = (0, 0, 0), relative_to: str | None = None
     ):
         if form not in FORMS:
             raise FeatureError(f"form must be one of {', '.join(map(repr, FORMS))}, not {form!r}")
