@@ -27,27 +27,21 @@ Unit = Literal["m", "rad"]
 STARTED = 0.02  # share of the way that a hand has gone when its motion has begun, and that is left when it has ended
 
 
-def free_mechanism(
-    features: FeatureMap, selection: Selection, mechanism: Mechanism | None, contacts: Sequence[np.ndarray]
+def straight_motion(
+    features: FeatureMap, selection: Selection, in_hand: int, contacts: Sequence[np.ndarray]
 ) -> Mechanism | None:
-    """Return the mechanism along which a constraint leaves the hand's place free; None where nothing of it is free.
-
-    Where the constraint has no mechanism with a place, that is a line, a plane or all of space.
+    """Return the line, the plane or the space in which a constraint leaves the hand's place free; None of nothing free.
 
     Args:
         features: Phi.
         selection: Lambda.
-        mechanism: What the rows hold, where that has a name.
+        in_hand: Number of directions of the hand's own axes that are free; 0 if they are not known to be.
         contacts: shape (T, 4, 4) each, poses of the hand along a contact [m].
     """
-    kind = None if mechanism is None else mechanism.kind
-    if mechanism is not None and (mechanism.axis is not None or kind not in ("line", "plane")):
-        placed = mechanism.point is not None or kind in ("line", "plane", "space", "curve")
-        return mechanism if placed else None
     axes = np.zeros((0, 3))
-    if mechanism is not None:  # its directions in the hand are those in which the hand did move
+    if in_hand:  # they are those in which the hand did move
         places = np.concatenate([c[:, :3, 3] - c[:, :3, 3].mean(axis=0) for c in contacts])
-        axes = np.linalg.svd(places, full_matrices=False)[2][: 1 if kind == "line" else 2]
+        axes = np.linalg.svd(places, full_matrices=False)[2][:in_hand]
     elif features.own_axes is False:  # translations that the rows show and Lambda leaves free, but for what it leaks
         rows = features.weights_at(contacts[0][:1])[0, :, :3]  # type: ignore[attr-defined]  # of a frame
         shows = row_basis(rows)
@@ -241,8 +235,10 @@ def shown_by(
     if not contacts or features.twist is None:
         return None
     motions = [features.twist.poses(contact.q) for contact in contacts]
-    free = free_mechanism(features, selection, mechanism, motions)
-    if free is None:
+    free, flat = mechanism, {"line": 1, "plane": 2, "space": 3, "curve": 1}  # directions of what has no place
+    if mechanism is None or (mechanism.axis is None and mechanism.kind in ("line", "plane")):
+        free = straight_motion(features, selection, 0 if mechanism is None else flat[mechanism.kind], motions)
+    if free is None or (free.point is None and free.kind not in flat):
         return None
     ways = [_ways(free, p) for p in motions]
     is_way = ways[0].shape[1] == 1
@@ -273,7 +269,6 @@ def shown_by(
     begin = grasps[typical].copy()
     if hold is not None:
         begin[:3, 3] = hold
-    ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
     sizes: dict[str, Any] = {"extent": np.median, "spread": np.std, "least": np.min, "most": np.max}
     far: dict[str, Any] = {name: float(size(extents)) for name, size in sizes.items()}
     span = far["most"]
@@ -288,7 +283,7 @@ def shown_by(
         span=span,
         speed=float(np.median(lengths / np.maximum(seconds, 1e-9))),
         seconds=float(np.median(seconds)),
-        back=bool(np.median(ends / extents) <= 0.1),  # of the way out
+        back=bool(np.median([np.linalg.norm(w[-1]) for w in ways] / extents) <= 0.1),  # of the way out
         n=len(ways),
         hold=hold,
         scatter=scatter,
