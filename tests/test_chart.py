@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from test_gradients import RobotOf, central_difference
 
 import manip_learn as ml
-from manip_learn.constraint.curve import Curve
+from manip_learn.constraint.place import Curve
 from manip_learn.errors import ConstraintError
 
 AXIS = np.array([0.36, -0.48, 0.8])

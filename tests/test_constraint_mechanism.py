@@ -82,7 +82,7 @@ def test_rows_about_a_place(robot_of) -> None:
         with case(kind.name, radius):
             robot = robot_of("sawyer")
             features = MechanismRows(robot, TIP, kind.rows, axis=AXIS, point=point, pitch=0.01, radius=radius)
-            mechanism = ml.Constraint(np.eye(kind.n_rows), features).mechanism
+            mechanism = ml.Constraint(np.eye(len(kind.rows)), features).mechanism
             assert mechanism is not None and (mechanism.name, mechanism.type) == (kind.name, kind.type)
             assert (mechanism.axis is None) == ("axis" not in kind.unknowns) and mechanism.radius == radius
             if mechanism.axis is not None:
@@ -136,7 +136,7 @@ def one_form(robot, kind, place: Place, radius: float, middle) -> tuple[PlaceRow
     form: PlaceForm = "surface" if kind.name in ("cylinder", "screw") else FORM_OF[kind.orientation]
     features = PlaceRows(robot, TIP, form, middle)
     W = mechanism_weights(kind.rows, place, radius)
-    if kind.constant:  # the hand's own origin is held
+    if kind.kind in ("line", "plane", "space"):  # the hand's own origin is held
         constant = W.at(place.point[None])[0][0]
         W = PlaceWeights(constant, np.zeros((*constant.shape, 3)))
     if kind.type == "hinge" and kind.orientation != "carried":  # beside the axial row |p - c|^2 says what rho^2 does
@@ -165,7 +165,7 @@ def test_every_mechanism_is_a_constant_lambda(robot_of, rng, tmp_path) -> None:
             level = p - place.point - AXIS * (AXIS @ (p - place.point))
             radius = float(np.linalg.norm(p - place.point if kind.type == "ball" else level))
             features, selection = one_form(robot, kind, place, radius, p + 0.1 * rng.normal(size=3))
-            turned = np.linalg.qr(rng.normal(size=(kind.n_rows, kind.n_rows)))[0] @ selection
+            turned = np.linalg.qr(rng.normal(size=2 * (len(kind.rows),)))[0] @ selection
             constraint = ml.Constraint(turned, features, {"postures": [q.tolist()]})
             read, grip = constraint.mechanism, "loose" if kind.orientation == "free" else "firm"
             assert read is not None

@@ -21,10 +21,11 @@ from manip_learn.constraint.features import (
     RelativeFrameJacobian,
     Stacked,
 )
-from manip_learn.constraint.features.frame_jacobian import AXES, parse_axes
+from manip_learn.constraint.features.feature_map import parse_axes
+from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
-from manip_learn.constraint.place import ROW_UNITS
+from manip_learn.constraint.place import ROW_UNITS, across
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold, PointAttractor, motion
@@ -209,7 +210,7 @@ def test_rows_of_a_mechanism_in_numbers(panda, rng):
     a, c = np.array(PLACE["axis"]) / np.linalg.norm(PLACE["axis"]), np.array(PLACE["point"])
     for radius in (None, 0.3):
         features = MechanismRows(panda, TCP, tuple(ROW_UNITS), **PLACE, radius=radius)
-        first, second = features.geometry.across
+        first, second = across(features.geometry.axis)
         np.testing.assert_allclose(np.linalg.det([first, second, a]), 1.0, rtol=1e-12)  # a right-handed base
         d = p - c
         x = d - (a @ d) * a

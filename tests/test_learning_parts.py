@@ -10,9 +10,9 @@ import pytest
 from case import case
 from generated_motions import arm_features, guided_motions, oblique, paper_motions
 
+from manip_learn.constraint.constraint import describe, free_directions
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.constraint.selection_in_words import describe, free_directions
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.answer import Answer

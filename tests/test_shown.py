@@ -14,7 +14,7 @@ from shown_motions import Thing, recordings
 from task_sets import generated, learnt_from
 
 import manip_learn as ml
-from manip_learn.constraint.intention import Intention
+from manip_learn.constraint.shown import Intention
 from manip_learn.control.simulation import simulate_way
 from manip_learn.errors import ConstraintError, TargetError
 from manip_learn.robot.rotations import angles_between

@@ -48,7 +48,7 @@ def test_all_of_lambda_comes_back(panda):
             features = MechanismRows(
                 panda, "panda_hand_tcp", kind.rows, axis=AXIS, point=POINT, pitch=0.01 * (kind.type == "screw")
             )
-            constraint = Constraint(np.eye(kind.n_rows), features)
+            constraint = Constraint(np.eye(len(kind.rows)), features)
             for q in [panda.random_configuration(rng) for _ in range(3)]:
                 frame, J = constraint.task_frame(q), panda.jacobian(q, "panda_hand_tcp")
                 assert row_space_angle(constraint(q), frame.rows @ frame.from_hand @ J) < 1e-12

@@ -14,7 +14,7 @@ from manip_learn.commands.loading import load_for_files
 from manip_learn.commands.options import LearnOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
-from manip_learn.constraint.selection_in_words import looks
+from manip_learn.constraint.mechanism import SHAPES
 from manip_learn.control.tasks import motion
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
@@ -61,14 +61,16 @@ class LearntTask:
         found, shown = self.report.mechanism, self.constraint.shown
         if found is None or shown is None:
             return ""
-        words = looks(found)
+        words = SHAPES[found.kind][0]
         return f"{words[0].upper()}{words[1:]}, moved {way_in_words(shown.extent, shown.unit)} when it was shown."
 
     @property
     def sentences(self) -> list[str]:
         """What can move and how sure that is; what it looks like only where the headline does not say so."""
         found, told = self.report.mechanism, self.report.sentence
-        return told.split(f" It looks like {looks(found)}. ") if found is not None and self.headline else [told]
+        if found is None or not self.headline:
+            return [told]
+        return told.split(f" It looks like {SHAPES[found.kind][0]}. ")
 
     @property
     def following(self) -> str | None:

@@ -22,7 +22,8 @@ from manip_learn.linalg import EPS
 # below this ratio to the largest singular value the left singular vectors of zero and non-zero are mixed by rounding
 SINGULAR_RATIO = 64.0 * EPS
 LEAST_SINGULAR_RATIO = 0.04  # smallest over largest singular value of A that is taken as well-conditioned
-GRADIENT_CHUNK = 512  # postures whose dA/dq are held at a time
+# U, the singular values and V^T of A, all square
+Decomposition = tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[np.ndarray, "n n"]]
 
 
 def manipulability(constraint: Constraint, q: ArrayLike) -> float:
@@ -124,8 +125,8 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
         constraint.robot.checked_postures(postures)  # here, where a row's number is that of the caller
     n, s = len(postures), len(selection)
     out = ManipulabilityBatch(np.zeros(n), np.zeros((n, nv)), np.zeros(n))
-    for start in range(0, n if s <= nv else 0, GRADIENT_CHUNK):
-        part = slice(start, start + GRADIENT_CHUNK)
+    for start in range(0, n if s <= nv else 0, 512):  # postures whose dA/dq are held at a time
+        part = slice(start, start + 512)
         Phi, dPhi = features.batch_with_derivative(postures[part])
         U, sigma, Vt = np.linalg.svd(selection @ Phi, full_matrices=False)
         others = np.stack([np.prod(np.delete(sigma, i, axis=1), axis=1) for i in range(s)], axis=1)
@@ -138,9 +139,7 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
     return out
 
 
-def gradient_from(
-    shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp
-) -> tuple[float, Float[np.ndarray, " nv"], float]:
+def gradient_from(shape: tuple[int, ...], decomposition: Decomposition, vjp: Vjp) -> tuple[float, np.ndarray, float]:
     """mu, its gradient, and the mu below which a singularity cannot be told from rounding.
 
     From the shape of A, its decomposition, and weights -> sum_ij weights_ij dA_ij / dq_k:
@@ -163,7 +162,7 @@ def gradient_from(
     return mu, vjp((U * others).dot(Vt[:s])), floor
 
 
-def smallest_gradient(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp) -> Float[np.ndarray, " nv"]:
+def smallest_gradient(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray, " nv"]:
     """d sigma_min / dq = u_min^T (dA / dq) v_min, for a smallest singular value that is neither 0 nor double."""
     U, sigma, Vt = decomposition
     k = len(sigma)
@@ -189,13 +188,11 @@ def _steepest(
     return float(rate[0]), -direction if direction[np.argmax(np.abs(direction))] < 0.0 else direction
 
 
-def svd(
-    A: Float[np.ndarray, "s n"],
-) -> tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[np.ndarray, "n n"]]:
-    """U, the singular values, and V^T, all square: LAPACK's dgesdd without NumPy's wrapping, which takes longer than
-    the decomposition of a matrix as small as a constraint's.
+def svd(A: Float[np.ndarray, "s n"]) -> Decomposition:
+    """Return U, the singular values, and V^T, all square.
+
+    By LAPACK's dgesdd without NumPy's wrapping, which takes longer than to decompose a matrix as small as a
+    constraint's.
     """
     U, sigma, Vt, failed = dgesdd(A)
-    if failed:
-        return np.linalg.svd(A, full_matrices=True)
-    return U, sigma, Vt
+    return np.linalg.svd(A, full_matrices=True) if failed else (U, sigma, Vt)

@@ -2,12 +2,16 @@
 
 Its kind, what the hand may do while it holds on, and where it is say all: the rows that are zero, the chart of a grasp
 (`Mechanism.at`), and with it every motion, what was shown, a drawing and a sentence.
+
+The lower pairs of a machine are the subgroups of SE(3): the motions that one leaves free are a constant space of
+twists. The kind, the axis and the pitch of a mechanism are therefore read from Lambda itself.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from types import MappingProxyType
@@ -17,17 +21,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.chart import Chart
-from manip_learn.constraint.curve import CURVE_ROWS, Curve
-from manip_learn.constraint.place import Place, across, mechanism_weights
-from manip_learn.errors import ConstraintError
+from manip_learn.constraint.place import AXES, CURVE_ROWS, Chart, Curve, CurveWeights, Place, across, mechanism_weights
+from manip_learn.errors import ConstraintError, error_in_words, listed
 from manip_learn.linalg import finite
+from manip_learn.robot.rotations import skew
 
 Kind = Literal["line", "plane", "space", "hinge", "screw", "cylinder", "ball", "curve"]
 MechanismType = Literal["line", "plane", "hinge", "ball", "screw", "held-orientation", "other"]
 Orientation = Literal["free", "about-axis", "fixed", "carried"]
 Grip = Literal["firm", "kept", "loose"]
-TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
 _ABOUT, _FIRM, _AXLE = "turn-1 turn-2", "turn-1 turn-2 slide-1 slide-2", "axis point-across"
 
 
@@ -35,32 +37,35 @@ class _Kind(NamedTuple):
     """What is the same for all mechanisms of a kind.
 
     Attributes:
-        type: What it is called in a report.
-        words: In a sentence.
+        words: What it is called in a sentence.
         unknowns: What is fitted.
         place: Rows that hold the place of the hand.
         carried: All rows, of a hand that turns with the mechanism; empty where that is no other case.
         told: How a hand may turn on those that the learner tells apart.
+        turns, travels: Directions about which, then along which its free coordinates go: `"axis"`, the two `"across"`
+            it, or `"all"`.
     """
 
-    type: MechanismType
     words: str
     unknowns: str
     place: str
     carried: str
     told: str
+    turns: str
+    travels: str
 
 
 _KINDS: dict[Kind, _Kind] = {
-    "plane": _Kind("plane", "a plane ", "axis", "axial", "", "free about-axis fixed"),
-    "line": _Kind("line", "a line ", "axis", "across-1 across-2", "", "free fixed"),
-    "hinge": _Kind("hinge", "a hinge: ", _AXLE, "radial axial", f"{_FIRM} slide", "free about-axis fixed carried"),
-    "ball": _Kind("ball", "a ball: ", "point", "spherical", "slide-1 slide-2 slide", "free carried"),
-    "cylinder": _Kind("other", "a cylinder: ", _AXLE, "radial", _FIRM, "free carried"),
-    "screw": _Kind("screw", "a screw: ", f"{_AXLE} pitch", "radial helical", f"{_FIRM} screw", "free carried"),
-    "space": _Kind("held-orientation", "a held orientation", "", "", "", "about-axis fixed"),
-    "curve": _Kind("other", "a curve", "", "across-1 across-2", "", ""),
+    "plane": _Kind("a plane ", "axis", "axial", "", "free about-axis fixed", "", "across"),
+    "line": _Kind("a line ", "axis", "across-1 across-2", "", "free fixed", "", "axis"),
+    "hinge": _Kind("a hinge: ", _AXLE, "radial axial", f"{_FIRM} slide", "free about-axis fixed carried", "axis", ""),
+    "ball": _Kind("a ball: ", "point", "spherical", "slide-1 slide-2 slide", "free carried", "all", ""),
+    "cylinder": _Kind("a cylinder: ", _AXLE, "radial", _FIRM, "free carried", "axis", "axis"),
+    "screw": _Kind("a screw: ", f"{_AXLE} pitch", "radial helical", f"{_FIRM} screw", "free carried", "axis", ""),
+    "space": _Kind("a held orientation", "", "", "", "about-axis fixed", "", "all"),
+    "curve": _Kind("a curve", "", "across-1 across-2", "", "", "", "axis"),
 }
+_NOUNS: dict[Kind, str] = {"space": "held-orientation", "cylinder": "other"}  # of kinds that reports call otherwise
 # rows that hold how the hand turns, in words, and what the kind is called then
 _TURNS: dict[Orientation, tuple[str, str, str]] = {
     "free": ("", "the hand may turn", ""),
@@ -70,21 +75,32 @@ _TURNS: dict[Orientation, tuple[str, str, str]] = {
 }
 _OTHER_NAMES = {"cylinder, firm": "sleeve, firm", "space, turning": "direction", "space, not turning": "orientation"}
 CURVE = "curve"  # name of what is no lower pair, and holds the hand to a line of any shape
+# kind -> what it looks like, and what it leaves free where its rows depend on the place
+SHAPES: dict[Kind, tuple[str, str]] = {
+    "line": ("a straight line (a drawer)", "move along {axis} and cannot leave that line"),
+    "plane": ("a plane (a table)", "move in the plane across {axis} and cannot leave it"),
+    "hinge": ("a hinge (a door)", "move on a circle{radius} about {axle} and cannot leave it"),
+    "ball": ("a ball joint (a tether)", "move on a sphere{radius} about {point} and cannot leave it"),
+    "screw": ("a screw (a valve)", "move on a helix{radius} about {axle} and cannot leave it"),
+    "space": ("a held orientation (a full cup)", "turn about {axis} and is blocked about every other axis"),
+    "cylinder": ("a cylinder (a sleeve on a rod)", "move on a cylinder{radius} about {axle} and cannot leave it"),
+    "curve": ("a rail that is bent", "move along it and cannot leave it"),
+}
+# error of the rows or of a parameter -> its unit in words
+_PARAMETERS = {"direction": "degrees", "axis": "degrees", "point": "mm", "radius": "mm", "pitch": "mm/rad"}
 Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
 CLEAR_SHARE = 0.1  # a row of `MechanismRows` is held, or free, to this share: see `MIXED`
 # [m] distance from an axis below which the place of the hand does not tell the angle about it: an arm that places its
 # hand to a millimetre tells it to a fifth of a radian there, its orientation tells it better
 ON_THE_AXIS = 5e-3
+FINGERS = 0.1  # [m] from an axis in the hand: half the length of a hand, as that of the turns of a path
 GRIP = 0.02  # [m] a hand this near to a mechanism is on it: people take hold of a handle a finger's breadth further on
-
-
-def held_rows(kind: Kind, orientation: Orientation) -> tuple[str, ...]:
-    """Return the names of the rows of `MechanismRows`, or of `CurveRows`, that a mechanism leaves zero."""
-    known = _KINDS[kind]
-    firm = known.carried if orientation == "carried" else ""
-    names = firm or f"{known.place} {_TURNS[orientation][0]}"
-    turning = dict[str, str](zip(TURNING, CURVE_ROWS[3:], strict=True)) if kind == "curve" else {}  # of the base's axes
-    return tuple(turning.get(name, name) for name in names.split())
+# rows of translation and of rotation stand apart where each is of one kind to this share: a row of a learnt Lambda
+# leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
+MIXED = 0.2
+# [m/rad] a travel below this is that of a hinge: a tenth of the flattest thread in use (M6, 1 mm a turn, 0.16 mm/rad)
+LEAST_PITCH = 1.6e-5
+NEGLIGIBLE_ENTRY = 5e-3  # entries of a unit vector below it are printed as 0: half of the last of two digits
 
 
 @final
@@ -97,51 +113,72 @@ class MechanismKind:
         kind: What the place of the hand is held to.
         orientation: What the hand may do: turn as it likes (`"free"`), turn about the mechanism's axis only
             (`"about-axis"`), not turn at all (`"fixed"`), or it turns with the mechanism (`"carried"`).
+        type: What it is called in a report.
+        unknowns: Which of `"axis"`, `"point-across"` (two numbers), `"point"` (three) and `"pitch"` are fitted.
+        rows: Rows of `MechanismRows`, or of `CurveRows`, that are then zero.
     """
 
     name: str
     kind: Kind
     orientation: Orientation
-
-    @property
-    def type(self) -> MechanismType:
-        """What it is called in a report."""
-        return _KINDS[self.kind].type
-
-    @property
-    def unknowns(self) -> tuple[str, ...]:
-        """Which of `"axis"`, `"point-across"` (two numbers), `"point"` (three) and `"pitch"` are fitted."""
-        return ("axis",) if self.name == "direction" else tuple(_KINDS[self.kind].unknowns.split())
-
-    @property
-    def rows(self) -> tuple[str, ...]:
-        """Rows of `MechanismRows` that are then zero."""
-        return held_rows(self.kind, self.orientation)
-
-    @property
-    def n_rows(self) -> int:
-        """Number of rows held."""
-        return len(self.rows)
-
-    @property
-    def constant(self) -> bool:
-        """Whether its rows are constant rows of the frame's Jacobian."""
-        return self.kind in ("line", "plane", "space")
+    type: MechanismType
+    unknowns: tuple[str, ...]
+    rows: tuple[str, ...]
 
 
-MECHANISM_KINDS: tuple[MechanismKind, ...] = tuple(
-    MechanismKind(_OTHER_NAMES.get(name := f"{kind}{_TURNS[o][2]}", name), kind, o)
-    for kind, known in _KINDS.items()
-    for o in _TURNS
-    if o in known.told.split()
-)
+def _kind(kind: Kind, orientation: Orientation) -> MechanismKind:
+    known, (turning, _, suffix) = _KINDS[kind], _TURNS[orientation]
+    names = (orientation == "carried" and known.carried) or f"{known.place} {turning}"
+    turns = zip(_TURNS["fixed"][0].split(), CURVE_ROWS[3:], strict=True)  # of a curve they are about the base's axes
+    own = dict[str, str](turns) if kind == CURVE else {}
+    name = _OTHER_NAMES.get(f"{kind}{suffix}", f"{kind}{suffix}")
+    unknowns = "axis" if name == "direction" else known.unknowns
+    rows = tuple(own.get(row, row) for row in names.split())
+    noun: Any = "other" if kind == CURVE else _NOUNS.get(kind, kind)
+    return MechanismKind(name, kind, orientation, noun, tuple(unknowns.split()), rows)
+
+
+KINDS = {(kind, orientation): _kind(kind, orientation) for kind in _KINDS for orientation in _TURNS}
+# those that the learner tells apart
+MECHANISM_KINDS = tuple(kind for kind in KINDS.values() if kind.orientation in _KINDS[kind.kind].told.split())
 KIND_BY_NAME = {kind.name: kind for kind in MECHANISM_KINDS}
+Read = tuple[MechanismKind, Place]
+Rows = Float[np.ndarray, "_ k"]
 
 
 def kind_of_rows(names: Iterable[str]) -> MechanismKind | None:
     """Return the kind that leaves just these rows of `MechanismRows` zero; None if there is none."""
     held = set(names)
     return next((kind for kind in MECHANISM_KINDS if set(kind.rows) == held), None)
+
+
+def plain(record: Any, digits: int | None = None) -> dict[str, Any]:
+    """Return the fields of a dataclass as numbers, lists and dictionaries, ready for JSON.
+
+    Args:
+        record: The dataclass.
+        digits: To which arrays are rounded; None for all.
+    """
+    values = {each.name: getattr(record, each.name) for each in dataclasses.fields(record) if each.init}
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            values[name] = (value if digits is None else np.round(value, digits)).tolist()
+        elif isinstance(value, Curve):
+            values[name] = value.points.tolist()
+        elif isinstance(value, Mechanism):
+            values[name] = value.to_dict()
+    return values
+
+
+def saved(make: Any, content: Mapping[str, Any]) -> Any:
+    """Return the dataclass that `plain` wrote down, whatever else stands beside its fields."""
+    values = {each.name: content[each.name] for each in dataclasses.fields(make) if each.init and each.name in content}
+    for name, value in values.items():
+        if isinstance(value, list):
+            values[name] = Curve(value) if name == "curve" else np.array(value, dtype=np.float64)
+        elif name == "mechanism":
+            values[name] = saved(Mechanism, value)
+    return make(**values)
 
 
 @final
@@ -175,6 +212,8 @@ class Mechanism:
             turns with the mechanism, the smaller one [deg]; None if it was not determined.
         relative_to: Name of the frame in which axis and point are given and the hand is seen; None for the base.
         curve: Of a hand that goes along one; None for the others.
+        kind: What the place of the hand is held to; of a held orientation nothing, `"space"`.
+        in_fingers: Whether its axis is that of a sleeve in the hand, so that the fingers turn about it.
     """
 
     type: MechanismType
@@ -190,6 +229,8 @@ class Mechanism:
     orientation_rms: float | None = None
     relative_to: str | None = None
     curve: Curve | None = None
+    kind: Kind = field(init=False, repr=False)
+    in_fingers: bool = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for what in ("axis", "point"):
@@ -199,6 +240,11 @@ class Mechanism:
                 vector.setflags(write=False)
                 object.__setattr__(self, what, vector)
         object.__setattr__(self, "uncertainty", MappingProxyType(dict(self.uncertainty)))
+        own = {"held-orientation": "space", "other": CURVE if self.name == CURVE else "cylinder"}
+        kind = KIND_BY_NAME[self.name].kind if self.name in KIND_BY_NAME else own.get(self.type, self.type)
+        object.__setattr__(self, "kind", kind)
+        is_sleeve = kind == "cylinder" and self.orientation == "carried"
+        object.__setattr__(self, "in_fingers", is_sleeve and (self.radius or 1.0) < ON_THE_AXIS)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Mechanism) and self.to_dict() == other.to_dict()
@@ -210,17 +256,9 @@ class Mechanism:
         return Mechanism.from_dict, (self.to_dict(),)  # a read-only view of a dictionary cannot be pickled
 
     @property
-    def kind(self) -> Kind:
-        """What the place of the hand is held to; of a held orientation nothing, `"space"`."""
-        if self.name in KIND_BY_NAME:
-            return KIND_BY_NAME[self.name].kind
-        own: dict[str, Kind] = {"held-orientation": "space", "other": "curve" if self.name == CURVE else "cylinder"}
-        return own.get(self.type, self.type)  # type: ignore[arg-type]  # the others are called as they are
-
-    @property
     def rows(self) -> tuple[str, ...]:
         """Names of the rows that are zero."""
-        return held_rows(self.kind, self.orientation)
+        return KINDS[self.kind, self.orientation].rows
 
     @property
     def n_free(self) -> int:
@@ -235,7 +273,7 @@ class Mechanism:
     @property
     def noun(self) -> str:
         """Its type, or `"curve"`: in sentences."""
-        return CURVE if self.kind == CURVE else self.type
+        return _NOUNS.get(self.kind, self.kind)
 
     @property
     def place(self) -> str:
@@ -246,21 +284,20 @@ class Mechanism:
         words = {"line": f"along {axis}", "plane": f"across {axis}", "ball": f"centre {point}", "space": "", CURVE: ""}
         said = words.get(self.kind, f"axis {axis} through {point}")
         said += f" in {self.relative_to!r}" if said and self.relative_to else ""
-        if self.pitch is not None:
-            said += f", {1e3 * self.pitch:.2f} mm a radian"
+        said += "" if self.pitch is None else f", {1e3 * self.pitch:.2f} mm a radian"
         return said if self.radius is None else f"{said}, {self.radius:.3f} m from the hand"
 
     @property
     def turns(self) -> str:
         """How the hand may turn, in words."""
-        around = {"plane": "its normal", "space": in_words(self.axis)}.get(self.kind, "the axis")
-        slides = " and may slide along it" if self.name.startswith("sleeve") else ""
         if self.grip == "kept" and self.orientation_rms is not None:
             return f"the hand kept its orientation to {self.orientation_rms:.1f} degrees, by habit"
+        around = {"plane": "its normal", "space": in_words(self.axis)}.get(self.kind, "the axis")
+        slides = " and may slide along it" if self.name.startswith("sleeve") else ""
         return _TURNS[self.orientation][1].format(axis=around) + slides
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Mechanism:
-        """This mechanism where it stands elsewhere, p' = R p + t."""
+        """Return this mechanism where it stands elsewhere, p' = R p + t."""
         R = transform[:3, :3]
         axis = None if self.axis is None else R @ self.axis
         point = None if self.point is None else R @ self.point + transform[:3, 3]
@@ -268,13 +305,12 @@ class Mechanism:
         return dataclasses.replace(self, axis=axis, point=point, curve=curve)
 
     def reversed(self) -> Mechanism:
-        """This mechanism with the other sense of its axis, or of its curve; a pitch stays as it is."""
-        axis = None if self.axis is None else -self.axis
+        """Return this mechanism with the other sense of its axis, or of its curve; a pitch stays as it is."""
         curve = None if self.curve is None else Curve(self.curve.points[::-1])
-        return dataclasses.replace(self, axis=axis, curve=curve)
+        return dataclasses.replace(self, axis=None if self.axis is None else -self.axis, curve=curve)
 
     def by_place(self) -> Mechanism:
-        """This mechanism for a hand that may turn: its place alone tells how far it is."""
+        """Return this mechanism for a hand that may turn: its place alone tells how far it is."""
         return dataclasses.replace(self, orientation="free")
 
     def features(self, robot: Any, frame: str) -> Any:
@@ -290,7 +326,7 @@ class Mechanism:
         maps = import_module("manip_learn.constraint.features")  # which stand above, and say what they hold
         g, seen = self.located(), self.relative_to
         if self.curve is not None:  # a hand that turns with a curve turns at a rate that is no row's
-            rows = held_rows("curve", "free" if self.orientation == "carried" else self.orientation)
+            rows = KINDS["curve", "free" if self.orientation == "carried" else self.orientation].rows
             return maps.CurveRows(robot, frame, self.curve, rows, seen)
         place = {"axis": g.axis, "point": g.point, "pitch": g.pitch}
         return maps.MechanismRows(robot, frame, self.rows, **place, relative_to=seen)
@@ -303,27 +339,10 @@ class Mechanism:
         """
         needed = {name.removesuffix("-across") for name in _KINDS[self.kind].unknowns.split()} - {"pitch"}
         if any(getattr(self, name) is None for name in needed) or (self.kind == CURVE and self.curve is None):
-            raise ConstraintError(
-                f"it is not known where the mechanism is ({self.sentence}): learn it from rows along the base's axes"
-            )
+            unknown = f"it is not known where the mechanism is ({self.sentence})"
+            raise ConstraintError(f"{unknown}: learn it from rows along the base's axes")
         axis = Z if self.axis is None else self.axis / np.linalg.norm(self.axis)
         return Place(axis, np.zeros(3) if self.point is None else self.point, self.pitch or 0.0)
-
-    def off(self, place: Float[np.ndarray, " 3"]) -> float:
-        """Return how far a hand at a place is from where it can hold the mechanism [m]; 0 where that is not known.
-
-        A line is held anywhere beside it: a handle runs across the drawer.
-        """
-        g = self.located()
-        d = place - g.point
-        across = d - (d @ g.axis) * g.axis
-        if self.curve is not None:
-            return float(np.linalg.norm(place - self.curve.at(self.curve.nearest(place[None]))[0]))
-        if self.kind == "plane" and self.point is not None:
-            return float(np.linalg.norm(d - across))
-        if self.radius is None or self.orientation == "carried":
-            return 0.0
-        return abs(float(np.linalg.norm(d if self.kind == "ball" else across)) - self.radius)
 
     def at(self, pose: ArrayLike, within: float = 0.05) -> Chart:
         """Return the chart of a hand that took hold at a pose, where its free coordinates are 0.
@@ -332,7 +351,11 @@ class Mechanism:
 
         Args:
             pose: shape (4, 4), in the frame in which the mechanism is given.
-            within: How far the hand may be off the mechanism [m].
+            within: How far the hand may be off the mechanism [m]; a line is held anywhere beside it, as a handle runs
+                across the drawer.
+
+        Returns:
+            The chart.
 
         Raises:
             ConstraintError: The hand is farther off, no pose, or a mechanism whose place is not known.
@@ -348,43 +371,35 @@ class Mechanism:
         """
         if (grasp := finite(pose, 4, 4)) is None:
             raise ConstraintError(f"a grasp is a pose (4, 4) of finite numbers, got {pose!r:.80}")
-        g, p, none = self.located(), grasp[:3, 3], np.zeros((0, 3))
-        if (off := self.off(p)) > within:
-            raise ConstraintError(
-                f"the hand is {1e3 * off:.3g} mm off the mechanism ({self.sentence}), {1e3 * within:.3g} mm are "
-                "allowed: begin where it can hold it"
+        g, p, known, is_carried = self.located(), grasp[:3, 3], _KINDS[self.kind], self.orientation == "carried"
+        lever, off = p - g.point, 0.0
+        out = lever - (lever @ g.axis) * g.axis
+        if self.curve is not None:
+            off = float(np.linalg.norm(p - self.curve.at(self.curve.nearest(p[None]))[0]))
+        elif self.kind == "plane" and self.point is not None:
+            off = float(np.linalg.norm(lever - out))
+        elif self.radius is not None and not is_carried:
+            off = abs(float(np.linalg.norm(lever if self.kind == "ball" else out)) - self.radius)
+        if off > within:
+            far = (
+                f"the hand is {1e3 * off:.3g} mm off the mechanism ({self.sentence}), {1e3 * within:.3g} mm are allowed"
             )
-        is_carried = self.orientation == "carried"
-        turn, travel = none, none
-        match self.kind:
-            case "line" | "curve":
-                travel = g.axis[None] if self.curve is None else self.curve.tangents(p[None])
-            case "plane":
-                travel = across(g.axis)
-            case "space":
-                travel = np.eye(3)
-            case "hinge" | "screw":
-                turn, travel = g.axis[None], g.pitch * g.axis[None]
-            case "cylinder":
-                turn, travel = np.outer([1.0, 0.0], g.axis), np.outer([0.0, 1.0], g.axis)
-            case "ball":  # loosely held by two turns across the lever of the hand
-                lever = p - g.point
-                length = float(np.linalg.norm(lever))
-                turn = np.eye(3) if is_carried else across(lever / length if length > 0.0 else Z)
-                travel = np.zeros((len(turn), 3))
-        turn = turn if len(turn) else np.zeros((len(travel), 3))
-        spin = {"free": np.eye(3), "about-axis": g.axis[None]}.get(self.orientation, none)
-        rest = np.zeros((len(spin), 3))
-        screws = np.vstack([travel + np.cross(g.point, turn), rest]), np.vstack([turn, rest])
-        return Chart(
-            grasp,
-            *screws,
-            np.vstack([np.zeros((len(turn), 3)), spin]),
-            is_carried=is_carried,
-            centre=g.point,
-            curve=self.curve,
-            rows=self._weights,
-        )
+            raise ConstraintError(f"{far}: begin where it can hold it")
+        axis = g.axis[None] if self.curve is None else self.curve.tangents_at(self.curve.nearest(p[None]))
+        directions = {"": np.zeros((0, 3)), "axis": axis, "across": across(g.axis), "all": np.eye(3)}
+        turn, travel = directions[known.turns], directions[known.travels]
+        if self.kind == "ball" and not is_carried:  # held loosely, by two turns across the lever of the hand
+            length = float(np.linalg.norm(lever))
+            turn = across(lever / length if length > 0.0 else Z)
+        spin = {"free": np.eye(3), "about-axis": g.axis[None]}.get(self.orientation, np.zeros((0, 3)))
+        still, rest = np.zeros((len(turn) + len(travel), 3)), np.zeros((len(spin), 3))
+        turns = np.vstack([turn, np.zeros_like(travel)])
+        pitch = g.pitch if self.kind in ("hinge", "screw") else 0.0
+        moves = np.vstack([pitch * turn, travel]) + np.cross(g.point, turns)
+        sizes = (FINGERS if self.in_fingers else self.radius or 1.0, 1.0) if self.kind == "cylinder" else (1.0,)
+        screws = np.vstack([moves, rest]), np.vstack([turns, rest]), np.vstack([still, spin])
+        more: dict[str, Any] = {"centre": g.point, "curve": self.curve, "rows": self._weights, "sizes": sizes}
+        return Chart(grasp, *screws, is_carried=is_carried, **more)
 
     def places(self, begin: Float[np.ndarray, " 3"], s: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
         """Return where a hand goes from a place, at coordinates along the mechanism: a line to draw [m].
@@ -403,38 +418,63 @@ class Mechanism:
 
     def _weights(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n h 6"]:
         """Return the weights of the hand's twist in the rows that are zero."""
-        if self.curve is not None:
-            return self.curve.weights(p)[0][:, [CURVE_ROWS.index(name) for name in self.rows]]
-        return mechanism_weights(self.rows, self.located(), None).values(p)
+        curve, rows = self.curve, self.rows
+        weights = mechanism_weights(rows, self.located(), None) if curve is None else CurveWeights(curve, rows)
+        return weights.values(p)
 
     def to_dict(self) -> dict[str, Any]:
-        """Type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""
-        values = {n: x for n in _FIELDS if (x := getattr(self, n)) is not None or n not in ("relative_to", "curve")}
-        plain = {name: x.tolist() if isinstance(x, np.ndarray) else x for name, x in values.items()}
-        if self.curve is not None:
-            plain["curve"] = self.curve.points.tolist()
-        return plain | {"uncertainty": dict(self.uncertainty), "sentence": self.sentence}
+        """Return type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""
+        values = plain(self) | {"uncertainty": dict(self.uncertainty), "sentence": self.sentence}
+        return {n: x for n, x in values.items() if x is not None or n not in ("relative_to", "curve")}
 
     @staticmethod
     def from_dict(described: Mapping[str, Any]) -> Mechanism:
-        """What `to_dict` wrote."""
-        values: dict[str, Any] = {name: described[name] for name in _FIELDS if name in described}
-        if values.get("curve") is not None:
-            values["curve"] = Curve(values["curve"])
-        return Mechanism(**values)
+        """Return what `to_dict` wrote."""
+        return saved(Mechanism, described)
 
     def __str__(self) -> str:
         return self.sentence
 
 
-_FIELDS = tuple(field.name for field in dataclasses.fields(Mechanism))
+def in_words(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
+    """Return a vector with two digits, or `"unknown"` for None.
 
+    Args:
+        vector: A direction, a place, or a combination of rows.
+        names: Of its entries; that of the only one that counts says all.
 
-def in_words(vector: np.ndarray | None) -> str:
-    """A direction or a place with two digits; `"unknown"` for None."""
+    Returns:
+        For example `"(0.91, 0.42, 0.00)"`, or `"z"`.
+    """
     if vector is None:
         return "unknown"
+    counts = np.abs(vector) >= NEGLIGIBLE_ENTRY
+    if names and np.count_nonzero(counts) == 1:
+        return names[int(np.argmax(counts))]
     return "(" + ", ".join(f"{x + 0.0:.2f}" for x in np.round(vector, 2)) + ")"
+
+
+def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None, told: bool = False) -> str:
+    """Return how sure each thing is, once: `"direction known to 0.001 degrees"`; empty if nothing is known of it.
+
+    Args:
+        uncertainty_deg: Of the rows [deg].
+        mechanism: What holds the hand.
+        told: Whether the rows say where it is: then its axis is their direction.
+    """
+    errors = {"direction": uncertainty_deg} | ({} if mechanism is None else dict(mechanism.uncertainty))
+    if told and mechanism is not None and mechanism.type in ("line", "plane"):
+        axis = errors.pop("axis", None)
+        errors["direction"] = axis if uncertainty_deg is None else uncertainty_deg
+    known, lost = list[str](), list[str]()
+    for name, error in errors.items():
+        what, unit = "place" if name == "point" else name, _PARAMETERS[name]
+        if error is not None and unit == "degrees" and error > 45.0:  # nothing determines such a direction
+            lost.append(f"{what} not determined")
+        elif error is not None:
+            size = error_in_words(error if unit == "degrees" else 1e3 * error, unit)
+            known.append(f"{what} {'to' if known else 'known to'} {size}")
+    return listed([*known, *lost]) if known or lost else ""
 
 
 def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **known: Any) -> Mechanism:
@@ -446,3 +486,135 @@ def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **know
         "grip": "loose" if kind.orientation == "free" else "firm",
     }
     return Mechanism(kind.type, radius=radius, orientation=kind.orientation, name=kind.name, **told | known)
+
+
+def on_twist(names: Sequence[str], rows: np.ndarray, *, distance: bool = False) -> Rows:
+    """Return rows of some of (v, w) as rows of all six, or of [v; (p - m).v; w] with no share of the distance."""
+    out = np.zeros((len(rows), len(AXES) + distance))
+    out[:, [AXES.index(name) + (distance and AXES.index(name) > 2) for name in names]] = rows
+    return out
+
+
+def of_point_rows(
+    selection: Rows, immovable: Rows, middle: Float[np.ndarray, " 3"], *, aligned: bool = True
+) -> Read | None:
+    """Return what holds the point, and how the hand may turn besides, from rows of [v; (p - m).v; w].
+
+    Rows that the arm cannot move hold the point as well as any; of how the hand is held they say nothing.
+
+    Args:
+        selection: shape (s, k), rows that are zero.
+        immovable: shape (m, k), rows that this arm cannot move.
+        middle: m [m].
+        aligned: Whether a hand that turns about one axis only must turn about that of the mechanism.
+    """
+    position, turning = np.concatenate([selection, immovable])[:, :4], selection[:, 4:]
+    sizes = [np.linalg.svd(block, compute_uv=False) if block.size else np.zeros(0) for block in (position, turning)]
+    held, turns = (int(np.count_nonzero(each > 0.5)) for each in sizes)
+    each = np.concatenate(sizes)  # of rows that lie in these columns 1, of the others 0
+    is_mixed = np.any((each > MIXED) & (each < np.sqrt(1.0 - MIXED**2)))
+    if is_mixed or turns == 1 or (held > 2 and turns != 2):
+        return None
+    free = np.linalg.svd(turning)[2][2] if turns == 2 else Z
+    if held > 2:  # the hand's own place rests, and it turns about an axis there: a knob
+        return KINDS["hinge", "carried"], Place(free, middle)
+    rows = np.linalg.svd(position)[2][:held]
+    normals, distances = rows[:, :3], rows[:, 3]
+    # an axis or a centre beyond 5 m is read as this far: the fit to positions decides how far it is
+    far = float(np.linalg.norm(distances)) < 1.0 / 5.0
+    axis = free if held == 0 else normals[0]
+    if held == 2:
+        axis = np.cross(*normals) if far else distances[1] * normals[0] - distances[0] * normals[1]
+    point = middle if far else middle - distances @ normals / float(distances @ distances)
+    place = Place(axis / np.linalg.norm(axis), point)
+    name = ("space", "plane" if far else "ball", "line" if far else "hinge")[held]
+    found = KINDS[name, {0: "free", 2: "about-axis", 3: "fixed"}[turns]]
+    turned = aligned and turns == 2 and abs(float(free @ place.axis)) < 1.0 - MIXED
+    return None if found not in MECHANISM_KINDS or turned else (found, place)
+
+
+def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -> Read | None:
+    """Return what leaves the twists (v, w) about m free; every displacement is a screw (G. Chasles)."""
+    U, turning, axes = np.linalg.svd(free[:, 3:])
+    turns, axis = int(np.count_nonzero(turning > MIXED)), axes[0]
+    spun, slides = U.T[:turns] @ free, (U.T[turns:] @ free)[:, :3]
+    match turns, len(free):
+        case 0, 1:
+            return KINDS["line", "fixed"], Place(free[0, :3] / np.linalg.norm(free[0, :3]), middle)
+        case 0, 2:
+            return KINDS["plane", "fixed"], Place(np.cross(*slides) / np.linalg.norm(np.cross(*slides)), middle)
+        case 0, 3:
+            return KINDS["space", "fixed"], Place(Z, middle)
+        case 1, (1 | 2):
+            across = spun[0, :3] / (spun[0, 3:] @ axis)
+            foot = middle + np.cross(axis, across)
+            if len(slides) == 0:
+                return KINDS["screw", "carried"], Place(axis, foot, float(across @ axis))
+            if np.linalg.norm(np.cross(slides[0], axis)) < MIXED * np.linalg.norm(slides[0]):
+                return KINDS["cylinder", "carried"], Place(axis, foot)
+        case 1, 3 if np.max(np.abs(slides @ axis)) < MIXED:
+            return KINDS["plane", "about-axis"], Place(axis, middle)
+        case 1, 4:
+            return KINDS["space", "about-axis"], Place(axis, middle)
+        case 3, 3:  # v_i = w_i x (m - c) for all three
+            levers = np.concatenate([skew(x) for x in spun[:, 3:]])
+            away = np.linalg.lstsq(levers, spun[:, :3].reshape(-1), rcond=None)[0]
+            return KINDS["ball", "carried"], Place(Z, middle - away)
+    return None
+
+
+def of_surface(selection: Rows, middle: Float[np.ndarray, " 3"], p: Float[np.ndarray, "N 3"]) -> Read | None:
+    """Return the surface of rows n.v + sum B_ij (p - m)_i v_j: a cylinder, B = I - a a^T, or a helix, B = [a]."""
+    n, B = selection[:, :3], selection[:, 3:].reshape(-1, 3, 3)
+    odd = 0.5 * (B - B.transpose(0, 2, 1)).reshape(len(B), -1)
+    U, sizes, _ = np.linalg.svd(odd)
+    side = U[:, -1]
+    C, foot = np.tensordot(side, B, axes=1), side @ n
+    values, vectors = np.linalg.eigh(0.5 * (C + C.T))
+    order = np.argsort(np.abs(values))
+    along, one, other = values[order]
+    if abs(along) >= MIXED * abs(one) or abs(one - other) > MIXED * abs(other):
+        return None
+    axis, size = vectors[:, order[0]], 0.5 * float(one + other)
+    point = middle - (foot - (foot @ axis) * axis) / size
+    if len(selection) == 1:
+        return KINDS["cylinder", "free"], Place(axis, point)
+    if len(selection) != 2 or sizes[0] < MIXED:
+        return None
+    # the other row is that of rho^2 a - h a x (p - c)
+    T = np.tensordot(U[:, 0], B, axes=1)
+    turn = 0.5 * np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]])
+    square = float(np.mean(np.sum(np.cross(p - point, axis) ** 2, axis=1)))
+    return KINDS["screw", "free"], Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis))
+
+
+def hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], learnt: Mapping[str, Any]) -> Read:
+    """Return a hinge for the twist of a firm grip, unless it travels more than three standard deviations of its angle.
+
+    Args:
+        read: Kind and place.
+        hand: A place of the hand [m].
+        learnt: What is known of how Lambda was learnt: the error of its rows.
+    """
+    kind, place = read
+    angle, radius = learnt.get("uncertainty_deg"), float(np.linalg.norm(place.point - hand))
+    spread = math.radians(angle) if isinstance(angle, int | float) else 0.0
+    travels = abs(place.pitch) >= max(LEAST_PITCH, 3.0 * spread * math.hypot(1.0, radius))
+    return read if travels or kind != KINDS["screw", "carried"] else (KINDS["hinge", "carried"], place)
+
+
+def as_learnt(read: Mechanism, learnt: Mapping[str, Any]) -> Mechanism:
+    """Return the mechanism that was fitted to positions, with place and uncertainty, if it is the one that Lambda says.
+
+    Args:
+        read: The mechanism that was read from Lambda.
+        learnt: What is known of how Lambda was learnt, empty if it was not.
+    """
+    try:
+        known = Mechanism.from_dict(learnt["mechanism"])
+    except (KeyError, TypeError, ValueError):
+        return read  # none, or of another version, or damaged: Lambda has said what it says
+    same = known.type == read.type and (known.orientation == read.orientation or "whole" in learnt)
+    if same and known.axis is not None and read.axis is not None:  # to one degree
+        same = known.axis.shape == (3,) and abs(float(known.axis @ read.axis)) > 0.9998 * np.linalg.norm(known.axis)
+    return known if same else read

@@ -1,31 +1,42 @@
-"""Where a mechanism is, and the weights W(p) of a hand's twist (v, w) in its rows: f(p).v + g(p).w.
+"""Where a mechanism is, the curve that it follows, and the free coordinates of a hand that holds it.
 
-With the origin p of the hand, the axis a (unit length) through the point c, d = p - c, x = d - (a.d) a and rho = |x|,
-f and g are affine in p on a mechanism of known radius; rows of a hand that may be at any distance are made unit length.
+The weights W(p) of a hand's twist (v, w) in the rows of a mechanism are f(p).v + g(p).w. With the origin p of the hand,
+the axis a (unit length) through the point c, d = p - c, x = d - (a.d) a and rho = |x|, f and g are affine in p on a
+mechanism of known radius; rows of a hand that may be at any distance are made unit length.
+
+A mechanism displaces whatever is fixed to it by g(s) of SE(3), g(0) = 1: the exponential of its screws, g(s) =
+exp(sum_i s_i X_i) (R. W. Brockett, "Robotic Manipulators and the Product of Exponentials Formula", 1984), or the frame
+that goes along a curve. A grasp is the pose at s = 0. With g = (G, t), the hand that took hold at (p0, R0) is at
+
+    p = G p0 + t,    R = C R0,    C = G of a hand that is carried, exp(sum_i s_i c_i) of one that turns by itself
+
+A line is a screw that only travels, a hinge one that only turns; screws that do both, cylinders, balls and planes are
+the same formula with other numbers, and so is a hand that may turn as it likes: its own turns are further coordinates.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import final
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
-from manip_learn.robot.rotations import skew
+from manip_learn.errors import FeatureError
+from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors, skew
 
 # Units are those of the row times a joint velocity.
 AXIS_UNITS = {**dict.fromkeys(("x", "y", "z"), "m/s"), **dict.fromkeys(("rx", "ry", "rz"), "rad/s")}
 AXES = tuple(AXIS_UNITS)  # rows of a twist (v, w)
 ON_AXIS = 1e-5  # [m] below this distance from the axis (or the centre) a direction fades to zero instead of flipping
-ROW_UNITS: dict[str, str] = {
-    **dict.fromkeys(("radial", "tangential", "axial", "helical", "spherical", "across-1", "across-2"), "m/s"),
-    **dict.fromkeys(("turn-1", "turn-2", "turn"), "rad/s"),
-    **dict.fromkeys(("slide-1", "slide-2", "slide", "screw"), "m/s"),
-}
+TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
+_VELOCITIES = "radial tangential axial helical spherical across-1 across-2 {} {} {} slide-1 slide-2 slide screw"
+ROW_UNITS = {x: "rad/s" if x in TURNING else "m/s" for x in _VELOCITIES.format(*TURNING).split()}
 AT_A_DISTANCE = ("radial", "tangential", "helical", "spherical")  # rows that ask how far the hand is
 
 
@@ -45,26 +56,21 @@ class Place:
     pitch: float = 0.0
 
     def as_told(self) -> Place:
-        """This place, its axis in the sense in which mechanisms are told: the largest number is positive.
+        """Return this place, its axis in the sense in which mechanisms are told: the largest number is positive.
 
         The pitch stays: of an axis the other way both the turn and the travel count the other way.
         """
         sense = 1.0 if self.axis[int(np.argmax(np.abs(self.axis)))] > 0.0 else -1.0
         return Place(sense * self.axis, self.point, self.pitch)
 
-    @cached_property
-    def across(self) -> Float[np.ndarray, "2 3"]:
-        """Two unit vectors that make a right-handed base with the axis."""
-        return across(self.axis)
-
     def moved(self, step: Float[np.ndarray, " 7"]) -> Place:
-        """The place after a step of the seven numbers axis, point, pitch."""
+        """Return the place after a step of the seven numbers axis, point, pitch."""
         axis = self.axis + step[:3]
         return Place(axis / np.linalg.norm(axis), self.point + step[3:6], self.pitch + float(step[6]))
 
 
 def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
-    """Two unit vectors that make a right-handed orthonormal base with a unit vector: (first, second, axis)."""
+    """Return two unit vectors that make a right-handed orthonormal base with a unit vector: (first, second, axis)."""
     a = axis.tolist()  # three numbers: floats are faster than arrays
     least = min(range(3), key=lambda i: abs(a[i]))
     first = [-a[least] * x for x in a]
@@ -75,7 +81,7 @@ def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
 
 
 def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None) -> PlaceWeights:
-    """The rows of that name, see `MechanismRows`.
+    """Return the weights of rows of that name, see `MechanismRows`.
 
     - `radial` f = x / rho; `tangential` f = a x x / rho; `spherical` f = d / |d|;
     - `helical` f = (rho^2 a - h a x x) / (rho sqrt(rho^2 + h^2)), orthogonal to the velocity a x x + h a of a point
@@ -87,20 +93,18 @@ def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None
     With a radius, rho (and |d|) in these formulas are that number; without one they are the hand's own.
     """
     a, c, h = place.axis, place.point, place.pitch
-    directions = {"1": place.across[0], "2": place.across[1]}
-    outward, around = np.eye(3) - np.outer(a, a), skew(a)
-    fields = {"radial": outward, "tangential": around, "spherical": np.eye(3), "helical": around}
+    directions = dict(zip("12", across(a), strict=True))
+    fields = {"radial": np.eye(3) - np.outer(a, a), "tangential": skew(a), "spherical": np.eye(3), "helical": skew(a)}
     constant, by_place = np.zeros((len(names), 6)), np.zeros((len(names), 6, 3))
     free = {i: (a, h) if x == "helical" else (np.zeros(3), 0.0) for i, x in enumerate(names) if x in fields}
     for i, name in enumerate(names):
         e = directions.get(name[-1], a)
         if name in fields:
-            by_place[i, :3] = fields[name]
+            scale = 1.0 if radius is None else 1.0 / radius
             if radius is not None and name == "helical":
-                by_place[i, :3] *= -h / (radius * math.hypot(radius, h))
+                scale = -h / (radius * math.hypot(radius, h))
                 constant[i, :3] = radius / math.hypot(radius, h) * a
-            elif radius is not None:
-                by_place[i, :3] *= 1.0 / radius
+            by_place[i, :3] = scale * fields[name]
             constant[i, :3] -= by_place[i, :3] @ c
         elif name.startswith("turn"):
             constant[i, 3:] = e
@@ -130,7 +134,7 @@ class PlaceWeights:
     free: Mapping[int, tuple[Float[np.ndarray, " 3"], float]] = field(default_factory=dict)
 
     def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """W(p) at n places [m]."""
+        """Return W(p) at n places [m]."""
         W = self.constant + (p @ self.by_place.reshape(-1, 3).T).reshape(len(p), -1, 6)
         for i, (b, h) in self.free.items():
             y = W[:, i, :3]
@@ -140,20 +144,324 @@ class PlaceWeights:
         return W
 
     def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """W(p) and dW/dp at n places [m]."""
+        """Return W(p) and dW/dp at n places [m]."""
         W, dW = self.values(p), np.broadcast_to(self.by_place, (len(p), *self.by_place.shape))
         dW = dW.copy() if self.free else dW
-        for i in self.free:
-            dW[:, i, :3] = self.slopes(i, p, W[:, i, :3])
+        for i, (b, h) in self.free.items():
+            Y = self.by_place[i, :3]
+            y = self.constant[i, :3] + p @ Y.T
+            edge, along = (y * y).sum(1)[:, None] + ON_AXIS**2, y @ Y
+            size, df, rise = np.sqrt(edge), Y, 1.0
+            if b.any():
+                size, rise = np.sqrt(edge * (edge + h * h)), 2.0 * edge + h * h
+                df = 2.0 * b[:, None] * along[:, None] - h * Y
+            dW[:, i, :3] = (df - W[:, i, :3, None] * (rise * along / size)[:, None]) / size[:, None]
         return W, dW
 
-    def slopes(self, i: int, p: Float[np.ndarray, "n 3"], f: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
-        """The derivative along p of the weights f of v in a free row."""
-        (b, h), Y = self.free[i], self.by_place[i, :3]
-        y = self.constant[i, :3] + p @ Y.T
-        edge, along = (y * y).sum(1)[:, None] + ON_AXIS**2, y @ Y
-        size, df, rise = np.sqrt(edge), Y, 1.0
-        if b.any():
-            size, rise = np.sqrt(edge * (edge + h * h)), 2.0 * edge + h * h
-            df = 2.0 * b[:, None] * along[:, None] - h * Y
-        return (df - f[:, :, None] * (rise * along / size)[:, None]) / size[:, None]
+
+# names of the rows: velocities across and along the curve, then angular ones
+CURVE_ROWS = ("across-1", "across-2", "along", "rx", "ry", "rz")
+# share of the radius of curvature that a hand may be off the curve before the nearest place is no longer told
+WITHIN = 0.95
+
+
+@final
+class Curve:
+    """A smooth curve through points, straight beyond both ends, by its length.
+
+    Natural cubic splines, by the length of the chords and then by that of the curve itself (so that the tangent has
+    unit length to 1e-4 or better). The frame across it does not turn about it (R. L. Bishop, 1975).
+
+    Args:
+        points: In order, at least four, shape (k, 3) [m].
+
+    Attributes:
+        points: As given, read-only.
+        length: From the first to the last point [m].
+
+    Raises:
+        FeatureError: Fewer points, points that are not finite, or two that follow each other at one place.
+    """
+
+    def __init__(self, points: ArrayLike):
+        self.points = np.array(points, dtype=np.float64)
+        if self.points.ndim != 2 or self.points.shape[1] != 3 or len(self.points) < 4:
+            raise FeatureError(f"a curve goes through at least four points (k, 3) [m], got {self.points.shape}")
+        chords = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        if not np.all(np.isfinite(self.points)) or not np.all(chords > 0.0):
+            raise FeatureError("the points of a curve must be finite, and each elsewhere than the one before")
+        self.points.setflags(write=False)
+        at = np.concatenate([[0.0], np.cumsum(chords)])
+        for _ in range(2):  # by the length of the chords, then of the curve: the middle of 4 in each piece
+            spline = CubicSpline(at, self.points, bc_type="natural")
+            inside = at[:-1, None] + np.diff(at)[:, None] * (np.arange(4) + 0.5) / 4
+            speed = np.linalg.norm(spline(inside, 1), axis=2).mean(axis=1)
+            at = np.concatenate([[0.0], np.cumsum(speed * np.diff(at))])
+        self._spline = CubicSpline(at, self.points, bc_type="natural")
+        self.length = float(at[-1])
+
+    def at(self, s: Float[np.ndarray, " n"], order: int = 0) -> Float[np.ndarray, "n 3"]:
+        """Return places [m] at lengths s [m], or their derivatives of an order up to 3."""
+        inside = np.clip(s, 0.0, self.length)
+        beyond, value = s - inside, self._spline(inside, order)
+        if order == 0:
+            return value + beyond[:, None] * self._spline(inside, 1)
+        return value if order == 1 else np.where(beyond[:, None] == 0.0, value, 0.0)
+
+    def tangents_at(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        """Return unit vectors along the curve at lengths s [m]."""
+        along = self.at(s, 1)
+        return along / np.linalg.norm(along, axis=1, keepdims=True)
+
+    @cached_property
+    def _frames(self) -> CubicSpline:
+        """Two unit vectors across the curve, by its length, shape (2, 3)."""
+        # 12 from one point to the next: the frame's error falls with the fourth power of their distance
+        s = np.linspace(0.0, self.length, 12 * (len(self.points) - 1) + 1)
+        places, tangents = self.at(s), self.tangents_at(s)
+        across = np.linalg.svd(tangents[:1])[2][1:]
+        across[1] = np.cross(tangents[0], across[0])
+        frames = [across]
+        for i in range(len(s) - 1):  # two reflections (W. Wang and others, 2008)
+            step = places[i + 1] - places[i]
+            half = _reflected(np.vstack([frames[-1], tangents[i]]), step)
+            frames.append(_reflected(half[:2], tangents[i + 1] - half[2]))
+        return CubicSpline(s, np.array(frames), bc_type="clamped")
+
+    def frame(self, s: Float[np.ndarray, " n"], order: int = 0) -> Float[np.ndarray, "n 2 3"]:
+        """Return two unit vectors across the curve at lengths s [m], or their derivatives."""
+        inside = np.clip(s, 0.0, self.length)
+        value = self._frames(inside, order)
+        return value if order == 0 else np.where((s == inside)[:, None, None], value, 0.0)
+
+    def frames(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 3"]:
+        """Return rotations whose columns are the tangent at lengths s [m] and two directions across the curve."""
+        tangent, normal = self.tangents_at(s), self.frame(s)[:, 0]
+        normal = normal - np.sum(normal * tangent, axis=1, keepdims=True) * tangent
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return np.stack([tangent, normal, np.cross(tangent, normal)], axis=2)
+
+    def nearest(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Return the length at which the curve comes nearest to places [m], beyond its ends on the straight lines."""
+        # the search begins at the nearest of three places from one point to the next
+        some = np.linspace(0.0, self.length, 3 * (len(self.points) - 1) + 1)
+        places, step = self.at(some), some[1]
+        s = some[np.argmin(np.sum(places**2, axis=1) - 2.0 * p @ places.T, axis=1)]
+        for _ in range(6):  # of Newton's method: each doubles the digits
+            away, c1, c2 = p - self.at(s), self.at(s, 1), self.at(s, 2)
+            slope = np.maximum(np.sum(c1 * c1, axis=1) - np.sum(c2 * away, axis=1), 1.0 - WITHIN)
+            move = np.sum(c1 * away, axis=1) / slope
+            outside = (s <= 0.0) & (move < 0.0) | (s >= self.length) & (move > 0.0)
+            s = s + np.where(outside, move, np.clip(move, -step, step))
+        return s
+
+    def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 6 6"], Float[np.ndarray, "n 6 6 3"]]:
+        """Return the weights of all `CURVE_ROWS` at n places [m], and their derivatives along the place."""
+        s = self.nearest(p)
+        away, c1, c2, c3 = p - self.at(s), *(self.at(s, k) for k in (1, 2, 3))
+        bend = np.sum(c2 * away, axis=1)
+        far = bend > WITHIN  # near the centre of curvature the length would run away
+        D = np.sum(c1 * c1, axis=1) - np.minimum(bend, WITHIN)
+        along = c1 / D[:, None]
+        by_length = 3.0 * np.sum(c1 * c2, axis=1) - np.sum(c3 * away, axis=1)
+        dD = np.where(far, 2.0 * np.sum(c1 * c2, axis=1), by_length)[:, None] * along - np.where(far[:, None], 0.0, c2)
+        W, dW = np.zeros((len(p), len(CURVE_ROWS), 6)), np.zeros((len(p), len(CURVE_ROWS), 6, 3))
+        W[:, 3:, 3:] = np.eye(3)
+        W[:, :2, :3], W[:, 2, :3] = self.frame(s), along
+        dW[:, :2, :3] = self.frame(s, 1)[..., None] * along[:, None, None]
+        dW[:, 2, :3] = (c2[:, :, None] * along[:, None] - along[:, :, None] * dD[:, None]) / D[:, None, None]
+        return W, dW
+
+    def moved(self, transform: Float[np.ndarray, "4 4"]) -> Curve:
+        """Return this curve where it stands elsewhere, p' = R p + t."""
+        return Curve(self.points @ transform[:3, :3].T + transform[:3, 3])
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class CurveWeights:
+    """Weights W(p) of some rows across and along a curve, as `PlaceWeights`.
+
+    Attributes:
+        curve: The curve.
+        names: Of `CURVE_ROWS`.
+    """
+
+    curve: Curve
+    names: tuple[str, ...]
+
+    def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
+        """Return W(p) at n places [m]."""
+        return self.at(p)[0]
+
+    def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
+        """Return W(p) and dW/dp at n places [m]."""
+        W, dW = self.curve.weights(p)
+        rows = [CURVE_ROWS.index(name) for name in self.names]
+        return W[:, rows], dW[:, rows]
+
+
+def _reflected(vectors: Float[np.ndarray, "k 3"], normal: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "k 3"]:
+    size = normal @ normal
+    return vectors - 2.0 * np.outer(vectors @ normal, normal) / size if size > 0.0 else vectors
+
+
+@final
+class Chart:
+    """Free coordinates s (k,) of a hand about the pose at which it took hold.
+
+    The ways [m] and angles [rad] along the mechanism come first, then the angles by which the hand turns by itself.
+
+    Args:
+        grasp: shape (4, 4), pose of the hand where it took hold; s = 0 there.
+        travel: shape (k, 3), and
+        turn: shape (k, 3): X_i = (v_i, w_i) [m, rad per unit of s_i]: the velocity at the origin, and the angular one.
+        spin: shape (k, 3), c_i, by which the hand turns by itself [rad per unit of s_i].
+        is_carried: Whether the hand turns with the mechanism. Its rotation then tells the angle, otherwise its place.
+        centre: shape (3,), a point that stays where it is while only the angles change [m]; of one screw it is known.
+        curve: Along which the hand goes, in the place of screws.
+        rows: Place (1, 3) -> weights (1, h, 6) of the hand's twist in the h rows that are held.
+        sizes: Factors that give the coordinates along the mechanism one unit: on a cylinder angles become arcs [m].
+    """
+
+    def __init__(
+        self,
+        grasp: Float[np.ndarray, "4 4"],
+        travel: Float[np.ndarray, "k 3"],
+        turn: Float[np.ndarray, "k 3"],
+        spin: Float[np.ndarray, "k 3"],
+        *,
+        is_carried: bool = False,
+        centre: Float[np.ndarray, " 3"] | None = None,
+        curve: Curve | None = None,
+        rows: Callable[[Float[np.ndarray, "1 3"]], Float[np.ndarray, "1 h 6"]] | None = None,
+        sizes: Sequence[float] = (1.0,),
+    ):
+        self.grasp, self._p, self._R = grasp, grasp[:3, 3].copy(), grasp[:3, :3].copy()
+        self.turn, self.spin, self._carried = turn, spin, is_carried
+        self._curve, self._rows, self.sizes = curve, rows, np.array(sizes)
+        self._at = 0.0 if curve is None else float(curve.nearest(self._p[None])[0])
+        by_itself = ~turn.any(axis=1) & (np.sum(spin**2, axis=1) > np.sum(travel**2, axis=1))
+        self.n_ways = len(spin) - int(np.count_nonzero(by_itself))
+        self._turns, self._spins = int(np.count_nonzero(turn.any(axis=1))), bool(spin.any())
+        self._size = math.sqrt(turn[0] @ turn[0]) if self._turns == 1 else 1.0
+        self._axis = turn[0] / self._size
+        if centre is None:  # the point of the axis next to the origin
+            centre = skew(self._axis).dot(travel[0]) / self._size if self._turns == 1 else np.zeros(3)
+        self._centre, self._slide = centre, travel - np.cross(centre, turn)
+        out = self._p - centre
+        self._held = -self._R.T @ out  # the point of a carried hand that is at the centre, in its axes
+        self._out = out - (out @ self._axis) * self._axis if self._turns == 1 else out
+        self._around = skew(self._axis).dot(self._out)
+
+    def coordinates(self, pose: Float[np.ndarray, "*n 4 4"], near: float = 0.0) -> Float[np.ndarray, "*n k"]:
+        """Return the free coordinates of a hand [m or rad], or of a hand along a motion.
+
+        Args:
+            pose: shape (4, 4) of the hand, or (T, 4, 4) of a motion, along which the angles have no jumps.
+            near: Of angles a turn apart the first is the one next to this [rad].
+        """
+        p, Q = pose[..., :3, 3], pose[..., :3, :3] @ self._R.T
+        vectors = rotation_vector if pose.ndim == 2 else rotation_vectors
+        n, s = self.n_ways, np.zeros((*p.shape[:-1], len(self.spin)))
+        if self._curve is not None:
+            s[..., 0] = self._curve.nearest(p.reshape(-1, 3)).reshape(p.shape[:-1]) - self._at
+        elif self._turns > 1:
+            turned = vectors(Q) if self._carried else _shortest_turn(self._out, p - self._centre)
+            s[..., :n] = turned @ self.turn[:n].T
+        elif self._turns:
+            d = p - self._centre
+            angle = _turn_about(Q, self._axis) if self._carried else np.arctan2(d @ self._around, d @ self._out)
+            turns = round((near * self._size - float(angle.flat[0])) / (2.0 * math.pi))
+            s[..., 0] = ((angle if angle.ndim == 0 else np.unwrap(angle)) + 2.0 * math.pi * turns) / self._size
+            if n > 1:
+                s[..., 1] = (p - self._p) @ self._slide[1]
+        elif n:
+            s[..., :n] = (p - self._p) @ self._slide[:n].T / np.sum(self._slide[:n] ** 2, axis=1)
+        if own := len(self.spin) - n:
+            c = self.spin[n:]
+            s[..., n:] = vectors(Q) @ c.T if own == 3 else _turn_about(Q, c[0])[..., None]
+        return s
+
+    def pose(self, s: ArrayLike) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of the hand at free coordinates (k,) [m or rad]; those left out at the end are 0."""
+        s, out, place = self._whole(s), self.grasp.copy(), self._p
+        if self._curve is not None:
+            at = np.array([self._at, self._at + s[0]])
+            (before, after), (c0, c1) = self._curve.frames(at), self._curve.at(at)
+            G = after @ before.T
+            out[:3, 3] = c1 + G @ (place - c0)
+        elif self._turns:
+            G = rotation_matrix(s @ self.turn)
+            out[:3, 3] = self._centre + G.dot(place - self._centre) + s @ self._slide
+        else:
+            G, out[:3, 3] = None, place + s @ self._slide
+        if self._carried and G is not None:
+            out[:3, :3] = G.dot(self._R)
+        elif self._spins:
+            out[:3, :3] = rotation_matrix(s @ self.spin).dot(self._R)
+        return out
+
+    def twist(self, s: ArrayLike, pose: Float[np.ndarray, "4 4"] | None = None) -> Float[np.ndarray, "6 k"]:
+        """Return the twist (v, w) of the hand's origin per unit of each coordinate.
+
+        Args:
+            s: shape (k,), free coordinates [m or rad].
+            pose: shape (4, 4), of a hand that goes on from elsewhere; None for one that is on the mechanism.
+        """
+        s, K = self._whole(s), np.zeros((6, len(self.spin)))
+        p = (self.pose(s) if pose is None else pose)[:3, 3]
+        turning, K[:3] = self.turn.T, self._slide.T
+        if self._curve is not None:
+            c, c1, c2 = (self._curve.at(np.array([self._at + s[0]]), order)[0] for order in range(3))
+            turning = (np.cross(c1, c2) / (c1 @ c1))[:, None]
+            K[:3, 0] = c1 + np.cross(turning[:, 0], p - c)
+        elif self._turns:
+            turning = left_jacobian(s @ self.turn) @ turning if self._turns > 1 else turning
+            K[:3] -= skew(p - self._centre).dot(turning)
+        if self._carried:
+            K[3:, : turning.shape[1]] = turning
+        elif self._spins:
+            K[3:] = left_jacobian(s @ self.spin) @ self.spin.T
+        return K
+
+    def _whole(self, s: ArrayLike) -> Float[np.ndarray, " k"]:
+        s = np.asarray(s, dtype=np.float64)
+        return s if len(s) == len(self.spin) else np.append(s, np.zeros(len(self.spin) - len(s)))
+
+    def error(self, pose: Float[np.ndarray, "4 4"], s: ArrayLike) -> Float[np.ndarray, " 6"]:
+        """Return the twist that takes the pose meant by free coordinates to that of the hand [m, rad].
+
+        Of a hand that is carried, the point that it holds at the centre moves as far as the twist says.
+        """
+        meant, out = self.pose(s), np.empty(6)
+        turned = pose[:3, :3] @ meant[:3, :3].T
+        out[:3], out[3:] = pose[:3, 3] - meant[:3, 3], rotation_vector(turned)
+        if self._carried and self._turns:
+            lever = meant[:3, :3] @ self._held
+            out[:3] += turned.dot(lever) - lever - skew(out[3:]).dot(lever)
+        return out
+
+    def heading(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
+        """Return the way of a hand along the first coordinate, and how what it holds turns meanwhile [m, rad]."""
+        return np.append(self.twist([], pose)[:3, 0], self.turn[0] + self.spin[0])
+
+    def held_error(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " h"]:
+        """Return how far a hand is off the mechanism along the held rows, 6 - k of them [m or rad].
+
+        Counted from the pose on the mechanism that has the same free coordinates.
+        """
+        return self._rows(pose[None, :3, 3])[0] @ self.error(pose, self.coordinates(pose))  # type: ignore[misc]
+
+
+def _turn_about(Q: Float[np.ndarray, "*n 3 3"], axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "*n"]:
+    """Return the part of rotations that is about an axis [rad]; it is well determined up to half a turn."""
+    vee = np.stack([Q[..., 2, 1] - Q[..., 1, 2], Q[..., 0, 2] - Q[..., 2, 0], Q[..., 1, 0] - Q[..., 0, 1]], axis=-1)
+    return np.asarray(np.arctan2(vee @ axis, np.trace(Q, axis1=-2, axis2=-1) - Q @ axis @ axis))
+
+
+def _shortest_turn(before: Float[np.ndarray, " 3"], after: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Return the rotation vectors that take one direction to others on the shortest way [rad]."""
+    normal = np.cross(before, after)
+    sine = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return normal * np.arctan2(sine, (after @ before)[..., None]) / np.maximum(sine, 1e-300)

@@ -13,86 +13,13 @@ from jaxtyping import Float
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint, damaged, read_constraint_file, signed
-from manip_learn.constraint.shown import Shown
+from manip_learn.constraint.shown import Shown, Take
 from manip_learn.errors import DAMAGE, counted
-from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
-TAKE_KNOTS = 24, 40, 16  # of a take before, during and after the contact: 4 kB of a file for an arm
 MOST_TAKES = 12  # kept with a step
 StepKind = Literal["reach", "way"]
 Gripping = Literal["close", "open"]
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Take:
-    """How the joints went in one recording: to a contact, along it, and away from it.
-
-    Attributes:
-        name: Of the recording.
-        time: shape (k,), from where the contact began [s].
-        q: shape (k, nv), joint positions, thinned [rad or m].
-        end: When the contact ended [s].
-        moved: shape (4, 4): the fixtures stand elsewhere now, p' = R p + t.
-    """
-
-    name: str
-    time: Float[np.ndarray, " k"]
-    q: Float[np.ndarray, "k nv"]
-    end: float
-    moved: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
-
-    @staticmethod
-    def of(robot: Any, whole: Trajectory, since: float, begin: float, end: float, until: float) -> Take:
-        """Return a recording, thinned evenly along its path before, during and after a contact.
-
-        Args:
-            robot: The robot.
-            whole: The recording.
-            since: When the contact before it ended [s].
-            begin: When the contact began, a time of a sample [s].
-            end: When it ended, likewise.
-            until: When the next one begins [s].
-        """
-        time, q = whole.time, robot.unwrapped(whole.q)
-        parts = (since <= time) & (time <= begin), (begin <= time) & (time <= end), (end <= time) & (time <= until)
-        thin = [_thinned(time[part] - begin, q[part], n) for part, n in zip(parts, TAKE_KNOTS, strict=True)]
-        knots = np.concatenate([thin[0][:-1], thin[1], thin[2][1:]])
-        return Take(whole.name, knots[:, 0], knots[:, 1:], end - begin)
-
-    @property
-    def before(self) -> Float[np.ndarray, "k nv"]:
-        """Joint positions up to the contact, the first one of it included."""
-        return self.q[self.time <= 0.0]
-
-    @property
-    def along(self) -> Float[np.ndarray, "k nv"]:
-        """Joint positions of the contact."""
-        return self.q[(self.time >= 0.0) & (self.time <= self.end)]
-
-    @property
-    def after(self) -> Float[np.ndarray, "k nv"]:
-        """Joint positions from the last one of the contact on."""
-        return self.q[self.time >= self.end]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, for a skill's file."""
-        plain = {"name": self.name, "time": np.round(self.time, 4).tolist(), "q": np.round(self.q, 5).tolist()}
-        return plain | {"end": round(self.end, 4), "moved": self.moved.tolist()}
-
-    @staticmethod
-    def from_dict(content: Mapping[str, Any]) -> Take:
-        """Return what `to_dict` wrote."""
-        arrays = {name: np.array(content[name], dtype=np.float64) for name in ("time", "q", "moved")}
-        return Take(name=str(content["name"]), end=float(content["end"]), **arrays)
-
-
-def _thinned(time: Float[np.ndarray, " n"], q: Float[np.ndarray, "n nv"], most: int) -> Float[np.ndarray, "k m"]:
-    """Times and joint positions at even distances along the joints' path, the first and the last sample among them."""
-    ways = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1)))
-    even = np.linspace(0.0, ways[-1], min(len(q), most))
-    return np.column_stack([np.interp(even, ways, x) for x in (time, *q.T)]) if ways[-1] > 0.0 else np.c_[time, q][:1]
 
 
 @final
@@ -156,12 +83,12 @@ class Skill:
         return self.constraints[0].robot
 
     def __repr__(self) -> str:
-        said = [f"{i + 1}. {_in_words(step)}" for i, step in enumerate(self.steps[:8])]
-        more = f"\n... and {len(self.steps) - 8} more" if len(self.steps) > 8 else ""
-        return f"Skill of {counted(len(self.steps), 'step')}\n" + "\n".join(said) + more
+        lines = [f"{i + 1}. {_in_words(step)}" for i, step in enumerate(self.steps[:8])]
+        lines += [f"... and {len(self.steps) - 8} more"] if len(self.steps) > 8 else []
+        return "\n".join([f"Skill of {counted(len(self.steps), 'step')}", *lines])
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Skill:
-        """The skill at fixtures that stand elsewhere: p' = R p + t in the base's frame."""
+        """Return the skill at fixtures that stand elsewhere: p' = R p + t in the base's frame."""
         transform = np.asarray(transform, dtype=np.float64)
         elsewhere = {id(c): c.moved(transform) for c in self.constraints}
         steps = []
@@ -176,7 +103,7 @@ class Skill:
         return replace(self, constraints=tuple(elsewhere[id(c)] for c in self.constraints), steps=tuple(steps))
 
     def to_dict(self) -> dict[str, Any]:
-        """The content of a skill's file: that of its first constraint, with the others and the steps beside it.
+        """Return the content of a skill's file: that of its first constraint, with the others and the steps beside it.
 
         Raises:
             FeatureError: The features are Python functions and cannot be written down.
@@ -240,7 +167,7 @@ def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step
 
 
 def one_way(constraint: Constraint) -> Skill:
-    """The skill of a single constraint: to take hold, and its way."""
+    """Return the skill of a single constraint: to take hold, and its way."""
     return Skill((constraint,), (Step("reach", constraint), Step("way", constraint, constraint.shown)))
 
 

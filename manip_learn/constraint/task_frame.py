@@ -9,7 +9,7 @@ place, the frame is on it. After M. T. Mason, "Compliance and Force Control for 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, final, get_args
 
@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.constraint.mechanism import MIXED, Mechanism, plain
 from manip_learn.constraint.place import AXES
-from manip_learn.constraint.reading import MIXED
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_basis
 from manip_learn.robot.rotations import skew
@@ -27,11 +26,6 @@ from manip_learn.robot.rotations import skew
 AxisState = Literal["held", "free", "unknown"]
 Turns = Literal["no", "hand", "axis", "other frame"]
 UNKNOWN = 0.5 * math.pi  # [rad] an axis of which nothing is known may be any
-# weight of held moments beside held forces, 1: the sums of what an axis may hold, 0, 0.5, 1 and 1.5, all differ ...
-MOMENTS = 0.5
-SAME_HOLD = 0.25  # ... by twice this
-# share of a wish that must lie in the space that is left: of three base axes one always does by 0.5 or more
-LEAST_WISH = 0.4
 
 
 @final
@@ -80,9 +74,7 @@ class TaskFrame:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all of it as plain numbers and words, ready for JSON."""
-        values = {name: x.tolist() if isinstance(x, np.ndarray) else x for name, x in vars(self).items()}
-        mechanism = None if self.mechanism is None else self.mechanism.to_dict()
-        return values | {"axes": dict(zip(AXES, self.axes, strict=True)), "mechanism": mechanism}
+        return plain(self) | {"axes": dict(zip(AXES, self.axes, strict=True))}
 
     @property
     def sentence(self) -> str:
@@ -95,33 +87,36 @@ class TaskFrame:
         return f"TaskFrame({self.sentence}, about {self.frame!r})"
 
 
-def task_frame(
-    selection: Float[np.ndarray, "s p"],
-    features: Any,
-    mechanism: Mechanism | None,
-    learnt: Mapping[str, Any],
-    q: ArrayLike,
-) -> TaskFrame:
-    """The task frame at a posture, see `TaskFrame`.
+def task_frame(constraint: Any, q: ArrayLike) -> TaskFrame:
+    """Return the task frame of a constraint at a posture, see `TaskFrame`.
 
     Args:
-        selection: Lambda, with orthonormal rows.
-        features: Phi.
-        mechanism: What holds the hand, read from them.
-        learnt: The provenance of a learnt Lambda, empty for others.
+        constraint: A(q).
         q: Posture.
+
+    Returns:
+        The frame, its arrays read-only.
 
     Raises:
         ConstraintError: Features that are no rows of one frame's twist.
         ConfigurationError: q has the wrong size or is not finite.
     """
-    if features.twist is None:
-        raise ConstraintError(f"{features!r} are no rows of one frame's twist: a task frame needs a frame of the robot")
-    held, seen, base, turns = _on_hand(selection, features, q)
-    told = mechanism
-    if mechanism is not None and features.relative_to is not None:
-        mechanism = mechanism.moved(features.robot.pose(q, features.relative_to))
-    hand = features.robot.pose(q, features.frame)
+    f, told, learnt = constraint.features, constraint.mechanism, constraint.provenance
+    if f.twist is None:
+        raise ConstraintError(f"{f!r} are no rows of one frame's twist: a task frame needs a frame of the robot")
+    mechanism, base, turns = told, np.eye(3), "no"  # the axes of the rows, and what they turn with
+    if f.relative_to is not None:
+        other = f.robot.pose(q, f.relative_to)
+        mechanism, base, turns = None if told is None else told.moved(other), other[:3, :3], "other frame"
+    own = f.twist.pose(q)
+    turned, W = np.kron(np.eye(2), base.T), f.weights_at(own[None])[0]
+    held, seen = constraint.selection @ W @ turned, W @ turned  # rows of the hand's twist along the base's axes
+    if f.own_axes:
+        base, turns = own[:3, :3], "hand"
+    elif f.own_axes is None:
+        # of a mechanism only the held rows are features: whoever saw one translation or rotation of it saw all
+        seen = np.eye(6)[np.repeat([bool(np.any(W[:, part])) for part in (slice(0, 3), slice(3, 6))], 3)] @ turned
+    hand = f.robot.pose(q, f.frame)
     p, carried = hand[:3, 3], mechanism is None or mechanism.grip == "firm"
     forces, moments, c = _central(held)
     point = origin = p + c
@@ -134,42 +129,28 @@ def task_frame(
         origin = origin if carried else p - out
         wishes.insert(0 if mechanism.axis is None else 1, out)
         turns = turns if turns == "other frame" else "axis"
-    R = _axes(forces.T @ forces + MOMENTS * moments.T @ moments, wishes)
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = R, origin
-    back = np.linalg.inv(_from_hand(R, point - p))
+    # held moments weigh half as much as held forces: the sums of what an axis may hold, 0, 0.5, 1 and 1.5, all differ
+    pose[:3, :3], pose[:3, 3] = _axes(forces.T @ forces + 0.5 * moments.T @ moments, wishes), origin
+    back = np.linalg.inv(_from_hand(pose[:3, :3], point - p))
     rows, shown = row_basis(held @ back), row_basis(seen @ back)
     share, known = (np.einsum("si,si->i", x, x) for x in (rows, shown))
     states = np.where(known < 0.5, "unknown", np.where(share > 0.5, "held", "free"))
     P = rows.T @ rows
     mixed = np.arcsin(np.minimum(1.0, np.linalg.norm(np.where(share > 0.5, np.eye(6) - P, P), axis=0)))
-    off = np.hypot(_stated(mechanism, learnt.get("uncertainty_deg"), float(np.linalg.norm(p - origin))), mixed)
-    off[known < 0.5] = UNKNOWN
-    axes, off = tuple(states.tolist()), np.minimum(off, UNKNOWN)
+    # what the learner states of directions: of Lambda, or of a fitted axis and its place as seen by the hand
+    errors, angle, lever = {} if mechanism is None else mechanism.uncertainty, learnt.get("uncertainty_deg"), p - origin
+    stated = np.full(6, math.radians(errors.get("axis", angle if isinstance(angle, int | float) else 0.0)))
+    if np.any(lever):
+        stated[:2] = np.hypot(stated[:2], math.atan(errors.get("point", 0.0) / float(np.linalg.norm(lever))))
+    off = np.minimum(np.where(known < 0.5, UNKNOWN, np.hypot(stated, mixed)), UNKNOWN)
     for array in (pose, off, rows, hand, point):
         array.setflags(write=False)
-    return TaskFrame(pose, axes, off, rows, hand, point, turns, features.frame.name, told)
+    return TaskFrame(pose, tuple(states.tolist()), off, rows, hand, point, turns, f.frame.name, told)  # type: ignore[arg-type]
 
 
-def _on_hand(
-    selection: Float[np.ndarray, "s p"], f: Any, q: ArrayLike
-) -> tuple[Float[np.ndarray, "s 6"], Float[np.ndarray, "k 6"], Float[np.ndarray, "3 3"], Turns]:
-    """Held rows of the hand's twist along the base's axes, rows that the features show, and the axes of these."""
-    seen_from, pose = f.relative_to, f.twist.pose(q)
-    R, turns = (np.eye(3), "no") if seen_from is None else (f.robot.pose(q, seen_from)[:3, :3], "other frame")
-    turned, W = np.kron(np.eye(2), R.T), f.weights_at(pose[None])[0]
-    held, seen = selection @ W @ turned, W @ turned
-    if f.own_axes is not None:
-        return (held, seen, pose[:3, :3], "hand") if f.own_axes else (held, seen, R, turns)
-    # of a mechanism only the held rows are features: whoever saw one translation or rotation of it saw all
-    used = [bool(np.any(W[:, part])) for part in (slice(0, 3), slice(3, 6))]
-    return held, np.eye(6)[np.repeat(used, 3)] @ turned, R, turns
-
-
-def _central(
-    held: Float[np.ndarray, "s 6"],
-) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "m 3"], Float[np.ndarray, " 3"]]:
-    """Directions of held forces and of held moments without a force, and where the forces have no other moment.
+def _central(held: Float[np.ndarray, "s 6"]) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, " 3"]]:
+    """Return directions of held forces and of held moments without a force, and where the forces have no other moment.
 
     Rows are f.v + m.w about the hand; about a point at c from there the moment is m - c x f. Of all points that do as
     well it is the one next to the hand.
@@ -197,25 +178,19 @@ def _axes(S: Float[np.ndarray, "3 3"], wishes: Sequence[Float[np.ndarray, " 3"]]
     The first wish that can be had is z and the next one x.
     """
     values, vectors = np.linalg.eigh(S)
-    space = np.cumsum(np.diff(values, prepend=values[0]) > SAME_HOLD)  # number of each vector's eigenspace
+    space = np.cumsum(
+        np.diff(values, prepend=values[0]) > 0.25
+    )  # half of what sums differ by; number of each vector's eigenspace
     left = [V @ V.T for V in (vectors[:, space == k] for k in range(space[-1] + 1))]  # projections on these
     chosen: list[np.ndarray] = []
     for wish in wishes:
         parts = np.array([P @ wish for P in left])
         lengths = np.linalg.norm(parts, axis=1)
         best = int(np.argmax(lengths))
-        if len(chosen) < 2 and lengths[best] > LEAST_WISH * np.linalg.norm(wish):
+        # of three base axes one always lies in the space that is left by half or more
+        if len(chosen) < 2 and lengths[best] > 0.4 * np.linalg.norm(wish):
             e = parts[best] / lengths[best]
             chosen.append(e)
             left[best] = left[best] - np.outer(e, e)
     z, x = chosen
     return np.column_stack([x, np.cross(z, x), z])
-
-
-def _stated(known: Mechanism | None, angle: Any, lever: float) -> Float[np.ndarray, " 6"]:
-    """What the learner states of directions [rad]: of Lambda, or of a fitted axis and its place as seen by the hand."""
-    errors = {} if known is None else known.uncertainty
-    off = np.full(6, math.radians(errors.get("axis", angle if isinstance(angle, int | float) else 0.0)))
-    if lever > 0.0:
-        off[:2] = np.hypot(off[:2], math.atan(errors.get("point", 0.0) / lever))
-    return off

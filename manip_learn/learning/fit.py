@@ -154,7 +154,7 @@ def changes_by_links(
     for block in robot.blocks:
         place[block.v] = behind.get(block.index, -1)
     V, W, out = np.einsum("nij,nj->ni", J, u), features.weights_at(poses), [none]
-    dW = features.weights(poses[:, :3, 3])[1] if isinstance(features, WeighedVelocity) else None
+    dW = features.place_weights.at(poses[:, :3, 3])[1] if isinstance(features, WeighedVelocity) else None
     twists = robot.frame_kinematics(frame).link_twists(q)
     for link, E in enumerate(() if twists is None else twists):
         own = place > link

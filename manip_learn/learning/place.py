@@ -20,21 +20,21 @@ from scipy.interpolate import make_lsq_spline
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from manip_learn.constraint.curve import Curve
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, PlaceForm, PlaceRows, rows_of
 from manip_learn.constraint.mechanism import (
     KIND_BY_NAME,
+    KINDS,
+    LEAST_PITCH,
     MECHANISM_KINDS,
+    MIXED,
     ON_THE_AXIS,
     Mechanism,
     MechanismKind,
-    held_rows,
     mechanism_of,
 )
-from manip_learn.constraint.place import Place
-from manip_learn.constraint.reading import LEAST_PITCH, MIXED
+from manip_learn.constraint.place import Curve, Place, across
 from manip_learn.errors import FeatureError
 from manip_learn.learning.fit import LEAST_RAD, STATED, Errors, Motion, RowFit, autocorrelation
 from manip_learn.learning.gate import Gate
@@ -257,13 +257,13 @@ def _nearest(
 
 def _left(kind: MechanismKind, place: Place, p: Places, parts: list[slice]) -> Float[np.ndarray, "n k"]:
     """Return the quantities of the position that a mechanism keeps, less their means in each stretch [m]."""
-    d = p - place.point
+    d, sides = p - place.point, across(place.axis)
     z = d @ place.axis
     rho = np.linalg.norm(d - np.outer(z, place.axis), axis=1)
     if kind.type == "screw":
-        angle = np.arctan2(*(d @ place.across.T).T[::-1])
+        angle = np.arctan2(*(d @ sides.T).T[::-1])
         z = z - place.pitch * np.concatenate([np.unwrap(angle[part]) for part in parts])
-    kept = {"line": (d @ place.across.T).T, "plane": [z], "ball": [np.linalg.norm(d, axis=1)], "other": [rho]}
+    kept = {"line": (d @ sides.T).T, "plane": [z], "ball": [np.linalg.norm(d, axis=1)], "other": [rho]}
     out = np.stack(kept.get(kind.type, [rho, z]), axis=1)
     return np.concatenate([out[part] - out[part].mean(axis=0) for part in parts])
 
@@ -365,7 +365,8 @@ def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, floa
         elif known.kind.type != "line":
             directions["about-axis"] = rotation.inv().apply(place.axis)
         if known.kind.type in ("hinge", "screw", "other"):
-            angle = np.unwrap(np.arctan2(away @ place.across[1], away @ place.across[0]))
+            sides = across(place.axis)
+            angle = np.unwrap(np.arctan2(away @ sides[1], away @ sides[0]))
             turns["carried"] = Rotation.from_rotvec(-angle[:, None] * place.axis) * rotation
         off = {name: (turn * turn.mean().inv()).magnitude() for name, turn in turns.items()}
         for name, vectors in directions.items():
@@ -375,10 +376,10 @@ def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, floa
         seen.append({name: float(np.degrees(np.sqrt(np.mean(angles**2)))) for name, angles in off.items()})
     rms = {name: float(np.median([x[name] for x in seen])) for name in seen[0]}
     kept, most = min(rms["fixed"], rms.get("carried", np.inf)), min(GIVES_WAY, apart / CLEAR_GAP)
-    kinds = [k for k in MECHANISM_KINDS if k.type == known.kind.type and k.n_rows > known.kind.n_rows]
+    kinds = [k for k in MECHANISM_KINDS if k.type == known.kind.type and len(k.rows) > len(known.kind.rows)]
     firm = [k for k in kinds if rms.get(k.orientation, np.inf) <= most]
     firm = [k for k in firm if k.orientation != "about-axis" or kept > KEPT]
-    return max(firm, key=lambda k: (k.n_rows, -rms[k.orientation]), default=known.kind), kept, apart
+    return max(firm, key=lambda k: (len(k.rows), -rms[k.orientation]), default=known.kind), kept, apart
 
 
 def turned_by_joints(motion: Motion) -> float:
@@ -405,7 +406,7 @@ def asked_rows(
     """
     poses, names = [f for f in asked if isinstance(f, PoseRows)], {n for f in asked for n in f.row_names}
     if isinstance(features, MechanismRows) and known is not None and names == set(AXES[:3]):
-        own, radius = held_rows(known.kind.kind, "free"), known.mechanism.radius
+        own, radius = KINDS[known.kind.kind, "free"].rows, known.mechanism.radius
         if len(poses) == len(asked) and (radius is None or radius >= ON_THE_AXIS):
             features = movable(features.with_rows(own, None if known.kind.type == "screw" else radius), q)
             return features, np.eye(features.n_rows)

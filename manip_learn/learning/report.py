@@ -19,11 +19,9 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.intention import intention_of
-from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.constraint.selection_in_words import describe, free_directions, known_to, said_by_rows
-from manip_learn.constraint.shown import shown_by
+from manip_learn.constraint.constraint import Constraint, describe, free_directions, said_by_rows
+from manip_learn.constraint.mechanism import Mechanism, known_to
+from manip_learn.constraint.shown import intention_of, shown_by
 from manip_learn.errors import counted, error_in_words, listed, named, printable
 from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
 from manip_learn.learning.gate import RowSupport

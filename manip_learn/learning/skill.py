@@ -10,8 +10,8 @@ import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.shown import poses_of, shown_by
-from manip_learn.constraint.skill import MOST_TAKES, Skill, Step, Take
+from manip_learn.constraint.shown import Take, shown_by
+from manip_learn.constraint.skill import MOST_TAKES, Skill, Step
 from manip_learn.errors import counted
 from manip_learn.learning.answer import Found
 from manip_learn.learning.table import Table
@@ -62,8 +62,9 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
         closing, opening = _gripping(constraint.features, table, chosen, place)
         steps += [reach, Step("way", constraint, shown, takes=tuple(takes), **closing)]
     ends = [(contacts[-1].piece.q[-1], table.moved[recording].q[-1]) for recording, contacts in chosen.items()]
-    poses = poses_of(constraints[usual[-1]].features, np.concatenate(ends).reshape(2 * len(ends), -1))
-    if poses is not None:
+    twist = constraints[usual[-1]].features.twist
+    if twist is not None:
+        poses = twist.poses(np.concatenate(ends).reshape(2 * len(ends), -1))
         last, end = poses[0::2, :3, 3], poses[1::2, :3, 3]
         if np.median(np.linalg.norm(end - last, axis=1)) > LEAVES:
             steps.append(Step("reach", None, place=np.median(end, axis=0), **opening))

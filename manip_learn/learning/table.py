@@ -181,7 +181,7 @@ class Table:
     def hand(self, features: FeatureMap) -> Hand:
         """Return the samples of the robot and the frame of some features, evaluated once."""
         twist = features.twist
-        key = f"{id(features.robot)}" if twist is None else f"{id(features.robot)} {twist.arguments()}"
+        key = f"{id(features.robot)}" if twist is None else f"{id(features.robot)} {twist.describe()}"
         if key not in self._hands:
             self._hands[key] = Hand(features, self)
         return self._hands[key]
@@ -373,7 +373,7 @@ def maps_of(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "w
         others = [f for f in asked if f not in frames]
     axes = {"place": AXES[:3], "whole": AXES, "surface": ()}[what]
     forms: dict[str, tuple[PlaceForm, ...]] = {"place": ("point",), "whole": ("point and rotation", "twist")}
-    maps = [*(seen.with_axes(axes) for f in frames if axes for seen in (f, f.twist)), *others]
+    maps = [*(seen.changed(axes=axes) for f in frames if axes for seen in (f, f.twist)), *others]
     for f in frames[:1]:
         middle = table.hand(f).poses[:: max(1, len(table.q) // 500), :3, 3].mean(axis=0)
         maps += [PlaceRows(f.robot, f.frame.name, m, middle, **f.seen_from) for m in forms.get(what, ("surface",))]

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability_batch
-from manip_learn.constraint.skill import Take
+from manip_learn.constraint.shown import Take
 from manip_learn.control.barriers import CLEARANCE
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.joint_motion import ARRIVED, JointMotion, LawSequence, every_joint

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.constraint.shown import Unit
-from manip_learn.constraint.skill import Skill, Step, Take, one_way
+from manip_learn.constraint.shown import Take, Unit
+from manip_learn.constraint.skill import Skill, Step, one_way
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.joint_motion import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits

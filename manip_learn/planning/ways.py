@@ -24,8 +24,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from manip_learn.constraint.mechanism import ON_THE_AXIS
-from manip_learn.constraint.shown import Shown
-from manip_learn.constraint.skill import Take
+from manip_learn.constraint.shown import Shown, Take
 from manip_learn.control.joint_motion import ARRIVED
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.planning.stations import Margins, Postures, Stations, margins_of, node_margins, onto_poses, rooms

@@ -61,7 +61,7 @@ def held_directions(constraint: Constraint, places: Float[np.ndarray, "T 3"]) ->
     """
     features = constraint.features
     if isinstance(features, WeighedVelocity):
-        W = features.weights(places)[0]
+        W = features.place_weights.values(places)
         turning = bool(np.any(W[..., 3:]))
         observed = np.eye(3), np.eye(3) if turning else np.zeros((3, 3))
         learnt = not isinstance(features, MechanismRows)  # a mixture, where a mechanism's rows are what they are

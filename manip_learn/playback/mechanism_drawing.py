@@ -11,9 +11,8 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.constraint.intention import Intention
 from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.constraint.shown import Shown
+from manip_learn.constraint.shown import Intention, Shown
 from manip_learn.errors import RecordingError
 from manip_learn.linalg import finite, null_basis
 from manip_learn.playback.page_writer import packed

@@ -130,7 +130,7 @@ def joint_blocks(model: pin.Model, mimics: Sequence[Mimic]) -> tuple[JointBlock,
         joint, name = model.joints[index], model.names[index]
         if name in followers or joint.nv == 0:
             continue
-        kind = next(kind for begin, kind in kinds if joint.shortname().startswith(begin))
+        kind: JointKind = next(k for begin, k in kinds if joint.shortname().startswith(begin))
         own = slice(nq, nq + joint.nq), slice(nv, nv + joint.nv)
         of_model = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
         blocks.append(JointBlock(name, kind, index, *own, *of_model))

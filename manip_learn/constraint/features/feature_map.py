@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.constraint.reading import Read
+from manip_learn.constraint.mechanism import Mechanism, Read
+from manip_learn.constraint.place import AXES
 from manip_learn.errors import ConstraintError, FeatureError, TargetError
 
-NEGLIGIBLE_ENTRY = 5e-3  # entries of a unit vector below it are printed as 0: half of the last of two digits
-
+NAMED_AXES = {"xyz": AXES[:3], "pose": AXES, "planar": ("x", "y", "rz"), "rotation": AXES[3:]}
 Selection = Float[np.ndarray, "_ p"]  # Lambda, or other combinations of the rows
+ErrorAndRate = tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]
 
 
 class FeatureMap(ABC):
@@ -92,10 +92,8 @@ class FeatureMap(ABC):
         """
         raise FeatureError(f"{self!r} has no task coordinates: give the controller a task that returns b itself")
 
-    def error_and_jacobian(
-        self, target: ArrayLike, q: ArrayLike
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
-        """Displacement e from r(q) to the target in the rows' axes, and E with de/dt = -E u for a fixed target.
+    def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
+        """Return the displacement e from r(q) to the target in the rows' axes, and E: de/dt = -E u for a fixed target.
 
         E is None where that is Phi(q) itself.
 
@@ -121,9 +119,8 @@ class FeatureMap(ABC):
         """
         goal = np.asarray(target, dtype=np.float64)
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
-            raise TargetError(
-                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}), got {goal.tolist()}"
-            )
+            wanted = f"{self.n_rows} finite numbers ({', '.join(self.row_names)})"
+            raise TargetError(f"the target must be {wanted}, got {goal.tolist()}")
         return goal
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
@@ -167,8 +164,7 @@ class FeatureMap(ABC):
         """
         if (wide := self._with_turns()) is None:
             raise ConstraintError(f"{self!r} belong to no frame whose orientation could be held")
-        held = np.zeros((len(selection), wide.n_rows))
-        held[:, [wide.row_names.index(name) for name in self.row_names]] = selection
+        held = selection @ [[name == row for row in wide.row_names] for name in self.row_names]
         turns = np.eye(wide.n_rows)[[unit == "rad/s" for unit in wide.row_units]]
         _, sigma, Vt = np.linalg.svd(turns - turns @ held.T @ held)
         return wide, np.vstack([held, Vt[: int(np.count_nonzero(sigma > 0.5))]])
@@ -181,8 +177,8 @@ class FeatureMap(ABC):
 
     def changed(self, **arguments: Any) -> Self:
         """Return this feature map with other arguments, named as in its constructor."""
-        make: Any = type(self)
-        return make(self.robot, **self.arguments() | arguments)
+        make, given = type(self), self.describe() | arguments
+        return make(self.robot, **{name: given[name] for name in self.saved if name in given})  # type: ignore[call-arg]
 
     def describe(self) -> dict[str, Any]:
         """Return what a saved constraint needs to build this feature map again: kind, arguments and units.
@@ -192,17 +188,14 @@ class FeatureMap(ABC):
         """
         if not self.kind:
             raise FeatureError(f"{self!r} is made of Python functions and cannot be saved")
-        return {"kind": self.kind, **self.arguments(), "units": list(self.row_units)}
-
-    def arguments(self) -> dict[str, Any]:
-        """Return the arguments of the constructor beside the robot, as a file holds them; None is left out."""
         given = {name: x for name, path in self.saved.items() if (x := attrgetter(path)(self)) is not None}
-        return {name: np.asarray(x).tolist() if isinstance(x, tuple | np.ndarray) else x for name, x in given.items()}
+        plain = {name: np.asarray(x).tolist() if isinstance(x, tuple | np.ndarray) else x for name, x in given.items()}
+        return {"kind": self.kind, **plain, "units": list(self.row_units)}
 
     def __repr__(self) -> str:
         if not self.saved:
             return super().__repr__()
-        words = [f"{name}={_SHORT.repr(x)}" for name, x in self.arguments().items() if x]
+        words = [f"{name}={_SHORT.repr(x)}" for name, x in self.describe().items() if name in self.saved and x]
         return f"{type(self).__name__}({', '.join([repr(self.robot.name), *words])})"
 
 
@@ -223,40 +216,28 @@ _SHORT = _Short()
 _SHORT.maxstring, _SHORT.maxlist = 200, 3
 
 
-def parsed_rows(
-    rows: str | Sequence[str], known: Collection[str], what: str, sets: Mapping[str, tuple[str, ...]] | None = None
-) -> tuple[str, ...]:
-    """Names of rows from a string with spaces or commas, a sequence, or the name of a set of them, in that order.
+def parse_axes(axes: str | Sequence[str], known: Collection[str] = AXES, what: str = "axis") -> tuple[str, ...]:
+    """Return names of rows from a string with spaces or commas, from a sequence, or of a set of axes, in that order.
 
     Args:
-        rows: What was given.
+        axes: For example `"x y rz"`; `"xyz"`, `"pose"`, `"planar"` or `"rotation"` for a set of axes.
         known: The names that there are.
-        what: What errors call one, e.g. `"axis"`.
-        sets: Names of sets of rows.
+        what: What errors call one.
 
     Raises:
         FeatureError: An unknown or repeated name, or none.
     """
-    words = tuple(rows.replace(",", " ").split() if isinstance(rows, str) else rows)
-    names = (sets or {}).get(rows.strip(), words) if isinstance(rows, str) else words
-    unknown = [n for n in names if n not in known]
+    sets = NAMED_AXES if known is AXES else {}
+    words = tuple(axes.replace(",", " ").split() if isinstance(axes, str) else axes)
+    names = sets.get(axes.strip(), words) if isinstance(axes, str) else words
+    unknown = [f"unknown {what} {name!r}" for name in names if name not in known]
     if unknown or not names or len(set(names)) != len(names):
-        reason = (
-            f"unknown {what} {unknown[0]!r}" if unknown else f"one {what} is named twice" if names else f"no {what}"
-        )
-        either = "".join(f"{name!r}, " for name in sets or ()) + "or " * bool(sets)
-        raise FeatureError(f"{rows!r}: {reason}; use {either}any of {' '.join(known)}, each at most once")
+        reason = unknown[0] if unknown else f"one {what} is named twice" if names else f"no {what}"
+        either = "".join(f"{name!r}, " for name in sets) + "or " * bool(sets)
+        raise FeatureError(f"{axes!r}: {reason}; use {either}any of {' '.join(known)}, each at most once")
     return names
 
 
-def row_in_words(row: Float[np.ndarray, " p"], names: Sequence[str]) -> str:
-    """A combination of rows: the name of the only one that counts, else all entries, e.g. `(0.91, 0.42, 0.00)`."""
-    counts = np.abs(row) >= NEGLIGIBLE_ENTRY
-    if np.count_nonzero(counts) == 1:
-        return names[int(np.argmax(counts))]
-    return "(" + ", ".join(f"{c + 0.0:.2f}" for c in np.where(counts, row, 0.0)) + ")"
-
-
 def sum_in_words(row: Float[np.ndarray, " p"], names: Sequence[str], form: str, least: float) -> str:
-    """A combination of rows as a sum, e.g. `+0.6 x +0.8 y`: coefficients in this format, larger than the least."""
+    """Return a combination of rows as a sum, e.g. `+0.6 x +0.8 y`: coefficients in a format, larger than the least."""
     return " ".join(f"{c:{form}} {name}" for c, name in zip(row, names, strict=True) if abs(c) > least)

@@ -24,19 +24,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parsed_rows
-from manip_learn.constraint.mechanism import Mechanism, mechanism_of
+from manip_learn.constraint.features.feature_map import ErrorAndRate, FeatureMap, Read, Selected, Selection, parse_axes
+from manip_learn.constraint.mechanism import Mechanism, hinge_or_screw, mechanism_of, of_point_rows, of_twists, on_twist
 from manip_learn.constraint.place import AXES, AXIS_UNITS
-from manip_learn.constraint.reading import Read, hinge_or_screw, of_point_rows, of_twists, on_twist
 from manip_learn.errors import FeatureError, TargetError, an
-from manip_learn.linalg import null_basis
-from manip_learn.robot.joints import Frame
+from manip_learn.linalg import null_basis, orthonormal_rows
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
-
-EXACT_ROTATION = 1e-12  # a matrix that is orthonormal to this is taken as it is
-NEARLY_ROTATION = 1e-3  # printed with few digits: made orthonormal; beyond this it is no rotation
-NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
 
 
 def pose_coordinates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
@@ -51,10 +45,9 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
         TargetError: It is none.
     """
     off = float(np.max(np.abs(R @ R.T - np.eye(3))))
-    if not off < NEARLY_ROTATION or np.linalg.det(R) < 0.0:
+    if not off < 1e-3 or np.linalg.det(R) < 0.0:  # one printed with few digits is made orthonormal
         raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
-    U, _, Vt = np.linalg.svd(R)
-    return R if off < EXACT_ROTATION else U @ Vt
+    return R if off < 1e-12 else orthonormal_rows(R)
 
 
 def pose_error(
@@ -66,26 +59,17 @@ def pose_error(
     return error.reshape(2, 3).dot(R).reshape(6) if own_axes else error
 
 
-def parse_axes(axes: str | Sequence[str]) -> tuple[str, ...]:
-    """Axis names from `"xyz"`, `"pose"`, `"planar"`, `"rotation"`, or any of `x y z rx ry rz` in any order.
-
-    Raises:
-        FeatureError: Unknown or repeated axis, or none.
-    """
-    return parsed_rows(axes, AXES, "axis", NAMED_AXES)
-
-
 class PoseRows(FeatureMap):
     """Rows of the twist of a frame, seen from the base, from itself or from another frame, and the error of its pose.
 
     Attributes of every child:
         frame: The frame.
         relative_to: The frame from which it is seen; None for the robot's base.
+        seen_from: Argument `relative_to` of rows of the same frame seen from the same; empty for the base.
         only_linear: Whether the rows are positions along axes that do not turn with the frame.
         own_axes: Whether the rows are along the frame's own axes.
     """
 
-    robot: Robot
     own_axes: bool
 
     def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str], relative_to: str | None, own_axes: bool):
@@ -99,19 +83,11 @@ class PoseRows(FeatureMap):
         self._rows: Any = slice(span.start, span.stop) if rows == list(span) else np.array(rows)
         self.frame = robot.frame(frame)
         self.relative_to = None if relative_to is None else robot.frame(relative_to)
+        self.seen_from: dict[str, Any] = {} if relative_to is None else {"relative_to": relative_to}
         self.own_axes, self.only_linear = own_axes, not own_axes and max(rows) < 3
 
-    @property
-    def seen_from(self) -> dict[str, str]:
-        """Argument `relative_to` of rows of the same frame seen from the same; empty for the base."""
-        return {} if self.relative_to is None else {"relative_to": self.relative_to.name}
-
-    def with_axes(self, axes: str | Sequence[str]) -> PoseRows:
-        """Return other rows of the same frame, seen from the same and along the same axes."""
-        return self.changed(axes=axes)
-
     def _with_turns(self) -> PoseRows:
-        return self.with_axes(AXES)
+        return self.changed(axes=AXES)
 
     def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
         """Return the kind of a mechanism whose rows are the same everywhere, and where it is (see `FeatureMap`)."""
@@ -196,10 +172,8 @@ class PoseRows(FeatureMap):
         C[3:, 3:] = left_jacobian_inverse(rotation_vector(self.pose(q)[:3, :3]))
         return C[self._rows] @ self.twist_rows(q, False)
 
-    def error_and_jacobian(
-        self, target: ArrayLike, q: ArrayLike
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
-        """Displacement to a target, in the axes of the rows, and E of `FeatureMap`, exact; None for positions.
+    def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
+        """Return the displacement to a target in the axes of the rows, and E of `FeatureMap`; None for positions.
 
         Args:
             target: p numbers in the order of the rows: position of the origin in the base frame [m], rotation vector
@@ -244,17 +218,13 @@ class PoseRows(FeatureMap):
             return meant, None
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
             given = f"shape {goal.shape}" if goal.size > 6 else goal.tolist()
-            seen = "" if self.relative_to is None else f" in frame {self.relative_to.name!r}"
-            raise TargetError(
-                f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose{seen}, "
-                f"got {given}"
-            )
+            wanted = f"{self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose"
+            wanted += "" if self.relative_to is None else f" in frame {self.relative_to.name!r}"
+            raise TargetError(f"the target must be {wanted}, got {given}")
         for triple in (AXES[:3], AXES[3:]) if self.own_axes else ():
             if 0 < len(set(triple) & set(self.row_names)) < 3:
-                raise TargetError(
-                    f"a target for the rows {' '.join(self.row_names)} in the frame's own axes is not determined: "
-                    f"use all of {' '.join(triple)}, or give a 4 x 4 pose"
-                )
+                rows, remedy = " ".join(self.row_names), f"use all of {' '.join(triple)}, or give a 4 x 4 pose"
+                raise TargetError(f"a target for the rows {rows} in the frame's own axes is not determined: {remedy}")
         numbers = pose_coordinates(pose)
         numbers[self._rows] = goal
         meant[:3, :3], meant[:3, 3] = rotation_matrix(numbers[3:]), numbers[:3]
@@ -360,7 +330,6 @@ class RelativeFrameJacobian(PoseRows):
         FeatureError: Unknown axes, or twice the same frame.
     """
 
-    relative_to: Frame
     kind = "relative-frame-jacobian"
     saved = {"frame": "frame.name", "relative_to": "relative_to.name", "axes": "row_names"}
 

@@ -10,32 +10,37 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.curve import CURVE_ROWS, Curve
-from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parsed_rows
+from manip_learn.constraint.features.feature_map import FeatureMap, Selected, Selection, parse_axes
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian, PoseRows, RelativeFrameJacobian
 from manip_learn.constraint.mechanism import (
     CLEAR_SHARE,
     CURVE,
     KIND_BY_NAME,
-    TURNING,
     Mechanism,
     MechanismKind,
+    Read,
+    hinge_or_screw,
     kind_of_rows,
     mechanism_of,
+    of_point_rows,
+    of_surface,
+    of_twists,
 )
 from manip_learn.constraint.place import (
     AT_A_DISTANCE,
     AXES,
     AXIS_UNITS,
+    CURVE_ROWS,
     ROW_UNITS,
+    TURNING,
+    Curve,
+    CurveWeights,
     Place,
     PlaceWeights,
     mechanism_weights,
 )
-from manip_learn.constraint.reading import Read, hinge_or_screw, of_point_rows, of_surface, of_twists
 from manip_learn.errors import FeatureError
 from manip_learn.linalg import finite, null_basis
-from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import skew
 
@@ -61,10 +66,7 @@ class WeighedVelocity(FeatureMap):
         place_weights: W.
     """
 
-    robot: Robot
-    frame: Frame
-    relative_to: Frame | None
-    place_weights: PlaceWeights
+    place_weights: PlaceWeights | CurveWeights
 
     def __init__(self, robot: Robot, frame: str, relative_to: str | None = None):
         self.robot, self.frame, self.nv = robot, robot.frame(frame), robot.nv
@@ -72,17 +74,9 @@ class WeighedVelocity(FeatureMap):
         self.twist: PoseRows = (RelativeFrameJacobian if seen else FrameJacobian)(robot, frame, axes=AXES, **seen)
         self.relative_to, self._relative_to = self.twist.relative_to, relative_to
 
-    def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """W(p) and dW/dp at n places [m]; row i of W weighs (v, w) of the frame."""
-        return self.place_weights.at(p)
-
     def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
-        """Weights of the rows of `twist` in these rows, at n poses of the frame."""
-        return self.values(poses[:, :3, 3])
-
-    def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """W(p) at n places [m]."""
-        return self.place_weights.values(p)
+        """Return the weights of the rows of `twist` in these rows, at n poses of the frame."""
+        return self.place_weights.values(poses[:, :3, 3])
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Phi(q) = W(p) J(q).
@@ -90,11 +84,11 @@ class WeighedVelocity(FeatureMap):
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        return self.values(self.twist.placement(q)[0][None])[0] @ self.twist(q)
+        return self.place_weights.values(self.twist.placement(q)[0][None])[0] @ self.twist(q)
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J."""
-        W, dW = (x[0] for x in self.weights(self.twist.placement(q)[0][None]))
+        W, dW = (x[0] for x in self.place_weights.at(self.twist.placement(q)[0][None]))
         return _product(W, dW, *self.twist.value_and_derivative(q))
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
@@ -107,7 +101,7 @@ class WeighedVelocity(FeatureMap):
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n postures, in bulk; errors as for `batch`."""
-        W, dW = self.weights(self.twist.poses(q)[:, :3, 3])
+        W, dW = self.place_weights.at(self.twist.poses(q)[:, :3, 3])
         return _product(W, dW, *self.twist.batch_with_derivative(q))
 
 
@@ -177,15 +171,18 @@ class MechanismRows(WeighedVelocity):
         relative_to: str | None = None,
     ):
         super().__init__(robot, frame, relative_to)
-        self.row_names = parsed_rows(rows, ROW_UNITS, "row")
+        self.row_names = parse_axes(rows, ROW_UNITS, "row")
         self.row_units = tuple(ROW_UNITS[n] for n in self.row_names)
-        direction, place = _vector(axis, "axis"), _vector(point, "point")
+        if (direction := finite(axis, 3)) is None or (place := finite(point, 3)) is None:
+            what, given = ("axis", axis) if direction is None else ("point", point)
+            raise FeatureError(f"the {what} must be three finite numbers, got {given!r}")
         if not np.linalg.norm(direction) > 0.0:
             raise FeatureError("the axis has no direction: its three numbers are zero")
         if not np.isfinite(pitch):
             raise FeatureError(f"the pitch must be a finite number [m/rad], not {pitch!r}")
         if radius is not None and not 0.0 < radius < np.inf:
             raise FeatureError(f"the radius must be a positive number [m], or None for any distance, not {radius!r}")
+        place.setflags(write=False)
         self.geometry = Place(direction / np.linalg.norm(direction), place, float(pitch))
         self.radius = None if radius is None else float(radius)
         self.place_weights = mechanism_weights(self.row_names, self.geometry, self.radius)
@@ -193,10 +190,6 @@ class MechanismRows(WeighedVelocity):
     def with_rows(self, rows: Sequence[str], radius: float | None = None) -> MechanismRows:
         """Return other rows of the same mechanism, at the radius or, if that is None, at any distance."""
         return self.changed(rows=rows, radius=radius)
-
-    def about(self, place: Place) -> MechanismRows:
-        """Return the same rows of a mechanism that is elsewhere."""
-        return self.changed(axis=place.axis, point=place.point, pitch=place.pitch)
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
         """Return the same rows of a mechanism that stands elsewhere, unless that is in another frame."""
@@ -246,24 +239,16 @@ def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: Pose
 
     Of a helix no radius is said: its row is that of one radius only, and grips differ.
     """
-    if not kind.constant:
-        of_one = set(kind.rows) & set(AT_A_DISTANCE) and kind.type != "screw"
-        options: dict[str, Any] = {"axis": place.axis, "point": place.point, "pitch": place.pitch, **twist.seen_from}
-        options["radius"] = radius if of_one else None
-        return MechanismRows(twist.robot, twist.frame.name, kind.rows, **options), np.eye(kind.n_rows)
+    if kind.kind not in ("line", "plane", "space"):
+        at = radius if set(kind.rows) & set(AT_A_DISTANCE) and kind.type != "screw" else None
+        where = {"axis": place.axis, "point": place.point, "pitch": place.pitch, "radius": at}
+        rows = MechanismRows(twist.robot, twist.frame.name, kind.rows, **where, **twist.seen_from)
+        return rows, np.eye(len(kind.rows))
     # the point of the hand that is held is its own origin, wherever that is
     rows = mechanism_weights(kind.rows, Place(place.axis, np.zeros(3)), None).values(np.zeros((1, 3)))[0]
     used = [part for part in (slice(0, 3), slice(3, 6)) if np.any(rows[:, part])]
     axes = [name for part in used for name in AXES[part]]
-    return twist.with_axes(axes), np.concatenate([rows[:, part] for part in used], axis=1)
-
-
-def _vector(values: ArrayLike, what: str) -> np.ndarray:
-    vector = finite(values, 3)
-    if vector is None:
-        raise FeatureError(f"the {what} must be three finite numbers, got {values!r}")
-    vector.setflags(write=False)
-    return vector
+    return twist.changed(axes=axes), np.concatenate([rows[:, part] for part in used], axis=1)
 
 
 @final
@@ -299,16 +284,13 @@ class PlaceRows(WeighedVelocity):
     saved = {"frame": "frame.name", "form": "form", "middle": "middle", "relative_to": "_relative_to"}
 
     def __init__(
-        self,
-        robot: Robot,
-        frame: str,
-        form: PlaceForm,
-        middle: ArrayLike = (0.0, 0.0, 0.0),
-        relative_to: str | None = None,
+        self, robot: Robot, frame: str, form: PlaceForm, middle: ArrayLike = (0, 0, 0), relative_to: str | None = None
     ):
         if form not in FORMS:
             raise FeatureError(f"form must be one of {', '.join(map(repr, FORMS))}, not {form!r}")
-        m = _vector(middle, "middle")
+        if (m := finite(middle, 3)) is None:
+            raise FeatureError(f"the middle must be three finite numbers, got {middle!r}")
+        m.setflags(write=False)
         super().__init__(robot, frame, relative_to)
         self.form, self.middle = form, m
         self.row_names = FORMS[form]
@@ -347,10 +329,9 @@ class PlaceRows(WeighedVelocity):
 
     def named(self, selection: Selection, mechanism: Mechanism | None) -> Selected:
         """Return Phi and Lambda of rows with the names of the mechanism's, if it has a name."""
-        kind = None if mechanism is None else KIND_BY_NAME.get(mechanism.name)
-        if mechanism is None or kind is None:
+        if mechanism is None or mechanism.name not in KIND_BY_NAME:
             return self, selection
-        return rows_of(kind, mechanism.located(), mechanism.radius, self.twist)
+        return rows_of(KIND_BY_NAME[mechanism.name], mechanism.located(), mechanism.radius, self.twist)
 
     def describe(self) -> dict[str, Any]:
         """Return frame, form and middle, and the names of the rows."""
@@ -394,10 +375,10 @@ class CurveRows(WeighedVelocity):
         relative_to: str | None = None,
     ):
         super().__init__(robot, frame, relative_to)
-        self.row_names = parsed_rows(rows, CURVE_ROWS, "row")
+        self.row_names = parse_axes(rows, CURVE_ROWS, "row")
         self.row_units = tuple(AXIS_UNITS.get(name, "m/s") for name in self.row_names)
         self.curve = points if isinstance(points, Curve) else Curve(points)
-        self._rows = [CURVE_ROWS.index(name) for name in self.row_names]
+        self.place_weights = CurveWeights(self.curve, self.row_names)
 
     def with_rows(self, rows: Sequence[str]) -> CurveRows:
         """Other rows of the same curve."""
@@ -413,27 +394,18 @@ class CurveRows(WeighedVelocity):
             return None
         return Mechanism("other", name=CURVE, curve=self.curve, relative_to=self._relative_to)
 
-    def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """W(p) and dW/dp at n places [m]."""
-        W, dW = self.curve.weights(p)
-        return W[:, self._rows], dW[:, self._rows]
-
-    def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """W(p) at n places [m]."""
-        return self.weights(p)[0]
-
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Distances from the curve along n_1 and n_2, and the length along it [m].
 
         Raises:
             FeatureError: Rows of the angular velocity, which is the rate of nothing.
         """
-        if max(self._rows) >= len(AXES[:3]):
+        if set(self.row_names) & set(AXES):
             return super().coordinates(q)
         place = self.twist.placement(q)[0]
         s = self.curve.nearest(place[None])
         across = self.curve.frame(s)[0] @ (place - self.curve.at(s)[0])
-        return np.append(across, s)[self._rows]
+        return np.append(across, s)[[CURVE_ROWS.index(name) for name in self.row_names]]
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
         """Return the same rows of a curve that stands elsewhere, unless that is in another frame (see `FeatureMap`)."""

@@ -10,13 +10,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian, RelativeFrameJacobian, parse_axes
+from manip_learn.constraint.features.feature_map import ErrorAndRate, FeatureMap, parse_axes
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian, RelativeFrameJacobian
 from manip_learn.constraint.features.mechanism_rows import CurveRows, MechanismRows, PlaceRows
 from manip_learn.errors import FeatureError
 from manip_learn.robot.robot import Robot
-
-DIFFERENCE_STEP = 1e-5  # central differences: truncation h^2 meets rounding eps / h
 
 
 @final
@@ -32,7 +30,6 @@ class CentreOfMass(FeatureMap):
     """
 
     kind, saved, own_axes = "centre-of-mass", {"axes": "row_names"}, False
-    robot: Robot
 
     def __init__(self, robot: Robot, axes: str | Sequence[str] = "xyz"):
         self.robot, self.nv, self.row_names = robot, robot.nv, parse_axes(axes)
@@ -44,16 +41,16 @@ class CentreOfMass(FeatureMap):
         self._rows = ["xyz".index(n) for n in self.row_names]
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Phi(q): rows of the centre of mass's Jacobian [m/s a joint velocity]."""
+        """Return Phi(q), rows of the centre of mass's Jacobian [m/s a joint velocity]."""
         return self.value_and_derivative(q)[0]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Phi(q) and dPhi/dq in one pass."""
+        """Return Phi(q) and dPhi/dq in one pass."""
         J, H = self.robot.centre_of_mass_jacobian_and_derivative(q)
         return J[self._rows], H[self._rows]
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Centre of mass in the base frame [m], the chosen rows."""
+        """Return the centre of mass in the base frame [m], the chosen rows."""
         return self.robot.centre_of_mass(q)[self._rows]
 
 
@@ -97,7 +94,7 @@ class CustomFeatures(FeatureMap):
         self._moved = np.add if robot is None else robot.integrate
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Phi(q), checked for shape and NaN.
+        """Return Phi(q), checked for shape and NaN.
 
         Raises:
             FeatureError: Wrong shape or not finite.
@@ -105,7 +102,7 @@ class CustomFeatures(FeatureMap):
         return self._checked(self._function(self._state(q)), (self.n_rows, self.nv), "Phi")
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq along tangent coordinates.
+        """Return dPhi/dq along tangent coordinates.
 
         Raises:
             FeatureError: Wrong shape or not finite.
@@ -113,12 +110,12 @@ class CustomFeatures(FeatureMap):
         state = self._state(q)
         if self._derivative is not None:
             return self._checked(self._derivative(state), (self.n_rows, self.nv, self.nv), "dPhi/dq")
-        steps = DIFFERENCE_STEP * np.eye(self.nv)
-        rises = [self(self._moved(state, step)) - self(self._moved(state, -step)) for step in steps]
-        return np.stack(rises, axis=-1) / (2 * DIFFERENCE_STEP)
+        h = 1e-5  # of central differences: truncation h^2 meets rounding eps / h
+        rises = [self(self._moved(state, step)) - self(self._moved(state, -step)) for step in h * np.eye(self.nv)]
+        return np.stack(rises, axis=-1) / (2 * h)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Task coordinates r(q), if they were given.
+        """Return task coordinates r(q), if they were given.
 
         Raises:
             FeatureError: They were not, or have the wrong shape.
@@ -165,29 +162,27 @@ class Stacked(FeatureMap):
         self.row_units = tuple(u for part in self.parts for u in part.row_units)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Phi(q): the parts' rows in order."""
+        """Return Phi(q), the parts' rows in order."""
         return np.concatenate([part(q) for part in self.parts])
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq: the parts' derivatives in order."""
+        """Return dPhi/dq, the parts' derivatives in order."""
         return np.concatenate([part.derivative(q) for part in self.parts])
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
-        """Phi at many configurations, each part in its own fast way."""
+        """Return Phi at many configurations, each part in its own fast way."""
         return np.concatenate([part.batch(q) for part in self.parts], axis=1)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Task coordinates of all parts."""
+        """Return task coordinates of all parts."""
         return np.concatenate([part.coordinates(q) for part in self.parts])
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Rates of the coordinates, part by part."""
+        """Return rates of the coordinates, part by part."""
         return self._stack([part.coordinates_jacobian(q) for part in self.parts], q)
 
-    def error_and_jacobian(
-        self, target: ArrayLike, q: ArrayLike
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]:
-        """Displacement to a target and E, part by part (see the parts)."""
+    def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
+        """Return the displacement to a target and E, part by part (see the parts)."""
         goals = np.split(self._goal(target), np.cumsum([part.n_rows for part in self.parts])[:-1])
         both = [part.error_and_jacobian(own, q) for part, own in zip(self.parts, goals, strict=True)]
         return np.concatenate([e for e, _ in both]), self._stack([E for _, E in both], q)
@@ -198,15 +193,11 @@ class Stacked(FeatureMap):
         return np.concatenate([p(q) if b is None else b for p, b in zip(self.parts, blocks, strict=True)])
 
     def describe(self) -> dict[str, Any]:
-        """The parts, as saved in a constraint file."""
+        """Return the parts, as saved in a constraint file."""
         return {"kind": self.kind, "parts": [part.describe() for part in self.parts]}
 
     def __repr__(self) -> str:
         return f"Stacked([{', '.join(map(repr, self.parts))}])"
-
-
-KINDS = (FrameJacobian, RelativeFrameJacobian, CentreOfMass, MechanismRows, CurveRows, PlaceRows)
-OPTIONAL = ("relative_to", "radius")  # arguments that not all files of a kind have
 
 
 def described_features(described: Mapping[str, Any], robot: Robot) -> FeatureMap:
@@ -222,8 +213,9 @@ def described_features(described: Mapping[str, Any], robot: Robot) -> FeatureMap
     kind = described["kind"]
     if kind == Stacked.kind:
         return Stacked([described_features(part, robot) for part in described["parts"]])
-    make: Any = next((features for features in KINDS if features.kind == kind), None)
+    made = (FrameJacobian, RelativeFrameJacobian, CentreOfMass, MechanismRows, CurveRows, PlaceRows)
+    make: Any = next((features for features in made if features.kind == kind), None)
     if make is None:
         raise FeatureError(f"unknown kind of features {kind!r}: this file comes from a newer version")
-    names = [name for name in make.saved if name not in OPTIONAL or described.get(name) is not None]
-    return make(robot, **{name: described[name] for name in names})
+    optional = {name for name in ("relative_to", "radius") if described.get(name) is None}
+    return make(robot, **{name: described[name] for name in make.saved if name not in optional})

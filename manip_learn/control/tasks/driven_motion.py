@@ -13,12 +13,11 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, pose_error
 from manip_learn.constraint.mechanism import CURVE, Mechanism, kind_of_rows, mechanism_of
-from manip_learn.constraint.place import Place, across
+from manip_learn.constraint.place import Chart, Place, across
 from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.control.tasks.motion_profile import PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
@@ -198,7 +197,8 @@ def _in_hand(v: np.ndarray, w: np.ndarray, origin: Origin) -> Chart:
 
 def _outwards(g: Place, origin: Origin) -> Chart:
     """Return the chart of a hand that moves away from an axis."""
-    out = g.across.T @ (g.across @ (origin[:3, 3] - g.point))
+    sides = across(g.axis)
+    out = sides.T @ (sides @ (origin[:3, 3] - g.point))
     return screw(out / np.linalg.norm(out))(origin)
 
 
@@ -258,8 +258,7 @@ def _along_row(constraint: Constraint, direction: Direction, unit: Unit | None, 
             axis = advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
             words = "a ball leaves turns about every axis free: give three numbers not all zero in the base frame"
             raise (ConstraintError if direction is None else TargetError)(f"{words}{axis}; got {direction!r}")
-        place = Place(turn / np.linalg.norm(turn), rows.geometry.point)
-        rows, direction, unit = rows.about(place), None, "rad"
+        rows, direction, unit = rows.changed(axis=turn, pitch=0.0), None, "rad"
     g: Place = rows.geometry  # None of a curve
     is_firm = any(name.startswith("slide") or name == "screw" for name in held)
     names = ("along",) if g is None else ("turn", "slide") if is_firm else ("tangential", "axial", "radial")
@@ -307,7 +306,7 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
     turning = np.zeros((0, 3)) if known is None or known.orientation == "free" else np.eye(3)
     if known is not None and known.orientation == "about-axis" and known.axis is not None:
         turning = across(known.axis)
-    features = twist.with_axes(AXES if len(turning) else AXES[:3])
+    features = twist.changed(axes=AXES if len(turning) else AXES[:3])
     rows = Constraint(block_diag(np.eye(3), turning[:, : features.n_rows - 3]), features, constraint.provenance)
     poses = shown.poses
     turns = _LEVER * rotation_vectors(poses[:, :3, :3] @ poses[0, :3, :3].T) * (len(turning) > 0)

@@ -11,11 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import rows_of
 from manip_learn.constraint.mechanism import KIND_BY_NAME
-from manip_learn.constraint.place import AXES
+from manip_learn.constraint.place import AXES, Chart
 from manip_learn.control import policies
 from manip_learn.control.tasks.driven_motion import Course, Origin, Unit, along_path, driven_motion, way_in_words
 from manip_learn.control.tasks.motion_profile import MotionProfile

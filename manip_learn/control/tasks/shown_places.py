@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from manip_learn.constraint.chart import Chart
 from manip_learn.constraint.mechanism import GRIP, Mechanism
+from manip_learn.constraint.place import Chart
 from manip_learn.constraint.shown import Shown
 from manip_learn.control.tasks.driven_motion import DrivenMotion, Origin, screw
 from manip_learn.robot.rotations import angles_between, rotation_vector
