@@ -18,6 +18,7 @@ from manip_learn.constraint.shown import Shown
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.simulation import simulate, simulate_way
 from manip_learn.control.tasks import FreeDirection
+from manip_learn.errors import RecordingError
 from manip_learn.playback import LiveViewer, replay
 from manip_learn.playback.palette import COLOURS
 from manip_learn.playback.recorded_motion import key_frames
@@ -46,7 +47,7 @@ def opened(chromium):
         )
         contexts.append(context)
         page = context.new_page()
-        ours = (address, "data:", "blob:")
+        ours = (address.partition("#")[0], "data:", "blob:")
         page.on("pageerror", lambda error: trouble.append(str(error)))
         page.on("console", lambda m: trouble.append(m.text) if m.type == "error" and not before else None)
         page.on("request", lambda r: trouble.append(r.url) if not r.url.startswith(ours) else None)
@@ -469,6 +470,37 @@ def test_the_drawer_is_in_the_hand_and_says_how_far_it_is_open(robot_of, opening
         wait_until(page, f"document.querySelector('#chart polyline').getAttribute('stroke') {same} '#0072b2'")
         legend = page.locator("#legend .rollout").first.evaluate("e => e.style.getPropertyValue('--colour')")
         assert page.locator("#chart polyline").first.get_attribute("stroke") == legend
+
+
+def test_two_panes_on_one_clock(robot_of, opening, tmp_path, opened):
+    """Each pane shows its own rollout alone, the clock is zero where the hand takes hold in both, captions say what
+    became of them; the address opens a moment and a view, and the picture is saved.
+    """
+    robot, halves = robot_of("sawyer"), {}
+    far, near = opening.values()
+    way = {"name": "way", "wanted": 0.15, "done": 0.15, "unit": "m", "stopped_by": None, "deviation": 0.0}
+    early, late = (replace(r, ways=({**way, "begins": begins},)) for r, begins in ((far, 0.2), (near, 0.5)))
+    for name, second in (("other", late), ("same", early)):
+        made = replay(robot, {"a": early, "b": second}, tmp_path / f"{name}.html", side_by_side=True, align="grasp")
+        page = opened(f"{made.html.as_uri()}#t=0.4&view=top")
+        zero = 0.5 if name == "other" else 0.2
+        assert page.evaluate("manipLearn.time") == pytest.approx(zero + 0.4)
+        assert page.locator("#clock").inner_text() == "0.40 s"
+        assert page.locator(".panes p").all_inner_texts() == [f"{n}0.15 of 0.15 m" for n in "ab"]
+        wait_for_frames(page)
+        box = page.locator("#scene canvas").bounding_box()
+        clip = {"x": box["x"], "y": box["y"], "width": box["width"] / 2, "height": box["height"] - 60}
+        halves[name] = [page.screenshot(clip={**clip, "x": clip["x"] + k * clip["width"]}) for k in (0, 1)]
+    assert halves["other"][0] == halves["same"][0] and halves["other"][1] != halves["same"][1]
+    with page.expect_download() as saved:
+        page.locator("#save").click()
+    assert saved.value.path().read_bytes()[:4] == b"\x89PNG"
+    page.locator("#play").click()
+    page.locator("#play").click()
+    assert page.evaluate("location.hash").startswith("#t=") and "view=top" in page.evaluate("location.hash")
+    for wrong in ({"align": "contact"}, {"side_by_side": True}):
+        with pytest.raises(RecordingError, match="align|side_by_side"):
+            replay(robot, {"a": early}, tmp_path / "c.html", **wrong)
 
 
 def test_a_plan_beside_other_rollouts(robot_of, opening, tmp_path, opened):
