@@ -235,6 +235,7 @@ def _collada_pieces(content: bytes) -> Iterator[Piece]:
     """By the parser that trimesh uses; trimesh itself would walk nodes that double forty times without an end."""
     import collada
 
+    content = re.sub(rb"(</?)convex_mesh\b", rb"\1mesh", content)  # which that parser does not know
     file = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
     if any(isinstance(error, collada.common.DaeBrokenRefError) for error in file.errors):
         # a mesh with a broken material is left out, too: read once more without materials
