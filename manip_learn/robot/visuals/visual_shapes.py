@@ -167,7 +167,7 @@ def said_once(reasons: Iterable[str]) -> dict[str, str]:
     """
     alike = dict[str, list[str]]()
     for reason in dict.fromkeys(reasons):
-        alike.setdefault(re.sub(r"[\d.]+", "", MESH_NAME.sub("", reason)), []).append(reason)
+        alike.setdefault(re.sub(r" [\d.e+]+ ", "", MESH_NAME.sub("", reason)), []).append(reason)
     more = {same[0]: rf"\g<0> (and {len(same) - 1} more)" if len(same) > 1 else r"\g<0>" for same in alike.values()}
     return {reason: MESH_NAME.sub(more[same[0]], same[0]) for same in alike.values() for reason in same}
 
