@@ -128,6 +128,7 @@ CONTENTS = [  # file, content, number of triangles or the code of the refusal
     ("a.obj", b"mtllib a.mtl\nusemtl x\n" + OBJ, 1),
     ("a.obj", b"mtllib /etc/passwd\n" + OBJ, 1),
     ("a.dae", dae(), 1),
+    ("a.dae", dae().replace(b"mesh>", b"convex_mesh>"), 1),
     ("a.dae", dae("skin.png"), 1),
     ("a.dae", dae("../../other/skin.png"), 1),
     ("a.dae", dae("file:///C:/Users/me/skin.png"), 1),

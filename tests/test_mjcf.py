@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from case import case
-from urdf_corpus import ARM
+from urdf_corpus import ARM, stl
 
 from manip_learn.errors import RobotError
+from manip_learn.robot.collision import known_shapes
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot_summary import cross_check
-from manip_learn.robot.visuals.visual_shapes import visual_shapes
+from manip_learn.robot.visuals.visual_shapes import Solid, visual_shapes
 
 GEOM = '<geom type="sphere" size="0.1"/>'
 RADIAN = '<compiler angle="radian"/>'
@@ -130,6 +131,26 @@ def test_sites_are_frames_and_shapes_are_drawn(tmp_path):
         0.3
     )
     assert drawn["sphere"].shape.size == (0.1,)
+
+
+def test_what_touches_in_mjcf_counts_for_collisions(tmp_path):
+    """Geoms that touch something count, whether they are drawn or not; in a body without any, what is drawn. Where
+    MuJoCo fits a body to a mesh, the mesh counts.
+    """
+    unseen, seen = 'group="3"', 'contype="0" conaffinity="0"'
+    both = f'<geom type="box" size="0.1 0.1 0.1" {unseen}/><geom type="capsule" size="0.1 0.2" {seen}/>'
+    fitted = f'<joint name="k"/><geom type="capsule" mesh="m" {unseen}/><geom size="0.2" {seen}/>'
+    drawn = f'<geom type="cylinder" size="0.1 0.2" {seen}/>'
+    bodies = f'<body name="a">{JOINT}{both}<body name="b">{fitted}<body name="c">{drawn}</body></body></body>'
+    (tmp_path / "m.stl").write_bytes(stl())
+    robot = load(tmp_path, mjcf(bodies, RADIAN + '<asset><mesh name="m" file="m.stl"/></asset>'))
+    kinds = {
+        tag: {v.link: v.shape.kind if isinstance(v.shape, Solid) else "mesh" for v in visual_shapes(robot, tag)}
+        for tag in ("collision", "visual")
+    }
+    assert kinds["collision"] == {"a": "box", "b": "mesh", "c": "cylinder"}
+    assert kinds["visual"] == {"a": "capsule", "b": "sphere", "c": "cylinder"}
+    assert known_shapes(robot) == "collision"
 
 
 REFUSED = {

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import pickle
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from conftest import chain_urdf
 from test_gradients import central_difference
+from urdf_corpus import edited, stl
 
 from manip_learn.errors import RobotError
 from manip_learn.planning.clearance import Clearance, Surroundings
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.robot.collision import SelfCollision, collision_shapes, known_shapes
-from manip_learn.robot.loading import load_robot
+from manip_learn.robot.collision import SelfCollision, collision_shapes, describe_shapes, known_shapes
+from manip_learn.robot.loading import load_robot, robot_from_text
 from manip_learn.robot.robot_summary import inspect_robot
-from manip_learn.robot.visuals.visual_shapes import losses, visual_shapes
+from manip_learn.robot.visuals.visual_shapes import Solid, losses, visual_shapes
 
 SHAPES = {"panda": "collision", "sawyer": "visual", "planar3": "visual"}
 
@@ -188,7 +190,70 @@ def test_a_lost_mesh_costs_its_own_link_only(tmp_path, tag: str):
     planned = Clearance(robot, True, Surroundings(), q).notes
     drawn = appearance(robot, kinematic_tree(robot)).notes
     assert (why[0] in planned, why[0] in drawn) == (tag == "collision", tag == "visual")
-    assert why[0].partition(": ")[2].rstrip(".") in inspect_robot(robot).warnings
+    assert why[0].partition(": ")[2].rstrip(".") in " ".join(inspect_robot(robot).warnings)
+
+
+SHEET = trimesh.creation.box((0.2, 0.1, 0.0), trimesh.transformations.rotation_matrix(0.7, (1, 2, 3))).export
+DOTS = trimesh.Trimesh([[0, 0, 0], [1e-3, 0, 0], [2e-3, 0, 0]], [[0, 1, 2]]).export
+ONE_LINK = {  # what is wrong with the shapes of a link -> these, what stands there, and why
+    "a flat sticker": ('<mesh filename="sheet.stl"/>', ["Convex"], ""),
+    "one triangle": ('<mesh filename="triangle.stl"/>', ["Convex"], ""),
+    "points on a line": ('<mesh filename="dots.stl"/>', ["Convex"], ""),
+    "a box without thickness": ('<box size="0.2 0 0.1"/>', ["Box"], ""),
+    "a cylinder without length": ('<cylinder radius="0.1" length="0"/>', ["Cylinder"], ""),
+    "a box of size 0": ('<box size="0 0 0"/>', ["Capsule"], "a size of its box is 0.0"),
+    "a negative size": ('<cylinder radius="0.1" length="-1"/>', ["Capsule"], "a size of its cylinder is -1.0"),
+    "a mesh that is missing": ('<mesh filename="gone.stl"/>', ["Capsule"], "'gone.stl' was not found"),
+    "millimetres": ('<mesh filename="large.stl"/>', ["Capsule"], 'scale="0.001 0.001 0.001" in its <mesh> says so'),
+    "millimetres twice": (
+        '<mesh filename="large.stl"/>|<mesh filename="larger.stl"/>',
+        ["Capsule"],
+        "mesh 'large.stl' (and 1 more) is 300 m long",
+    ),
+}
+
+
+@pytest.mark.parametrize("tag", ["collision", "visual"])
+@pytest.mark.parametrize("kind", ONE_LINK)
+def test_a_bad_shape_costs_its_own_link_only(tmp_path, tag: str, kind: str):
+    """A sheet is a thin body of its size; what cannot be used is replaced by a plain shape, and plans and replays say
+    so in one sentence. The other links count as they are, and nobody claims that the robot has no shapes.
+    """
+    elements, stands_there, why = ONE_LINK[kind]
+    sheet = SHEET(file_type="stl")
+    files = {"sheet": sheet, "triangle": stl(value=0.1), "dots": DOTS(file_type="stl")}
+    files |= {"large": stl(value=300.0), "larger": stl(value=400.0)}
+    for name, content in files.items():
+        (tmp_path / f"{name}.stl").write_bytes(content)
+    text = chain_urdf("arm", [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] * 3)
+    box, bad = shape('<box size="0.1 0.1 0.1"/>'), "".join(map(shape, elements.split("|")))
+    for link, element in (("base", box), ("link0", box), ("link1", bad), ("link2", box)):
+        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{element.replace("collision", tag)}')
+    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
+    robot = load_robot(tmp_path / "arm.urdf")
+    shapes = collision_shapes(robot, tag)
+    assert [type(s.geometry).__name__ for s in shapes if s.link == "link1"] == stands_there
+    cubes = {s.link for s in shapes if isinstance(s.shape, Solid) and s.shape.size == (0.1, 0.1, 0.1)}
+    assert cubes == {"base", "link0", "link2"}
+    planned = Clearance(robot, True, Surroundings(), robot.positions(robot.neutral())).notes
+    drawn = list(appearance(robot, kinematic_tree(robot)).notes)
+    assert len(planned) == bool(why)
+    assert all(note.startswith("Plain shapes stand in for link1: ") and why in note for note in planned)
+    assert tag == "collision" or drawn == planned
+    said = f"collision checks use {3 + (not why)} shapes of <{tag}> elements"
+    assert describe_shapes(robot) == said + "; plain shapes stand in for link1" * bool(why)
+
+
+@pytest.mark.parametrize("joint", ["revolute", "fixed"])
+def test_a_robot_without_shapes_and_without_length(joint: str):
+    """There is nothing that could touch: no pair, every posture is clear, and a sentence says why."""
+    content = edited(("0 0 0.3", "0 0 0"), ("0.4 0 0", "0 0 0"), *[('"revolute"', f'"{joint}"')] * 2)
+    robot = robot_from_text(content, Path("arm.urdf"))
+    q, collision = robot.neutral(), SelfCollision(robot, shapes="links")
+    assert collision.nearest(q) is None and not collision.closer_than(q, 1.0) and collision.is_clear(q, 1.0)
+    clearance = Clearance(robot, True, Surroundings(), robot.positions(q))
+    assert clearance(robot.positions(q)) and clearance.notes == [describe_shapes(robot)]
+    assert "no shapes that can be used" in describe_shapes(robot)
 
 
 def test_mimic_joints_and_threads(robot_of, collision_of):

@@ -32,6 +32,8 @@ def codes(source: Source) -> Iterator[str]:
             target = ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target)
             if target == "code" and node.value is not None:
                 yield from map(text, values(node.value))
+            if target == "RULES" and isinstance(node.value, ast.Dict):  # code: sentence
+                yield from (text(key) for key in node.value.keys if key is not None)
             if target in TABLES and isinstance(node.value, ast.Tuple):
                 yield from (text(row.elts[1]) for row in node.value.elts if isinstance(row, ast.Tuple))
         elif isinstance(node, ast.FunctionDef):

@@ -26,6 +26,7 @@ from manip_learn.robot.collision import (
     Proximity,
     SelfCollision,
     collision_shapes,
+    describe_shapes,
     known_shapes,
     missing_meshes,
 )
@@ -132,8 +133,7 @@ class Clearance:
         own = links is not False and shapes != "links"
         self._robot, self._start, self.notes = robot, start, list[str]()
         if links is True and not own:
-            capsules = ", capsules along its links keep clear of what stands around" if around.obstacles else ""
-            self.notes.append(f"the robot has no shapes: self-collision was not looked at{capsules}")
+            self.notes.append(describe_shapes(robot))
         self.notes += missing_meshes(robot)
         self.around, self.links = around, found.with_obstacles(around.obstacles, own)
         self._least, self._held = dict[tuple[str, str], float](), -np.inf

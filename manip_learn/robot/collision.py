@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import combinations
@@ -20,12 +19,12 @@ import pinocchio as pin
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.errors import RobotError
+from manip_learn.errors import RobotError, counted, few
 from manip_learn.robot.description.mjcf import turn_z_to
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.figure import bones, link_radii
 from manip_learn.robot.visuals.meshes import GREY, Mesh
-from manip_learn.robot.visuals.visual_shapes import Solid, Visual, bare_links, losses, visual_shapes
+from manip_learn.robot.visuals.visual_shapes import SHEET, Solid, Visual, bare_links, shape_faults, visual_shapes
 
 Shapes = Literal["collision", "visual", "links"]
 # postures that are looked at for links that can touch: every 0.2 rad of two joints that turn once
@@ -37,7 +36,6 @@ COAL_TOLERANCE = 1e-12
 MOST_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
 MOST_PARTS = 30  # of a mesh that are looked at one by one: a cabinet with doors and handles
 LARGE_BLOCK = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
-FLAT = 1e-9  # volume over that of a cube as long: a sheet, which has no inside
 
 
 @final
@@ -127,10 +125,11 @@ def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[Collision
         return _made(_capsules(robot, {f.parentJoint: f.name for f in reversed(bodies)}))
     shapes = visual_shapes(robot, tag)
     if all(v.fault for v in shapes):
-        why = f" that can be used: {' '.join(losses(shapes))}" if shapes else ", whose distances could be computed"
-        if tag == "collision" and not all(v.fault for v in visual_shapes(robot)):
+        reasons = shape_faults(robot, tag)
+        why = f" that can be used: {' '.join(reasons)}" if reasons else ", whose distances could be computed"
+        if tag == "collision" and known_shapes(robot) == "visual":
             why += ": the shapes of its <visual> elements can take their place (shapes='visual')"
-        code = "collision-shape" if shapes else "no-collision-shapes"
+        code = "collision-shape" if reasons else "no-collision-shapes"
         raise RobotError(f"robot {robot.name!r} has no <{tag}> elements{why}", code=code, path=robot.source)
     bare = {joint: link for link, joint in reversed(bare_links(shapes).items())}
     plain, radii = _capsules(robot, bare), link_radii(robot.pinocchio_model)
@@ -156,17 +155,28 @@ def _capsules(robot: Robot, links: Mapping[int, str]) -> list[Visual]:
 
 def missing_meshes(robot: Robot) -> tuple[str, ...]:
     """Say which shapes of a robot are lost and why, of those that count: a sentence for each reason."""
-    return losses(visual_shapes(robot, "visual" if known_shapes(robot) == "visual" else "collision"))
+    tag = known_shapes(robot)
+    return shape_faults(robot, *(("collision", "visual") if tag == "links" else (tag,)))
+
+
+def describe_shapes(robot: Robot) -> str:
+    """Return a sentence on the shapes that count for collisions: how many, of which elements, and the stand-ins."""
+    if (tag := known_shapes(robot)) == "links":
+        return (
+            "the robot has no shapes that can be used: self-collision is not looked at, capsules along its links keep "
+            "clear of what stands around"
+        )
+    shapes = visual_shapes(robot, tag)
+    plain = f"; plain shapes stand in for {few(list(bare), 4)}" if (bare := bare_links(shapes)) else ""
+    number = sum(not v.fault for v in shapes)
+    return f"collision checks use {counted(number, 'shape')} of <{tag}> elements{plain}"
 
 
 @lru_cache(maxsize=16)
 def known_shapes(robot: Robot) -> Shapes:
     """Return which shapes of a robot there are: those for collisions, or else the drawn ones, or else capsules."""
-    for tag in ("collision", "visual"):
-        with suppress(RobotError):
-            collision_shapes(robot, tag)
-            return tag
-    return "links"
+    tags: tuple[Shapes, ...] = ("collision", "visual")
+    return next((tag for tag in tags if not all(v.fault for v in visual_shapes(robot, tag))), "links")
 
 
 def obstacles_of(
@@ -188,7 +198,7 @@ def obstacles_of(
     whole, out = trimesh.Trimesh(shape.vertices, shape.faces), list[Obstacle]()  # it joins corners in one place
     parts = whole.split(only_watertight=False, repair=False)
     for part in parts if 0 < len(parts) <= MOST_PARTS else [whole]:
-        is_closed = part.is_watertight and abs(part.volume) > FLAT * part.extents.max() ** 3
+        is_closed = part.is_watertight and not _is_flat(part.vertices)
         is_convex, half = is_closed and part.is_convex, np.abs(part.vertices).max(axis=0)
         solid = part.convex_hull if is_convex else part
         geometry = _coal(solid, is_convex)
@@ -223,6 +233,11 @@ def _solid(solid: Solid) -> tuple[Any, Float[np.ndarray, " 3"], float]:
     return geometry, np.array([radius, radius, radius + far]), radius + far
 
 
+def _is_flat(points: Float[np.ndarray, "n 3"]) -> bool:
+    """Whether points lie in a plane, to 1e-5 of their extent: their rounding is a hundredth of that."""
+    return int(np.linalg.matrix_rank(points - points.mean(axis=0), rtol=1e-5)) < 3
+
+
 def _shape(v: Visual, shape: Solid | Mesh) -> CollisionShape:
     import trimesh
 
@@ -230,10 +245,10 @@ def _shape(v: Visual, shape: Solid | Mesh) -> CollisionShape:
         geometry, _, radius = _solid(shape)
         return CollisionShape(v.link, v.joint, v.placement, geometry, radius, shape)
     whole = trimesh.Trimesh(shape.vertices, shape.faces)
-    hull = trimesh.convex.convex_hull(whole)
-    if not hull.volume > FLAT * hull.extents.max() ** 3:
-        why = "its mesh has no volume, so that distances to it are not defined"
-        raise RobotError(f"link {v.link!r}: {why}", code="collision-shape")
+    corners = np.asarray(whole.vertices)
+    if _is_flat(corners):  # a sticker
+        corners = (corners[:, None] + 0.5 * SHEET * np.vstack([np.eye(3), -np.eye(3)])).reshape(-1, 3)
+    hull = trimesh.convex.convex_hull(corners)
     middle, placement = hull.bounds.mean(axis=0), v.placement.copy()
     hull.apply_translation(-middle)
     whole.apply_translation(-middle)
@@ -296,7 +311,7 @@ class SelfCollision:
         faces: Numbers in `geometry` of those that are large faces, as a floor: to these a hull is as near as its mesh.
 
     Raises:
-        RobotError: The robot has no collision shapes, or one of them cannot be used.
+        RobotError: The robot has no collision shapes that can be used.
         ConfigurationError: `free` has the wrong size or is not finite.
     """
 
@@ -456,7 +471,7 @@ class SelfCollision:
         pin.updateGeometryPlacements(self._model, data, self.geometry, geometry_data)
         if not bounded:
             return data, geometry_data, np.full(len(self.pairs), -np.inf)
-        centres = np.array([place.translation for place in geometry_data.oMg])
+        centres = np.array([place.translation for place in geometry_data.oMg]).reshape(-1, 3)
         # of the ball about a link from the ball about another or the box about an obstacle, negative within that
         first, second = self._pair_table
         beyond = np.abs(np.einsum("kj,kji->ki", centres[first] - centres[second], self._turns)) - self._halves
@@ -503,8 +518,9 @@ class SelfCollision:
         radii = np.array([solid.radius for solid in self._solids])
         self._radii = radii[first] + radii[second]
         # of each pair's second the box about it and its axes: nothing but its middle, if it is a link
-        self._halves = np.array([*np.zeros((n, 3)), *(o.half for o in self.obstacles)])[second]
-        self._turns = np.array([*n * [np.eye(3)], *(o.placement[:3, :3] for o in self.obstacles)])[second]
+        self._halves = np.array([*np.zeros((n, 3)), *(o.half for o in self.obstacles)]).reshape(-1, 3)[second]
+        turns = [*n * [np.eye(3)], *(o.placement[:3, :3] for o in self.obstacles)]
+        self._turns = np.array(turns).reshape(-1, 3, 3)[second]
         # 1 for each velocity of Pinocchio's model that moves a solid, else 0
         self._carries = np.zeros((len(self._solids), self._model.nv))
         for k, shape in enumerate(self._shapes):

@@ -55,7 +55,7 @@ class _Reader:
     Attributes:
         links: Links read so far.
         joints: In file order.
-        visuals: Link -> `<visual>` elements of a URDF.
+        visuals: Link -> `<visual>` and `<collision>` elements of a URDF.
         ref: Joint -> value in the pose that the file describes [rad or m].
         angle: Factor from the file's angles to rad.
         eulerseq: Axes of Euler angles; small letters turn with the body, capitals do not.
@@ -140,8 +140,8 @@ class _Reader:
                     self.links.append(UrdfLink(frame, site))
                     pose = as_pose(self._pose(site))
                     self.joints.append(UrdfJoint(f"{frame}__fixed", site, "fixed", link, frame, pose))
-            for geom in node.all("geom") if link != WORLD or self.scene else []:
-                self.visuals.setdefault(link, []).extend(self._visual(self._full(geom, childclass)))
+            geoms = node.all("geom") if link != WORLD or self.scene else []
+            self.visuals.setdefault(link, []).extend(self._shapes([self._full(geom, childclass) for geom in geoms]))
             for body in node.all("body"):
                 inner = body.attributes.get("childclass", childclass)
                 name = read_name(body) if body.attributes.get("name") else f"body_{body.line}"
@@ -203,28 +203,33 @@ class _Reader:
         limit, pose = urdf.UrdfLimit(lower, upper, math.inf), as_pose(T @ to_anchor @ zero)
         return joint._replace(type=TYPES[kind], pose=pose, axis=axis, limit=limit), back
 
-    def _visual(self, geom: XmlNode) -> list[str]:
-        """Return the shape as URDF text; nothing for what is not drawn (planes, fields, collision groups) or readable.
+    def _shapes(self, geoms: list[XmlNode]) -> list[str]:
+        """Return the shapes of a body as URDF text: to draw, and for collisions, which are drawn ones where none is.
 
-        Of a scene it is what can be touched.
+        Planes, fields and what cannot be read are left out. Of a scene it is what can be touched.
         """
-        untouched = all(geom.attributes.get(c) == "0" for c in ("contype", "conaffinity"))
-        if untouched if self.scene else geom.attributes.get("group", "0") in ("3", "4", "5"):  # of collision shapes
-            return []
+        touched = [g for g in geoms if any(g.attributes.get(c) != "0" for c in ("contype", "conaffinity"))]
+        drawn = [g for g in geoms if g.attributes.get("group", "0") not in ("3", "4", "5")]  # of collision shapes
+        shapes = {"visual": touched} if self.scene else {"visual": drawn, "collision": touched or drawn}
+        return [self._element(tag, geom) for tag, some in shapes.items() for geom in some]
+
+    def _element(self, tag: str, geom: XmlNode) -> str:
+        """Return a shape as an element of a URDF; of a robot, nothing for what cannot be read."""
         try:
             shape, T = self._shape(geom)
             colour = geom.vector("rgba", 4)
         except RobotError:
             if self.scene:
                 raise
-            return []
+            return ""
         rgba = "" if colour is None else f'<material name=""><color rgba="{urdf.spaced(colour)}"/></material>'
-        head = f"<visual name={quoteattr(geom.attributes.get('name', ''))}>{urdf.origin_text(as_pose(T))}"
-        return [f"{head}<geometry>{shape}</geometry>{rgba}</visual>"]
+        head = f"<{tag} name={quoteattr(geom.attributes.get('name', ''))}>{urdf.origin_text(as_pose(T))}"
+        return f"{head}<geometry>{shape}</geometry>{rgba}</{tag}>"
 
     def _shape(self, geom: XmlNode) -> tuple[str, Matrix4]:
         T = self._pose(geom)
-        kind = geom.attributes.get("type", "mesh" if "mesh" in geom.attributes else "sphere")
+        # MuJoCo fits a body to the mesh where another type is given
+        kind = "mesh" if "mesh" in geom.attributes else geom.attributes.get("type", "sphere")
         if kind == "mesh":
             asset = self.meshes.get(geom.attributes.get("mesh", ""), geom)
             geom.require("file" in asset.attributes, "mjcf-element", kind=kind)

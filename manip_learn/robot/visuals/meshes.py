@@ -210,7 +210,7 @@ def _read(path: Path) -> Mesh:
     except Exception as error:  # whatever foreign parsers raise about a broken file
         raise RobotError(f"{type(error).__name__}: {error}"[:300], code="mesh-parser") from error
     if not n or not all(np.isfinite(v).all() for v in vertices):
-        raise RobotError("it has no triangles, or vertices that are not finite", code="mesh-content")
+        raise RobotError("it shows no triangles, or has vertices that are not finite", code="mesh-content")
     painted = None
     if 0 < len({*colours} - {None}) <= MOST_COLOURS:
         painted = np.repeat([colour or GREY for colour in colours], [len(f) for f in faces], axis=0)
@@ -235,6 +235,7 @@ def _collada_pieces(content: bytes) -> Iterator[Piece]:
     """By the parser that trimesh uses; trimesh itself would walk nodes that double forty times without an end."""
     import collada
 
+    content = re.sub(rb"(</?)convex_mesh\b", rb"\1mesh", content)  # which that parser does not know
     file = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
     if any(isinstance(error, collada.common.DaeBrokenRefError) for error in file.errors):
         # a mesh with a broken material is left out, too: read once more without materials

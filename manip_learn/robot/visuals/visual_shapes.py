@@ -28,6 +28,7 @@ Tag = Literal["visual", "collision"]
 # times the length of all links together, beyond which a mesh is in millimetres; and the least such length [m]
 LONGEST_LINK, SHORTEST_REACH = 20.0, 0.2
 LARGEST_SIZE = 1e4  # [m] of a shape and its distance: more is a wrong unit
+SHEET = 1e-3  # [m] thickness of a shape that has none
 MAX_VISUALS = 2_000  # of a robot, so that its page can be drawn
 MESH_NAME = re.compile(r"^mesh ('[^']*'|\"[^\"]*\")")  # at the start of a reason
 
@@ -139,8 +140,8 @@ def _geometry(node: XmlNode) -> Solid | MeshElement:
             given = (shape.number("radius"), shape.number("length"))
         case _:
             raise _unusable(shape, f"the shape <{shortened(shape.tag)}> is not known")
-    sizes = tuple(size for size in given if size is not None and 0.0 < size <= LARGEST_SIZE)
-    if len(sizes) < len(given):
+    sizes = tuple(size or SHEET for size in given if size is not None and 0.0 <= size <= LARGEST_SIZE)
+    if len(sizes) < len(given) or not any(given):
         raise _unusable(shape, f"a size of its {shape.tag} is {next(size for size in given if size not in sizes)}")
     return Solid(kind, sizes)
 
@@ -155,18 +156,18 @@ def _colour(material: XmlNode) -> Colour | None:
 
 
 def _unusable(node: XmlNode, seen: str) -> RobotError:
-    return node.refusal("visual", f"{seen}; a usable shape is expected; a plain shape is drawn")
+    return node.refusal("visual", f"{seen}; a usable shape is expected")
 
 
 def said_once(reasons: Iterable[str]) -> dict[str, str]:
-    """Return a sentence for each reason; reasons that differ in the name of the mesh only share one, with their number.
+    """Return a sentence for each reason; those that differ in a mesh's name or in numbers only share the first one's.
 
     Args:
         reasons: Why shapes cannot be used.
     """
     alike = dict[str, list[str]]()
     for reason in dict.fromkeys(reasons):
-        alike.setdefault(MESH_NAME.sub("", reason), []).append(reason)
+        alike.setdefault(re.sub(r" [\d.e+]+ ", "", MESH_NAME.sub("", reason)), []).append(reason)
     more = {same[0]: rf"\g<0> (and {len(same) - 1} more)" if len(same) > 1 else r"\g<0>" for same in alike.values()}
     return {reason: MESH_NAME.sub(more[same[0]], same[0]) for same in alike.values() for reason in same}
 
@@ -184,6 +185,17 @@ def losses(shapes: Sequence[Visual]) -> tuple[str, ...]:
             head = "Plain shapes stand in for" if v.link in bare else "A shape is missing of"
             links.setdefault((head, said[v.fault]), {})[v.link] = None
     return tuple(f"{head} {few(list(names), 4)}: {reason}." for (head, reason), names in links.items())
+
+
+def shape_faults(robot: Robot, *tags: Tag) -> tuple[str, ...]:
+    """Return a sentence for each reason for which a link loses a shape; none for elements that there are not.
+
+    Args:
+        robot: The robot.
+        tags: Which of its elements are looked at.
+    """
+    sentences = (losses(visual_shapes(robot, tag)) for tag in tags if _elements(robot, tag))
+    return tuple(dict.fromkeys(sentence for one in sentences for sentence in one))
 
 
 def bare_links(shapes: Sequence[Visual]) -> dict[str, int]:
