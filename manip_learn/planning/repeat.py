@@ -351,7 +351,7 @@ class _Again:
         robot, whole = self.limits.robot, cast("Rollout", self.whole)  # a skill has a way
         whole = replace(whole, constraint=whole.ways[0]["constraint"], target=None)  # not those of its last part
         tip = robot.frame_kinematics(self.skill.constraints[0].features.frame)  # type: ignore[attr-defined]  # as above
-        far = np.linalg.norm(np.diff(tip.pose(whole.q)[:, :3, 3], axis=0), axis=1)
+        far = np.linalg.norm(np.diff(tip.poses(whole.q)[:, :3, 3], axis=0), axis=1)
         numbers = float(np.sum(far)), float(np.max(far / np.diff(whole.time)))
         return Repetition(self.skill, whole, tuple(self.done), LawSequence(*self.laws), *numbers, tuple(self.notes))
 
