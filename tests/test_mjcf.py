@@ -142,7 +142,7 @@ REFUSED = {
     ),
     "joint-type": mjcf(body("a", "", '<joint type="ball"/>')),
     "axis-zero": mjcf(body("a", "", '<joint axis="0 0 0"/>')),
-    "limit-order": mjcf(body("a", "", '<joint range="1 -1"/>')),
+    "limit-order": mjcf(body("a", "", '<joint limited="true" range="1 -1"/>')),
     "not-finite": mjcf(body("a", 'pos="nan 0 0"', JOINT)),
     "number": mjcf(body("a", 'pos="x 0 0"', JOINT)),
     "duplicate-link": mjcf(body("a", "", JOINT) + body("a", "", '<joint name="k"/>')),

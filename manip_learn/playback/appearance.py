@@ -14,10 +14,11 @@ from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.shells import Body, barrel, rod, shell
 from manip_learn.playback.simple_meshes import decimated
 from manip_learn.robot.description.mjcf import turn_z_to
+from manip_learn.robot.description.text import said_once
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.figure import Bone, bones, link_radii
 from manip_learn.robot.visuals.meshes import Mesh
-from manip_learn.robot.visuals.visual_shapes import Visual, said_once, visual_shapes
+from manip_learn.robot.visuals.visual_shapes import Visual, visual_shapes
 
 ShapeKind = Literal["box", "sphere", "cylinder", "disc", "mesh"]
 _Colour = tuple[float, float, float, float]

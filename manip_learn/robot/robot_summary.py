@@ -11,11 +11,11 @@ from typing import Any, final
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RobotError
-from manip_learn.robot.description.text import quoted
+from manip_learn.robot.description.text import quoted, said_once
 from manip_learn.robot.joints import JointKind, Mimic
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import likely_tips
-from manip_learn.robot.visuals.visual_shapes import resolve_meshes, said_once
+from manip_learn.robot.visuals.visual_shapes import resolve_meshes
 
 # largest difference of an entry of two poses [m, and no unit]; rounding along 100 joints stays below
 AGREEMENT = 1e-9
@@ -162,16 +162,21 @@ def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossChe
         raise RobotError(f"robot {robot.name!r} did not come from a URDF: nothing to compare with", code="cross-check")
     try:
         import yourdfpy
+        from lxml import etree
     except ImportError as error:
         raise MissingExtraError("the independent check of forward kinematics", "all") from error
     logger = logging.getLogger("yourdfpy.urdf")  # its warnings concern meshes and mimics, which validation has handled
     before, logger.disabled = logger.disabled, True
     try:
         bare = {"build_scene_graph": False, "build_collision_scene_graph": False, "load_meshes": False}
-        parsed = yourdfpy.URDF.load(io.BytesIO(robot.description), **bare).robot
+        tree = etree.fromstring(robot.description, etree.XMLParser(recover=True))
+        tree.set("name", tree.get("name", robot.name))
+        parsed = yourdfpy.URDF.load(io.BytesIO(etree.tostring(tree)), **bare).robot
         for link in parsed.links:
             link.visuals, link.collisions = [], []
         joints = {j.name: j for j in parsed.joints}
+        for j in parsed.joints:  # yourdfpy does not move these, yet counts their coordinates for those of leaders
+            j.type = "fixed" if j.type in ("floating", "planar") else j.type
         for j in (j for j in parsed.joints if j.mimic is not None):
             if j.mimic.joint not in joints:  # else validation would have failed: it is locked
                 j.mimic = None

@@ -73,7 +73,7 @@ class _Reader:
             fix = "degree or radian, three axes, and local are read; correct them, or save the file by MuJoCo"
             raise root.log.refusal("mjcf-compiler", root.all("compiler")[0].line, f"{seen}; {fix}")
         self.angle = math.pi / 180.0 if angle == "degree" else 1.0
-        assets = [mesh for asset in root.all("asset") for mesh in asset.all("mesh")]
+        assets = [self._full(mesh, MAIN) for asset in root.all("asset") for mesh in asset.all("mesh")]
         # without a name a mesh has the name of its file, whichever way its folders are written
         stems = [PureWindowsPath(mesh.attributes.get("file", "")).stem for mesh in assets]
         self.meshes = {mesh.attributes.get("name") or stem: mesh for mesh, stem in zip(assets, stems, strict=True)}
@@ -197,7 +197,12 @@ class _Reader:
         elif ref:
             zero[:3, :3] = pin.exp3(-ref * np.array(axis))
         given, limited = node.vector("range", 2), node.attributes.get("limited", "auto")
-        if limited == "false" or (limited != "true" and self.settings.get("autolimits") == "false"):
+        is_order = given is not None and given[0] < given[1]  # else MuJoCo limits it only where it is told to
+        if limited == "false" or (limited != "true" and not (is_order and self.settings.get("autolimits") != "false")):
+            if given is not None and any(given) and not is_order:
+                node.warn(
+                    f"its range {given[0]:g} ... {given[1]:g} is no limit, as in MuJoCo: lower below upper would be"
+                )
             given = None
         lower, upper = (-math.inf, math.inf) if given is None else (given[0] * scale, given[1] * scale)
         limit, pose = urdf.UrdfLimit(lower, upper, math.inf), as_pose(T @ to_anchor @ zero)

@@ -29,6 +29,10 @@ DEEPEST = 100  # brackets of JSON or YAML within each other; beyond, parsers tak
 # no two ways to read the same digits: else a long number with a typing error takes minutes
 NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST_READ = 1e100  # squares and products of what is larger overflow
+# what a sentence is about, and what it says
+PLACE = re.compile(
+    r"(?P<place>(line \d+)?((: |^)(?P<kind>mesh|link|joint|body|site) ('[^']*'|\"[^\"]*\"))?)(?P<why>.*)", re.DOTALL
+)
 # error of the operating system -> code and sentence of a file that cannot be read
 UNREADABLE: dict[int, tuple[str, str]] = {
     **dict.fromkeys((errno.ENOENT, errno.ENOTDIR), ("missing", "there is no such file; check the path")),
@@ -77,10 +81,10 @@ RULES = {
     "axis-zero": "its axis is 0 0 0; a direction is expected; write the direction, "
     'or type="fixed" for a joint that never moves',
     "axis-norm": "its axis {xyz} has length {norm:.3g}; length 1 is expected; write a unit vector",
-    "limit-order": "its limits are {lower:g} ... {upper:g} {unit}; lower below upper is expected; "
-    'swap or correct them{otherwise}, or type="fixed", or lock the joint',
-    "limit-degrees": "its limits are {lower:g} ... {upper:g} {unit}, more than two turns: they look like degrees; "
-    "radians are expected; write {low:.4f} ... {high:.4f}{otherwise} for many turns",
+    "limit-order": "its limits are {lower:g} ... {upper:g} {unit}{likewise}; lower below upper is expected; "
+    "swap or correct them, or {otherwise}, or lock {locks}",
+    "limit-degrees": "its limits are {lower:g} ... {upper:g} {unit}{likewise}, more than two turns: they look like "
+    "degrees; radians are expected; write {low:.4f} ... {high:.4f}{compiler}, or {otherwise} for many turns",
     "self-loop": "its parent and its child are both {link!r}; two links are expected; correct one of them",
     "two-parents": "its child {link!r} is already the child of joint {other!r}; one parent per link is expected; "
     "closed chains are not supported: remove one of the two joints",
@@ -94,7 +98,7 @@ RULES = {
 @final
 @dataclass(frozen=True)
 class Diagnostics:
-    """Collects warnings about one file and words its refusals.
+    """Collects warnings about one file and words its refusals; no line is named of text that xacro wrote.
 
     Attributes:
         path: The file.
@@ -106,14 +110,19 @@ class Diagnostics:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences, in the order found; after a hundred only their number."""
-        more = [f"{len(self.kept) - MAX_WARNINGS} more warnings are left out"] if len(self.kept) > MAX_WARNINGS else []
-        return (*self.kept[:MAX_WARNINGS], *more)
+        """Sentences, in the order found, each once; after a hundred only their number."""
+        said = list(dict.fromkeys(said_once(self.kept).values()))
+        more = [f"{len(said) - MAX_WARNINGS} more warnings are left out"] if len(said) > MAX_WARNINGS else []
+        return (*said[:MAX_WARNINGS], *more)
+
+    def at(self, line: int | None, before: str) -> str:
+        """Return a line's number after some words; nothing where no line of the file is meant."""
+        return "" if line is None or self.path.suffix == ".xacro" else f"{before}{line}"
 
     def refusal(self, code: str, line: int | None, sentence: str) -> RobotError:
         """Return the error to raise; the sentence says whose fault it is, the value seen and expected, the remedy."""
-        place = f"{self.path}:{line}" if line is not None else f"{self.path}"
-        return RobotError(f"{place}: {sentence}", code=code, path=self.path, line=line)
+        place = self.at(line, ":")
+        return RobotError(f"{self.path}{place}: {sentence}", code=code, path=self.path, line=line if place else None)
 
     def require(self, is_right: bool, code: str, line: int | None, where: str = "", **values: object) -> None:
         """Refuse the file in the words of `RULES`, which the values complete, where that rule does not hold."""
@@ -122,7 +131,22 @@ class Diagnostics:
 
     def warn(self, line: int | None, sentence: str) -> None:
         """Keep a sentence for `Robot.warnings`."""
-        self.kept.append(f"line {line}: {sentence}" if line is not None else sentence)
+        place = self.at(line, "line ")
+        self.kept.append(f"{place}: {sentence}" if place else sentence)
+
+
+def said_once(sentences: Iterable[str]) -> dict[str, str]:
+    """Sentence -> what to say; those that differ only in their line and in whose fault it is share one."""
+    found = [match for sentence in sentences if (match := PLACE.fullmatch(sentence))]
+    places: dict[tuple[str, ...], list[str]] = {}
+    for match in found:
+        places.setdefault(match.group("kind", "why"), []).append(match["place"])
+    said: dict[str, str] = {}
+    for match in found:
+        first, *others = places[match.group("kind", "why")]
+        more = f" (and {len(others)} more)" if first and others else ""
+        said[match.string] = f"{first if more else match['place']}{more}{match['why']}"
+    return said
 
 
 def quoted(names: Sequence[str]) -> str:

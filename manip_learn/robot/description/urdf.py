@@ -382,7 +382,8 @@ def validate_parts(
         first: dict[str, int] = {}
         for e in elements:
             if e.name in first:
-                seen = f"the name is already used on line {first[e.name]}; names must be unique; rename one of the two"
+                used = f"already used{log.at(first[e.name], ' on line ')}"
+                seen = f"the name is {used}; names must be unique; rename one of the two"
                 raise log.refusal(f"duplicate-{tag}", e.node.line, f"{tag} {e.name!r}: {seen}")
             first[e.name] = e.node.line
     names, above, below = {link.name for link in links}, dict[str, str](), dict[str, list[str]]()
@@ -411,9 +412,7 @@ def validate_parts(
         log.require(False, "detached", lost[0].node.line, names=quoted([link.name for link in lost]))
     followers, resting = resolve_mimics(joints, locked, log)
     still = {*locked, *resting, *(m.joint for m in followers if m.leader in locked)}
-    for j in joints:
-        if j.nv == 1 and j.name not in still:
-            _check_limits(j)
+    _check_limits([j for j in joints if j.nv == 1 and j.name not in still], {m.joint: m.leader for m in followers})
     if nv == 0:
         log.warn(None, "no joint moves")
     return UrdfFile(name, tuple(links), tuple(joints), roots[0].name, followers, resting, log.warnings)
@@ -479,26 +478,52 @@ def resolve_mimics(
     return tuple(followers), resting
 
 
-def _check_limits(joint: UrdfJoint) -> None:
-    """Refuse limits that cannot be intended (`limit-order`, `limit-degrees`), warn about those without effect."""
-    (lower, upper, velocity, _, stated), is_angle = joint.limit, joint.type != "prismatic"
-    node, unit, largest = stated or joint.node, "rad" if is_angle else "m", max(abs(lower), abs(upper))
-    said = {"lower": lower, "upper": upper, "unit": unit, "otherwise": ', or type="continuous"' if is_angle else ""}
-    lacking = [end for end, value in (("lower limit", lower), ("upper limit", upper)) if math.isnan(value)]
-    if lacking and joint.type != "continuous":
-        # a default of 0, which the specification has, would be a limit that nobody stated
-        missing = lacking[0] if len(lacking) == 1 else "limits"
-        node.warn(f"it has no {missing}, which a {joint.type} joint should; none is taken")
-    elif joint.type != "continuous":
-        node.require(lower < upper, "limit-order", **said)
-        if UNLIMITED < largest < math.inf:  # infinity is said by the format, not by a number
-            node.warn(f"its limit of {largest:.3g} {unit} is taken for no limit")
-        is_usual = not is_angle or largest <= 4.0 * math.pi or largest > UNLIMITED  # no arm turns twice each way
-        node.require(is_usual, "limit-degrees", **said, low=math.radians(lower), high=math.radians(upper))
-    if math.isnan(velocity) and (joint.type != "continuous" or stated is not None):
-        node.warn("no velocity limit; it is taken as unlimited")
-    elif velocity <= 0.0:
-        node.warn(f"its velocity limit of {velocity:g} {unit}/s is taken for none stated: it is not limited")
+def _check_limits(joints: Sequence[UrdfJoint], leaders: Mapping[str, str]) -> None:
+    """Refuse limits that cannot be intended (`limit-order`, `limit-degrees`), warn about those without effect.
+
+    Args:
+        joints: Joints that move, of one degree of freedom each.
+        leaders: Follower -> the joint that it follows, which is locked in its place.
+    """
+    faults: dict[str, list[UrdfJoint]] = {"limit-order": [], "limit-degrees": []}
+    for joint in joints:
+        (lower, upper, velocity, _, stated), is_angle = joint.limit, joint.type != "prismatic"
+        node, unit, largest = stated or joint.node, "rad" if is_angle else "m", max(abs(lower), abs(upper))
+        lacking = [end for end, value in (("lower limit", lower), ("upper limit", upper)) if math.isnan(value)]
+        if lacking and joint.type != "continuous":
+            # a default of 0, which the specification has, would be a limit that nobody stated
+            missing = lacking[0] if len(lacking) == 1 else "limits"
+            node.warn(f"it has no {missing}, which a {joint.type} joint should; none is taken")
+        elif joint.type != "continuous":
+            if UNLIMITED < largest < math.inf:  # infinity is said by the format, not by a number
+                node.warn(f"its limit of {largest:.3g} {unit} is taken for no limit")
+            if not lower < upper:
+                faults["limit-order"].append(joint)
+            elif is_angle and 4.0 * math.pi < largest <= UNLIMITED:  # no arm turns twice each way
+                faults["limit-degrees"].append(joint)
+        if math.isnan(velocity) and (joint.type != "continuous" or stated is not None):
+            node.warn("no velocity limit; it is taken as unlimited")
+        elif velocity <= 0.0:
+            node.warn(f"its velocity limit of {velocity:g} {unit}/s is taken for none stated: it is not limited")
+    for code, wrong in faults.items():
+        if not wrong:
+            continue
+        names, locks = [j.name for j in wrong], list(dict.fromkeys(leaders.get(j.name, j.name) for j in wrong))
+        (lower, upper, _, _, stated), is_angle = wrong[0].limit, wrong[0].type != "prismatic"
+        is_mjcf = stated is None  # which has no element <limit>
+        (stated or wrong[0].node).require(
+            False,
+            code,
+            lower=lower,
+            upper=upper,
+            unit="rad" if is_angle else "m",
+            likewise=f", as wrong as those of {quoted(names[1:])}" if names[1:] else "",
+            locks=quoted(locks) + ("" if set(locks) <= set(names) else ", with which followers stand still"),
+            low=math.radians(lower),
+            high=math.radians(upper),
+            compiler=', or angle="degree" in <compiler>' if is_mjcf else "",
+            otherwise='limited="false"' if is_mjcf else f'type="{"continuous" if is_angle else "fixed"}"',
+        )
 
 
 def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None) -> str:

@@ -28,7 +28,8 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     Args:
         path: The .xacro file.
         asked: Whether the caller opted in: True, or the values of its arguments (`<xacro:arg>`) by name.
-        package_dirs: Folders that contain the packages of `$(find ...)`; the folders above the file are searched too.
+        package_dirs: Folders that contain the packages of `$(find ...)`; packages are also
+            found where those of meshes are: in the folders above the file, beside its own, and on ROS_PACKAGE_PATH.
 
     Raises:
         RobotError: Codes `xacro` (not opted in), `xacro-arg` (no such argument), `xacro-failed` (its expressions are
@@ -37,6 +38,7 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     """
     from manip_learn.errors import MissingExtraError, RobotError, advice, closest_names
     from manip_learn.robot.description.text import MAX_BYTES, RULES, quoted, read_description
+    from manip_learn.robot.visuals.meshes import mesh_roots, package_folders
 
     def refusal(code: str, sentence: str) -> RobotError:
         return RobotError(f"{path}: {sentence}", code=code, path=path)
@@ -55,30 +57,44 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     job = {"path": str(path.absolute()), "packages": packages, "most": MAX_BYTES, "seconds": EXPANSION_SECONDS}
     job["values"] = {name: str(value) for name, value in values.items()}
     job["search"] = [p or os.getcwd() for p in sys.path]
-    command = [sys.executable, "-I", __file__, json.dumps(job)]
-    try:  # ten seconds on the clock for one of processor time, on slow disks and busy machines
-        done = subprocess.run(command, capture_output=True, cwd=path.absolute().parent, timeout=10 * EXPANSION_SECONDS)
-        is_late = os.name == "posix" and done.returncode == -signal.SIGXCPU
-        answer = json.loads(done.stdout) if done.returncode == 0 else None
-    except subprocess.TimeoutExpired:
-        is_late, answer = True, None
-    if answer is None:
-        seen = f"it took more than {EXPANSION_SECONDS} s" if is_late else "it crashed or ran out of memory"
-        limits = f"its expressions may take {EXPANSION_SECONDS} s and {EXPANSION_MEMORY // 1_000_000_000} GB"
-        raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {limits}")
-    declared, text = answer["declared"], answer["text"]
+    roots, found = mesh_roots(path, package_dirs), [path]
+    while found:  # once more with each package that is found where one of meshes would be
+        command = [sys.executable, "-I", __file__, json.dumps(job)]
+        where, most = path.absolute().parent, 10 * EXPANSION_SECONDS  # on the clock, on slow disks and busy machines
+        try:
+            done = subprocess.run(command, capture_output=True, cwd=where, timeout=most)
+            is_late = os.name == "posix" and done.returncode == -signal.SIGXCPU
+            answer = json.loads(done.stdout) if done.returncode == 0 else None
+        except subprocess.TimeoutExpired:
+            is_late, answer = True, None
+        if answer is None:
+            seen = f"it took more than {EXPANSION_SECONDS} s" if is_late else "it crashed or ran out of memory"
+            limits = f"its expressions may take {EXPANSION_SECONDS} s and {EXPANSION_MEMORY // 1_000_000_000} GB"
+            raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {limits}")
+        lacking = answer["lacking"]
+        is_name = re.fullmatch(r"\w[\w.-]{0,199}", lacking)
+        found = [folder for folder in package_folders(lacking, roots) if folder.is_dir()] if is_name else []
+        for folder in found[:1]:
+            packages[lacking] = str(folder)
+    declared, text, macros = answer["declared"], answer["text"], answer["macros"]
+    give = advice(": give one with {}", "xacro={NAME: VALUE}", "--xacro-arg NAME=VALUE")
+    known = f"; the file has the arguments {', '.join(declared)}{give}" if declared else ""
+    if lacking:
+        fix = advice("name the folder that contains it with {}", "package_dirs=[...]", "--package-dir FOLDER")
+        seen = f"the package {lacking!r:.80} of $(find ...) was not found"
+        raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {fix or 'set ROS_PACKAGE_PATH'}")
     if answer["fault"]:
-        folder = "name the folder that contains the package with {}"
-        fix = advice(f", or {folder}", "package_dirs=[...]", "--package-dir FOLDER") or ", or set ROS_PACKAGE_PATH"
-        known = f"; the file has the arguments {', '.join(declared)}" if declared else ""
-        give = advice(": give one with {}", "xacro={NAME: VALUE}", "--xacro-arg NAME=VALUE") if known else ""
         seen = f"xacro could not be expanded ({' '.join(answer['fault'].split())[:300]})"
-        raise refusal("xacro-failed", f"{seen}; correct it{fix} for $(find ...){known}{give}")
+        raise refusal("xacro-failed", f"{seen}; correct it{known}")
     if unknown := sorted(set(values) - set(declared)):  # xacro itself would ignore it
         shown = ", ".join(map(repr, closest_names(unknown[0], declared) or declared)) or "none"
         raise refusal("xacro-arg", f"the xacro file has no argument {unknown[0]!r}; it has {shown}")
-    if answer["macros"] and not re.search(r"<link\b", text):
-        raise refusal("no-links", RULES["only-macros"].format(names=quoted(answer["macros"])))
+    if known and not re.search(r"<link\b", text):
+        given = ", ".join(f"{name}={value}" for name, value in values.items()) or "no arguments"
+        other = f", or load the file that calls its macros {quoted(macros)}" if macros else ""
+        raise refusal("no-links", f"expanded with {given} it has no <link>; at least one is expected{known}{other}")
+    if macros and not re.search(r"<link\b", text):
+        raise refusal("no-links", RULES["only-macros"].format(names=quoted(macros)))
     return text.encode()
 
 
@@ -103,15 +119,17 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
 
     xacro.parse, xacro.root_dir = noted, os.path.dirname(job["path"])
     packages.update_package_cache(job["packages"])
-    text = fault = ""
+    text = fault = lacking = ""
     try:
         text = XacroDoc.from_file(job["path"], subargs=job["values"]).to_urdf_string()
     except Exception as error:  # whatever the expressions of others raise
-        lacks_memory = isinstance(error, MemoryError) or isinstance(getattr(error, "exc", None), MemoryError)
+        cause = getattr(error, "exc", None) or error
+        lacking = str(cause.args[0]) if isinstance(cause, packages.PackageNotFoundError) else ""
+        lacks_memory = isinstance(cause, MemoryError)
         fault = f"{'there is not enough memory ' if lacks_memory else ''}{error}" or type(error).__name__
     if len(text) > job["most"]:
         text, fault = "", f"the URDF has {len(text)} characters, at most {job['most']} are read"
-    return {"text": text, "fault": fault, **{key: sorted(names) for key, names in named.items()}}
+    return {"text": text, "fault": fault, "lacking": lacking, **{key: sorted(names) for key, names in named.items()}}
 
 
 def _limit_self(seconds: float) -> None:

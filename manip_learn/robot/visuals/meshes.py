@@ -128,6 +128,11 @@ def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
     package, _, inside = unquote(rest).partition("/")
     if package in ("", ".", "..") or not inside:
         raise RobotError(f"mesh {uri[:200]!r} names no package and file", code="mesh-missing")
+    return inside, package_folders(package, roots)
+
+
+def package_folders(package: str, roots: MeshRoots) -> list[Path]:
+    """Return the folders that may be a package, of which some may not exist."""
     folders = [roots.own[package]] if package in roots.own else []
     folders += [d / package for d in roots.above]
     for candidate in (d / package for d in roots.walked):
@@ -137,7 +142,7 @@ def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
         for depth in ("*", "*/*"):
             files = roots.beside[-1].parent.glob(f"{depth}/{PACKAGE_FILE}")
             folders += [p.parent for p in files if package in (p.parent.name, _package_name(p.parent))]
-    return inside, folders
+    return folders
 
 
 @final

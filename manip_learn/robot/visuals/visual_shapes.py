@@ -5,8 +5,6 @@ Meshes become checked triangles. What is wrong here costs a shape, never the rob
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, final
@@ -27,7 +25,6 @@ LONGEST_LINK, SHORTEST_REACH = 20.0, 0.2
 LARGEST_SIZE = 1e4  # [m] of a shape and its distance: more is a wrong unit
 MAX_VISUALS = 2_000  # of a robot, so that its page can be drawn
 GREY: Colour = (0.7, 0.7, 0.72, 1.0)  # red, green, blue and opacity: shapes without a colour
-MESH_REASON = re.compile(r"mesh (?P<name>'[^']*'|\"[^\"]*\")(?P<why>.*)")
 
 
 @final
@@ -162,20 +159,6 @@ def _colour(material: XmlNode) -> Colour | None:
 
 def _unusable(node: XmlNode, seen: str) -> RobotError:
     return node.refusal("visual", f"{seen}; a usable shape is expected; a plain shape is drawn")
-
-
-def said_once(reasons: Iterable[str]) -> dict[str, str]:
-    """Reason -> sentence; reasons that differ in the name of the mesh only share one, with their number."""
-    names: dict[str, list[str]] = {}
-    found = {reason: MESH_REASON.fullmatch(reason) for reason in reasons}
-    for match in filter(None, found.values()):
-        names.setdefault(match["why"], []).append(match["name"])
-    return {
-        reason: f"mesh {same[0]} (and {len(same) - 1} more){match['why']}"
-        if match and len(same := names[match["why"]]) > 1
-        else reason
-        for reason, match in found.items()
-    }
 
 
 def resolve_meshes(robot: Robot) -> tuple[dict[str, Path], dict[str, str]]:
