@@ -7,6 +7,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +23,7 @@ from manip_learn.robot.description.urdf import UrdfFile, UrdfJoint, UrdfLink, as
 from manip_learn.robot.description.xacro_expansion import expanded_xacro
 from manip_learn.robot.joints import COORDINATE_SUFFIXES
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.visuals.meshes import find_package, mesh_roots
 
 Base = Literal["fixed", "floating", "planar"]
 Locked = Sequence[str] | Mapping[str, float | None]
@@ -87,7 +89,10 @@ def load_robot(
     if isinstance(xacro, Mapping) and path.suffix != ".xacro":
         sentence = f"this is no .xacro file, so it has no arguments: leave {', '.join(map(str, xacro))} out"
         raise RobotError(f"{path}: {sentence}", code="xacro-arg", path=path)
-    content = expanded_xacro(path, xacro, folders) if path.suffix == ".xacro" else read_description(path)
+    if path.suffix == ".xacro":
+        content = expanded_xacro(path, xacro, folders, partial(find_package, roots=mesh_roots(path, folders)))
+    else:
+        content = read_description(path)
     return robot_from_text(content, path, package_dirs=folders, locked=locked, root_joint=root_joint, objects=objects)
 
 

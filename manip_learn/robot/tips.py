@@ -63,7 +63,7 @@ def _finger_joints(robot: Robot, movers: dict[str, frozenset[int]]) -> set[int]:
     fingers = set[int]()
     for j in joints:
         name, frame = model.names[j].lower(), model.frames[model.getFrameId(model.names[j], pin.FrameType.JOINT)]
-        link = next(n for n in movers if max(movers[n], default=0) == j).lower()
+        link = next((n for n in movers if max(movers[n], default=0) == j), "").lower()
         is_last = all(model.names[k] in followers for k in joints if model.parents[k] == j)
         grips = "gripper" in name + model.frames[frame.parentFrame].name.lower() or FINGER.search(link)
         alike = [k for k in short if model.parents[k] == model.parents[j] and kinds[k] == kinds[j]]

@@ -141,12 +141,12 @@ def said_once(sentences: Iterable[str]) -> dict[str, str]:
     places: dict[tuple[str, ...], list[str]] = {}
     for match in found:
         places.setdefault(match.group("kind", "why"), []).append(match["place"])
-    said: dict[str, str] = {}
-    for match in found:
+
+    def said(match: re.Match[str]) -> str:
         first, *others = places[match.group("kind", "why")]
-        more = f" (and {len(others)} more)" if first and others else ""
-        said[match.string] = f"{first if more else match['place']}{more}{match['why']}"
-    return said
+        return f"{first} (and {len(others)} more){match['why']}" if first and others else match.string
+
+    return {match.string: said(match) for match in found}
 
 
 def quoted(names: Sequence[str]) -> str:

@@ -478,14 +478,23 @@ def resolve_mimics(
     return tuple(followers), resting
 
 
+def _limit_fault(joint: UrdfJoint) -> str:
+    """Return the code of limits that cannot be intended (`limit-order`, `limit-degrees`), or an empty text."""
+    (lower, upper, *_), is_angle = joint.limit, joint.type != "prismatic"
+    if joint.type == "continuous" or math.isnan(lower + upper):
+        return ""
+    is_many = is_angle and 4.0 * math.pi < max(abs(lower), abs(upper)) <= UNLIMITED  # no arm turns twice each way
+    return "limit-order" if not lower < upper else "limit-degrees" if is_many else ""
+
+
 def _check_limits(joints: Sequence[UrdfJoint], leaders: Mapping[str, str]) -> None:
-    """Refuse limits that cannot be intended (`limit-order`, `limit-degrees`), warn about those without effect.
+    """Refuse limits that cannot be intended, warn about those without effect.
 
     Args:
         joints: Joints that move, of one degree of freedom each.
         leaders: Follower -> the joint that it follows, which is locked in its place.
     """
-    faults: dict[str, list[UrdfJoint]] = {"limit-order": [], "limit-degrees": []}
+    faults = {j.name: _limit_fault(j) for j in joints}
     for joint in joints:
         (lower, upper, velocity, _, stated), is_angle = joint.limit, joint.type != "prismatic"
         node, unit, largest = stated or joint.node, "rad" if is_angle else "m", max(abs(lower), abs(upper))
@@ -494,36 +503,20 @@ def _check_limits(joints: Sequence[UrdfJoint], leaders: Mapping[str, str]) -> No
             # a default of 0, which the specification has, would be a limit that nobody stated
             missing = lacking[0] if len(lacking) == 1 else "limits"
             node.warn(f"it has no {missing}, which a {joint.type} joint should; none is taken")
-        elif joint.type != "continuous":
-            if UNLIMITED < largest < math.inf:  # infinity is said by the format, not by a number
-                node.warn(f"its limit of {largest:.3g} {unit} is taken for no limit")
-            if not lower < upper:
-                faults["limit-order"].append(joint)
-            elif is_angle and 4.0 * math.pi < largest <= UNLIMITED:  # no arm turns twice each way
-                faults["limit-degrees"].append(joint)
+        elif joint.type != "continuous" and UNLIMITED < largest < math.inf:  # infinity is said by the format
+            node.warn(f"its limit of {largest:.3g} {unit} is taken for no limit")
+        if code := faults[joint.name]:
+            names = [name for name, fault in faults.items() if fault == code]
+            said = {"lower": lower, "upper": upper, "low": math.radians(lower), "high": math.radians(upper)}
+            said["likewise"] = f", as wrong as those of {quoted(names[1:])}" if names[1:] else ""
+            said["locks"] = quoted(list(dict.fromkeys(leaders.get(name, name) for name in names)))
+            said["compiler"] = "" if stated else ', or angle="degree" in <compiler>'  # MJCF has no element <limit>
+            said["otherwise"] = f'type="{"continuous" if is_angle else "fixed"}"' if stated else 'limited="false"'
+            node.require(False, code, unit=unit, **said)
         if math.isnan(velocity) and (joint.type != "continuous" or stated is not None):
             node.warn("no velocity limit; it is taken as unlimited")
         elif velocity <= 0.0:
             node.warn(f"its velocity limit of {velocity:g} {unit}/s is taken for none stated: it is not limited")
-    for code, wrong in faults.items():
-        if not wrong:
-            continue
-        names, locks = [j.name for j in wrong], list(dict.fromkeys(leaders.get(j.name, j.name) for j in wrong))
-        (lower, upper, _, _, stated), is_angle = wrong[0].limit, wrong[0].type != "prismatic"
-        is_mjcf = stated is None  # which has no element <limit>
-        (stated or wrong[0].node).require(
-            False,
-            code,
-            lower=lower,
-            upper=upper,
-            unit="rad" if is_angle else "m",
-            likewise=f", as wrong as those of {quoted(names[1:])}" if names[1:] else "",
-            locks=quoted(locks) + ("" if set(locks) <= set(names) else ", with which followers stand still"),
-            low=math.radians(lower),
-            high=math.radians(upper),
-            compiler=', or angle="degree" in <compiler>' if is_mjcf else "",
-            otherwise='limited="false"' if is_mjcf else f'type="{"continuous" if is_angle else "fixed"}"',
-        )
 
 
 def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None) -> str:

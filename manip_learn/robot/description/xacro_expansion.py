@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -22,14 +22,19 @@ EXPANSION_SECONDS = 20  # of processor time for one file; the largest robots tak
 EXPANSION_MEMORY = 1_000_000_000  # [bytes] of the process; the libraries alone take 100 MB
 
 
-def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Sequence[Path] = ()) -> bytes:
+def expanded_xacro(
+    path: Path,
+    asked: bool | Mapping[str, str],
+    package_dirs: Sequence[Path] = (),
+    find: Callable[[str], Path | None] = lambda package: None,
+) -> bytes:
     """Text of the URDF that a xacro file stands for.
 
     Args:
         path: The .xacro file.
         asked: Whether the caller opted in: True, or the values of its arguments (`<xacro:arg>`) by name.
-        package_dirs: Folders that contain the packages of `$(find ...)`; packages are also
-            found where those of meshes are: in the folders above the file, beside its own, and on ROS_PACKAGE_PATH.
+        package_dirs: Folders that contain the packages of `$(find ...)`; the folders above the file are searched too.
+        find: Package -> its folder, of packages that are nowhere else; None if it is not known either.
 
     Raises:
         RobotError: Codes `xacro` (not opted in), `xacro-arg` (no such argument), `xacro-failed` (its expressions are
@@ -38,7 +43,6 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     """
     from manip_learn.errors import MissingExtraError, RobotError, advice, closest_names
     from manip_learn.robot.description.text import MAX_BYTES, RULES, quoted, read_description
-    from manip_learn.robot.visuals.meshes import mesh_roots, package_folders
 
     def refusal(code: str, sentence: str) -> RobotError:
         return RobotError(f"{path}: {sentence}", code=code, path=path)
@@ -57,8 +61,8 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     job = {"path": str(path.absolute()), "packages": packages, "most": MAX_BYTES, "seconds": EXPANSION_SECONDS}
     job["values"] = {name: str(value) for name, value in values.items()}
     job["search"] = [p or os.getcwd() for p in sys.path]
-    roots, found = mesh_roots(path, package_dirs), [path]
-    while found:  # once more with each package that is found where one of meshes would be
+    folder: Path | None = path
+    while folder:  # once more with each package that is found
         command = [sys.executable, "-I", __file__, json.dumps(job)]
         where, most = path.absolute().parent, 10 * EXPANSION_SECONDS  # on the clock, on slow disks and busy machines
         try:
@@ -72,9 +76,7 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
             limits = f"its expressions may take {EXPANSION_SECONDS} s and {EXPANSION_MEMORY // 1_000_000_000} GB"
             raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {limits}")
         lacking = answer["lacking"]
-        is_name = re.fullmatch(r"\w[\w.-]{0,199}", lacking)
-        found = [folder for folder in package_folders(lacking, roots) if folder.is_dir()] if is_name else []
-        for folder in found[:1]:
+        if folder := find(lacking):
             packages[lacking] = str(folder)
     declared, text, macros = answer["declared"], answer["text"], answer["macros"]
     give = advice(": give one with {}", "xacro={NAME: VALUE}", "--xacro-arg NAME=VALUE")

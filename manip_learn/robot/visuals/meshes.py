@@ -128,11 +128,16 @@ def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
     package, _, inside = unquote(rest).partition("/")
     if package in ("", ".", "..") or not inside:
         raise RobotError(f"mesh {uri[:200]!r} names no package and file", code="mesh-missing")
-    return inside, package_folders(package, roots)
+    return inside, _package_folders(package, roots)
 
 
-def package_folders(package: str, roots: MeshRoots) -> list[Path]:
-    """Return the folders that may be a package, of which some may not exist."""
+def find_package(package: str, roots: MeshRoots) -> Path | None:
+    """Return the folder of a package, where its meshes would be looked up; None without one."""
+    folders = _package_folders(package, roots) if re.fullmatch(r"\w[\w.-]{0,199}", package) else []
+    return next((folder for folder in folders if folder.is_dir()), None)
+
+
+def _package_folders(package: str, roots: MeshRoots) -> list[Path]:
     folders = [roots.own[package]] if package in roots.own else []
     folders += [d / package for d in roots.above]
     for candidate in (d / package for d in roots.walked):
