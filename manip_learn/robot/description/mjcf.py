@@ -197,9 +197,10 @@ class _Reader:
         elif ref:
             zero[:3, :3] = pin.exp3(-ref * np.array(axis))
         given, limited = node.vector("range", 2), node.attributes.get("limited", "auto")
-        is_order = given is not None and given[0] < given[1]  # else MuJoCo limits it only where it is told to
-        if limited == "false" or (limited != "true" and not (is_order and self.settings.get("autolimits") != "false")):
-            if given is not None and any(given) and not is_order:
+        if limited == "false" or (limited != "true" and self.settings.get("autolimits") == "false"):
+            given = None
+        elif given is not None and limited != "true" and given[0] >= given[1]:
+            if any(given):  # 0 0 is how a class's range is taken back
                 node.warn(
                     f"its range {given[0]:g} ... {given[1]:g} is no limit, as in MuJoCo: lower below upper would be"
                 )

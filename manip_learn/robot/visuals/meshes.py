@@ -105,6 +105,7 @@ def find_mesh(uri: str, roots: MeshRoots) -> Path:
         inside = (real for real in found if any(real.is_relative_to(folder.resolve()) for folder in folders))
         if (real := next(inside, None)) is not None:
             return real
+        there = next((folder for folder in folders if folder.is_dir()), None)
     except (OSError, ValueError, RuntimeError) as error:  # names too long, NUL bytes, circular links
         raise RobotError(f"mesh {uri[:200]!r} cannot be looked up ({error})", code="mesh-missing") from error
     if found:
@@ -112,6 +113,10 @@ def find_mesh(uri: str, roots: MeshRoots) -> Path:
         sentence = f"leads to {found[-1]}, outside the robot's folders{fix}"
         raise RobotError(f"mesh {uri[:200]!r} {sentence}", code="mesh-outside")
     fix = advice("; name the folder that contains its package with {}", "package_dirs=[...]", "--package-dir FOLDER")
+    if "$(" in uri:
+        fix = "; it is xacro: name the file *.xacro" + advice(" and load it with {}", "xacro=True", "--xacro")
+    elif there is not None:
+        fix = "; correct its address" + ("" if Path(name).is_absolute() else f", or put it into {there}")
     raise RobotError(f"mesh {uri[:200]!r} was not found{fix}", code="mesh-missing")
 
 
