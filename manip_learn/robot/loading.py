@@ -23,7 +23,7 @@ from manip_learn.robot.description.urdf import UrdfFile, UrdfJoint, UrdfLink, as
 from manip_learn.robot.description.xacro_expansion import expanded_xacro
 from manip_learn.robot.joints import COORDINATE_SUFFIXES
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.meshes import find_package, mesh_roots
+from manip_learn.robot.visuals.meshes import find_package
 
 Base = Literal["fixed", "floating", "planar"]
 Locked = Sequence[str] | Mapping[str, float | None]
@@ -89,10 +89,8 @@ def load_robot(
     if isinstance(xacro, Mapping) and path.suffix != ".xacro":
         sentence = f"this is no .xacro file, so it has no arguments: leave {', '.join(map(str, xacro))} out"
         raise RobotError(f"{path}: {sentence}", code="xacro-arg", path=path)
-    if path.suffix == ".xacro":
-        content = expanded_xacro(path, xacro, folders, partial(find_package, roots=mesh_roots(path, folders)))
-    else:
-        content = read_description(path)
+    find = partial(find_package, urdf=path, package_dirs=folders)
+    content = expanded_xacro(path, xacro, folders, find) if path.suffix == ".xacro" else read_description(path)
     return robot_from_text(content, path, package_dirs=folders, locked=locked, root_joint=root_joint, objects=objects)
 
 

@@ -105,12 +105,8 @@ def _joints_above(robot: Robot) -> dict[str, frozenset[int]]:
 
 def _lowest(robot: Robot, names: list[str]) -> list[str]:
     """The names that have none of the other names below them in the tree."""
-    frames = robot.pinocchio_model.frames
-    above: set[str] = set()
-    for name in names:
-        index = frames[robot.frame(name).index].parentFrame
-        while index != 0:
-            if frames[index].type == pin.FrameType.BODY:  # a joint may have the name of a link
-                above.add(frames[index].name)
-            index = frames[index].parentFrame
-    return [n for n in names if n not in above]
+    frames, places, above = robot.pinocchio_model.frames, {robot.frame(n).index: n for n in names}, set[int]()
+    for index in reversed(range(len(frames))):  # what is below comes after what is above
+        if index in places or index in above:
+            above.add(frames[index].parentFrame)
+    return [name for index, name in places.items() if index not in above]

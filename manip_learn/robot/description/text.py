@@ -46,10 +46,7 @@ UNREADABLE: dict[int, tuple[str, str]] = {
 NOT_XML = {
     errors.XML_ERROR_UNKNOWN_ENCODING: ("encoding", "save the file as UTF-8"),
     errors.XML_ERROR_INCORRECT_ENCODING: ("encoding", "save the file as UTF-8"),
-    errors.XML_ERROR_UNDEFINED_ENTITY: (
-        "entity",
-        "entities other than &lt; &gt; &amp; &quot; &apos; are not read; write the value out",
-    ),
+    errors.XML_ERROR_UNDEFINED_ENTITY: ("entity", "only &lt; &gt; &amp; &quot; &apos; are read; write the value out"),
     errors.XML_ERROR_NO_ELEMENTS: ("not-xml", "the file ends before the description does; is it cut off?"),
 }
 # code -> what is seen; what is expected; what to do
@@ -386,9 +383,8 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
     except ExpatError as error:
         reason = xml.parsers.expat.ErrorString(error.code) or "unreadable"
         code, fix = NOT_XML.get(reason, ("not-xml", "repair the XML at this line"))
-        if code == "not-xml" and not content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(
-            (b"<", b"\xff\xfe", b"\xfe\xff")
-        ):
+        begins = content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff"))
+        if code == "not-xml" and not begins:
             fix = "a URDF file begins with '<'; name the robot here, its name or its file, and other files after it"
         seen = f"not readable as XML ({reason}, column {error.offset + 1})"
         raise log.refusal(code, error.lineno, f"{seen}; {fix}") from error

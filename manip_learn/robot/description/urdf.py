@@ -292,9 +292,9 @@ def read_name(node: XmlNode) -> str:
     """
     name = node.attributes.get("name", "")
     faults = {"missing": not name.strip(), "long": len(name) > LONGEST_NAME, "unprintable": not name.isprintable()}
-    for fault in [f for f, is_there in (faults | {"reserved": name in RESERVED}).items() if is_there]:
-        sentence = RULES[f"name-{fault}"].format(name=name, length=len(name), most=LONGEST_NAME)
-        raise node.log.refusal(f"name-{fault}", node.line, f"<{node.tag}>: {sentence}")
+    for fault, is_there in (faults | {"reserved": name in RESERVED}).items():
+        said = {"name": name, "length": len(name), "most": LONGEST_NAME}
+        node.log.require(not is_there, f"name-{fault}", node.line, f"<{node.tag}>: ", **said)
     if name != name.strip():
         node.log.warn(node.line, f"{node.tag} {name!r} has spaces around its name, they count")
     return name
@@ -356,9 +356,7 @@ def _look_through(node: XmlNode) -> XmlNode:
     for child in [c for c in node.children if known and c.tag not in known]:
         is_told = len(node.log.kept) < text.MAX_WARNINGS
         near = closest_names(shortened(child.tag).lower(), known, n=1) if is_told else ()
-        where = "" if node.tag == "robot" else f"{node.where}: "
-        hint = f"; did you mean <{near[0]}>?" if near else ""
-        node.log.warn(child.line, f"{where}<{shortened(child.tag)}> is ignored{hint}")
+        child.warn(f"<{shortened(child.tag)}> is ignored" + (f"; did you mean <{near[0]}>?" if near else ""))
     return node
 
 
@@ -372,15 +370,15 @@ def validate_parts(
             `no-root`, `many-roots`, `detached`, `too-many-links`, `too-deep`, `too-many-dof`, `mimic-*`, `limit-*`.
     """
     log.require(len(links) > 0, "no-links", 1)
-    for elements, tag in ((links, "link"), (joints, "joint")):
-        for e in elements[MAX_LINKS : MAX_LINKS + 1]:
-            fix = f"at most {MAX_LINKS} work; leave out what the arm does not need"
-            raise log.refusal(f"too-many-{tag}s", e.node.line, f"the robot has {len(elements)} <{tag}> elements; {fix}")
     nv = sum(j.nv for j in joints)
     log.require(nv <= MAX_NV, "too-many-dof", None, nv=nv, most=MAX_NV)
     for elements, tag in ((links, "link"), (joints, "joint")):
         first: dict[str, int] = {}
         for e in elements:
+            if len(first) >= MAX_LINKS:
+                fix = f"at most {MAX_LINKS} work; leave out what the arm does not need"
+                seen = f"the robot has {len(elements)} <{tag}> elements"
+                raise log.refusal(f"too-many-{tag}s", e.node.line, f"{seen}; {fix}")
             if e.name in first:
                 used = f"already used{log.at(first[e.name], ' on line ')}"
                 seen = f"the name is {used}; names must be unique; rename one of the two"

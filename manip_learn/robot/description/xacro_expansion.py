@@ -20,21 +20,17 @@ from typing import Any
 
 EXPANSION_SECONDS = 20  # of processor time for one file; the largest robots take 3
 EXPANSION_MEMORY = 1_000_000_000  # [bytes] of the process; the libraries alone take 100 MB
+Finder = Callable[[str], Path | None]  # name of a package -> its folder, None if it is not found
 
 
-def expanded_xacro(
-    path: Path,
-    asked: bool | Mapping[str, str],
-    package_dirs: Sequence[Path] = (),
-    find: Callable[[str], Path | None] = lambda package: None,
-) -> bytes:
+def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Sequence[Path], find: Finder) -> bytes:
     """Text of the URDF that a xacro file stands for.
 
     Args:
         path: The .xacro file.
         asked: Whether the caller opted in: True, or the values of its arguments (`<xacro:arg>`) by name.
         package_dirs: Folders that contain the packages of `$(find ...)`; the folders above the file are searched too.
-        find: Package -> its folder, of packages that are nowhere else; None if it is not known either.
+        find: What finds those that are nowhere there.
 
     Raises:
         RobotError: Codes `xacro` (not opted in), `xacro-arg` (no such argument), `xacro-failed` (its expressions are
@@ -81,22 +77,20 @@ def expanded_xacro(
     declared, text, macros = answer["declared"], answer["text"], answer["macros"]
     give = advice(": give one with {}", "xacro={NAME: VALUE}", "--xacro-arg NAME=VALUE")
     known = f"; the file has the arguments {', '.join(declared)}{give}" if declared else ""
-    if lacking:
-        fix = advice("name the folder that contains it with {}", "package_dirs=[...]", "--package-dir FOLDER")
-        seen = f"the package {lacking!r:.80} of $(find ...) was not found"
-        raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {fix or 'set ROS_PACKAGE_PATH'}")
     if answer["fault"]:
-        seen = f"xacro could not be expanded ({' '.join(answer['fault'].split())[:300]})"
-        raise refusal("xacro-failed", f"{seen}; correct it{known}")
+        seen, fix = f"({' '.join(answer['fault'].split())[:300]})", f"correct it{known}"
+        if lacking:
+            seen = f"the package {lacking!r:.80} of $(find ...) was not found"
+            fix = advice("name the folder that contains it with {}", "package_dirs=[...]", "--package-dir FOLDER")
+        raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {fix or 'set ROS_PACKAGE_PATH'}")
     if unknown := sorted(set(values) - set(declared)):  # xacro itself would ignore it
         shown = ", ".join(map(repr, closest_names(unknown[0], declared) or declared)) or "none"
         raise refusal("xacro-arg", f"the xacro file has no argument {unknown[0]!r}; it has {shown}")
-    if known and not re.search(r"<link\b", text):
+    if (declared or macros) and not re.search(r"<link\b", text):
         given = ", ".join(f"{name}={value}" for name, value in values.items()) or "no arguments"
         other = f", or load the file that calls its macros {quoted(macros)}" if macros else ""
-        raise refusal("no-links", f"expanded with {given} it has no <link>; at least one is expected{known}{other}")
-    if macros and not re.search(r"<link\b", text):
-        raise refusal("no-links", RULES["only-macros"].format(names=quoted(macros)))
+        seen = f"expanded with {given} it has no <link>; at least one is expected{known}{other}"
+        raise refusal("no-links", seen if declared else RULES["only-macros"].format(names=quoted(macros)))
     return text.encode()
 
 

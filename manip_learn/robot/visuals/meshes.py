@@ -136,9 +136,10 @@ def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
     return inside, _package_folders(package, roots)
 
 
-def find_package(package: str, roots: MeshRoots) -> Path | None:
-    """Return the folder of a package, where its meshes would be looked up; None without one."""
-    folders = _package_folders(package, roots) if re.fullmatch(r"\w[\w.-]{0,199}", package) else []
+def find_package(package: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None:
+    """Return the folder in which meshes of a package would be looked up; None without one."""
+    is_name = re.fullmatch(r"\w[\w.-]{0,199}", package)
+    folders = _package_folders(package, mesh_roots(urdf, package_dirs)) if is_name else []
     return next((folder for folder in folders if folder.is_dir()), None)
 
 
