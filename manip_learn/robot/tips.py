@@ -79,12 +79,9 @@ def default_tip(robot: Robot) -> str:
     by the most joints, by name among equals. Without any: the last link of those with the most joints above them; an
     empty string for a robot without frames.
     """
-    tips = likely_tips(robot)
-    if tips:
-        return tips[0]
-    above = {name: len(joints) for name, joints in _joints_above(robot).items()}
-    most = max(above.values(), default=0)
-    return next((name for name in reversed(above) if above[name] == most), next(iter(robot.frame_names), ""))
+    above = _joints_above(robot)
+    last = max(reversed(above), key=lambda name: len(above[name]), default=next(iter(robot.frame_names), ""))
+    return next(iter(likely_tips(robot)), last)
 
 
 def distance_to_last_joint(robot: Robot, frame: str) -> float:

@@ -124,10 +124,8 @@ class _Reader:
             return pin.exp3(numbers[3] * self.angle * direction / length)
         if kind == "zaxis":
             return turn_z_to(direction / length)
-        x = numbers[:3] / np.linalg.norm(numbers[:3])
-        y = numbers[3:] - x.dot(numbers[3:]) * x
-        y /= np.linalg.norm(y)
-        return np.column_stack([x, y, np.cross(x, y)])
+        x, z = numbers[:3] / np.linalg.norm(numbers[:3]), direction / length
+        return np.column_stack([x, np.cross(z, x), z])
 
     def _read_inside(self, world: XmlNode) -> None:
         """Read the sites, shapes and bodies of the world, then those of each body."""

@@ -69,25 +69,20 @@ RULES = {
     "no-links": "the robot has no <link>; at least one is expected; is it a xacro file, or cut off?",
     "too-many-dof": 'the robot has {nv} degrees of freedom; at most {most} work; make unused joints type="fixed"',
     "too-deep": "the tree of links is more than {most} joints deep; merge links that are fixed to each other",
-    "many-roots": "the links {names} have no parent; one such link is expected; join {other!r} to the rest by a joint, "
-    "or delete it",
-    "detached": "{names} form a loop that is not connected to the root; remove the joint that closes the loop and "
-    "connect it to the rest",
+    "many-roots": "the links {names} have no parent; one such is expected; join {other!r} to the rest, or delete it",
+    "detached": "{names} form a loop that is not connected to the root; open the loop and connect it to the rest",
     "joint-link": 'it names no {tag} link; one is expected; add <{tag} link="..."/>',
     "planar-axis": "{seen}; a planar joint needs 0 0 1; turn the joint's origin instead",
-    "axis-zero": "its axis is 0 0 0; a direction is expected; write the direction, "
-    'or type="fixed" for a joint that never moves',
+    "axis-zero": 'its axis is 0 0 0; a direction is expected; write it, or type="fixed" for a joint that never moves',
     "axis-norm": "its axis {xyz} has length {norm:.3g}; length 1 is expected; write a unit vector",
     "limit-order": "its limits are {lower:g} ... {upper:g} {unit}{likewise}; lower below upper is expected; "
     "swap or correct them, or {otherwise}, or lock {locks}",
     "limit-degrees": "its limits are {lower:g} ... {upper:g} {unit}{likewise}, more than two turns: they look like "
     "degrees; radians are expected; write {low:.4f} ... {high:.4f}{compiler}, or {otherwise} for many turns",
     "self-loop": "its parent and its child are both {link!r}; two links are expected; correct one of them",
-    "two-parents": "its child {link!r} is already the child of joint {other!r}; one parent per link is expected; "
-    "closed chains are not supported: remove one of the two joints",
+    "two-parents": "its child {link!r} is also that of joint {other!r}; closed chains are not read: remove one of the two",
     "mimic-leader": 'its <mimic> names no joint; one is expected; add joint="..." to <mimic>, or delete it',
-    "mimic-type": "it is {type}, with {nv} degrees of freedom, and takes part in a <mimic>; one is expected; "
-    "delete the <mimic>",
+    "mimic-type": "it is {type}, with {nv} degrees of freedom, in a <mimic>; one is expected; delete the <mimic>",
     "mimic-multiplier": "it follows {leader!r} by the factor {by:g}; at most 1e+06 works; correct the multiplier",
 }
 
@@ -95,7 +90,7 @@ RULES = {
 @final
 @dataclass(frozen=True)
 class Diagnostics:
-    """Collects warnings about one file and words its refusals; no line is named of text that xacro wrote.
+    """Collects warnings about one file and words its refusals.
 
     Attributes:
         path: The file.
@@ -112,14 +107,10 @@ class Diagnostics:
         more = [f"{len(said) - MAX_WARNINGS} more warnings are left out"] if len(said) > MAX_WARNINGS else []
         return (*said[:MAX_WARNINGS], *more)
 
-    def at(self, line: int | None, before: str) -> str:
-        """Return a line's number after some words; nothing where no line of the file is meant."""
-        return "" if line is None or self.path.suffix == ".xacro" else f"{before}{line}"
-
     def refusal(self, code: str, line: int | None, sentence: str) -> RobotError:
         """Return the error to raise; the sentence says whose fault it is, the value seen and expected, the remedy."""
-        place = self.at(line, ":")
-        return RobotError(f"{self.path}{place}: {sentence}", code=code, path=self.path, line=line if place else None)
+        place = f"{self.path}:{line}" if line is not None else f"{self.path}"
+        return RobotError(f"{place}: {sentence}", code=code, path=self.path, line=line)
 
     def require(self, is_right: bool, code: str, line: int | None, where: str = "", **values: object) -> None:
         """Refuse the file in the words of `RULES`, which the values complete, where that rule does not hold."""
@@ -128,8 +119,7 @@ class Diagnostics:
 
     def warn(self, line: int | None, sentence: str) -> None:
         """Keep a sentence for `Robot.warnings`."""
-        place = self.at(line, "line ")
-        self.kept.append(f"{place}: {sentence}" if place else sentence)
+        self.kept.append(f"line {line}: {sentence}" if line is not None else sentence)
 
 
 def said_once(sentences: Iterable[str]) -> dict[str, str]:
@@ -138,12 +128,11 @@ def said_once(sentences: Iterable[str]) -> dict[str, str]:
     places: dict[tuple[str, ...], list[str]] = {}
     for match in found:
         places.setdefault(match.group("kind", "why"), []).append(match["place"])
-
-    def said(match: re.Match[str]) -> str:
+    said: dict[str, str] = {}
+    for match in found:
         first, *others = places[match.group("kind", "why")]
-        return f"{first} (and {len(others)} more){match['why']}" if first and others else match.string
-
-    return {match.string: said(match) for match in found}
+        said[match.string] = f"{first} (and {len(others)} more){match['why']}" if first and others else match.string
+    return said
 
 
 def quoted(names: Sequence[str]) -> str:
@@ -247,7 +236,7 @@ class XmlNode:
     Attributes:
         tag: Its tag.
         attributes: Its attributes, as text.
-        line: Line on which it starts.
+        line: Line on which it starts; None in text that xacro wrote, whose lines are those of no file.
         log: Of its file.
         parent: The element around it.
         children: The elements inside.
@@ -256,7 +245,7 @@ class XmlNode:
 
     tag: str
     attributes: dict[str, str]
-    line: int
+    line: int | None
     log: Diagnostics
     parent: XmlNode | None
     children: list[XmlNode] = field(default_factory=list, repr=False, compare=False)
@@ -365,7 +354,8 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
             if len(value) > 100_000:  # no robot needs more than a few hundred
                 seen = f"attribute {shortened(key)!r} of <{shortened(tag)}> has {len(value)} characters"
                 raise refusal("xml-too-large", f"{seen}, at most 100000 are read")
-        node = XmlNode(tag, attributes, parser.CurrentLineNumber, log, stack[-1] if stack else None)
+        line = parser.CurrentLineNumber if path.suffix != ".xacro" else None
+        node = XmlNode(tag, attributes, line, log, stack[-1] if stack else None)
         if stack:
             stack[-1].children.append(node)
         nodes.append(node)

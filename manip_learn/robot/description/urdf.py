@@ -223,8 +223,8 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
     limits, limit = _only(node, "limit"), UrdfLimit()
     follows, mimic = _only(node, "mimic"), None
     if limits is not None:
-        lower, upper, velocity, effort = map(limits.number, ("lower", "upper", "velocity", "effort"))
-        limit = UrdfLimit(lower, upper, velocity, effort, limits)
+        limit = UrdfLimit(*map(limits.number, ("lower", "upper", "velocity", "effort")), limits)
+        limit = _narrowed(node, limit, [c for c in controls if c.attributes.get("name") == name])
     ends = []
     for tag in ("parent", "child"):
         end = _only(node, tag)
@@ -242,8 +242,6 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
             node.warn("it has no axis; 1 0 0 is taken, which is the default of URDF")
         else:
             direction = unit_axis(given, axis)
-    if limits is not None:
-        limit = _narrowed(node, limit, [c for c in controls if c.attributes.get("name") == name])
     if follows is not None:
         leader = follows.attributes.get("joint", "")
         follows.require(leader != "", "mimic-leader")
@@ -373,15 +371,15 @@ def validate_parts(
     nv = sum(j.nv for j in joints)
     log.require(nv <= MAX_NV, "too-many-dof", None, nv=nv, most=MAX_NV)
     for elements, tag in ((links, "link"), (joints, "joint")):
-        first: dict[str, int] = {}
+        first: dict[str, int | None] = {}
         for e in elements:
             if len(first) >= MAX_LINKS:
                 fix = f"at most {MAX_LINKS} work; leave out what the arm does not need"
                 seen = f"the robot has {len(elements)} <{tag}> elements"
                 raise log.refusal(f"too-many-{tag}s", e.node.line, f"{seen}; {fix}")
             if e.name in first:
-                used = f"already used{log.at(first[e.name], ' on line ')}"
-                seen = f"the name is {used}; names must be unique; rename one of the two"
+                place = f" on line {first[e.name]}" if first[e.name] else ""
+                seen = f"the name is already used{place}; names must be unique; rename one of the two"
                 raise log.refusal(f"duplicate-{tag}", e.node.line, f"{tag} {e.name!r}: {seen}")
             first[e.name] = e.node.line
     names, above, below = {link.name for link in links}, dict[str, str](), dict[str, list[str]]()

@@ -98,7 +98,7 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
     import xacro
     from xacrodoc import XacroDoc, packages
 
-    parse, named = xacro.parse, {"declared": set[str](), "macros": set[str]()}
+    parse, sources = xacro.parse, list[bytes]()
     # arguments are declared, or used without: xacro takes both
     patterns = {
         "declared": rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([\w-]+)[\"']|\$\(arg\s+([\w-]+)\s*\)",
@@ -108,9 +108,7 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
     def noted(inp: Any, filename: str | None = None) -> Any:
         place = Path(xacro.root_dir, filename or job["path"])
         if place.is_file():  # otherwise xacro says what is missing
-            for key, pattern in patterns.items():
-                found = re.finditer(pattern, place.read_bytes())
-                named[key].update(match[match.lastindex or 0].decode(errors="replace") for match in found)
+            sources.append(place.read_bytes())
         return parse(inp, filename)
 
     xacro.parse, xacro.root_dir = noted, os.path.dirname(job["path"])
@@ -125,7 +123,11 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
         fault = f"{'there is not enough memory ' if lacks_memory else ''}{error}" or type(error).__name__
     if len(text) > job["most"]:
         text, fault = "", f"the URDF has {len(text)} characters, at most {job['most']} are read"
-    return {"text": text, "fault": fault, "lacking": lacking, **{key: sorted(names) for key, names in named.items()}}
+    answer = {"text": text, "fault": fault, "lacking": lacking}
+    for key, pattern in patterns.items():
+        found = re.finditer(pattern, b"\n".join(sources))
+        answer[key] = sorted({match[match.lastindex or 0].decode(errors="replace") for match in found})
+    return answer
 
 
 def _limit_self(seconds: float) -> None:

@@ -80,7 +80,7 @@ class VisualElement:
     """
 
     link: str
-    line: int
+    line: int | None
     pose: Pose
     geometry: Solid | MeshElement | None
     colour: Colour | None
