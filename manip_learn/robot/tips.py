@@ -13,9 +13,7 @@ from manip_learn.robot.robot import Robot
 # By priority: the first kind that occurs at the end of a chain decides.
 TIP_NAMES = (
     re.compile(r"(^|_|-)(tcp|tool_?cent(er|re)_?point|pinch(_site)?|grasp(ing)?(_?(frame|link|point|target))?)($|_|-)"),
-    re.compile(
-        r"(^|_|-)(tool_?0?|tip|ee|eef|eff|end_?_?effector|endeff|tool_?(link|frame|tip))($|_|-)|attachment_site"
-    ),
+    re.compile(r"(^|_|-)(tool_?(0|link|frame|tip)?|tip|eef?|eff|end_?_?effector|endeff)($|_|-)|attachment_site"),
     re.compile(r"gripper_?(frame|base|link)?|hand|flange|palm|wrist"),
 )
 NOT_A_TIP = re.compile(

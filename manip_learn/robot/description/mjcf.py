@@ -188,12 +188,8 @@ class _Reader:
         axis = urdf.unit_axis(node.vector("axis", 3) or (0.0, 0.0, 1.0), node)
         scale = self.angle if kind == "hinge" else 1.0
         self.ref[joint.name] = ref = node.number("ref", 0.0) * scale
-        to_anchor, back, zero = np.eye(4), np.eye(4), np.eye(4)
+        to_anchor, back, zero = np.eye(4), np.eye(4), urdf.motion_along(TYPES[kind], axis, -ref)
         to_anchor[:3, 3], back[:3, 3] = anchor, [-c for c in anchor]
-        if kind == "slide":
-            zero[:3, 3] = [-ref * c for c in axis]
-        elif ref:
-            zero[:3, :3] = pin.exp3(-ref * np.array(axis))
         given, limited = node.vector("range", 2), node.attributes.get("limited", "auto")
         if limited == "false" or (limited != "true" and self.settings.get("autolimits") == "false"):
             given = None

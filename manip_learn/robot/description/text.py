@@ -30,9 +30,7 @@ DEEPEST = 100  # brackets of JSON or YAML within each other; beyond, parsers tak
 NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST_READ = 1e100  # squares and products of what is larger overflow
 # what a sentence is about, and what it says
-PLACE = re.compile(
-    r"(?P<place>(line \d+)?((: |^)(?P<kind>mesh|link|joint|body|site) ('[^']*'|\"[^\"]*\"))?)(?P<why>.*)", re.DOTALL
-)
+PLACE = re.compile(r"(?s)(?P<place>(line \d+)?((: |^)(?P<kind>mesh|link|joint|body|site) ('.*?'|\".*?\"))?)(?P<why>.*)")
 # error of the operating system -> code and sentence of a file that cannot be read
 UNREADABLE: dict[int, tuple[str, str]] = {
     **dict.fromkeys((errno.ENOENT, errno.ENOTDIR), ("missing", "there is no such file; check the path")),
@@ -80,7 +78,7 @@ RULES = {
     "limit-degrees": "its limits are {lower:g} ... {upper:g} {unit}{likewise}, more than two turns: they look like "
     "degrees; radians are expected; write {low:.4f} ... {high:.4f}{compiler}, or {otherwise} for many turns",
     "self-loop": "its parent and its child are both {link!r}; two links are expected; correct one of them",
-    "two-parents": "its child {link!r} is also that of joint {other!r}; closed chains are not read: remove one of the two",
+    "two-parents": "its child {link!r} is also that of joint {other!r}; closed chains are not read: remove one of them",
     "mimic-leader": 'its <mimic> names no joint; one is expected; add joint="..." to <mimic>, or delete it',
     "mimic-type": "it is {type}, with {nv} degrees of freedom, in a <mimic>; one is expected; delete the <mimic>",
     "mimic-multiplier": "it follows {leader!r} by the factor {by:g}; at most 1e+06 works; correct the multiplier",

@@ -139,6 +139,16 @@ def as_matrix(pose: Pose) -> Matrix4:
     return T
 
 
+def motion_along(kind: str, axis: Vector, position: float) -> Matrix4:
+    """Return the homogeneous matrix of a joint's motion by a position [rad or m] along or about its axis."""
+    T, step = np.eye(4), position * np.array(axis)
+    if kind == "prismatic":
+        T[:3, 3] = step
+    else:
+        T[:3, :3] = pin.exp3(step)
+    return T
+
+
 def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
     """Read and check a URDF.
 
@@ -223,7 +233,7 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
     limits, limit = _only(node, "limit"), UrdfLimit()
     follows, mimic = _only(node, "mimic"), None
     if limits is not None:
-        limit = UrdfLimit(*map(limits.number, ("lower", "upper", "velocity", "effort")), limits)
+        limit = UrdfLimit(*map(limits.number, ("lower", "upper", "velocity", "effort")), node=limits)
         limit = _narrowed(node, limit, [c for c in controls if c.attributes.get("name") == name])
     ends = []
     for tag in ("parent", "child"):
@@ -503,12 +513,13 @@ def _check_limits(joints: Sequence[UrdfJoint], leaders: Mapping[str, str]) -> No
             node.warn(f"its limit of {largest:.3g} {unit} is taken for no limit")
         if code := faults[joint.name]:
             names = [name for name, fault in faults.items() if fault == code]
-            said = {"lower": lower, "upper": upper, "low": math.radians(lower), "high": math.radians(upper)}
+            said: dict[str, object] = {"lower": lower, "upper": upper, "unit": unit}
+            said |= {"low": math.radians(lower), "high": math.radians(upper)}
             said["likewise"] = f", as wrong as those of {quoted(names[1:])}" if names[1:] else ""
             said["locks"] = quoted(list(dict.fromkeys(leaders.get(name, name) for name in names)))
             said["compiler"] = "" if stated else ', or angle="degree" in <compiler>'  # MJCF has no element <limit>
             said["otherwise"] = f'type="{"continuous" if is_angle else "fixed"}"' if stated else 'limited="false"'
-            node.require(False, code, unit=unit, **said)
+            node.require(False, code, **said)
         if math.isnan(velocity) and (joint.type != "continuous" or stated is not None):
             node.warn("no velocity limit; it is taken as unlimited")
         elif velocity <= 0.0:

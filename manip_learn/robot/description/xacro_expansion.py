@@ -98,7 +98,7 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
     import xacro
     from xacrodoc import XacroDoc, packages
 
-    parse, sources = xacro.parse, list[bytes]()
+    parse, sources = xacro.parse, dict[Path, bytes]()
     # arguments are declared, or used without: xacro takes both
     patterns = {
         "declared": rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([\w-]+)[\"']|\$\(arg\s+([\w-]+)\s*\)",
@@ -108,7 +108,7 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
     def noted(inp: Any, filename: str | None = None) -> Any:
         place = Path(xacro.root_dir, filename or job["path"])
         if place.is_file():  # otherwise xacro says what is missing
-            sources.append(place.read_bytes())
+            sources[place] = place.read_bytes()
         return parse(inp, filename)
 
     xacro.parse, xacro.root_dir = noted, os.path.dirname(job["path"])
@@ -125,7 +125,7 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
         text, fault = "", f"the URDF has {len(text)} characters, at most {job['most']} are read"
     answer = {"text": text, "fault": fault, "lacking": lacking}
     for key, pattern in patterns.items():
-        found = re.finditer(pattern, b"\n".join(sources))
+        found = re.finditer(pattern, b"\n".join(sources.values()))
         answer[key] = sorted({match[match.lastindex or 0].decode(errors="replace") for match in found})
     return answer
 
