@@ -195,9 +195,7 @@ class _Reader:
             given = None
         elif given is not None and limited != "true" and given[0] >= given[1]:
             if any(given):  # 0 0 is how a class's range is taken back
-                node.warn(
-                    f"its range {given[0]:g} ... {given[1]:g} is no limit, as in MuJoCo: lower below upper would be"
-                )
+                node.warn(f"its range {given[0]:g} ... {given[1]:g} is no limit, as in MuJoCo; swap the two for one")
             given = None
         lower, upper = (-math.inf, math.inf) if given is None else (given[0] * scale, given[1] * scale)
         limit, pose = urdf.UrdfLimit(lower, upper, math.inf), as_pose(T @ to_anchor @ zero)

@@ -46,8 +46,8 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     read_description(path)
     if asked is False:
         how = advice("{}", "load_robot(..., xacro=True)", "--xacro") or "xacro robot.xacro > robot.urdf"
-        danger = "it runs expressions and includes other files"
-        raise refusal("xacro", f"a xacro file is not expanded unless you ask, since {danger}; if you trust it: {how}")
+        seen = "a xacro file is not expanded unless you ask, since it runs expressions and includes other files"
+        raise refusal("xacro", f"{seen}; if you trust it: {how}")
     values = {} if asked is True else asked
     if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
         raise refusal("xacro-arg", f"xacro is {asked!r:.80}; True, or a mapping {{argument: value}}, is needed")
