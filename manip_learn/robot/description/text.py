@@ -49,8 +49,8 @@ NOT_XML = {
 }
 # code -> what is seen; what is expected; what to do
 RULES = {
-    "no-links.macros": "it only defines the macros {names}, no <link>; a robot is expected; load the file that calls them, "
-    "usually robot.urdf.xacro, or write three lines that include this file and call the macro",
+    "no-links.macros": "it only defines the macros {names}, no <link>; a robot is expected; load the file that calls "
+    "them, usually robot.urdf.xacro, or write three lines that include this file and call the macro",
     "urdf-version": "it says version {version!r:.80}; 1.0 is read; convert it to URDF 1.0",
     "name-missing": 'it has no name; a name is expected; add name="..."',
     "name-long": "its name has {length} characters; at most {most} are expected; shorten it",
