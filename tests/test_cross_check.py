@@ -71,3 +71,18 @@ def test_locked_joints_and_moving_bases_agree(tmp_path, rng):
     assert cross_check(load_robot(path, locked={"elbow": 0.7}), rng).agrees
     floating = cross_check(load_robot(path, base="floating"), rng)
     assert floating.agrees and "root_joint" in floating.left_out
+
+
+def test_what_yourdfpy_cannot_do_is_no_fault_of_the_file(tmp_path, rng):
+    """A robot without a name has the one it was given; followers beside a floating joint go with their leader."""
+    free = '<link name="world"/><joint name="free" type="floating"><parent link="world"/><child link="base"/></joint>'
+    for name, old, new, left_out in (
+        ("nameless", '<robot name="arm">', "<robot>", ""),
+        ("floating and mimic", '<link name="base"/>', f'<link name="base"/>{free}', "the motion of 'free'"),
+    ):
+        with case(name):
+            path = tmp_path / "arm.urdf"
+            follower = ARM.replace('effort="20"/>', 'effort="20"/><mimic joint="shoulder" offset="0.3"/>')
+            path.write_text(follower.replace(old, new), encoding="utf-8")
+            check = cross_check(load_robot(path), rng)
+            assert check.agrees and left_out in check.left_out

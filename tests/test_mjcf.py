@@ -11,6 +11,7 @@ from manip_learn.errors import RobotError
 from manip_learn.robot.collision import known_shapes
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot_summary import cross_check
+from manip_learn.robot.visuals.meshes import Mesh
 from manip_learn.robot.visuals.visual_shapes import Solid, visual_shapes
 
 GEOM = '<geom type="sphere" size="0.1"/>'
@@ -116,6 +117,37 @@ def test_linear_couplings_become_mimic_joints(tmp_path, rng):
     assert cross_check(robot, rng).agrees
 
 
+def test_limits_are_those_of_mujoco(tmp_path):
+    """A range is a limit where MuJoCo's compiler makes one of it; many turns are told how MJCF says them."""
+    mujoco = pytest.importorskip("mujoco")
+    head = RADIAN + '<default><joint range="-1 1"/></default>'
+    for range_ in ("0 0", "1 0", "1 1", "0 1", "-2 2"):
+        for limited in ("", 'limited="auto"', 'limited="false"'):
+            with case(range_, limited):
+                text = mjcf(body("a", "", f'<joint name="j" {limited} range="{range_}"/>'), head)
+                model, robot = mujoco.MjModel.from_xml_string(text), load(tmp_path, text)
+                expected = model.jnt_range[0] if model.jnt_limited[0] else (-np.inf, np.inf)
+                assert (robot.position_lower[0], robot.position_upper[0]) == tuple(expected)
+                is_odd = range_ in ("1 0", "1 1") and limited != 'limited="false"'
+                assert any("is no limit" in w for w in robot.warnings) == is_odd
+    for name, text in (("many", 'range="-31 31"'), ("other way", 'limited="true" range="1 0"')):
+        with case(name), pytest.raises(RobotError, match='or limited="false"') as caught:
+            load(tmp_path, mjcf(body("a", "", f'<joint name="j" {text}/>')))
+        assert "type=" not in str(caught.value)
+
+
+def test_a_mesh_has_the_scale_of_its_class(tmp_path):
+    """A file in millimetres whose scale stands in a default class is as large as one that says it itself."""
+    (tmp_path / "a.stl").write_bytes(stl(value=900.0))
+    scale, sizes = 'scale="0.001 0.001 0.001"', []
+    for default, own in ((scale, 'class="c"'), ('scale="9 9 9"', f'class="c" {scale}')):
+        head = f'<default><default class="c"><mesh {default}/></default></default>'
+        text = mjcf(body("a", "", JOINT + '<geom type="mesh" mesh="a"/>'), head)
+        robot = load(tmp_path, text.replace("<worldbody>", f'<asset><mesh {own} file="a.stl"/></asset><worldbody>'))
+        sizes.append(max(np.ptp(v.shape.vertices) for v in visual_shapes(robot) if isinstance(v.shape, Mesh)))
+    assert sizes == [pytest.approx(0.9, rel=1e-3)] * 2
+
+
 def test_sites_are_frames_and_shapes_are_drawn(tmp_path):
     """Sites can be named as tips; primitive shapes keep size and colour; half lengths become lengths."""
     shapes = (
@@ -163,7 +195,7 @@ REFUSED = {
     ),
     "joint-type": mjcf(body("a", "", '<joint type="ball"/>')),
     "axis-zero": mjcf(body("a", "", '<joint axis="0 0 0"/>')),
-    "limit-order": mjcf(body("a", "", '<joint range="1 -1"/>')),
+    "limit-order": mjcf(body("a", "", '<joint limited="true" range="1 -1"/>')),
     "not-finite": mjcf(body("a", 'pos="nan 0 0"', JOINT)),
     "number": mjcf(body("a", 'pos="x 0 0"', JOINT)),
     "duplicate-link": mjcf(body("a", "", JOINT) + body("a", "", '<joint name="k"/>')),

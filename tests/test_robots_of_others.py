@@ -4,6 +4,7 @@ and what a stranger is told before learning.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from urdf_corpus import dae, stl
 
 import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.errors import NotIdentifiableError, UnknownNameError
+from manip_learn.errors import NotIdentifiableError, RobotError, UnknownNameError
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.tips import likely_tips
 from manip_learn.robot.visuals.meshes import Mesh, read_meshes
@@ -213,3 +214,152 @@ def test_the_hand_that_stood_still_is_not_learnt_about(tmp_path: Path) -> None:
         NotIdentifiableError, match="'left_tool' stood still.*'right_tool': name it with frame='right_tool'"
     ):
         ml.ConstraintLearner(still).fit(motions)
+
+
+TIPS = {  # links, and joints as (parent, child, name, kind); links without a number move no further
+    "an arm joint called after the gripper": (
+        ("gripper_link",),
+        [("b", "a", "j1"), ("a", "wrist_link", "j2"), ("wrist_link", "gripper_link", "gripper_roll_joint")]
+        + [("gripper_link", "left", "finger_joint", "prismatic")],
+    ),
+    "fingers called after the hand": (
+        ("hand_palm_link",),
+        [("b", "a", "j1"), ("a", "w", "j2"), ("w", "hand_palm_link", "p", "fixed")]
+        + [("hand_palm_link", f"hand_{s}_distal_link", f"hand_{s}_joint") for s in "lr"],
+    ),
+    "fingers without a name": (
+        ("link2",),
+        [("b", "link1", "j1"), ("link1", "link2", "j2")]
+        + [("link2", f"link{n}", f"j{n}", "prismatic") for n in (7, 8)],
+    ),
+    "two turns that are no fingers": (("x", "y"), [("b", "x", "j1"), ("b", "y", "j2")]),
+    "a jaw known by where it hangs": (
+        ("gripper-static_1",),
+        [("b", "a", "Revolute 2"), ("a", "gripper-static_1", "Revolute 6")]
+        + [("gripper-static_1", "gripper-moving_1", "Revolute 7")],
+    ),
+    "a fixed jaw": (("fixed_jaw",), [("b", "w", "j1"), ("w", "fixed_jaw", "roll"), ("fixed_jaw", "moving_jaw", "j3")]),
+    "a wrist in mid-chain": (
+        ("end",),
+        [("b", "s", "j1"), ("s", "elbow_to_wrist", "wrist_pitch"), ("elbow_to_wrist", "end", "wrist_roll")],
+    ),
+    "a copy of the last link": (
+        ("link8",),
+        [("b", "l7", "j"), ("l7", "l7_sc", "c", "copy"), ("l7", "link8", "f", "fixed")],
+    ),
+    "a gripper alone": (("left", "right"), [("b", "left", "left_finger"), ("b", "right", "right_finger")]),
+}
+
+
+@pytest.mark.parametrize("name", TIPS)
+def test_the_tip_is_what_the_whole_arm_moves(name, tmp_path: Path) -> None:
+    """Fingers are known by their place in the tree, and names decide only among the ends of chains."""
+    tips, edges = TIPS[name]
+    joints = []
+    for parent, child, called, *kind in edges:
+        is_copy = kind == ["copy"]
+        joints.append(
+            joint(called, parent, child, kind="fixed" if is_copy else (*kind, "revolute")[0], x=0.1 * (not is_copy))
+        )
+    path = described(tmp_path / "a.urdf", ["b", *(edge[1] for edge in edges)], *joints)
+    assert likely_tips(load_robot(path)) == tips
+
+
+LIMIT = '<limit lower="{}" upper="{}" velocity="1" effort="1"/>'
+
+
+@pytest.mark.parametrize(
+    ("kind", "more", "words"),
+    [
+        (
+            "revolute",
+            [LIMIT.format(0, 0), LIMIT.format(1, 0)],
+            "'j0': its limits are 0 ... 0 rad, as wrong as those of 'j1';",
+        ),
+        (
+            "revolute",
+            [LIMIT.format(-180, 180)] * 2,
+            "'j0': its limits are -180 ... 180 rad, as wrong as those of 'j1', more",
+        ),
+        ("prismatic", [LIMIT.format(0, 1), LIMIT.format(0, -1) + '<mimic joint="j0" multiplier="-1"/>'], "lock 'j0'"),
+    ],
+)
+def test_wrong_limits_are_told_together_with_a_remedy_that_works(kind, more, words, tmp_path: Path) -> None:
+    """Every joint with the fault is named once; the joints to lock are those that can be locked."""
+    joints = [joint(f"j{i}", "b", f"l{i}", text, kind) for i, text in enumerate(more)]
+    path = described(tmp_path / "a.urdf", ["b", "l0", "l1"], *joints)
+    with pytest.raises(RobotError, match=re.escape(words)) as caught:
+        load_robot(path)
+    locked = re.findall(r"\bj\d\b", str(caught.value).partition("or lock")[2]) or ["j0", "j1"]
+    assert set(load_robot(path, locked=locked).locked) == {"j0", "j1"}
+
+
+def test_a_warning_about_many_links_is_one(tmp_path: Path) -> None:
+    """With the first of them and the number of the others; lines of text that xacro wrote are not told."""
+    joints = (
+        joint("j", "a", "b", LIMIT.format(-1, 1).replace('y="1', 'y="0')),
+        joint("k", "b", "c", LIMIT.format(-1, 2)),
+    )
+    text = described(tmp_path / "a.urdf", ["a", "b", "c"], *joints).read_text()
+    text = re.sub(r'<link name="(.)"(/>|></link>)', r'\n<link name="\1"><gravity/></link>', text)
+    for name, place in (("a.urdf", "line 2: "), ("a.xacro", "")):
+        if place == "":
+            pytest.importorskip("xacrodoc")
+        (tmp_path / name).write_text(text)
+        first, second = load_robot(tmp_path / name, xacro=name.endswith(".xacro")).warnings
+        assert first == f"{place}link 'a' (and 2 more): <gravity> is ignored"
+        assert "joint 'j': its velocity limit of 0" in second and ("line" in second) == (place != "")
+
+
+def test_xacro_files_are_refused_without_lines_and_with_what_helps(tmp_path: Path) -> None:
+    """Packages are found by the name in package.xml beside the robot's own; what matched nothing is told."""
+    pytest.importorskip("xacrodoc")
+    head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    for folder, package in (("theirs-main", "their_description"), ("mine", "my_description")):
+        (tmp_path / folder / "urdf").mkdir(parents=True)
+        (tmp_path / folder / "package.xml").write_text(f"<package><name>{package}</name></package>")
+    part = described(tmp_path / "theirs-main" / "urdf" / "arm.xacro", ["b", "l"], joint("j", "b", "l"))
+    own = tmp_path / "mine" / "urdf" / "cell.xacro"
+    include = '<xacro:include filename="$(find {}_description)/urdf/arm.xacro"/></robot>'
+    own.write_text(head + include.format("their"))
+    assert load_robot(own, xacro=True).joint_names == ("j",)
+    part.write_text(part.read_text().replace('"-2" upper="2"', '"0" upper="0"'))
+    chosen = (
+        '<xacro:arg name="kind" default="a"/><xacro:if value="${\'$(arg kind)\' == \'b\'}"><link name="b"/></xacro:if>'
+    )
+    for text, options, code, words in (
+        (head + include.format("their"), True, "limit-order", "cell.xacro: joint 'j': its limits"),
+        (
+            head + include.format("no"),
+            True,
+            "xacro-failed",
+            "the package 'no_description' of .* was not found; name the fo",
+        ),
+        (
+            f"{head}{chosen}</robot>",
+            {"kind": "B"},
+            "no-links",
+            "expanded with kind=B it has no <link>.*arguments kind: g",
+        ),
+    ):
+        own.write_text(text)
+        with case(code), pytest.raises(RobotError, match=words) as caught:
+            load_robot(own, xacro=options)
+        assert (caught.value.code, caught.value.line) == (code, None)
+        assert str(caught.value).count("not found") <= 1
+
+
+def test_a_mesh_that_is_not_there_is_told_with_a_remedy_that_works(tmp_path: Path) -> None:
+    """Naming the folder of a package is advised only where it is not known; a file has to be put there, or is xacro."""
+    (tmp_path / "package.xml").write_text("<package><name>known</name></package>")
+    for uri, remedy in (
+        ("package://known/gone.stl", f"correct its address, or put it into {tmp_path.resolve()}"),
+        ("gone.stl", "correct its address, or put it into"),
+        ("file:///elsewhere/gone.stl", "correct its address"),
+        ("file://$(find known)/gone.stl", "it is xacro: name the file *.xacro and load it with xacro=True"),
+        ("package://other/gone.stl", "name the folder that contains its package"),
+    ):
+        path = described(tmp_path / "urdf" / "a.urdf", ["b", "l"], joint("j", "b", "l"), visual=mesh(uri))
+        (warning,) = ml.inspect_robot(load_robot(path)).warnings
+        with case(uri):
+            assert warning.partition("was not found; ")[2].startswith(remedy)

@@ -190,7 +190,7 @@ def test_a_lost_mesh_costs_its_own_link_only(tmp_path, tag: str):
     planned = Clearance(robot, True, Surroundings(), q).notes
     drawn = appearance(robot, kinematic_tree(robot)).notes
     assert (why[0] in planned, why[0] in drawn) == (tag == "collision", tag == "visual")
-    assert why[0].partition(": ")[2].rstrip(".") in " ".join(inspect_robot(robot).warnings)
+    assert why[0] in inspect_robot(robot).warnings
 
 
 SHEET = trimesh.creation.box((0.2, 0.1, 0.0), trimesh.transformations.rotation_matrix(0.7, (1, 2, 3))).export

@@ -33,7 +33,7 @@ def codes(source: Source) -> Iterator[str]:
             if target == "code" and node.value is not None:
                 yield from map(text, values(node.value))
             if target == "RULES" and isinstance(node.value, ast.Dict):  # code: sentence
-                yield from (text(key) for key in node.value.keys if key is not None)
+                yield from (text(key).partition(".")[0] for key in node.value.keys if key is not None)
             if target in TABLES and isinstance(node.value, ast.Tuple):
                 yield from (text(row.elts[1]) for row in node.value.elts if isinstance(row, ast.Tuple))
         elif isinstance(node, ast.FunctionDef):

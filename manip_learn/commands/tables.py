@@ -314,6 +314,7 @@ def print_robot(console: Console, inspected: Inspected) -> None:
         "locked": few([f"{name} at {position:g}" for name, position in summary.locked.items()]),
         "frames, the last first": f"{few(summary.frames[::-1])} (all: --json)",
         "forward kinematics": agreed,
+        "shapes": summary.shapes,
         "next": f"manip-learn learn {shlex.join(inspected.loaded)} RECORDINGS --frame {shlex.quote(tip)}",
     }
     console.print(Text.assemble(text(summary.name, "bold"), f": nq {summary.nq}, nv {summary.nv}"), highlight=False)

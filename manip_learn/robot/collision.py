@@ -176,7 +176,8 @@ def describe_shapes(robot: Robot) -> str:
 def known_shapes(robot: Robot) -> Shapes:
     """Return which shapes of a robot there are: those for collisions, or else the drawn ones, or else capsules."""
     tags: tuple[Shapes, ...] = ("collision", "visual")
-    return next((tag for tag in tags if not all(v.fault for v in visual_shapes(robot, tag))), "links")
+    usable: list[Shapes] = [tag for tag in tags if not all(v.fault for v in visual_shapes(robot, tag))]
+    return usable[0] if usable else "links"
 
 
 def obstacles_of(

@@ -7,6 +7,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +23,7 @@ from manip_learn.robot.description.urdf import UrdfFile, UrdfJoint, UrdfLink, as
 from manip_learn.robot.description.xacro_expansion import expanded_xacro
 from manip_learn.robot.joints import COORDINATE_SUFFIXES
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.visuals.meshes import find_package
 
 Base = Literal["fixed", "floating", "planar"]
 Locked = Sequence[str] | Mapping[str, float | None]
@@ -87,7 +89,8 @@ def load_robot(
     if isinstance(xacro, Mapping) and path.suffix != ".xacro":
         sentence = f"this is no .xacro file, so it has no arguments: leave {', '.join(map(str, xacro))} out"
         raise RobotError(f"{path}: {sentence}", code="xacro-arg", path=path)
-    content = expanded_xacro(path, xacro, folders) if path.suffix == ".xacro" else read_description(path)
+    find = partial(find_package, urdf=path, package_dirs=folders)
+    content = expanded_xacro(path, xacro, folders, find) if path.suffix == ".xacro" else read_description(path)
     return robot_from_text(content, path, package_dirs=folders, locked=locked, root_joint=root_joint, objects=objects)
 
 
@@ -118,10 +121,8 @@ def robot_from_text(
     given = [locked] if isinstance(locked, str) else locked  # a single string counts as one name
     asked = {str(name): locked[name] if isinstance(locked, Mapping) else None for name in given}
     root = parse_xml(content, path)
-    if root.tag == "mujoco":
-        urdf, content = validate_mjcf(root, asked)
-    else:
-        urdf = plain.validate_urdf(root, asked)
+    is_mjcf = root.tag == "mujoco"
+    urdf, content = validate_mjcf(root, asked) if is_mjcf else (plain.validate_urdf(root, asked), content)
     names = (objects,) if isinstance(objects, str) else tuple(objects)
     urdf = with_objects(urdf, names) if names else urdf
     if root_joint is not None and any(j.name == "root_joint" for j in urdf.joints):
@@ -219,12 +220,8 @@ def with_fixed(urdf: UrdfFile, still: Mapping[str, float]) -> UrdfFile:
     joints = list(urdf.joints)
     for i, joint in enumerate(joints):
         if (position := still.get(joint.name)) is not None:
-            motion, turn = np.eye(4), position * np.array(joint.axis)
-            if joint.type == "prismatic":
-                motion[:3, 3] = turn
-            else:
-                motion[:3, :3] = pin.exp3(turn)
-            pose = as_pose(as_matrix(joint.pose) @ motion) if position != 0.0 else joint.pose
+            moved = as_matrix(joint.pose) @ plain.motion_along(joint.type, joint.axis, position)
+            pose = as_pose(moved) if position != 0.0 else joint.pose
             joints[i] = joint._replace(type="fixed", pose=pose, mimic=None)
     return urdf._replace(joints=tuple(joints))
 

@@ -11,11 +11,12 @@ from typing import Any, final
 import numpy as np
 
 from manip_learn.errors import RobotError
+from manip_learn.robot.collision import describe_shapes
 from manip_learn.robot.description.text import quoted
 from manip_learn.robot.joints import JointKind, Mimic
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import likely_tips
-from manip_learn.robot.visuals.visual_shapes import resolve_meshes, said_once
+from manip_learn.robot.visuals.visual_shapes import resolve_meshes, shape_faults
 
 # largest difference of an entry of two poses [m, and no unit]; rounding along 100 joints stays below
 AGREEMENT = 1e-9
@@ -84,6 +85,7 @@ class RobotSummary:
         locked: Joints held still -> position [rad or m].
         tips: Likely tip frames, best first; with more than one, the user must choose.
         moving_tip: Joints that move the first of them.
+        shapes: Which shapes count for collisions, in a sentence.
         warnings: What was ignored or repaired, and meshes that cannot be used.
         cross_check: Independent check of forward kinematics; None if there is none, and the last warning says why.
         meshes_found: Address in the URDF -> file.
@@ -101,6 +103,7 @@ class RobotSummary:
     locked: dict[str, float]
     tips: tuple[str, ...]
     moving_tip: tuple[str, ...]
+    shapes: str
     warnings: tuple[str, ...]
     cross_check: CrossCheck | None
     meshes_found: dict[str, Path]
@@ -118,7 +121,7 @@ def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSumma
     """
     found, missing = resolve_meshes(robot)
     missing |= resolve_meshes(robot, "collision")[1]
-    warnings, check = [*robot.warnings, *dict.fromkeys(said_once(missing.values()).values())], None
+    warnings, check = [*robot.warnings, *shape_faults(robot, "collision", "visual")], None
     try:
         check = cross_check(robot, np.random.default_rng(seed), postures)
     except RobotError as error:
@@ -136,6 +139,7 @@ def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSumma
         locked=dict(robot.locked),
         tips=tips,
         moving_tip=tuple(j for j in robot.joint_names if tips and robot.moves(j, tips[0])),
+        shapes=describe_shapes(robot),
         warnings=tuple(warnings),
         cross_check=check,
         meshes_found=found,
@@ -152,15 +156,20 @@ def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossChe
     if robot.description is None:
         raise RobotError(f"robot {robot.name!r} did not come from a URDF: nothing to compare with", code="cross-check")
     import yourdfpy
+    from lxml import etree
 
     logger = logging.getLogger("yourdfpy.urdf")  # its warnings concern meshes and mimics, which validation has handled
     before, logger.disabled = logger.disabled, True
     try:
         bare = {"build_scene_graph": False, "build_collision_scene_graph": False, "load_meshes": False}
-        parsed = yourdfpy.URDF.load(io.BytesIO(robot.description), **bare).robot
+        tree = etree.fromstring(robot.description, etree.XMLParser(recover=True))
+        tree.set("name", tree.get("name", robot.name))
+        parsed = yourdfpy.URDF.load(io.BytesIO(etree.tostring(tree)), **bare).robot
         for link in parsed.links:
             link.visuals, link.collisions = [], []
         joints = {j.name: j for j in parsed.joints}
+        for j in parsed.joints:  # yourdfpy does not move these, yet counts their coordinates for those of leaders
+            j.type = "fixed" if j.type in ("floating", "planar") else j.type
         for j in (j for j in parsed.joints if j.mimic is not None):
             if j.mimic.joint not in joints:  # else validation would have failed: it is locked
                 j.mimic = None

@@ -7,14 +7,13 @@ import re
 import numpy as np
 import pinocchio as pin
 
+from manip_learn.robot.joints import joint_motions
 from manip_learn.robot.robot import Robot
 
 # By priority: the first kind that occurs at the end of a chain decides.
 TIP_NAMES = (
     re.compile(r"(^|_|-)(tcp|tool_?cent(er|re)_?point|pinch(_site)?|grasp(ing)?(_?(frame|link|point|target))?)($|_|-)"),
-    re.compile(
-        r"(^|_|-)(tool_?0?|tip|ee|eef|eff|end_?_?effector|endeff|tool_?(link|frame|tip))($|_|-)|attachment_site"
-    ),
+    re.compile(r"(^|_|-)(tool_?(0|link|frame|tip)?|tip|eef?|eff|end_?_?effector|endeff)($|_|-)|attachment_site"),
     re.compile(r"gripper_?(frame|base|link)?|hand|flange|palm|wrist"),
 )
 NOT_A_TIP = re.compile(
@@ -22,34 +21,53 @@ NOT_A_TIP = re.compile(
     r"|accelero|range|force"
 )
 
-
-# joints of a gripper's own motor: what they move opens and closes, and does not go where the hand goes
-GRIPPER_JOINTS = re.compile(r"gripper|finger|thumb|knuckle|jaw|claw")
+FINGER = re.compile(r"finger|thumb|knuckle|jaw|claw")
 
 
 def likely_tips(robot: Robot) -> tuple[str, ...]:
     """Links that may be the tip, the most likely first; with more than one, the user must choose.
 
-    Candidates are links that move, named like a tool centre point, else like a tool, else like a hand; without such
-    names, the ends of the chains that count the most joints. A link above another one of them, or moved by some of its
-    joints only, is not a candidate; nor is one that the gripper's own motor moves, unless the robot is a gripper.
+    Candidates are links at the end of a chain of joints, fingers left out unless the robot is a gripper: of all chains
+    those named like a tool centre point, else like a tool, else like a hand; without such names, the ends of the chains
+    that count the most joints. A link above another one of them is not a candidate, nor a copy of the link above it.
     """
     movers = _joints_above(robot)
-    names = robot.pinocchio_model.names
-    grips = {i for i in range(robot.pinocchio_model.njoints) if GRIPPER_JOINTS.search(names[i].lower())}
-    moving = [n for n, joints in movers.items() if joints and not NOT_A_TIP.search(n.lower())]
-    moving = [n for n in moving if not movers[n] & grips] or moving
-    candidates: list[str] = []
-    for kind in TIP_NAMES:
-        # a frame between two finger tips is better than one of them
-        candidates = candidates or [n for n in moving if kind.search(n.lower()) and "finger" not in n.lower()]
+    moving = {n: joints for n, joints in movers.items() if joints and not NOT_A_TIP.search(n.lower())}
+    fingers = _finger_joints(robot, moving)
+    moving = {n: joints for n, joints in moving.items() if not joints & fingers} or moving
+    ends = [n for n, joints in moving.items() if not any(joints < longer for longer in moving.values())]
+    # a frame between two finger tips is better than one of them
+    named = ([n for n in ends if kind.search(n.lower()) and "finger" not in n.lower()] for kind in TIP_NAMES)
+    candidates = next(filter(None, named), [])
     if not candidates:
-        candidates = _lowest(robot, moving)
-        deepest = max((len(movers[n]) for n in candidates), default=0)
-        candidates = [n for n in candidates if len(movers[n]) == deepest]
-    candidates = _lowest(robot, candidates)
-    free = [n for n in candidates if not any(movers[n] < movers[other] for other in candidates)]
-    return tuple(sorted(free, key=lambda n: (-len(movers[n]), n)))
+        deepest, frames = max((len(moving[n]) for n in ends), default=0), robot.pinocchio_model.frames
+        places = {n: frames[robot.frame(n).index] for n in ends if len(moving[n]) == deepest}
+        first = {(f.parentJoint, *f.placement.homogeneous.round(9).flat): n for n, f in reversed(places.items())}
+        candidates = list(first.values())  # of links in one place, the other ones are copies
+    return tuple(sorted(_lowest(robot, candidates), key=lambda n: (-len(movers[n]), n)))
+
+
+def _finger_joints(robot: Robot, movers: dict[str, frozenset[int]]) -> set[int]:
+    """The joints that open and close grippers, of those that move links.
+
+    These are called fingers; or the last one of a chain, called so by its link, or moving in a gripper; or they are
+    alike, hang on one link, and are fewer than the joints above them.
+    """
+    model, followers = robot.pinocchio_model, {m.joint for m in robot.mimics}
+    joints, kinds = frozenset[int]().union(*movers.values()), [m and m[0] for m in joint_motions(model)]
+    above = {j: len(model.supports[j]) - 2 for j in joints}  # joints between the root and it
+    length = {j: max(above[k] for k in model.subtrees[j] if k in joints) - above[j] + 1 for j in joints}
+    short = {j for j in joints if length[j] < above[j]}
+    fingers = set[int]()
+    for j in joints:
+        name, frame = model.names[j].lower(), model.frames[model.getFrameId(model.names[j], pin.FrameType.JOINT)]
+        link = next((n for n in movers if max(movers[n], default=0) == j), "").lower()
+        is_last = all(model.names[k] in followers for k in joints if model.parents[k] == j)
+        grips = "gripper" in name + model.frames[frame.parentFrame].name.lower() or FINGER.search(link)
+        alike = [k for k in short if model.parents[k] == model.parents[j] and kinds[k] == kinds[j]]
+        if FINGER.search(name) or (is_last and grips) or (j in short and len(alike) > 1):
+            fingers.add(j)
+    return fingers
 
 
 def default_tip(robot: Robot) -> str:
@@ -59,12 +77,9 @@ def default_tip(robot: Robot) -> str:
     by the most joints, by name among equals. Without any: the last link of those with the most joints above them; an
     empty string for a robot without frames.
     """
-    tips = likely_tips(robot)
-    if tips:
-        return tips[0]
-    above = {name: len(joints) for name, joints in _joints_above(robot).items()}
-    most = max(above.values(), default=0)
-    return next((name for name in reversed(above) if above[name] == most), next(iter(robot.frame_names), ""))
+    above = _joints_above(robot)
+    last = max(reversed(above), key=lambda name: len(above[name]), default=next(iter(robot.frame_names), ""))
+    return next(iter(likely_tips(robot)), last)
 
 
 def distance_to_last_joint(robot: Robot, frame: str) -> float:
@@ -85,11 +100,8 @@ def _joints_above(robot: Robot) -> dict[str, frozenset[int]]:
 
 def _lowest(robot: Robot, names: list[str]) -> list[str]:
     """The names that have none of the other names below them in the tree."""
-    frames = robot.pinocchio_model.frames
-    above: set[str] = set()
-    for name in names:
-        index = robot.frame(name).index
-        while index := frames[index].parentFrame:
-            if frames[index].type == pin.FrameType.BODY:  # a joint may have the name of a link
-                above.add(frames[index].name)
-    return [n for n in names if n not in above]
+    frames, places, above = robot.pinocchio_model.frames, {robot.frame(n).index: n for n in names}, set[int]()
+    for index in reversed(range(len(frames))):  # what is below comes after what is above
+        if index in places or index in above:
+            above.add(frames[index].parentFrame)
+    return [name for index, name in places.items() if index not in above]

@@ -114,7 +114,7 @@ def _fetched(name: str) -> Path:
     file = source.with_name(name + EXPANDED)
     if not file.exists():
         values = {**found.get("XACRO_ARGS", {}), **arguments}
-        write_atomically(file, expanded_xacro(source, values, [Path(found["REPOSITORY_PATH"])]))
+        write_atomically(file, expanded_xacro(source, values, [Path(found["REPOSITORY_PATH"])], lambda package: None))
     return file
 
 

@@ -73,7 +73,7 @@ class _Reader:
             fix = "degree or radian, three axes, and local are read; correct them, or save the file by MuJoCo"
             raise root.log.refusal("mjcf-compiler", root.all("compiler")[0].line, f"{seen}; {fix}")
         self.angle = math.pi / 180.0 if angle == "degree" else 1.0
-        assets = [mesh for asset in root.all("asset") for mesh in asset.all("mesh")]
+        assets = [self._full(mesh, MAIN) for asset in root.all("asset") for mesh in asset.all("mesh")]
         # without a name a mesh has the name of its file, whichever way its folders are written
         stems = [PureWindowsPath(mesh.attributes.get("file", "")).stem for mesh in assets]
         self.meshes = {mesh.attributes.get("name") or stem: mesh for mesh, stem in zip(assets, stems, strict=True)}
@@ -124,10 +124,8 @@ class _Reader:
             return pin.exp3(numbers[3] * self.angle * direction / length)
         if kind == "zaxis":
             return turn_z_to(direction / length)
-        x = numbers[:3] / np.linalg.norm(numbers[:3])
-        y = numbers[3:] - x.dot(numbers[3:]) * x
-        y /= np.linalg.norm(y)
-        return np.column_stack([x, y, np.cross(x, y)])
+        x, z = numbers[:3] / np.linalg.norm(numbers[:3]), direction / length
+        return np.column_stack([x, np.cross(z, x), z])
 
     def _read_inside(self, world: XmlNode) -> None:
         """Read the sites, shapes and bodies of the world, then those of each body."""
@@ -190,14 +188,14 @@ class _Reader:
         axis = urdf.unit_axis(node.vector("axis", 3) or (0.0, 0.0, 1.0), node)
         scale = self.angle if kind == "hinge" else 1.0
         self.ref[joint.name] = ref = node.number("ref", 0.0) * scale
-        to_anchor, back, zero = np.eye(4), np.eye(4), np.eye(4)
+        to_anchor, back, zero = np.eye(4), np.eye(4), urdf.motion_along(TYPES[kind], axis, -ref)
         to_anchor[:3, 3], back[:3, 3] = anchor, [-c for c in anchor]
-        if kind == "slide":
-            zero[:3, 3] = [-ref * c for c in axis]
-        elif ref:
-            zero[:3, :3] = pin.exp3(-ref * np.array(axis))
         given, limited = node.vector("range", 2), node.attributes.get("limited", "auto")
         if limited == "false" or (limited != "true" and self.settings.get("autolimits") == "false"):
+            given = None
+        elif given is not None and limited != "true" and given[0] >= given[1]:
+            if any(given):  # 0 0 is how a class's range is taken back
+                node.warn(f"its range {given[0]:g} ... {given[1]:g} is no limit, as in MuJoCo; swap the two for one")
             given = None
         lower, upper = (-math.inf, math.inf) if given is None else (given[0] * scale, given[1] * scale)
         limit, pose = urdf.UrdfLimit(lower, upper, math.inf), as_pose(T @ to_anchor @ zero)

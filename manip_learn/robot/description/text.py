@@ -29,6 +29,8 @@ DEEPEST = 100  # brackets of JSON or YAML within each other; beyond, parsers tak
 # no two ways to read the same digits: else a long number with a typing error takes minutes
 NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST_READ = 1e100  # squares and products of what is larger overflow
+# what a sentence is about, and what it says
+PLACE = re.compile(r"(?s)(?P<place>(line \d+)?((: |^)(?P<kind>mesh|link|joint|body|site) ('.*?'|\".*?\"))?)(?P<why>.*)")
 # error of the operating system -> code and sentence of a file that cannot be read
 UNREADABLE: dict[int, tuple[str, str]] = {
     **dict.fromkeys((errno.ENOENT, errno.ENOTDIR), ("missing", "there is no such file; check the path")),
@@ -42,16 +44,13 @@ UNREADABLE: dict[int, tuple[str, str]] = {
 NOT_XML = {
     errors.XML_ERROR_UNKNOWN_ENCODING: ("encoding", "save the file as UTF-8"),
     errors.XML_ERROR_INCORRECT_ENCODING: ("encoding", "save the file as UTF-8"),
-    errors.XML_ERROR_UNDEFINED_ENTITY: (
-        "entity",
-        "entities other than &lt; &gt; &amp; &quot; &apos; are not read; write the value out",
-    ),
+    errors.XML_ERROR_UNDEFINED_ENTITY: ("entity", "only &lt; &gt; &amp; &quot; &apos; are read; write the value out"),
     errors.XML_ERROR_NO_ELEMENTS: ("not-xml", "the file ends before the description does; is it cut off?"),
 }
 # code -> what is seen; what is expected; what to do
 RULES = {
-    "only-macros": "it only defines the macros {names}, no <link>; a robot is expected; load the file that calls them, "
-    "usually robot.urdf.xacro, or write three lines that include this file and call the macro",
+    "no-links.macros": "it only defines the macros {names}, no <link>; a robot is expected; load the file that calls "
+    "them, usually robot.urdf.xacro, or write three lines that include this file and call the macro",
     "urdf-version": "it says version {version!r:.80}; 1.0 is read; convert it to URDF 1.0",
     "name-missing": 'it has no name; a name is expected; add name="..."',
     "name-long": "its name has {length} characters; at most {most} are expected; shorten it",
@@ -68,25 +67,20 @@ RULES = {
     "no-links": "the robot has no <link>; at least one is expected; is it a xacro file, or cut off?",
     "too-many-dof": 'the robot has {nv} degrees of freedom; at most {most} work; make unused joints type="fixed"',
     "too-deep": "the tree of links is more than {most} joints deep; merge links that are fixed to each other",
-    "many-roots": "the links {names} have no parent; one such link is expected; join {other!r} to the rest by a joint, "
-    "or delete it",
-    "detached": "{names} form a loop that is not connected to the root; remove the joint that closes the loop and "
-    "connect it to the rest",
+    "many-roots": "the links {names} have no parent; one such is expected; join {other!r} to the rest, or delete it",
+    "detached": "{names} form a loop that is not connected to the root; open the loop and connect it to the rest",
     "joint-link": 'it names no {tag} link; one is expected; add <{tag} link="..."/>',
     "planar-axis": "{seen}; a planar joint needs 0 0 1; turn the joint's origin instead",
-    "axis-zero": "its axis is 0 0 0; a direction is expected; write the direction, "
-    'or type="fixed" for a joint that never moves',
+    "axis-zero": 'its axis is 0 0 0; a direction is expected; write it, or type="fixed" for a joint that never moves',
     "axis-norm": "its axis {xyz} has length {norm:.3g}; length 1 is expected; write a unit vector",
-    "limit-order": "its limits are {lower:g} ... {upper:g} {unit}; lower below upper is expected; "
-    'swap or correct them{otherwise}, or type="fixed", or lock the joint',
-    "limit-degrees": "its limits are {lower:g} ... {upper:g} {unit}, more than two turns: they look like degrees; "
-    "radians are expected; write {low:.4f} ... {high:.4f}{otherwise} for many turns",
+    "limit-order": "its limits are {lower:g} ... {upper:g} {unit}{likewise}; lower below upper is expected; "
+    "swap or correct them, or {otherwise}, or lock {locks}",
+    "limit-degrees": "its limits are {lower:g} ... {upper:g} {unit}{likewise}, more than two turns: they look like "
+    "degrees; radians are expected; write {low:.4f} ... {high:.4f}{compiler}, or {otherwise} for many turns",
     "self-loop": "its parent and its child are both {link!r}; two links are expected; correct one of them",
-    "two-parents": "its child {link!r} is already the child of joint {other!r}; one parent per link is expected; "
-    "closed chains are not supported: remove one of the two joints",
+    "two-parents": "its child {link!r} is also that of joint {other!r}; closed chains are not read: remove one of them",
     "mimic-leader": 'its <mimic> names no joint; one is expected; add joint="..." to <mimic>, or delete it',
-    "mimic-type": "it is {type}, with {nv} degrees of freedom, and takes part in a <mimic>; one is expected; "
-    "delete the <mimic>",
+    "mimic-type": "it is {type}, with {nv} degrees of freedom, in a <mimic>; one is expected; delete the <mimic>",
     "mimic-multiplier": "it follows {leader!r} by the factor {by:g}; at most 1e+06 works; correct the multiplier",
 }
 
@@ -106,9 +100,10 @@ class Diagnostics:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences, in the order found; after a hundred only their number."""
-        more = [f"{len(self.kept) - MAX_WARNINGS} more warnings are left out"] if len(self.kept) > MAX_WARNINGS else []
-        return (*self.kept[:MAX_WARNINGS], *more)
+        """Sentences, in the order found, each once; after a hundred only their number."""
+        said = list(dict.fromkeys(said_once(self.kept).values()))
+        more = [f"{len(said) - MAX_WARNINGS} more warnings are left out"] if len(said) > MAX_WARNINGS else []
+        return (*said[:MAX_WARNINGS], *more)
 
     def refusal(self, code: str, line: int | None, sentence: str) -> RobotError:
         """Return the error to raise; the sentence says whose fault it is, the value seen and expected, the remedy."""
@@ -123,6 +118,19 @@ class Diagnostics:
     def warn(self, line: int | None, sentence: str) -> None:
         """Keep a sentence for `Robot.warnings`."""
         self.kept.append(f"line {line}: {sentence}" if line is not None else sentence)
+
+
+def said_once(sentences: Iterable[str]) -> dict[str, str]:
+    """Return what to say for each sentence; those alike but for line, name or mesh numbers share one."""
+    alike: dict[tuple[str, str], list[re.Match[str]]] = {}
+    for match in (found for sentence in dict.fromkeys(sentences) if (found := PLACE.fullmatch(sentence))):
+        why = re.sub(r" [\d.e+]+ ", "", match["why"]) if match["kind"] == "mesh" else match["why"]
+        alike.setdefault((match["kind"] or "", why), []).append(match)
+    said: dict[str, str] = {}
+    for first, *others in alike.values():
+        joined = f"{first['place']} (and {len(others)} more){first['why']}" if first["place"] and others else ""
+        said |= {match.string: joined or match.string for match in (first, *others)}
+    return said
 
 
 def quoted(names: Sequence[str]) -> str:
@@ -226,7 +234,7 @@ class XmlNode:
     Attributes:
         tag: Its tag.
         attributes: Its attributes, as text.
-        line: Line on which it starts.
+        line: Line on which it starts; None in text that xacro wrote, whose lines are those of no file.
         log: Of its file.
         parent: The element around it.
         children: The elements inside.
@@ -235,7 +243,7 @@ class XmlNode:
 
     tag: str
     attributes: dict[str, str]
-    line: int
+    line: int | None
     log: Diagnostics
     parent: XmlNode | None
     children: list[XmlNode] = field(default_factory=list, repr=False, compare=False)
@@ -344,7 +352,8 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
             if len(value) > 100_000:  # no robot needs more than a few hundred
                 seen = f"attribute {shortened(key)!r} of <{shortened(tag)}> has {len(value)} characters"
                 raise refusal("xml-too-large", f"{seen}, at most 100000 are read")
-        node = XmlNode(tag, attributes, parser.CurrentLineNumber, log, stack[-1] if stack else None)
+        line = parser.CurrentLineNumber if path.suffix != ".xacro" else None
+        node = XmlNode(tag, attributes, line, log, stack[-1] if stack else None)
         if stack:
             stack[-1].children.append(node)
         nodes.append(node)
@@ -362,9 +371,8 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
     except ExpatError as error:
         reason = xml.parsers.expat.ErrorString(error.code) or "unreadable"
         code, fix = NOT_XML.get(reason, ("not-xml", "repair the XML at this line"))
-        if code == "not-xml" and not content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(
-            (b"<", b"\xff\xfe", b"\xfe\xff")
-        ):
+        begins = content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff"))
+        if code == "not-xml" and not begins:
             fix = "a URDF file begins with '<'; name the robot here, its name or its file, and other files after it"
         seen = f"not readable as XML ({reason}, column {error.offset + 1})"
         raise log.refusal(code, error.lineno, f"{seen}; {fix}") from error

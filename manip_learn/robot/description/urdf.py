@@ -139,6 +139,16 @@ def as_matrix(pose: Pose) -> Matrix4:
     return T
 
 
+def motion_along(kind: str, axis: Vector, position: float) -> Matrix4:
+    """Return the homogeneous matrix of a joint's motion by a position [rad or m] along or about its axis."""
+    T, step = np.eye(4), position * np.array(axis)
+    if kind == "prismatic":
+        T[:3, 3] = step
+    else:
+        T[:3, :3] = pin.exp3(step)
+    return T
+
+
 def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
     """Read and check a URDF.
 
@@ -158,7 +168,7 @@ def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
     foreign = [c for c in root.children if c.tag.startswith("xacro:") or c.tag in ("macro", "include")]
     macros = [c.attributes.get("name", "") for c in foreign if c.tag.removeprefix("xacro:") == "macro"]
     if macros and root.first("link") is None:
-        raise foreign[0].refusal("no-links", RULES["only-macros"].format(names=quoted(macros)))
+        raise foreign[0].refusal("no-links", RULES["no-links.macros"].format(names=quoted(macros)))
     if foreign:
         fix = "expand it" + advice(", or name the file *.xacro and load it with {}", "xacro=True", "--xacro")
         seen = f"<{shortened(foreign[0].tag)}> is xacro, not URDF; plain URDF is expected"
@@ -223,8 +233,8 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
     limits, limit = _only(node, "limit"), UrdfLimit()
     follows, mimic = _only(node, "mimic"), None
     if limits is not None:
-        lower, upper, velocity, effort = map(limits.number, ("lower", "upper", "velocity", "effort"))
-        limit = UrdfLimit(lower, upper, velocity, effort, limits)
+        limit = UrdfLimit(*map(limits.number, ("lower", "upper", "velocity", "effort")), node=limits)
+        limit = _narrowed(node, limit, [c for c in controls if c.attributes.get("name") == name])
     ends = []
     for tag in ("parent", "child"):
         end = _only(node, tag)
@@ -242,8 +252,6 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
             node.warn("it has no axis; 1 0 0 is taken, which is the default of URDF")
         else:
             direction = unit_axis(given, axis)
-    if limits is not None:
-        limit = _narrowed(node, limit, [c for c in controls if c.attributes.get("name") == name])
     if follows is not None:
         leader = follows.attributes.get("joint", "")
         follows.require(leader != "", "mimic-leader")
@@ -292,9 +300,9 @@ def read_name(node: XmlNode) -> str:
     """
     name = node.attributes.get("name", "")
     faults = {"missing": not name.strip(), "long": len(name) > LONGEST_NAME, "unprintable": not name.isprintable()}
-    for fault in [f for f, is_there in (faults | {"reserved": name in RESERVED}).items() if is_there]:
-        sentence = RULES[f"name-{fault}"].format(name=name, length=len(name), most=LONGEST_NAME)
-        raise node.log.refusal(f"name-{fault}", node.line, f"<{node.tag}>: {sentence}")
+    for fault, is_there in (faults | {"reserved": name in RESERVED}).items():
+        said = {"name": name, "length": len(name), "most": LONGEST_NAME}
+        node.log.require(not is_there, f"name-{fault}", node.line, f"<{node.tag}>: ", **said)
     if name != name.strip():
         node.log.warn(node.line, f"{node.tag} {name!r} has spaces around its name, they count")
     return name
@@ -356,9 +364,7 @@ def _look_through(node: XmlNode) -> XmlNode:
     for child in [c for c in node.children if known and c.tag not in known]:
         is_told = len(node.log.kept) < text.MAX_WARNINGS
         near = closest_names(shortened(child.tag).lower(), known, n=1) if is_told else ()
-        where = "" if node.tag == "robot" else f"{node.where}: "
-        hint = f"; did you mean <{near[0]}>?" if near else ""
-        node.log.warn(child.line, f"{where}<{shortened(child.tag)}> is ignored{hint}")
+        child.warn(f"<{shortened(child.tag)}> is ignored" + (f"; did you mean <{near[0]}>?" if near else ""))
     return node
 
 
@@ -372,17 +378,18 @@ def validate_parts(
             `no-root`, `many-roots`, `detached`, `too-many-links`, `too-deep`, `too-many-dof`, `mimic-*`, `limit-*`.
     """
     log.require(len(links) > 0, "no-links", 1)
-    for elements, tag in ((links, "link"), (joints, "joint")):
-        for e in elements[MAX_LINKS : MAX_LINKS + 1]:
-            fix = f"at most {MAX_LINKS} work; leave out what the arm does not need"
-            raise log.refusal(f"too-many-{tag}s", e.node.line, f"the robot has {len(elements)} <{tag}> elements; {fix}")
     nv = sum(j.nv for j in joints)
     log.require(nv <= MAX_NV, "too-many-dof", None, nv=nv, most=MAX_NV)
     for elements, tag in ((links, "link"), (joints, "joint")):
-        first: dict[str, int] = {}
+        first: dict[str, int | None] = {}
         for e in elements:
+            if len(first) >= MAX_LINKS:
+                fix = f"at most {MAX_LINKS} work; leave out what the arm does not need"
+                seen = f"the robot has {len(elements)} <{tag}> elements"
+                raise log.refusal(f"too-many-{tag}s", e.node.line, f"{seen}; {fix}")
             if e.name in first:
-                seen = f"the name is already used on line {first[e.name]}; names must be unique; rename one of the two"
+                place = f" on line {first[e.name]}" if first[e.name] else ""
+                seen = f"the name is already used{place}; names must be unique; rename one of the two"
                 raise log.refusal(f"duplicate-{tag}", e.node.line, f"{tag} {e.name!r}: {seen}")
             first[e.name] = e.node.line
     names, above, below = {link.name for link in links}, dict[str, str](), dict[str, list[str]]()
@@ -411,9 +418,7 @@ def validate_parts(
         log.require(False, "detached", lost[0].node.line, names=quoted([link.name for link in lost]))
     followers, resting = resolve_mimics(joints, locked, log)
     still = {*locked, *resting, *(m.joint for m in followers if m.leader in locked)}
-    for j in joints:
-        if j.nv == 1 and j.name not in still:
-            _check_limits(j)
+    _check_limits([j for j in joints if j.nv == 1 and j.name not in still], {m.joint: m.leader for m in followers})
     if nv == 0:
         log.warn(None, "no joint moves")
     return UrdfFile(name, tuple(links), tuple(joints), roots[0].name, followers, resting, log.warnings)
@@ -479,26 +484,46 @@ def resolve_mimics(
     return tuple(followers), resting
 
 
-def _check_limits(joint: UrdfJoint) -> None:
-    """Refuse limits that cannot be intended (`limit-order`, `limit-degrees`), warn about those without effect."""
-    (lower, upper, velocity, _, stated), is_angle = joint.limit, joint.type != "prismatic"
-    node, unit, largest = stated or joint.node, "rad" if is_angle else "m", max(abs(lower), abs(upper))
-    said = {"lower": lower, "upper": upper, "unit": unit, "otherwise": ', or type="continuous"' if is_angle else ""}
-    lacking = [end for end, value in (("lower limit", lower), ("upper limit", upper)) if math.isnan(value)]
-    if lacking and joint.type != "continuous":
-        # a default of 0, which the specification has, would be a limit that nobody stated
-        missing = lacking[0] if len(lacking) == 1 else "limits"
-        node.warn(f"it has no {missing}, which a {joint.type} joint should; none is taken")
-    elif joint.type != "continuous":
-        node.require(lower < upper, "limit-order", **said)
-        if UNLIMITED < largest < math.inf:  # infinity is said by the format, not by a number
+def _limit_fault(joint: UrdfJoint) -> str:
+    """Return the code of limits that cannot be intended (`limit-order`, `limit-degrees`), or an empty text."""
+    (lower, upper, *_), is_angle = joint.limit, joint.type != "prismatic"
+    if joint.type == "continuous" or math.isnan(lower + upper):
+        return ""
+    is_many = is_angle and 4.0 * math.pi < max(abs(lower), abs(upper)) <= UNLIMITED  # no arm turns twice each way
+    return "limit-order" if not lower < upper else "limit-degrees" if is_many else ""
+
+
+def _check_limits(joints: Sequence[UrdfJoint], leaders: Mapping[str, str]) -> None:
+    """Refuse limits that cannot be intended, warn about those without effect.
+
+    Args:
+        joints: Joints that move, of one degree of freedom each.
+        leaders: Follower -> the joint that it follows, which is locked in its place.
+    """
+    faults = {j.name: _limit_fault(j) for j in joints}
+    for joint in joints:
+        (lower, upper, velocity, _, stated), is_angle = joint.limit, joint.type != "prismatic"
+        node, unit, largest = stated or joint.node, "rad" if is_angle else "m", max(abs(lower), abs(upper))
+        lacking = [end for end, value in (("lower limit", lower), ("upper limit", upper)) if math.isnan(value)]
+        if lacking and joint.type != "continuous":
+            # a default of 0, which the specification has, would be a limit that nobody stated
+            missing = lacking[0] if len(lacking) == 1 else "limits"
+            node.warn(f"it has no {missing}, which a {joint.type} joint should; none is taken")
+        elif joint.type != "continuous" and UNLIMITED < largest < math.inf:  # infinity is said by the format
             node.warn(f"its limit of {largest:.3g} {unit} is taken for no limit")
-        is_usual = not is_angle or largest <= 4.0 * math.pi or largest > UNLIMITED  # no arm turns twice each way
-        node.require(is_usual, "limit-degrees", **said, low=math.radians(lower), high=math.radians(upper))
-    if math.isnan(velocity) and (joint.type != "continuous" or stated is not None):
-        node.warn("no velocity limit; it is taken as unlimited")
-    elif velocity <= 0.0:
-        node.warn(f"its velocity limit of {velocity:g} {unit}/s is taken for none stated: it is not limited")
+        if code := faults[joint.name]:
+            names = [name for name, fault in faults.items() if fault == code]
+            said: dict[str, object] = {"lower": lower, "upper": upper, "unit": unit}
+            said |= {"low": math.radians(lower), "high": math.radians(upper)}
+            said["likewise"] = f", as wrong as those of {quoted(names[1:])}" if names[1:] else ""
+            said["locks"] = quoted(list(dict.fromkeys(leaders.get(name, name) for name in names)))
+            said["compiler"] = "" if stated else ', or angle="degree" in <compiler>'  # MJCF has no element <limit>
+            said["otherwise"] = f'type="{"continuous" if is_angle else "fixed"}"' if stated else 'limited="false"'
+            node.require(False, code, **said)
+        if math.isnan(velocity) and (joint.type != "continuous" or stated is not None):
+            node.warn("no velocity limit; it is taken as unlimited")
+        elif velocity <= 0.0:
+            node.warn(f"its velocity limit of {velocity:g} {unit}/s is taken for none stated: it is not limited")
 
 
 def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None) -> str:

@@ -13,22 +13,24 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 EXPANSION_SECONDS = 20  # of processor time for one file; the largest robots take 3
 EXPANSION_MEMORY = 1_000_000_000  # [bytes] of the process; the libraries alone take 100 MB
+Finder = Callable[[str], Path | None]  # name of a package -> its folder, None if it is not found
 
 
-def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Sequence[Path] = ()) -> bytes:
+def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Sequence[Path], find: Finder) -> bytes:
     """Text of the URDF that a xacro file stands for.
 
     Args:
         path: The .xacro file.
         asked: Whether the caller opted in: True, or the values of its arguments (`<xacro:arg>`) by name.
         package_dirs: Folders that contain the packages of `$(find ...)`; the folders above the file are searched too.
+        find: What finds those that are nowhere there.
 
     Raises:
         RobotError: Codes `xacro` (not opted in), `xacro-arg` (no such argument), `xacro-failed` (its expressions are
@@ -44,8 +46,8 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     read_description(path)
     if asked is False:
         how = advice("{}", "load_robot(..., xacro=True)", "--xacro") or "xacro robot.xacro > robot.urdf"
-        danger = "it runs expressions and includes other files"
-        raise refusal("xacro", f"a xacro file is not expanded unless you ask, since {danger}; if you trust it: {how}")
+        seen = "a xacro file is not expanded unless you ask, since it runs expressions and includes other files"
+        raise refusal("xacro", f"{seen}; if you trust it: {how}")
     values = {} if asked is True else asked
     if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
         raise refusal("xacro-arg", f"xacro is {asked!r:.80}; True, or a mapping {{argument: value}}, is needed")
@@ -55,30 +57,40 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     job = {"path": str(path.absolute()), "packages": packages, "most": MAX_BYTES, "seconds": EXPANSION_SECONDS}
     job["values"] = {name: str(value) for name, value in values.items()}
     job["search"] = [p or os.getcwd() for p in sys.path]
-    command = [sys.executable, "-I", __file__, json.dumps(job)]
-    try:  # ten seconds on the clock for one of processor time, on slow disks and busy machines
-        done = subprocess.run(command, capture_output=True, cwd=path.absolute().parent, timeout=10 * EXPANSION_SECONDS)
-        is_late = os.name == "posix" and done.returncode == -signal.SIGXCPU
-        answer = json.loads(done.stdout) if done.returncode == 0 else None
-    except subprocess.TimeoutExpired:
-        is_late, answer = True, None
-    if answer is None:
-        seen = f"it took more than {EXPANSION_SECONDS} s" if is_late else "it crashed or ran out of memory"
-        limits = f"its expressions may take {EXPANSION_SECONDS} s and {EXPANSION_MEMORY // 1_000_000_000} GB"
-        raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {limits}")
-    declared, text = answer["declared"], answer["text"]
+    folder: Path | None = path
+    while folder:  # once more with each package that is found
+        command = [sys.executable, "-I", __file__, json.dumps(job)]
+        where, most = path.absolute().parent, 10 * EXPANSION_SECONDS  # on the clock, on slow disks and busy machines
+        try:
+            done = subprocess.run(command, capture_output=True, cwd=where, timeout=most)
+            is_late = os.name == "posix" and done.returncode == -signal.SIGXCPU
+            answer = json.loads(done.stdout) if done.returncode == 0 else None
+        except subprocess.TimeoutExpired:
+            is_late, answer = True, None
+        if answer is None:
+            seen = f"it took more than {EXPANSION_SECONDS} s" if is_late else "it crashed or ran out of memory"
+            limits = f"its expressions may take {EXPANSION_SECONDS} s and {EXPANSION_MEMORY // 1_000_000_000} GB"
+            raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {limits}")
+        lacking = answer["lacking"]
+        if folder := find(lacking):
+            packages[lacking] = str(folder)
+    declared, text, macros = answer["declared"], answer["text"], answer["macros"]
+    give = advice(": give one with {}", "xacro={NAME: VALUE}", "--xacro-arg NAME=VALUE")
+    known = f"; the file has the arguments {', '.join(declared)}{give}" if declared else ""
     if answer["fault"]:
-        folder = "name the folder that contains the package with {}"
-        fix = advice(f", or {folder}", "package_dirs=[...]", "--package-dir FOLDER") or ", or set ROS_PACKAGE_PATH"
-        known = f"; the file has the arguments {', '.join(declared)}" if declared else ""
-        give = advice(": give one with {}", "xacro={NAME: VALUE}", "--xacro-arg NAME=VALUE") if known else ""
-        seen = f"xacro could not be expanded ({' '.join(answer['fault'].split())[:300]})"
-        raise refusal("xacro-failed", f"{seen}; correct it{fix} for $(find ...){known}{give}")
+        seen, fix = f"({' '.join(answer['fault'].split())[:300]})", f"correct it{known}"
+        if lacking:
+            seen = f"the package {lacking!r:.80} of $(find ...) was not found"
+            fix = advice("name the folder that contains it with {}", "package_dirs=[...]", "--package-dir FOLDER")
+        raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {fix or 'set ROS_PACKAGE_PATH'}")
     if unknown := sorted(set(values) - set(declared)):  # xacro itself would ignore it
         shown = ", ".join(map(repr, closest_names(unknown[0], declared) or declared)) or "none"
         raise refusal("xacro-arg", f"the xacro file has no argument {unknown[0]!r}; it has {shown}")
-    if answer["macros"] and not re.search(r"<link\b", text):
-        raise refusal("no-links", RULES["only-macros"].format(names=quoted(answer["macros"])))
+    if (declared or macros) and not re.search(r"<link\b", text):
+        given = ", ".join(f"{name}={value}" for name, value in values.items()) or "no arguments"
+        other = f", or load the file that calls its macros {quoted(macros)}" if macros else ""
+        seen = f"expanded with {given} it has no <link>; at least one is expected{known}{other}"
+        raise refusal("no-links", seen if declared else RULES["no-links.macros"].format(names=quoted(macros)))
     return text.encode()
 
 
@@ -86,7 +98,7 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
     import xacro
     from xacrodoc import XacroDoc, packages
 
-    parse, named = xacro.parse, {"declared": set[str](), "macros": set[str]()}
+    parse, sources = xacro.parse, dict[Path, bytes]()
     # arguments are declared, or used without: xacro takes both
     patterns = {
         "declared": rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([\w-]+)[\"']|\$\(arg\s+([\w-]+)\s*\)",
@@ -96,22 +108,26 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
     def noted(inp: Any, filename: str | None = None) -> Any:
         place = Path(xacro.root_dir, filename or job["path"])
         if place.is_file():  # otherwise xacro says what is missing
-            for key, pattern in patterns.items():
-                found = re.finditer(pattern, place.read_bytes())
-                named[key].update(match[match.lastindex or 0].decode(errors="replace") for match in found)
+            sources[place] = place.read_bytes()
         return parse(inp, filename)
 
     xacro.parse, xacro.root_dir = noted, os.path.dirname(job["path"])
     packages.update_package_cache(job["packages"])
-    text = fault = ""
+    text = fault = lacking = ""
     try:
         text = XacroDoc.from_file(job["path"], subargs=job["values"]).to_urdf_string()
     except Exception as error:  # whatever the expressions of others raise
-        lacks_memory = isinstance(error, MemoryError) or isinstance(getattr(error, "exc", None), MemoryError)
+        cause = getattr(error, "exc", None) or error
+        lacking = str(cause.args[0]) if isinstance(cause, packages.PackageNotFoundError) else ""
+        lacks_memory = isinstance(cause, MemoryError)
         fault = f"{'there is not enough memory ' if lacks_memory else ''}{error}" or type(error).__name__
     if len(text) > job["most"]:
         text, fault = "", f"the URDF has {len(text)} characters, at most {job['most']} are read"
-    return {"text": text, "fault": fault, **{key: sorted(names) for key, names in named.items()}}
+    answer = {"text": text, "fault": fault, "lacking": lacking}
+    for key, pattern in patterns.items():
+        found = re.finditer(pattern, b"\n".join(sources.values()))
+        answer[key] = sorted({match[match.lastindex or 0].decode(errors="replace") for match in found})
+    return answer
 
 
 def _limit_self(seconds: float) -> None:

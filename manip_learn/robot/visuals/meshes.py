@@ -100,13 +100,17 @@ def find_mesh(uri: str, roots: MeshRoots) -> Path:
         inside = (real for real in found if any(real.is_relative_to(folder.resolve()) for folder in folders))
         if (real := next(inside, None)) is not None:
             return real
+        there = next((folder for folder in folders if folder.is_dir()), None)
     except (OSError, ValueError, RuntimeError) as error:  # names too long, NUL bytes, circular links
         raise RobotError(f"mesh {uri[:200]!r} cannot be looked up ({error})", code="mesh-missing") from error
     seen, fix = "was not found", "; name the folder that contains its package with {}"
     if found:
-        seen = f"leads to {found[-1]}, outside the robot's folders"
-        fix = "; if that is meant, name its folder with {}"
-    seen += advice(fix, "package_dirs=[...]", "--package-dir FOLDER")
+        seen, fix = f"leads to {found[-1]}, outside the robot's folders", "; if that is meant, name its folder with {}"
+    elif "$(" in uri:
+        fix = "; it is xacro: name the file *.xacro" + advice(" and load it with {}", "xacro=True", "--xacro")
+    elif there is not None:
+        fix = "; correct its address" + ("" if Path(name).is_absolute() else f", or put it into {there}")
+    seen += advice(fix, "package_dirs=[...]", "--package-dir FOLDER") if "{}" in fix else fix
     raise RobotError(f"mesh {uri[:200]!r} {seen}", code="mesh-outside" if found else "mesh-missing")
 
 
@@ -121,6 +125,17 @@ def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
     package, _, inside = unquote(rest).partition("/")
     if package in ("", ".", "..") or not inside:
         raise RobotError(f"mesh {uri[:200]!r} names no package and file", code="mesh-missing")
+    return inside, _package_folders(package, roots)
+
+
+def find_package(package: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None:
+    """Return the folder in which meshes of a package would be looked up; None without one."""
+    is_name = re.fullmatch(r"\w[\w.-]{0,199}", package)
+    folders = _package_folders(package, mesh_roots(urdf, package_dirs)) if is_name else []
+    return next((folder for folder in folders if folder.is_dir()), None)
+
+
+def _package_folders(package: str, roots: MeshRoots) -> list[Path]:
     folders = [roots.own[package]] if package in roots.own else []
     folders += [d / package for d in roots.above]
     walked = (d / package for d in roots.walked)
@@ -129,7 +144,7 @@ def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
         for depth in ("*", "*/*"):
             files = roots.beside[-1].parent.glob(f"{depth}/{PACKAGE_FILE}")
             folders += [p.parent for p in files if package in (p.parent.name, _package_name(p.parent))]
-    return inside, folders
+    return folders
 
 
 @final

@@ -6,8 +6,7 @@ stand in for a link that loses all of its own.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -19,7 +18,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.errors import RobotError, few
-from manip_learn.robot.description.text import XmlNode, parse_xml, shortened
+from manip_learn.robot.description.text import XmlNode, parse_xml, said_once, shortened
 from manip_learn.robot.description.urdf import ZERO, Pose, Vector, as_matrix
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import GREY, Colour, Mesh, find_mesh, mesh_roots, read_meshes
@@ -30,7 +29,6 @@ LONGEST_LINK, SHORTEST_REACH = 20.0, 0.2
 LARGEST_SIZE = 1e4  # [m] of a shape and its distance: more is a wrong unit
 SHEET = 1e-3  # [m] thickness of a shape that has none
 MAX_VISUALS = 2_000  # of a robot, so that its page can be drawn
-MESH_NAME = re.compile(r"^mesh ('[^']*'|\"[^\"]*\")")  # at the start of a reason
 
 
 @final
@@ -157,19 +155,6 @@ def _colour(material: XmlNode) -> Colour | None:
 
 def _unusable(node: XmlNode, seen: str) -> RobotError:
     return node.refusal("visual", f"{seen}; a usable shape is expected")
-
-
-def said_once(reasons: Iterable[str]) -> dict[str, str]:
-    """Return a sentence for each reason; those that differ in a mesh's name or in numbers only share the first one's.
-
-    Args:
-        reasons: Why shapes cannot be used.
-    """
-    alike = dict[str, list[str]]()
-    for reason in dict.fromkeys(reasons):
-        alike.setdefault(re.sub(r" [\d.e+]+ ", "", MESH_NAME.sub("", reason)), []).append(reason)
-    more = {same[0]: rf"\g<0> (and {len(same) - 1} more)" if len(same) > 1 else r"\g<0>" for same in alike.values()}
-    return {reason: MESH_NAME.sub(more[same[0]], same[0]) for same in alike.values() for reason in same}
 
 
 def losses(shapes: Sequence[Visual]) -> tuple[str, ...]:
