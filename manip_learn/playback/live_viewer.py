@@ -353,5 +353,5 @@ def live_page(
     )
     looks = appearance(robot, tree)
     data = scene_data(robot, tree, looks, tip, [still], rollout_colours([name], {}), looks.notes)
-    data["events"] = f"/{token}/events"
+    data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, arms do not
     return page(data, robot=name, subtitle="", kind=kind).encode("utf-8")

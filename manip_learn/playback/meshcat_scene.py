@@ -52,7 +52,7 @@ def show(
         ...     move(posture)
     """
     own = getattr(viewer, "viewer", viewer)  # of Pinocchio's, meshcat's own
-    if not hasattr(own, "set_object"):
+    if getattr(own, "set_object", None) is None:
         raise ConfigurationError(
             f"the viewer is {type(viewer).__name__}; a meshcat.Visualizer, or Pinocchio's MeshcatVisualizer after "
             "initViewer(), is needed"

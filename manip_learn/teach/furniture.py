@@ -7,7 +7,6 @@ about which it opens, right-handed.
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.playback.mechanism_drawing import UPRIGHT
@@ -28,7 +27,9 @@ def about(
     sine = min(standoff / radius, 0.5)
     cosine = float(np.sqrt(1.0 - sine**2))
     turned = np.column_stack([cosine * right - sine * out, sine * right + cosine * out, axis])
-    return pin.SE3(turned, handle).homogeneous, np.array([-cosine * radius, -sine * radius, 0.0])
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turned, handle
+    return pose, np.array([-cosine * radius, -sine * radius, 0.0])
 
 
 def drawer_boxes(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
