@@ -35,6 +35,8 @@ ARMS = {  # [deg] a posture in which the arm can be told
     "xarm7": (25, -20, 0, 70, 0, 90, 0),
     "so101": (20, -35, 35, 35, 0, 20),
 }
+FILM, FILM_SECONDS, MOST_FILM_BYTES = (960, 600), 8.0, 1_500_000  # [px], [s] of a loop
+ONLY_FILM = "#views, #save, #keys, .sheet, #transport, #log, #status-key { display: none !important }"
 ONLY_ARM = "header, #panel, #transport, #legend, #notes { display: none !important } #stage { grid-row: 1 / -1 }"
 
 
@@ -62,7 +64,7 @@ def opened(card: str) -> str:
 FIT = click("[name=colours][value=fit]")
 TRACKS = [click(f"[data-track={kind}]") for kind in ("singular", "velocity")]
 PICTURES = (
-    Picture("replay_drawer", "drawer", ["manipLearn.seek(6.6)", *TRACKS], height=960),
+    Picture("replay_drawer", "drawer", ["manipLearn.seek(7.1)", *TRACKS], height=960),
     Picture("replay_learn", "learn", ["manipLearn.seek(11)"]),
     Picture("replay_recordings", "mixed", ["manipLearn.seek(5.2)", FIT], width=1440),
     Picture("replay_evidence", "mixed", ["manipLearn.seek(5.2)", opened("evidence")], width=1440),
@@ -116,6 +118,24 @@ def photograph(browser: Browser, picture: Picture, address: str) -> Image.Image:
     return Image.open(io.BytesIO(content))
 
 
+def film(browser: Browser, address: str) -> list[Image.Image]:
+    """Frames of the two panes, from the approach to a while after the end of the way."""
+    context = browser.new_context(viewport={"width": FILM[0], "height": FILM[1]}, reduced_motion="reduce")
+    context.set_default_timeout(SLOWEST)
+    page = context.new_page()
+    page.goto(address)
+    page.wait_for_function("window.manipLearnReady === true")
+    page.add_style_tag(content=ONLY_FILM)
+    page.wait_for_timeout(500)
+    frames, zero = [], page.evaluate("JSON.parse(document.getElementById('data').textContent).zero")
+    for t in np.concatenate([np.linspace(zero - 3.0, zero - 0.1, 14), np.linspace(zero, zero + 1.6, 26)]).tolist():
+        page.evaluate("t => manipLearn.seek(t)", t)
+        page.wait_for_timeout(150)
+        frames.append(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
+    context.close()
+    return frames
+
+
 def main(folder: Path) -> None:
     """Write all pictures."""
     chromium = next(
@@ -129,6 +149,12 @@ def main(folder: Path) -> None:
             image = photograph(browser, picture, pages[picture.page]).convert("RGB")
             fewer = image.quantize(112, Image.Quantize.MAXCOVERAGE, 4, dither=Image.Dither.NONE)
             save(fewer, folder / f"{picture.name}.png", MOST_BYTES)
+        first, *others = film(browser, pages["drawer"])
+        times = [round(1000.0 * FILM_SECONDS / 44)] * len(others) + [round(4000.0 * FILM_SECONDS / 44)]
+        made = folder / "pair.webp"
+        first.save(made, save_all=True, append_images=others, duration=times, loop=0, quality=62, method=6)
+        if made.stat().st_size > MOST_FILM_BYTES:
+            raise SystemExit(f"{made} has {made.stat().st_size:,} bytes, {MOST_FILM_BYTES:,} are allowed")
         alone = f"document.head.append(Object.assign(document.createElement('style'), {{ textContent: {ONLY_ARM!r} }}))"
         for name, address in write_arms(Path(scratch)).items():
             image = photograph(browser, Picture(name, name, [alone], False, *ARM_WINDOW), address).convert("RGB")

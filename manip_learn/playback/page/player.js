@@ -90,7 +90,7 @@ class Show {
       caption.append(Object.assign(document.createElement("strong"), { textContent: name }), said, Object.assign(document.createElement("span"), { textContent: why }));
       row.append(caption);
     });
-    get("scene").append(row);
+    get("scene").after(row);
     if (this.stage) this.stage.showPanes(this.rollouts.map((r) => r.instance.root));
   }
 
