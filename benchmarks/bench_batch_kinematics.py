@@ -1,16 +1,14 @@
 """Many postures at once, over a bare loop of Pinocchio's `computeFrameJacobian` (7 joints, all six rows).
 
 Promises: Jacobians a third as fast as the loop, with checks and poses; mu and its gradient a tenth. Beside them
-growth curves over postures and joints. No table is asked for twice in a row, since the last one is kept.
+growth curves over postures. No table is asked for twice in a row, since the last one is kept.
 """
 
 from __future__ import annotations
 
 import os
-import runpy
 from collections.abc import Callable
 from itertools import cycle
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -24,7 +22,6 @@ from manip_learn.robot import Robot, load_robot
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(600)]
 N = 8192
-planar_arm_urdf = runpy.run_path(str(Path(__file__).resolve().parents[1] / "robots/make_planar3.py"))["planar_arm_urdf"]
 # at least so many times the rate of the bare loop
 PROMISED = {"many": 0.3, "mu and gradient, many": 0.1}
 
@@ -110,16 +107,3 @@ def test_growth_over_postures(robot: Robot, n: int) -> None:
     tables = cycle((q, q + 1e-3))
     candidates = {"many": lambda: features.batch(next(tables))}
     report(f"{n} postures", rounds_of(candidates, max(1, 2048 // n), 10), dict.fromkeys(candidates, n))
-
-
-@pytest.mark.parametrize("joints", [3, 7, 14, 28])
-def test_growth_over_joints(joints: int, tmp_path) -> None:
-    """Time a Jacobian is linear in the joints."""
-    path = tmp_path / "arm.urdf"
-    path.write_text(planar_arm_urdf([0.3] * joints), encoding="utf-8")
-    robot = load_robot(path)
-    features = FrameJacobian(robot, robot.frame_names[-1], "pose")
-    q = np.random.default_rng(0).uniform(-1.5, 1.5, (2048, robot.nv))
-    tables = cycle((q, q + 1e-3))
-    candidates = {"many": lambda: features.batch(next(tables))}
-    report(f"{joints} joints", rounds_of(candidates, 2, 10), dict.fromkeys(candidates, 2048))

@@ -2,9 +2,8 @@
 
     python tests/test_pinned_answers.py        # write golden/pinned.json
 
-Beside golden/make_golden.py, which holds the learning and the control law to rounding: here are all numbers that users
-see, also those in sentences, tables and pages, to four digits, which another processor's rounding does not change.
-Long arrays are held as a few sums. A change of wording changes nothing.
+All numbers that users see, also those in sentences, tables and pages, to four digits, which another processor's
+rounding does not change. Long arrays are held as a few sums. A change of wording changes nothing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Furniture of the teaching page as boxes: a chest, a cupboard, a crank.
+"""Furniture of the teaching page as boxes: a chest and a cupboard.
 
 Frames are those of the handle where it is shut: x right or away from the hinge, y the way it opens, z up or the axis
 about which it opens, right-handed.
@@ -69,13 +69,6 @@ def door_boxes(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Box, ...], tuple[B
     case = _case(left, right, -half, half, 0.05 - 0.5 * left, face - BOARD)
     hinge = (left, face, 0.0, 0.016, 0.016, 2.0 * half, HANDLE)
     return (*case, hinge), (leaf, (0.0, 0.0, 0.0, 0.014, 0.014, 2.0 * bar, HANDLE), *feet)
-
-
-def crank_boxes(radius: float) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
-    """A crank on its spindle."""
-    arm = (-0.5 * radius, 0.0, -0.03, radius + 0.02, 0.02, 0.015, _FRONT)
-    spindle = (-radius, 0.0, -0.08, 0.025, 0.025, 0.12, BODY)
-    return (spindle,), (arm, (0.0, 0.0, 0.0, 0.02, 0.02, 0.06, HANDLE))
 
 
 def _case(left: float, right: float, low: float, high: float, depth: float, front: float) -> tuple[Box, ...]:

@@ -183,8 +183,6 @@ def truth_content(scene: TeachingScene, constraint: Constraint | None) -> dict[s
             errors.append(["place", f"{1e3 * gap:.2g} mm off"])
         if known.type != handle.type:
             errors.append(["kind", f"taken for a {known.type}, is a {handle.type}"])
-        if known.pitch is not None and handle.pitch:
-            errors.append(["pitch", f"{1e3 * (known.pitch - handle.pitch):.2g} mm/rad off"])
     lines = [
         packed(np.array([h.point - 0.4 * h.axis, h.point + 0.4 * h.axis]), "<f4")
         for h in scene.handles
@@ -201,7 +199,6 @@ def _in_truth(handle: Handle) -> str:
         "line": f"slides along {axis}",
         "plane": f"stays across the normal {axis}",
         "hinge": f"turns about {axis} through {place}",
-        "screw": f"turns about {axis} through {place}, {1e3 * handle.pitch:.1f} mm per radian",
     }[handle.type]
     return f"the {handle.name} {along}, {how}, with {1e3 * handle.play:.1f} mm of play"
 

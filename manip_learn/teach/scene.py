@@ -1,4 +1,4 @@
-"""What an arm is taught on: a drawer, a door, a table, a screw at random places within its reach, as MuJoCo's physics.
+"""What an arm is taught on: a drawer, a door, a table at random places within its reach, as MuJoCo's physics.
 
 The true mechanism is joints with friction and play; nothing of the learner's models is in it. What stands still of the
 furniture stops the arm's links, but for the hand; what is moved does not.
@@ -8,7 +8,7 @@ furniture stops the arm's links, but for the hand; what is moved does not.
 # (the compiled parts of MuJoCo have no complete stubs)
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Literal, final
@@ -27,16 +27,14 @@ from manip_learn.robot.collision import collision_shapes, known_shapes, obstacle
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 from manip_learn.robot.visuals.visual_shapes import Solid
-from manip_learn.teach.furniture import BODY, HANDLE, Box, about, crank_boxes, door_boxes, drawer_boxes
+from manip_learn.teach.furniture import BODY, HANDLE, Box, about, door_boxes, drawer_boxes
 
-Kind = Literal["drawer", "door", "loose-door", "table", "screw", "two", "free"]
+Kind = Literal["drawer", "door", "loose-door", "table", "free"]
 TITLES: dict[Kind, str] = {
     "drawer": "A drawer",
     "door": "A door, its handle held firmly",
     "loose-door": "A door, held by a finger",
     "table": "A table to wipe",
-    "screw": "A screw with a crank",
-    "two": "Two things: a drawer and a door",
     "free": "Nothing at all: free space",
 }
 TASKS: dict[Kind, str] = {
@@ -44,12 +42,10 @@ TASKS: dict[Kind, str] = {
     "door": "Take the hand to the handle, swing the door open and shut it.",
     "loose-door": "Take the hand to the handle, swing the door open and shut it.",
     "table": "Take the hand to the sponge and wipe the table to and fro, in both directions.",
-    "screw": "Take the hand to the crank and turn it, a quarter turn or more, and back.",
-    "two": "Open and shut the drawer, let go, then open and shut the door, all in one recording.",
     "free": "Move the hand about as you like: there is nothing to learn here.",
 }
 # type of a handle -> what to do with it
-MOVES = {"line": "Pull it open", "hinge": "Swing it open", "plane": "Wipe to and fro", "screw": "Turn it"}
+MOVES = {"line": "Pull it open", "hinge": "Swing it open", "plane": "Wipe to and fro"}
 
 TIMESTEP = 0.002  # [s], 500 steps a second
 STIFF, SOFT = 2.0 * TIMESTEP, 0.12  # [s] in which a grip settles: the firmest that the time step allows, and at first
@@ -79,12 +75,11 @@ class Handle:
 
     Attributes:
         name: What it is, e.g. `"drawer"`.
-        type: What the learner calls it: `"line"`, `"plane"`, `"hinge"` or `"screw"`.
+        type: What the learner calls it: `"line"`, `"plane"` or `"hinge"`.
         pose: shape (4, 4), the handle at rest [m].
         axis: shape (3,), unit vector: of the line, of the turn, or the plane's normal.
         point: shape (3,), on the axis or in the plane [m].
         firm: Whether the hand turns with the handle.
-        pitch: Travel along the axis per radian [m/rad].
         travel: How far it moves [m or rad]; in a plane to either side.
         play: Sideways in its rails or bearings [m].
         friction: Dry [N or N m].
@@ -92,7 +87,7 @@ class Handle:
     """
 
     name: str
-    type: Literal["line", "plane", "hinge", "screw"]
+    type: Literal["line", "plane", "hinge"]
     pose: Float[np.ndarray, "4 4"]
     axis: Float[np.ndarray, " 3"]
     point: Float[np.ndarray, " 3"]
@@ -102,12 +97,11 @@ class Handle:
     friction: float
     fixed: tuple[Box, ...]
     moving: tuple[Box, ...]
-    pitch: float = 0.0
 
     @property
     def turns(self) -> bool:
         """Whether it turns rather than slides."""
-        return self.type in ("hinge", "screw")
+        return self.type == "hinge"
 
     @property
     def solids(self) -> Iterator[tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 3"]]]:
@@ -123,7 +117,7 @@ class Handle:
         pose = self.pose.copy()
         if self.turns:
             turn = rotation_matrix(by * self.axis)
-            pose[:3, 3] = self.point + turn @ (pose[:3, 3] - self.point) + self.pitch * by * self.axis
+            pose[:3, 3] = self.point + turn @ (pose[:3, 3] - self.point)
             pose[:3, :3] = turn @ pose[:3, :3]
         elif self.type == "plane":
             pose[:3, 3] += by * pose[:3, 0] + beside * pose[:3, 1]
@@ -188,18 +182,9 @@ def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) ->
     if kind == "free":
         start = next(reach.postures(None))
         return TeachingScene(kind, robot, tip, (), start, notes)
-    wanted: list[Kind] = ["drawer", "loose-door"] if kind == "two" else [kind]
     for _ in range(TRIES):
-        handles: list[Handle] = []
-        start = None
-        for one in wanted:
-            found = reach.place(one, handles)
-            if found is None:
-                break
-            handles.append(found[0])
-            start = found[1] if start is None else start
-        if start is not None and len(handles) == len(wanted):
-            return TeachingScene(kind, robot, tip, tuple(handles), start, notes)
+        if (found := reach.place(kind)) is not None:
+            return TeachingScene(kind, robot, tip, found[:1], found[1], notes)
     raise ConfigurationError(
         f"no place was found where {robot.name!r} can do this with {tip!r}: {TITLES[kind].lower()}; try another scene, "
         "or another frame with --frame"
@@ -231,7 +216,6 @@ class _Reach:
     def __init__(self, robot: Robot, tip: str, rng: np.random.Generator):
         self._robot, self._tip, self._rng = robot, tip, rng
         self._links, self._hand = links_of(robot)[0], hand_of(robot, robot.frame(tip))
-        self._passed = list[np.ndarray]()  # postures in which the arm does the tasks so far
         drawn = [self._drawn() for _ in range(200)]
         places = np.array([robot.position(q, tip) for q in drawn])
         self._far = float(np.quantile(np.linalg.norm(places, axis=1), 0.95))
@@ -273,12 +257,10 @@ class _Reach:
         robot = self._robot
         return float(np.min(np.minimum(q - robot.position_lower, robot.position_upper - q) - self._margin))
 
-    def place(self, kind: Kind, others: Sequence[Handle]) -> tuple[Handle, Float[np.ndarray, " nv"]] | None:
+    def place(self, kind: Kind) -> tuple[Handle, Float[np.ndarray, " nv"]] | None:
         """A handle at the tip of a random posture, and where the arm begins; None if it cannot be done."""
         q = next(self.postures("down" if kind == "table" else "ahead"))
         pose = self._robot.pose(q, self._tip)
-        if any(np.linalg.norm(pose[:3, 3] - other.pose[:3, 3]) < 0.35 * min(self._far, 1.0) for other in others):
-            return None
         handle, away = self._handle(kind, pose[:3, 3], pose[:3, :3] @ self._points)
         way = self._along(handle, q, pose)
         if way is None:
@@ -288,13 +270,9 @@ class _Reach:
         start = posture_at(self._robot, self._tip, q, begin, False, self._rank)
         if start is None or self._margin_of(start) < 0.0:
             return None
-        boxes = [box for one in (*others, handle) for box in one.solids]
-        solids = [o for at, size in boxes for o in obstacles_of("", at, Solid("box", tuple(size)), self._hand)]
-        clear, passed = self._links.with_obstacles(solids, False), [*(self._passed if others else ()), *way, start]
-        if not all(clear.is_clear(x, CLEAR) for x in passed):
-            return None
-        self._passed = passed
-        return handle, start
+        solids = [o for at, size in handle.solids for o in obstacles_of("", at, Solid("box", tuple(size)), self._hand)]
+        clear = self._links.with_obstacles(solids, False)
+        return (handle, start) if all(clear.is_clear(x, CLEAR) for x in (*way, start)) else None
 
     def _handle(self, kind: Kind, at: np.ndarray, points: np.ndarray) -> tuple[Handle, Float[np.ndarray, " 3"]]:
         """A mechanism of random size with its handle at a place, in front of a hand; and the way off it."""
@@ -318,16 +296,6 @@ class _Reach:
             firm = kind == "door"
             made = Handle("door", "hinge", pose, axis, point, firm, travel, play, friction, *door_boxes(pivot))
             return made, out
-        if kind == "screw":
-            axis = -points
-            side = np.cross(axis, rng.normal(size=3))
-            side /= np.linalg.norm(side)
-            radius, pitch = float(rng.uniform(0.06, 0.1)), float(rng.choice([-1.0, 1.0]) * rng.uniform(0.01, 0.025))
-            pose, _ = about(axis, at - radius * side, at, 0.0)
-            travel, friction = float(rng.uniform(1.2, 1.8)), float(rng.uniform(0.05, 0.3))
-            boxes = crank_boxes(radius)
-            point = at - radius * side
-            return Handle("screw", "screw", pose, axis, point, True, travel, play, friction, *boxes, pitch), axis
         normal = -points if self._flat else rotation_matrix(rng.normal(0.0, 0.12, 3)) @ up
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = np.vstack([across(normal), normal]).T, at
@@ -488,15 +456,8 @@ def _add_handle(mujoco: Any, spec: Any, handle: Handle, number: int) -> None:
         joint(slide, axis, "x", handle.friction, None)
         _stops(mujoco, body, handle.travel)
     else:
-        if handle.pitch:
-            joint(slide, axis, "lead", 0.0, None)
         joint(hinge, axis, "x", handle.friction, None)
         _stops(mujoco, body, handle.travel)
-        if handle.pitch:
-            thread = spec.add_equality(name=f"{name}_thread", type=mujoco.mjtEq.mjEQ_JOINT)
-            thread.objtype, thread.name1, thread.name2 = mujoco.mjtObj.mjOBJ_JOINT, f"{name}_lead", f"{name}_x"
-            thread.data[:5] = [0.0, handle.pitch, 0.0, 0.0, 0.0]
-            thread.solref, thread.solimp = (STIFF, 1.0), STIFF_SOLIMP
     body.add_site(name=name)
     grip = spec.add_equality(
         name=f"grip_{number}", type=mujoco.mjtEq.mjEQ_WELD if handle.firm else mujoco.mjtEq.mjEQ_CONNECT
