@@ -336,7 +336,7 @@ class _Problem:
         if (touching := self.clear.touching(self.positions, distance=0.0)) is not None:
             one, other = touching.links
             raise TargetError(
-                f"at the start {one!r} and {other!r} touch, {-touching.distance:.2g} m deep: start elsewhere"
+                f"at the start {one!r} and {other!r} touch, {abs(1e3 * touching.distance):.2g} mm deep: start elsewhere"
                 + (f", or correct {other!r} in the scene" if other in self.clear.around.names else "")
             )
 
