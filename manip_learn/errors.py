@@ -231,8 +231,7 @@ class UnknownNameError(ManipLearnError):
         elif self.near:
             hint = f"did you mean {', '.join(repr(n) for n in self.near)}?"
         elif names:
-            shown = ", ".join(repr(n) for n in names[:12])
-            hint = f"it has {shown}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+            hint = f"it has {few([repr(n) for n in names], 12)}"
         else:
             hint = f"there are no {kind}s"
         super().__init__(f"unknown {kind} {self.name!r}{place}: {hint}{more}")

@@ -22,7 +22,7 @@ import numpy as np
 from manip_learn.constraint.constraint import Constraint, describe, free_directions, said_by_rows
 from manip_learn.constraint.mechanism import Mechanism, known_to
 from manip_learn.constraint.shown import intention_of, shown_by
-from manip_learn.errors import counted, error_in_words, listed, named, printable
+from manip_learn.errors import counted, error_in_words, few, listed, named, printable
 from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
 from manip_learn.learning.gate import RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
@@ -104,8 +104,7 @@ class RecordingOverview(NamedTuple):
 
 def _where(phases: Sequence[_Phase]) -> str:
     """Return in words where phases are: the first of them, and how many there are more."""
-    spans = [f"from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}" for p in phases[:SPANS_SHOWN]]
-    return ", ".join(spans) + (f" and {len(phases) - SPANS_SHOWN} more" if len(phases) > SPANS_SHOWN else "")
+    return few([f"from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}" for p in phases], SPANS_SHOWN)
 
 
 @final

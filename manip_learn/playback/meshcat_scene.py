@@ -11,7 +11,6 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.errors import ConfigurationError
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.kinematic_tree import kinematic_tree
@@ -110,9 +109,10 @@ def _draw_constraint(scene: Any, robot: Robot, constraint: Constraint, q: ArrayL
     """Draw the mechanism of a constraint, the path that was shown along it, where hands began, and its end."""
     import meshcat.geometry as g
 
-    shown, features = constraint.shown, constraint.features
-    frame = features.frame if isinstance(features, PoseRows) else default_tip(robot)
-    path = robot.position(q, frame)[None] if shown is None else shown.points
+    shown, twist = constraint.shown, constraint.features.twist
+    path = (
+        robot.position(q, default_tip(robot) if twist is None else twist.frame)[None] if shown is None else shown.points
+    )
     blue, vermilion = (np.array(rgb_of(COLOURS[name])) / 255.0 for name in ("blue", "vermilion"))
     drawing = mechanism_drawing(constraint.mechanism, path) if constraint.mechanism is not None else None
     for k, line in enumerate(drawing.lines if drawing is not None else ()):

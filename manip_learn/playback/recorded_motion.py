@@ -328,11 +328,11 @@ def recorded_motion(
     own = _within(own, first_time, float(time[-1]))
     bands = _within(phases, first_time, float(time[-1])) or own
     tracks = joint_tracks(robot, tree, q[keys])
-    path_times, path = time[path_keys], np.array([robot.pose(x, tip)[:3, 3] for x in q[path_keys]])
+    path_times, poses = time[path_keys], robot.frame_kinematics(tip).poses(q[path_keys])
+    path = poses[:, :3, 3]
     measures = tracks_of(robot, recording, samples, guidance, bands)
     held = _held(recording, own, first_time) if isinstance(recording, Rollout) else {}
     held = {k: spans for k, spans in held.items() if (guidance.mechanism(k) or mechanism or {}).get("type")}
-    poses = robot.frame_kinematics(tip).poses(q[path_keys]) if held else np.zeros((0, 4, 4))
     for kind, unit in (("turning", "rad"), ("opening", "m")):
         ways = [_way(guidance.mechanism(k) or mechanism, unit, path_times, poses, spans) for k, spans in held.items()]
         moved = tuple(_Curve("", path_times, way) for way in ways if way is not None)

@@ -6,12 +6,13 @@ import copy
 import math
 import threading
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, final
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import ConfigurationError, UnknownNameError, printable
@@ -422,6 +423,10 @@ class Robot:
             self._local.data = self.pinocchio_model.createData()
             return self._local.data
 
+    @cached_property
+    def _columns_to_joints(self) -> Int[np.ndarray, " n"]:
+        return columns_to_joints(self.pinocchio_model)
+
     @property
     def mass(self) -> float:
         """Mass of the links that joints move [kg]; what is fixed to the base does not count."""
@@ -440,7 +445,7 @@ class Robot:
         model, data = self.pinocchio_model, self._data
         Jc = np.array(pin.jacobianCenterOfMass(model, data, self.pinocchio_configuration(q))).reshape(3, model.nv)
         w = np.array(data.J).reshape(6, model.nv)[3:].T
-        H = centre_of_mass_derivative(model, Jc, w, columns_to_joints(model))
+        H = centre_of_mass_derivative(model, Jc, w, self._columns_to_joints)
         if self.coupling is not None:
             lift = self.coupling.lift
             return Jc @ lift, lift.T @ (H @ lift)

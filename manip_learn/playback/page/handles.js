@@ -1,8 +1,8 @@
 // The handles of the fixtures that a rollout moves: in the hand while it has hold of them, else where it left them.
 
 class Handle {
-  constructor(rollout, spans, number, size) {
-    Object.assign(this, { rollout, spans, number });
+  constructor(rollout, spans, size) {
+    this.spans = spans;
     const ink = new THREE.MeshStandardMaterial({ color: linear("#39424c"), roughness: 0.5 });
     this.mesh = new THREE.Mesh(new THREE.SphereGeometry(size, 24, 16), ink);
     rollout.instance.root.add(this.mesh);

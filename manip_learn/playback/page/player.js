@@ -71,7 +71,7 @@ class Show {
       const size = this.stage ? this.stage.size : 1;
       if (rollout.path.length >= 6) rollout.trail = new TipPath(rollout, 0.0028 * size, rollout.instance.root);
     }
-    for (const rollout of this.rollouts) rollout.pieces = rollout.handles.map((spans, k) => new Handle(rollout, spans, k, 0.008 * (this.stage ? this.stage.size : 1)));
+    for (const rollout of this.rollouts) rollout.pieces = rollout.handles.map((spans) => new Handle(rollout, spans, 0.008 * (this.stage ? this.stage.size : 1)));
     addAround(this, geometries);
     this.mechanisms = data.mechanisms;
     if (!this.stage) return;

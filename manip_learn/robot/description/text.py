@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, final
 from xml.parsers.expat import ExpatError, errors
 
-from manip_learn.errors import RobotError, advice, closest_names, counted
+from manip_learn.errors import RobotError, advice, closest_names, counted, few
 
 NAMES_SHOWN = 4  # names that a sentence lists
 MAX_WARNINGS = 100  # nobody reads more
@@ -134,9 +134,8 @@ def said_once(sentences: Iterable[str]) -> dict[str, str]:
 
 
 def quoted(names: Sequence[str]) -> str:
-    """The first few names in quotes, with the number of those left out."""
-    text = ", ".join(repr(shortened(n)) for n in names[:NAMES_SHOWN])
-    return f"{text} and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else text
+    """Return the first few names in quotes, with the number of those left out."""
+    return few([repr(shortened(n)) for n in names], NAMES_SHOWN)
 
 
 def shortened(text: str, length: int = 80) -> str:

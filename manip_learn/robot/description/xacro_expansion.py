@@ -72,7 +72,8 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
             limits = f"its expressions may take {EXPANSION_SECONDS} s and {EXPANSION_MEMORY // 1_000_000_000} GB"
             raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {limits}")
         lacking = answer["lacking"]
-        if folder := find(lacking):
+        folder = None if lacking in packages else find(lacking)
+        if folder:
             packages[lacking] = str(folder)
     declared, text, macros = answer["declared"], answer["text"], answer["macros"]
     give = advice(": give one with {}", "xacro={NAME: VALUE}", "--xacro-arg NAME=VALUE")

@@ -224,7 +224,7 @@ def visual_shapes(robot: Robot, tag: Tag = "visual") -> tuple[Visual, ...]:
     if not elements and tag == "visual":
         bodies = {f.name for f in model.frames if f.type == pin.FrameType.BODY}
         links, why = sorted(bodies & set(robot.frame_names)), "the robot has no visuals"
-        elements = [VisualElement(link, Pose(), None, None, why) for link in links]
+        elements = tuple(VisualElement(link, Pose(), None, None, why) for link in links)
     found, missing = resolve_meshes(robot, tag)
     parsed = read_meshes(list(found.values()))
     reach = max(float(sum(np.linalg.norm(p.translation) for p in model.jointPlacements)), SHORTEST_REACH)
@@ -254,7 +254,8 @@ def visual_shapes(robot: Robot, tag: Tag = "visual") -> tuple[Visual, ...]:
     return tuple(shapes)
 
 
-def _elements(robot: Robot, tag: Tag) -> list[VisualElement]:
+@lru_cache(maxsize=16)
+def _elements(robot: Robot, tag: Tag) -> tuple[VisualElement, ...]:
     if robot.description is None:
-        return []
-    return visual_elements(robot.description, robot.source or Path(robot.name), tag)
+        return ()
+    return tuple(visual_elements(robot.description, robot.source or Path(robot.name), tag))
