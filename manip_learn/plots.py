@@ -1,15 +1,18 @@
-"""Pictures of results, drawn with matplotlib (extra `plots`) on axes that are given, or on new ones."""
+"""Plots of results, drawn with matplotlib (extra `plots`) on axes that are given, or on new ones.
+
+`style="page"` is for screens, `style="column"` for a column of a printed paper: 3.5 in wide, 8 pt, names at the curves.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ManipLearnError, MissingExtraError, an
 from manip_learn.learning.report import LearningReport
@@ -19,25 +22,31 @@ from manip_learn.playback.palette import COLOURS, rollout_colours
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-HELD, FREE = COLOURS["blue"], COLOURS["vermilion"]
-_MARKS = "xv^s+*<>dpPXD"  # one for each status that is not ok
+Style = Literal["page", "column"]
+HELD, FREE, GREY, SINGULAR = COLOURS["blue"], COLOURS["vermilion"], COLOURS["grey"], "#b00020"
+SIZES: dict[str, Any] = {"page": None, "column": (3.5, 2.3)}  # of a new figure [in]; None: as matplotlib is set up
+LETTERS = 8.0  # [pt] in a printed column
 
 
-def manipulability(rollouts: Rollout | Sequence[Rollout] | Mapping[str, Rollout], ax: Axes | None = None) -> Axes:
-    """Draw mu over time along one rollout or several, with its status and what was shown.
+def manipulability(
+    rollouts: Rollout | Sequence[Rollout] | Mapping[str, Rollout], ax: Axes | None = None, style: Style = "page"
+) -> Axes:
+    """Draw mu over time along one rollout or several, with its status and the range in the recordings.
 
-    A mark stands where the status begins to be something else than `ok`. The band is where mu of the same rows was in
-    the middle 90 % of the postures in which the task was shown, if the first rollout knows them and its robot.
+    The strip below has a row for each rollout that did not always move as asked: light where it was slowed down, dark
+    where it stood. The grey band is the range of mu of the same rows in the middle 90 % of the recorded postures, if
+    the first rollout knows them and its robot.
 
     Args:
         rollouts: One, several, or name -> rollout.
         ax: Axes to draw on; None for new ones.
+        style: `"page"`, or `"column"` for a printed column.
 
     Returns:
         The axes.
 
     Raises:
-        ManipLearnError: Something that is no rollout, or none.
+        ManipLearnError: No rollout, an object that is not a rollout, or an unknown style.
         MissingExtraError: matplotlib is not installed.
     """
     several = rollouts if isinstance(rollouts, Mapping | Sequence) else [rollouts]
@@ -45,27 +54,34 @@ def manipulability(rollouts: Rollout | Sequence[Rollout] | Mapping[str, Rollout]
     wrong = next((each for each in named.values() if not isinstance(each, Rollout)), None)
     if wrong is not None or not named:
         raise ManipLearnError(f"give plots.manipulability a rollout, several, or name -> rollout, not {an(wrong)}")
-    ax = _axes(ax)
-    seen: list[Status] = [s for s in Status if s is not Status.OK and any(s in r.status for r in named.values())]
-    for (name, rollout), (_, colour) in zip(named.items(), rollout_colours(list(named), {}), strict=True):
+    ax, first = _axes(ax, style), next(iter(named.values()))
+    colours = [colour for _, colour in rollout_colours(list(named), {})]
+    for (name, rollout), colour in zip(named.items(), colours, strict=True):
         ax.plot(rollout.time, rollout.mu, color=colour, label=name if len(named) > 1 else None)
-        before = (Status.OK, *rollout.status[:-1])
-        for status in seen:
-            at = [i for i, pair in enumerate(zip(before, rollout.status, strict=True)) if pair[0] != status == pair[1]]
-            ax.plot(rollout.time[at], rollout.mu[at], _MARKS[seen.index(status)], color=colour, markersize=5)
-    for status in seen:  # once each, whatever the colour of its rollout
-        ax.plot([], [], _MARKS[seen.index(status)], color=COLOURS["grey"], markersize=5, label=str(status))
-    band = _mu_shown(next(iter(named.values())))
-    if band is not None:
-        ax.axhspan(*band, color=COLOURS["grey"], alpha=0.15, linewidth=0, label="as shown")
-    ax.set(xlabel="time [s]", ylabel="manipulability μ")
-    ax.set_ylim(bottom=0.0)  # a singularity is on the ground
-    if ax.get_legend_handles_labels()[0]:
-        ax.legend(frameon=False, fontsize="small")
-    return ax
+    ends = {} if len(named) == 1 else {n: (r.mu[-1], c) for (n, r), c in zip(named.items(), colours, strict=True)}
+    if (band := _mu_shown(first)) is not None:
+        ax.axhspan(*band, color=GREY, alpha=0.15, linewidth=0, label="as shown")
+        ends["as shown"] = (float(np.mean(band)), GREY)
+    top = ax.get_ylim()[1]
+    rows = [
+        (r, colour) for r, colour in zip(named.values(), colours, strict=True) if {s.effect for s in r.status} - {"ok"}
+    ]
+    for k, (rollout, colour) in enumerate(rows):
+        until = np.append(rollout.time[1:], rollout.time[-1])
+        for effect, strength in (("slowed", 0.35), ("stopped", 1.0)):
+            spans = [
+                (a, b - a) for a, b, s in zip(rollout.time, until, rollout.status, strict=True) if s.effect == effect
+            ]
+            ax.broken_barh(spans, (-(0.05 * k + 0.065) * top, 0.04 * top), color=colour, alpha=strength, linewidth=0)
+    ax.axhline(0.0, color=SINGULAR, linewidth=1.0, label="singular")
+    ax.set_ylim(-0.05 * (len(rows) + 0.5) * top if rows else 0.0, top)
+    ax.set_yticks([tick for tick in ax.get_yticks() if 0.0 <= tick <= top])
+    strip = "\nstrip: light slowed, dark stopped" if rows else ""
+    ax.set(xlabel=f"time [s]{strip}", ylabel=f"manipulability μ{_unit_of_mu(first)}")
+    return _finished(ax, style, ends | {"singular": (0.0, SINGULAR)})
 
 
-def gap(report: LearningReport, ax: Axes | None = None) -> Axes:
+def gap(report: LearningReport, ax: Axes | None = None, style: Style = "page") -> Axes:
     """Draw how much the recordings move along each direction, held ones and free ones, and the gap between them.
 
     The joint estimator has no such levels: there each number of rows has a bar, its gap.
@@ -73,52 +89,55 @@ def gap(report: LearningReport, ax: Axes | None = None) -> Axes:
     Args:
         report: That of a learner, `learner.report_`.
         ax: Axes to draw on; None for new ones.
+        style: `"page"`, or `"column"` for a printed column.
 
     Returns:
         The axes.
 
     Raises:
-        ManipLearnError: Something that is no report.
+        ManipLearnError: An object that is not a report, or an unknown style.
         MissingExtraError: matplotlib is not installed.
     """
-    ax, s = _axes(ax, report), report.n_constraints
+    ax, s, ends = _axes(ax, style, report), report.n_constraints, {}
     said = f"gap {report.gap:.3g}"
     if report.levels:
         number = np.arange(1, len(report.levels) + 1)
         for rows, colour, name in ((slice(s), HELD, "held"), (slice(s, None), FREE, "free")):
             ax.plot(number[rows], report.levels[rows], "o", color=colour, label=name)
+            ends |= {name: (level, colour)} if (level := max(report.levels[rows], default=0.0)) else {}
         above = report.levels[s] if s < len(report.levels) else 1.0  # of a motion as strong in all joints
-        ends = (s + 0.5, above), (s + 0.5, report.levels[s - 1])
-        ax.annotate("", *ends, arrowprops={"arrowstyle": "<->", "color": COLOURS["grey"]})
+        ax.annotate(
+            "", (s + 0.5, above), (s + 0.5, report.levels[s - 1]), arrowprops={"arrowstyle": "<->", "color": GREY}
+        )
         middle = float(np.sqrt(above * report.levels[s - 1]))
         ax.annotate(f" {said}\n ({CLEAR_GAP:g} is clear)", (s + 0.5, middle), va="center", fontsize="small")
-        ax.set(xlabel="direction, least moved first", ylabel="motion (1: as strong in all joints)", xticks=number)
+        ax.set(xlabel="direction, least moved first", ylabel="motion [share of all joints']", xticks=number)
         ax.set_xlim(0.5, max(len(number), s + 1) + 0.7)
-        ax.legend(frameon=False, fontsize="small", loc="lower right")
     else:
         counts, gaps = list(report.gap_table), list(report.gap_table.values())
-        ax.bar(counts, gaps, color=[HELD if n == s else COLOURS["grey"] for n in counts], width=0.6)
-        ax.set(xlabel="number of rows", ylabel=f"gap ({s}: {said})", xticks=counts)
+        ax.bar(counts, gaps, color=[HELD if n == s else GREY for n in counts], width=0.6)
+        ax.set(xlabel="number of rows", ylabel=f"gap [ratio] ({s}: {said})", xticks=counts)
     ax.set_yscale("log")
-    return ax
+    return _finished(ax, style, ends)
 
 
-def evidence(report: LearningReport, ax: Axes | None = None) -> Axes:
+def evidence(report: LearningReport, ax: Axes | None = None, style: Style = "page") -> Axes:
     """Draw how strongly each row is held, and the chance that it only seems to be (recombination test).
 
     Args:
         report: That of a learner, `learner.report_`.
         ax: Axes to draw on; None for new ones.
+        style: `"page"`, or `"column"` for a printed column.
 
     Returns:
         The axes.
 
     Raises:
-        ManipLearnError: Something that is no report, or that of rows which the demonstrator moves on purpose: they are
-            not tested so.
+        ManipLearnError: An object that is not a report, an unknown style, or a report on rows that the demonstrator
+            moves on purpose: they are not tested by recombination.
         MissingExtraError: matplotlib is not installed.
     """
-    ax, rows = _axes(ax, report), report.row_evidence
+    ax, rows = _axes(ax, style, report), report.row_evidence
     if not rows:
         raise ManipLearnError(
             f"the {report.estimator} estimator does not test its rows by recombination: plots.gap(report) shows what "
@@ -126,34 +145,75 @@ def evidence(report: LearningReport, ax: Axes | None = None) -> Axes:
             code="no-evidence",
         )
     number = np.arange(1, len(rows) + 1)
-    colours = [HELD if row.state == "held" else FREE if row.state == "free" else COLOURS["grey"] for row in rows]
+    colours = [{"held": HELD, "free": FREE}.get(row.state, GREY) for row in rows]
     ax.barh(number, [row.strength - 1.0 for row in rows], left=1.0, color=colours, height=0.6)
     for n, row in zip(number, rows, strict=True):
         ax.annotate(f" p = {row.p_value:.2g}", (max(row.strength, 1.0), n), va="center", fontsize="small")
-    ax.axvline(BELIEVED, color=COLOURS["grey"], linestyle=":", linewidth=1.0)
+    ax.axvline(BELIEVED, color=GREY, linestyle=":", linewidth=1.0)
     ax.set_xscale("log")
-    ax.set(xlabel=f"strength (1: as by chance; dotted: {BELIEVED:g}, believed)", ylabel="row")
+    ax.set(xlabel=f"strength [ratio], believed above {BELIEVED:g}", ylabel="row")
     ax.set_yticks(number, [f"{n}: {row.state}" for n, row in zip(number, rows, strict=True)])
     ax.invert_yaxis()
     ax.set_xlim(1.0, 30.0 * max(BELIEVED, *(row.strength for row in rows)))  # room for the words
-    return ax
+    return _finished(ax, style)
 
 
-def _axes(ax: Axes | None, report: Any = None) -> Axes:
-    """The axes that were given, or new ones; what is drawn is checked first."""
+def _axes(ax: Axes | None, style: str, report: Any = None) -> Axes:
+    """Return the axes that were given, or new ones; the other arguments are checked first."""
     if report is not None and not isinstance(report, LearningReport):
         raise ManipLearnError(f"give the report of a learner, learner.report_, not {an(report)}")
+    if style not in SIZES:
+        raise ManipLearnError(f"style must be one of {', '.join(map(repr, SIZES))}, not {style!r}", code="option")
     if ax is not None:
         return ax
     try:
         import matplotlib.pyplot as plt
     except ImportError as error:
         raise MissingExtraError("a plot", "plots") from error
-    return plt.subplots(layout="constrained")[1]
+    return plt.subplots(figsize=SIZES[style], layout="constrained")[1]
+
+
+def _finished(ax: Axes, style: Style, ends: Mapping[str, tuple[float, str]] = MappingProxyType({})) -> Axes:
+    """Name what is drawn, in a legend, or in a column at the heights of the curves, and set the size of letters.
+
+    Args:
+        ax: The axes.
+        style: As in the public functions.
+        ends: Name -> (value at which a curve ends or a band has its middle, colour); the names are those of the legend.
+    """
+    if style == "page":
+        if ends:
+            ax.legend(frameon=False, fontsize="small")
+        return ax
+    figure: Any = ax.figure
+    room = 1.15 * LETTERS / (72.0 * ax.get_position().height * figure.get_figheight())  # of a line of letters
+    to_axes, lowest = ax.transData + ax.transAxes.inverted(), -1.0
+    for name, (value, colour) in sorted(ends.items(), key=lambda end: end[1][0]):
+        lowest = max(to_axes.transform((1.0, value))[1], lowest + room)
+        ax.annotate(name, (1.02, lowest), xycoords="axes fraction", va="center", color=colour)
+    for spine in ("top", "right"):
+        ax.spines[spine].set_visible(False)
+    for text in (ax.title, ax.xaxis.label, ax.yaxis.label, *ax.texts):
+        text.set_fontsize(LETTERS)
+    ax.tick_params(labelsize=LETTERS)
+    return ax
+
+
+def _unit_of_mu(rollout: Rollout) -> str:
+    """Return the unit of mu, a radian counted as 1; nothing where metres and radians are mixed in a row."""
+    content = rollout.constraint or {}
+    units = content.get("row_units", ())
+    rows = [
+        {unit for unit, x in zip(units, row, strict=False) if abs(x) > 1e-9} for row in content.get("selection", ())
+    ]
+    if not rows or any(row not in ({"m/s"}, {"rad/s"}) for row in rows):
+        return ""
+    metres = rows.count({"m/s"})
+    return f" [m{'²³⁴⁵⁶'[metres - 2] if metres > 1 else ''}]" if metres else " [1]"
 
 
 def _mu_shown(rollout: Rollout) -> Float[np.ndarray, " 2"] | None:
-    """Where mu was in the middle 90 % of the postures shown; None where they, or the robot, are not known."""
+    """Return the range of mu in the middle 90 % of the recorded postures; None if they or the robot are unknown."""
     content = rollout.constraint or {}
     postures = content.get("provenance", {}).get("postures")
     if not postures or rollout.robot is None:

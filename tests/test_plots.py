@@ -56,21 +56,52 @@ def words(ax: Any) -> set[str]:
 
 
 def test_mu_is_drawn_with_its_status_and_what_was_shown(ax, runs):
-    """Each rollout is a curve with its name; the legend has each status that occurs, and the band of the recordings."""
+    """Each rollout is a curve with its name; a line "singular" at 0; the band of the recordings; the unit of mu."""
     assert plots.manipulability(runs, ax) is ax
-    for line, rollout in zip(
-        [line for line in ax.lines if line.get_linestyle() != "None"], runs.values(), strict=False
-    ):
+    for line, rollout in zip(ax.lines, runs.values(), strict=False):
         assert np.array_equal(line.get_xydata(), np.column_stack([rollout.time, rollout.mu]))
-    occurs = {str(s) for r in runs.values() for s in r.status} - {"ok"}
-    assert occurs and words(ax) == {*runs, *occurs, "as shown"}
-    assert ax.get_ylim()[0] == 0.0
+    assert words(ax) == {*runs, "as shown", "singular"}
+    assert set(ax.lines[-1].get_ydata()) == {0.0} and ax.get_ylabel() == "manipulability μ [m³]"
+
+
+def test_the_strip_shows_where_the_arm_was_slowed_down_or_stood(ax, runs):
+    """A row below zero for the rollout that did not always move as asked, dark where it stood, as long as it did."""
+    run = runs["nothing"]
+    halves = dataclasses.replace(run, status=(*[ml.Status.DAMPED] * 20, *[ml.Status.STALLED] * (len(run) - 20)))
+    plots.manipulability({"well": dataclasses.replace(run, status=(ml.Status.OK,) * len(run)), "badly": halves}, ax)
+    slowed, stopped = (np.concatenate([path.vertices for path in c.get_paths()]) for c in ax.collections)
+    assert np.ptp(slowed[:, 0]) == pytest.approx(run.time[20]) and np.ptp(stopped[:, 0]) == pytest.approx(
+        run.time[-1] - run.time[20]
+    )
+    assert max(slowed[:, 1].max(), stopped[:, 1].max()) < 0.0 and ax.get_ylim()[0] < min(slowed[:, 1])
+    assert all(tick >= 0.0 for tick in ax.get_yticks())
+
+
+def test_a_column_of_a_paper_can_be_read(runs):
+    """3.5 in wide, all letters 8 pt, names at the curves that do not overlap, nothing outside of the figure."""
+    for ax in (
+        plots.manipulability({**runs, "again": runs["nothing"]}, style="column"),
+        plots.gap(report(), style="column"),
+        plots.evidence(report(), style="column"),
+    ):
+        figure: Any = ax.figure
+        figure.canvas.draw()
+        assert figure.get_figwidth() == 3.5 and ax.get_legend() is None
+        drawn: list[Any] = ax.findobj(matplotlib.text.Text)
+        texts = [text for text in drawn if text.get_text() and text.get_visible()]
+        assert {text.get_fontsize() for text in texts} <= {8.0}
+        boxes = [text.get_window_extent() for text in ax.texts if text.get_text()]
+        assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+        assert all(0.0 <= box.x0 and box.x1 <= figure.bbox.width and 0.0 <= box.y0 for box in boxes)
+    plt.close("all")
+    with pytest.raises(ManipLearnError, match="style must be one of 'page', 'column', not 'poster'"):
+        plots.gap(report(), style="poster")  # type: ignore[arg-type]
 
 
 def test_one_rollout_needs_no_name(ax, runs):
     """One, or a list, without names; and what is no rollout is told."""
     run = runs["nothing"]
-    assert words(plots.manipulability(run, ax)) <= {"as shown", *map(str, run.status)}
+    assert words(plots.manipulability(run, ax)) == {"as shown", "singular"}
     assert "rollout 2" in words(plots.manipulability([run, run], ax))
     for wrong in ({}, [], run.constraint, ["run.npz"], report()):
         with pytest.raises(ManipLearnError, match="give plots.manipulability a rollout"):
@@ -103,7 +134,8 @@ def test_the_evidence_has_a_row_for_each_row(ax):
 
 def test_new_axes_need_matplotlib(monkeypatch, runs):
     """Without axes there are new ones; without matplotlib, one sentence that says what to install."""
-    plt.close(plots.manipulability(runs).figure)
+    plots.manipulability(runs)
+    plt.close("all")
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'manip_learn\[plots\]'"):
         plots.gap(report())
@@ -144,4 +176,4 @@ def test_a_rollout_knows_its_robot(tmp_path, runs):
     own.unlink()
     with pytest.raises(ManipLearnError, match=r"own\.urdf"):
         kept.robot.load()
-    plt.close(plots.manipulability(kept).figure)  # without what was shown
+    assert plots.manipulability(kept).lines  # without what was shown

@@ -18,6 +18,7 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 import manip_learn as ml
+from manip_learn.learning import LearningReport
 from manip_learn.playback.phase_bands import phase_kinds
 
 HERE = Path(__file__).parent
@@ -34,14 +35,14 @@ def main() -> None:
     photograph_replay(*learnt("xarm7_drawer_then_table", ml.load_robot("xarm7"), "link_eef"))
 
 
-def learnt(folder: str, robot: ml.Robot, frame: str) -> tuple[ml.Robot, str, ml.Demonstrations, ml.LearningReport]:
+def learnt(folder: str, robot: ml.Robot, frame: str) -> tuple[ml.Robot, str, ml.Demonstrations, LearningReport]:
     """The recordings of a folder, and what the learner reports of them."""
     recordings = ml.load_demonstrations(RECORDINGS / folder, robot)
     features = ml.FrameJacobian(robot, frame=frame, axes="xyz", reference="world")
     return robot, frame, recordings, ml.ConstraintLearner(features).fit(recordings).report_
 
 
-def draw_phases(robot: ml.Robot, frame: str, recordings: ml.Demonstrations, report: ml.LearningReport) -> None:
+def draw_phases(robot: ml.Robot, frame: str, recordings: ml.Demonstrations, report: LearningReport) -> None:
     """Bands over time, above them how fast the tip moves [m/s]."""
     kinds = phase_kinds(report.phases)
     odd = {name for name, _ in report.odd_trajectories}
@@ -70,7 +71,7 @@ def draw_speed(axes: Axes, robot: ml.Robot, frame: str, trajectory: ml.Trajector
     axes.plot(trajectory.time[::3], smooth[::3], color="black", linewidth=1.0)
 
 
-def draw_hinge(robot: ml.Robot, frame: str, recordings: ml.Demonstrations, report: ml.LearningReport) -> None:
+def draw_hinge(robot: ml.Robot, frame: str, recordings: ml.Demonstrations, report: LearningReport) -> None:
     """A door from above: paths of the tip, the axis and the circle that were found [m]."""
     door = report.mechanism
     if door is None or door.axis is None or door.point is None or door.radius is None:
@@ -97,7 +98,7 @@ def tip_path(robot: ml.Robot, frame: str, trajectory: ml.Trajectory) -> np.ndarr
     return np.array([robot.pose(q, tip)[:3, 3] for q in trajectory.q])
 
 
-def photograph_replay(robot: ml.Robot, frame: str, recordings: ml.Demonstrations, report: ml.LearningReport) -> None:
+def photograph_replay(robot: ml.Robot, frame: str, recordings: ml.Demonstrations, report: LearningReport) -> None:
     """The replay of the recordings, at a moment in the second task."""
     from playwright.sync_api import sync_playwright
 

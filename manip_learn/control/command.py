@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from enum import StrEnum
-from typing import Any, NamedTuple, Protocol, final
+from typing import Any, Literal, NamedTuple, Protocol, final
 
 import numpy as np
 from jaxtyping import Float
@@ -53,6 +53,14 @@ class Status(StrEnum):
     REROUTED = "rerouted"
     NULL_SCALED = "null-scaled"
     OK = "ok"
+
+    @property
+    def effect(self) -> Literal["ok", "slowed", "stopped"]:
+        """Effect on the motion that was asked for: it is done as asked, slowed down, or the arm stands."""
+        if self in (Status.OK, Status.NULL_SCALED, Status.REROUTED):
+            return "ok"
+        limits = (Status.OUTSIDE_LIMITS, Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED)
+        return "slowed" if self in (*limits, Status.DAMPED) else "stopped"
 
 
 @final
