@@ -103,12 +103,12 @@ def photograph_replay(robot: ml.Robot, frame: str, recordings: ml.Demonstrations
     from playwright.sync_api import sync_playwright
 
     browser_file = shutil.which("chromium") or shutil.which("google-chrome")
-    with tempfile.TemporaryDirectory() as folder, sync_playwright() as p:
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         shown = {Path(t.name).stem: t for t in recordings}
-        phases = [(Path(name).stem, *rest) for name, *rest in report.phases]
+        phases = [(Path(p.trajectory).stem, p.start, p.end, p.constraint) for p in report.phases]
         html = Path(folder) / "replay.html"
         ml.replay(robot, shown, html, tip=frame, phases=phases, mechanism=report.mechanism)
-        browser = p.chromium.launch(executable_path=browser_file, args=[*FLAGS, "--enable-unsafe-swiftshader"])
+        browser = playwright.chromium.launch(executable_path=browser_file, args=[*FLAGS, "--enable-unsafe-swiftshader"])
         page = browser.new_page(viewport={"width": 1000, "height": 640})
         page.goto(html.as_uri())
         while not page.evaluate("window.manipLearnReady === true"):

@@ -1,0 +1,42 @@
+# /// script
+# requires-python = ">=3.11"
+# dependencies = ["manip-learn"]
+# ///
+"""What was learnt, in a meshcat viewer of your own: the arm, the line of the drawer, the grasps of the recordings.
+
+The viewer may hold your own objects, too: `show` draws below its path `manip_learn` and leaves the rest alone.
+"""
+
+import argparse
+import time
+
+import meshcat
+
+import manip_learn as ml
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--headless", action="store_true", help="move without waiting, and do not open the browser")
+    arguments = parser.parse_args()
+
+    robot = ml.load_robot("sawyer")  # or your URDF
+    demos = ml.load_demonstrations("sawyer_drawer", robot)
+    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, frame="right_gripper_tip")).fit(demos)
+    again = ml.repeat(learner.skill_, [1.2, -1.57, 0, 0, 0, 0, 0])
+
+    viewer = meshcat.Visualizer()  # or Pinocchio's MeshcatVisualizer of robot.pinocchio_model
+    print(f"look at {viewer.url()}")
+    if not arguments.headless:
+        viewer.open()
+    show = ml.show(robot, viewer, learner.constraint_, again.rollout.q[0])
+    for q, step in zip(again.rollout.q, again.rollout.time[1:] - again.rollout.time[:-1], strict=False):
+        show(q)
+        if not arguments.headless:
+            time.sleep(step)
+    if not arguments.headless:
+        input("Enter closes the viewer. ")
+
+
+if __name__ == "__main__":
+    main()
