@@ -9,7 +9,6 @@ import tempfile
 import webbrowser
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, final
 
@@ -26,6 +25,7 @@ from manip_learn.playback.appearance import appearance
 from manip_learn.playback.guided_motion import Guidance, guidance_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import MechanismDrawing, mechanism_drawing
+from manip_learn.playback.notebook import in_cell
 from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.phase_bands import WAY, Phase, phase_bands, phase_kinds, phases_from_json
@@ -143,10 +143,8 @@ class ReplayResult:
         return {"html": str(self.html), "bytes": self.bytes, "notes": list(self.notes)}
 
     def _repr_html_(self) -> str:
-        """The page itself, within a notebook: as text, because notebooks do not serve every file."""
-        page = escape(self.html.read_text(encoding="utf-8"))
-        style = "width:100%;height:640px;border:0"
-        return f'<iframe title="replay" srcdoc="{page}" style="{style}" sandbox="allow-scripts"></iframe>'
+        """Return the page in a frame; as text, because notebooks do not serve every file."""
+        return in_cell(self.html.read_text(encoding="utf-8"))
 
 
 def replay(
