@@ -61,7 +61,7 @@ REPLAY = PageKind(
         _FOLDER / f"{name}.js"
         for name in (
             *("scene", "stage", "fit", "phases", "chart", "sheets", "tracks"),
-            *("constraint_marks", "handles", "around", "labels", "shown", "evidence"),
+            *("constraint_marks", "handles", "around", "scene_key", "shown", "evidence"),
             *("keys", "legend", "player", "live", "main"),
         )
     ),

@@ -107,7 +107,7 @@ function pathColours(rollout, times, sides) {
 // What was shown, from where the hands took hold, a ball where all of them did, to the farthest point, with a head.
 function shownWay(points, radius, hold) {
   const ink = new THREE.MeshBasicMaterial({ toneMapped: false, transparent: true, opacity: 0.75 }), at = (k) => new THREE.Vector3(...points.slice(3 * k, 3 * k + 3));
-  onTheme(() => ink.color.copy(linear(pageColour("--free"))));
+  onTheme(() => ink.color.copy(linear(pageColour("--shown"))));
   const last = points.length / 3 - 1, meshes = [new THREE.Mesh(tubeGeometry(points, radius), ink), new THREE.Mesh(new THREE.ConeGeometry(2.6 * radius, 8 * radius, 20), ink)];
   const back = at(Math.max(last - 1, 0)), ahead = at(last).sub(back);
   if (ahead.lengthSq() > 0) meshes[1].quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), ahead.normalize());
