@@ -11,13 +11,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, final, get_args
+from typing import Any, get_args
 
 from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.loading import load_for_joints
 from manip_learn.commands.options import RecordOptions
+from manip_learn.commands.output import Answer
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.driver import Driver
 from manip_learn.drivers.record import LOOK, MOVES, By, Key, RecordedFiles, record
@@ -32,28 +33,7 @@ _SAID = 0.1  # [s] between two words on the state
 _ENOUGH = 1.0  # [degrees] to which a direction is to be known: at 0.5 m that is 9 mm, more than a gripper gives way
 
 
-@final
-@dataclass(frozen=True)
-class Recorded:
-    """The files, and what can be learnt from all of that name.
-
-    Attributes:
-        recorded: The files and their numbers.
-        sentence: What the recordings show; empty without a robot or a recording.
-        advice: What to do next.
-    """
-
-    recorded: RecordedFiles
-    sentence: str
-    advice: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON answer."""
-        facts = asdict(self.recorded)
-        return facts | {"files": list(map(str, self.recorded.files)), "sentence": self.sentence, "advice": self.advice}
-
-
-def record_motions(options: RecordOptions, progress: Progress) -> Recorded:
+def record_motions(options: RecordOptions, progress: Progress) -> Answer:
     """Record from a driver, and learn from what there is.
 
     Raises:
@@ -99,7 +79,14 @@ def record_motions(options: RecordOptions, progress: Progress) -> Recorded:
     if not done.ordered:
         kept = f"; kept: {', '.join(map(str, done.files))}" if done.files else ""
         raise OutputError(f"recording ended: {done.sentence}{kept}")
-    return Recorded(done, *_learnt(options, robot, done, progress))
+    sentence, advice = _learnt(options, robot, done, progress)
+    return Answer(
+        asdict(done) | {"sentence": sentence, "advice": advice},
+        title=sentence,
+        sentences=[done.sentence],
+        notes=done.notes,
+        written=[*(f"recorded: {file}" for file in done.files), advice],
+    )
 
 
 def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, progress: Progress) -> tuple[str, str]:

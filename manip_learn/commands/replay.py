@@ -10,10 +10,10 @@ from typing import Any, final
 
 from manip_learn.commands.loading import load_for_files, locks_of_files, robot_of_constraint
 from manip_learn.commands.options import ReplayOptions
+from manip_learn.commands.output import Answer
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, RecordingError
-from manip_learn.playback import ReplayResult
 from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
 from manip_learn.recordings import load_demonstrations
@@ -26,7 +26,7 @@ from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 from manip_learn.robot.robot import Robot
 
 
-def replay_files(options: ReplayOptions, progress: Progress | None = None) -> ReplayResult:
+def replay_files(options: ReplayOptions, progress: Progress | None = None) -> Answer:
     """Write a replay of rollouts (of `control`) or of recordings.
 
     The joints are locked that were locked when the rollouts were made. With a constraint file, the phases and the
@@ -59,7 +59,7 @@ def replay_files(options: ReplayOptions, progress: Progress | None = None) -> Re
         robot = load_for_files(name, files, options.loading)
         notes = locks_of_files(robot, options.loading)
     read = named_motions(files, robot, options.reading.keywords())
-    return write_replay(
+    page = write_replay(
         robot,
         read.motions,
         options.html,
@@ -71,6 +71,7 @@ def replay_files(options: ReplayOptions, progress: Progress | None = None) -> Re
         constraint=constraint,
         report=learnt or None,
     )
+    return Answer(page.to_dict(), notes=page.notes, page=page)
 
 
 def named_robot(words: list[str]) -> tuple[str, list[str]]:
