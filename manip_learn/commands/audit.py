@@ -18,18 +18,11 @@ from manip_learn.learning.table import dask_client
 from manip_learn.recordings.load import Progress, RecordingSource
 
 # of an episode, in the order in which they matter
-_MEASURES = {
-    "score": "{score:.1f}",
-    "broken": "{residual:.1%}",
-    "margin": "{limit_margin:.0%}",
-    "mm": "{displacement_mm:.1f}",
-    "sigma": "{sigma_min:.3f}",
-    "speed": "{peak_speed:.0%}",
-    "rest": "{rest_share:.0%}",
-    "deg": "{displacement_deg:.1f}",
-    "jerk": "{jerk_rms:.1f}",
-    "s": "{duration:.1f}",
-}
+_MEASURES = (
+    "score: {score:.1f}; broken: {residual:.1%}; room: {limit_margin:.0%}; mm: {displacement_mm:.1f}; "
+    "sigma: {sigma_min:.3f}; speed: {peak_speed:.0%}; rest: {rest_share:.0%}; deg: {displacement_deg:.1f}; "
+    "jerk: {jerk_rms:.1f}; s: {duration:.1f}"
+)
 _SHOWN = 20  # episodes on a terminal
 
 
@@ -59,7 +52,6 @@ def described(report: AuditReport, file: Path | None = None) -> Answer:
         sentences=[f"{e.episode}: {'; '.join(e.reasons)}" for e in report.leave_out],
         remarks=[f"the {_SHOWN} worst (--csv FILE lists all):" if n > _SHOWN else ""],
         rows=[{"episode": e["episode"]} | cells(e, _MEASURES) for e in content["episodes"][:_SHOWN]],
-        terms=["audit"],
         notes=report.notes,
         written=[f"written: {file}" if file else ""],
     )

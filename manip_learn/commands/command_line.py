@@ -30,7 +30,7 @@ _WORDS: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
 def parsed_by(options: type, run: Callable[[Any], None]) -> Callable[..., None]:
     """Return a function for typer that has the fields of some options as its parameters, and runs a command with them.
 
-    A field that is itself a dataclass is a set of options: its fields stand in its place, under its `HEADING`.
+    A field that is itself a dataclass is a set of options: its fields stand in its place, under its docstring.
 
     Args:
         options: A dataclass; the first paragraph of its docstring is the help of the command, the second an example.
@@ -50,16 +50,21 @@ def parsed_by(options: type, run: Callable[[Any], None]) -> Callable[..., None]:
     with_options.__doc__, example, *_ = f"{inspect.getdoc(options)}\n\n".split("\n\n")
     with_options.__annotations__ = {}
     first = takewhile(lambda name: name not in sets, (p.name for p in own))
-    headings = {p.name: sets[name].HEADING for name, of in flags.items() for p in of}
+    headings = {p.name: (inspect.getdoc(sets[name]) or "").partition(".")[0] for name, of in flags.items() for p in of}
     told = {"headings": headings, "first": {*first, "help", HELP_ALL}, "example": example}
     vars(with_options).update(__signature__=inspect.Signature(merged), **told)
     return with_options
 
 
+def described(kind: type) -> dict[str, str]:
+    """Return the names that the docstring of a class describes under `Attributes:`, and what it says of them."""
+    entries = re.findall(r"^    (\w[\w ]*): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.MULTILINE)
+    return {name: " ".join(text.split()) for name, text in entries}
+
+
 def _parameters(options: Any) -> list[inspect.Parameter]:
     """Return the fields of a dataclass as keywords of a function, with their help from its docstring."""
-    entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", inspect.getdoc(options) or "", re.MULTILINE)
-    texts = {name: " ".join(text.split()) for name, text in entries}
+    texts = described(options)
     hints, parameters = get_type_hints(options, include_extras=True), list[inspect.Parameter]()
     for field in dataclasses.fields(options):
         name, kind = field.name, hints[field.name]

@@ -29,20 +29,14 @@ from manip_learn.robot.robot import Robot
 
 # curve or surface that the held rows keep the hand on
 _PLACES = {"line": "line", "plane": "plane", "hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
-WAY = {
-    "time": "{seconds:.1f} s",
-    "off": "{millimetres:.1f} mm",
-    "fastest": "{fastest_joint[share_of_limit]:.0%}",
-    "margin": "{margin:.0%}",
-    "least mu": "{least_manipulability:.3f}",
-}
-ROLLOUT = {
-    "error": "{final_error:.4f}",
-    "min mu": "{least:.4f}",
-    "mean mu": "{mean_manipulability:.3f}",
-    "peak": "{max_velocity:.2f}/s",
-    "unhindered": "{unhindered:.0%}",
-}
+_WAY = (
+    "time: {seconds:.1f} s; off: {millimetres:.1f} mm; fastest: {fastest_joint[share_of_limit]:.0%}; "
+    "margin: {margin:.0%}; least mu: {least_manipulability:.3f}"
+)
+_ROLLOUT = (
+    "error: {final_error:.4f}; min mu: {least:.4f}; mean mu: {mean_manipulability:.3f}; peak: {max_velocity:.2f}/s; "
+    "unhindered: {unhindered:.0%}"
+)
 
 
 class Aim(NamedTuple):
@@ -230,13 +224,13 @@ def outcome(
     }
     if way is None:
         content["sentence"] = _arrival(content["reached"], aim, _PLACES.get(known.type, "") if known else "", tolerance)
-        facts = cells(content | {"least": _least(r), "unhindered": r.status.count(Status.OK) / len(r)}, ROLLOUT)
+        facts = cells(content | {"least": _least(r), "unhindered": r.status.count(Status.OK) / len(r)}, _ROLLOUT)
     else:
         verb, content["hold"] = _deed(constraint, r, way)
         digits, unit = (3, "m") if way.unit == "m" else (1, "degrees")
         far, wanted = (f"{abs(content[key]):.{digits}f}" for key in ("done", "wanted"))
         content["sentence"] = f"{verb} {far} of {wanted} {unit}"
-        facts = {verb: f"{far} {content['unit']}"} | cells(content | {"millimetres": 1e3 * way.deviation}, WAY)
+        facts = {verb: f"{far} {content['unit']}"} | cells(content | {"millimetres": 1e3 * way.deviation}, _WAY)
     hold = content["hold"] and f"the hand took hold at {place(content['hold'])}"
     planned = []
     if found is not None:
@@ -250,7 +244,6 @@ def outcome(
         facts=facts,
         remarks=[*planned, steps],
         warnings=[*(() if found is None else found.notes), *_obstacles(content, way, aim)],
-        terms=["rollout" if way is None else "way"],
         notes=constraint.notes,
     )
 

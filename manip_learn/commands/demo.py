@@ -139,8 +139,10 @@ def demo(options: DemoOptions, progress: Progress | None = None) -> Answer:
             *(f"{n}: {a.remarks[0]}" for n, a in answers.items() if a.content["plan"]),
         ],
         rows=[{"policy": name} | answer.facts for name, answer in answers.items()],
-        warnings=[*learnt.warnings, *(f"{name}: {w}" for name, answer in answers.items() for w in answer.warnings)],
-        terms=[*learnt.terms, "rollout" if scene.target is not None else "way"],
+        warnings=[
+            *learnt.warnings,
+            *(f"{n}: stopped by {c['stopped_by']}" for n, c in contents.items() if c["stopped_by"]),
+        ],
         page=page,
         following="",
     )

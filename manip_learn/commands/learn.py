@@ -126,7 +126,6 @@ def described(constraints: Sequence[Constraint], reports: Sequence[LearningRepor
         facts=_facts(constraint, report),
         remarks=remarks,
         warnings=[f"warning: {warning}" for warning in report.warnings],
-        terms=["learnt"],
         notes=report.notes,
     )
 
@@ -146,10 +145,11 @@ def _facts(constraint: Constraint, report: LearningReport) -> dict[str, str]:
         "reference": report.reference or "",
         "policy model": report.policy_model or "",
         "held rows" if report.kind == "motion-constrained" else "steered rows": constraint.rows_in_words(),
-        "number of rows": f"{report.n_constraints} of {len(report.row_names)}, gap {gap} ({rank})",
+        "number of rows": f"{report.n_constraints} of {len(report.row_names)}",
+        "gap": f"{gap} ({rank})",
         "left out": f"{left_out} of the motion unexplained" if math.isfinite(share) else "",
         "uncertainty": report.known_to(),
-        "evidence": f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else "",
+        "strength": f"{strengths}{p_value} (recombination test)" if report.row_evidence else "",
         "mechanism": report.mechanism_in_words(),
         "learnt from": f"{source} in {report.seconds:.2g} s",
     }

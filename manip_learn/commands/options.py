@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, final
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 from typer import Argument, Option
 
@@ -93,7 +93,7 @@ Json = Annotated[bool, Option("--json", help="Print one JSON document and nothin
 @final
 @dataclass(frozen=True)
 class RobotOptions:
-    """How a robot is loaded, beside its name.
+    """Robot.
 
     Attributes:
         lock: Joint to hold still; repeatable.
@@ -102,8 +102,6 @@ class RobotOptions:
         xacro: Expand the robot's xacro file, which runs its code.
         xacro_arg: NAME=VALUE of an argument of the xacro file; implies --xacro.
     """
-
-    HEADING: ClassVar[str] = "Robot"
 
     lock: list[str] | None = None
     package_dir: list[str] | None = None
@@ -143,7 +141,7 @@ class RobotOptions:
 @final
 @dataclass(frozen=True)
 class ReadingOptions:
-    """How recordings are read.
+    """Reading recordings.
 
     Attributes:
         degrees: The recordings are in degrees.
@@ -160,8 +158,6 @@ class ReadingOptions:
         episodes: Episodes (LeRobot) or files in order to read, counted from 0, e.g. 0:50,60,75.
         feature: LeRobot feature that holds the joint positions.
     """
-
-    HEADING: ClassVar[str] = "Reading recordings"
 
     degrees: bool = False
     units: str | None = None
@@ -198,14 +194,12 @@ class ReadingOptions:
 @final
 @dataclass(frozen=True)
 class PlanOptions:
-    """How a way is planned: the posture in which to take hold is chosen so that the whole way can be done.
+    """Plan.
 
     Attributes:
         plan: Choose the posture in which to take hold, so that all of it can be done.
         seed: Random seed of the search.
     """
-
-    HEADING: ClassVar[str] = "Plan"
 
     plan: bool = False
     seed: int = 0

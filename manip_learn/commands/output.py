@@ -51,7 +51,6 @@ class Answer:
         remarks: Sentences about the facts.
         rows: Lines of a table, heading -> words; the headings in the order in which they matter.
         warnings: Doubts, and obstacles, in sentences.
-        terms: Groups of `tables.TERMS` that `--explain` explains.
         notes: More to know, in sentences.
         written: Lines that end in the name of a file.
         page: Replay that was written.
@@ -66,7 +65,6 @@ class Answer:
     remarks: Sequence[str] = ()
     rows: Sequence[Mapping[str, str]] = ()
     warnings: Sequence[str] = ()
-    terms: Sequence[str] = ()
     notes: Sequence[str] = ()
     written: Sequence[str] = ()
     page: ReplayResult | None = None
@@ -79,15 +77,15 @@ class Answer:
         return replace(self, content=self.content | files, written=[f"written: {out}" if out else ""], page=page)
 
 
-def cells(content: Mapping[str, Any], forms: Mapping[str, str]) -> dict[str, str]:
-    """Return words for numbers of a JSON document: "-" where one does not exist or is not finite.
+def cells(content: Mapping[str, Any], layout: str) -> dict[str, str]:
+    """Return numbers of a JSON document in words, by their headings: "-" where one does not exist or is not finite.
 
     Args:
         content: The document.
-        forms: Heading -> its format, with keys of the document, e.g. `"{margin:.0%}"`.
+        layout: Headings with formats of keys of the document, e.g. `"time: {seconds:.1f} s; margin: {margin:.0%}"`.
     """
     known, words = for_json(dict(content)), {}
-    for heading, form in forms.items():
+    for heading, form in (part.split(": ") for part in layout.split("; ")):
         try:
             words[heading] = form.format_map(known).replace("%", " %")
         except TypeError:  # None has no digits

@@ -41,7 +41,7 @@ class _Command:
         else:
             from manip_learn.commands.tables import show  # rich takes a moment
 
-            show(console(), answer, vars(given).get("explain", False))
+            show(console(), answer, vars(given).get("explain"))
 
 
 COMMANDS = (

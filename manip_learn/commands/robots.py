@@ -61,13 +61,7 @@ def _described(name: str, origin: str) -> dict[str, Any]:
     return {"name": name, "origin": origin, "joints": moving, "refused": refused}
 
 
-_JOINT = {
-    "kind": "{kind}",
-    "lower": "{lower:.4g}",
-    "upper": "{upper:.4g}",
-    "velocity": "{velocity:.4g}",
-    "unit": "{unit}",
-}
+_JOINT = "kind: {kind}; lower: {lower:.4g}; upper: {upper:.4g}; velocity: {velocity:.4g}; unit: {unit}"
 
 
 def inspect(options: InspectOptions, progress: Progress | None = None) -> Answer:
@@ -92,6 +86,6 @@ def inspect(options: InspectOptions, progress: Progress | None = None) -> Answer
         facts={name: fact for name, fact in facts.items() if fact not in ("", "none")},
         rows=[{"joint": j.name} | cells(vars(j), _JOINT) for j in joints],
         warnings=[f"warning: {warning}" for warning in summary.warnings],
-        written=["" if summary.source is None else str(summary.source)],
+        written=["" if summary.source is None else f"file: {summary.source}"],
         following=f"manip-learn learn {words} RECORDINGS --frame {shlex.quote(tip)}",
     )
