@@ -10,7 +10,7 @@ import numpy as np
 
 from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
 from manip_learn.commands.options import ControlOptions, RepeatOptions, vector
-from manip_learn.commands.output import Answer, cells, place
+from manip_learn.commands.output import Answer, cells, place, silent
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
@@ -57,7 +57,7 @@ class Aim(NamedTuple):
     crossed: float = 0.0
 
 
-def control(options: ControlOptions, progress: Progress | None = None) -> Answer:
+def control(options: ControlOptions, progress: Progress = silent) -> Answer:
     """Simulate a controller; write the rollout and a replay to files if they are named.
 
     Raises:
@@ -134,7 +134,7 @@ def run(
     task: Task,
     q0: np.ndarray,
     whence: str = "",
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> tuple[Rollout, Answer]:
     """Simulate a task, planned or not, and say how far it came.
 

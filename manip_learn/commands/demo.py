@@ -11,7 +11,7 @@ import numpy as np
 from manip_learn.commands.control import run
 from manip_learn.commands.learn import fit
 from manip_learn.commands.options import ControlOptions, DemoOptions, LearnOptions, PlanOptions, ReadingOptions
-from manip_learn.commands.output import Answer
+from manip_learn.commands.output import Answer, silent
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.tasks import PointAttractor, Task, motion
@@ -87,7 +87,7 @@ SCENES = {
 }
 
 
-def demo(options: DemoOptions, progress: Progress | None = None) -> Answer:
+def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
     """Learn, move from one nearly singular start without and with what was learnt, write constraint, rollouts, replay.
 
     "without" leaves the spare joints at rest; "with" plans the posture of hold where a fixture is moved, and climbs mu
@@ -99,8 +99,8 @@ def demo(options: DemoOptions, progress: Progress | None = None) -> Answer:
     """
     if options.robot not in SCENES:
         raise UnknownNameError("demo robot", options.robot, SCENES)
-    scene, out, report = SCENES[options.robot], options.out, progress or (lambda _step, _share: None)
-    report("learning from the recordings", 0.0)
+    scene, out = SCENES[options.robot], options.out
+    progress("learning from the recordings", 0.0)
     shipped, file = str(shipped_recordings() / scene.recordings), out / "constraint.json"
     asked = LearnOptions(options.robot, [shipped], frame=scene.frame, axes=scene.axes, out=file)
     learner, learnt = fit(replace(asked, reading=ReadingOptions(velocities=scene.velocities)))
@@ -110,12 +110,12 @@ def demo(options: DemoOptions, progress: Progress | None = None) -> Answer:
     if options.all_policies:
         shown = {name: name for name in dict.fromkeys((best, "manipulability", "attractor", "zero"))}
     for i, (name, policy) in enumerate(shown.items()):
-        report("planning in which posture to take hold" if policy == "plan" else f"moving {name}", 0.5 + 0.1 * i)
+        progress("planning in which posture to take hold" if policy == "plan" else f"moving {name}", 0.5 + 0.1 * i)
         how = ControlOptions(options.robot, str(file), policy=policy, rest=scene.rest, duration=scene.duration)
         how = replace(how, planned=PlanOptions(policy == "plan"), gain=1.0 if policy == "attractor" else how.gain)
         rollouts[name], answer = run(how, constraint, scene.task(constraint), np.array(scene.start))
         answers[name] = answer.with_files(rollouts[name].save(out / f"{name}.npz"))
-    report("writing the replay", 0.9)
+    progress("writing the replay", 0.9)
     is_pair = scene.target is None and not options.all_policies  # both reach a target, on much the same way
     page = replay(
         load_robot(options.robot),
@@ -128,7 +128,7 @@ def demo(options: DemoOptions, progress: Progress | None = None) -> Answer:
         align="grasp" if is_pair else "start",
         open_browser=options.browser and not options.as_json,
     )
-    report("done", 1.0)
+    progress("done", 1.0)
     contents = {name: answer.content for name, answer in answers.items()}
     return replace(
         learnt,

@@ -31,15 +31,14 @@ _FORMATS: dict[str, tuple[tuple[str, ...], Callable[[SavedMotion], bytes]]] = {
 }
 
 
-def export(options: ExportOptions, progress: Progress | None = None) -> Answer:
+def export(options: ExportOptions, progress: Progress) -> Answer:
     """Read recordings or rollouts, and write them in another format.
 
     Raises:
         OutputError: A format that is not known, several trajectories for one file, or it cannot be written.
         ManipLearnError: Anything that is wrong with the robot or the recordings.
     """
-    if progress is not None:
-        progress("writing", 0.0)
+    progress("writing", 0.0)
     out, keywords = options.out, options.reading.keywords()
     if options.to is not None and options.to in TASK_WRITERS:
         return _export_task(options, TASK_WRITERS[options.to])

@@ -10,19 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from manip_learn.commands.command_line import PROGRAM_NAME, typed_command
-from manip_learn.commands.guided_frame import choose_frame
-from manip_learn.commands.loading import load_for_files
+from manip_learn.commands.loading import choose_frame, load_for_files
 from manip_learn.commands.options import LearnOptions
-from manip_learn.commands.output import Answer
+from manip_learn.commands.output import Answer, silent
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
 from manip_learn.constraint.mechanism import SHAPES
 from manip_learn.control.tasks import motion
 from manip_learn.control.tasks.driven_motion import way_in_words
-from manip_learn.errors import FeatureError, ManipLearnError, RecordingError, counted, listed
+from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.report import RecordingOverview
-from manip_learn.learning.table import BELIEVED, CLEAR_GAP, dask_client
+from manip_learn.learning.table import BELIEVED, dask_client
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load import Progress, RecordingSource
 from manip_learn.recordings.trajectory import Demonstrations, distinct_names
@@ -31,12 +30,12 @@ from manip_learn.robot.robot import Reference, Robot
 _REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
 
 
-def learn_task(options: LearnOptions, progress: Progress | None = None) -> Answer:
+def learn_task(options: LearnOptions, progress: Progress = silent) -> Answer:
     """Learn a constraint from recordings, as `fit` does."""
     return fit(options, progress)[1]
 
 
-def fit(options: LearnOptions, progress: Progress | None = None) -> tuple[ConstraintLearner, Answer]:
+def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ConstraintLearner, Answer]:
     """Learn a constraint from recordings; write it, and a replay of the recordings, to files if they are named.
 
     With `relative_to` the velocity of the frame is seen from that other one, in its axes; `reference` does not count.
@@ -53,8 +52,7 @@ def fit(options: LearnOptions, progress: Progress | None = None) -> tuple[Constr
     if options.dask is not None and asked:
         instead = "give one of the two" if asked[0] == "--html" else "cut the files first"
         raise RecordingError(f"{asked[0]} works on recordings in memory, not with --dask: {instead}", code="option")
-    if progress is not None:
-        progress("reading", 0.0)
+    progress("reading", 0.0)
     robot, demos, frame, notes = load_to_learn(options, progress)
     if isinstance(demos, Demonstrations) and (options.start is not None or options.until is not None):
         demos = Demonstrations([t[options.start : options.until] for t in demos], demos.notes)
@@ -104,16 +102,11 @@ def described(constraints: Sequence[Constraint], reports: Sequence[LearningRepor
         words = SHAPES[found.kind][0]
         title = f"{words[0].upper()}{words[1:]}, moved {way_in_words(shown.extent, shown.unit)} when it was shown."
         sentences = report.sentence.split(f" It looks like {words}. ")
-    contents = [
-        r.to_dict()
-        | {
-            "selection": c.selection.tolist(),
-            "shown": c.provenance.get("shown"),
-            "axes": list(r.row_names),
-            "free_directions": [list(row) for row in r.free_directions],
-        }
-        for c, r in zip(constraints, reports, strict=True)
-    ]
+    contents = []
+    for c, r in zip(constraints, reports, strict=True):
+        rows = {"selection": c.selection.tolist(), "axes": r.row_names, "shown": c.provenance.get("shown")}
+        contents.append(r.to_dict() | rows)
+    held = "held rows" if report.kind == "motion-constrained" else "steered rows"
     remarks = [f"constraint {n}: {other.sentence}" for n, other in enumerate(reports[1:], start=2)]
     remarks += RecordingOverview(report.phases).sentences()
     for n, meant in enumerate((c.shown or c.intention for c in constraints), start=1):
@@ -123,37 +116,11 @@ def described(constraints: Sequence[Constraint], reports: Sequence[LearningRepor
         contents[0] | {"constraints": contents},
         title=title,
         sentences=sentences,
-        facts=_facts(constraint, report),
+        facts={held: constraint.rows_in_words(), **report.facts()},
         remarks=remarks,
         warnings=[f"warning: {warning}" for warning in report.warnings],
         notes=report.notes,
     )
-
-
-def _facts(constraint: Constraint, report: LearningReport) -> dict[str, str]:
-    """Return the evidence for a constraint, name -> words; a number has its scale beside it."""
-    rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
-    gap = f"{report.gap:,.0f}" if report.gap >= 10 else f"{report.gap:.2g}"
-    held = [row for row in report.row_evidence if row.state == "held"]
-    strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
-    p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
-    share = report.held_out_residual
-    left_out = f"{100 * share:.2g} %" if share >= 1e-5 else "less than 0.001 %"
-    source = f"{counted(report.n_samples, 'sample')} of {counted(report.n_trajectories, 'recording')}"
-    facts = {
-        "estimator": f"{report.estimator} ({report.kind})",
-        "reference": report.reference or "",
-        "policy model": report.policy_model or "",
-        "held rows" if report.kind == "motion-constrained" else "steered rows": constraint.rows_in_words(),
-        "number of rows": f"{report.n_constraints} of {len(report.row_names)}",
-        "gap": f"{gap} ({rank})",
-        "left out": f"{left_out} of the motion unexplained" if math.isfinite(share) else "",
-        "uncertainty": report.known_to(),
-        "strength": f"{strengths}{p_value} (recombination test)" if report.row_evidence else "",
-        "mechanism": report.mechanism_in_words(),
-        "learnt from": f"{source} in {report.seconds:.2g} s",
-    }
-    return {name: words for name, words in facts.items() if words}
 
 
 def _following(options: LearnOptions, whole: Constraint, constraint: Constraint, out: Path | None) -> str:
@@ -189,7 +156,7 @@ def _goes(constraint: Constraint, way: dict[str, Any]) -> bool:
 
 
 def load_to_learn(
-    options: LearnOptions, progress: Progress | None = None
+    options: LearnOptions, progress: Progress = silent
 ) -> tuple[Robot, Demonstrations | RecordingSource, str, list[str]]:
     """Robot, recordings, frame, and notes on joints that were locked because nothing is recorded for them.
 
@@ -201,7 +168,6 @@ def load_to_learn(
     """
     loading, keywords = options.loading, options.reading.keywords()
     robot = load_for_files(options.robot, options.recordings, loading)
-    held: dict[str, float | None] = {**dict.fromkeys(loading.lock or ()), **robot.locked}
     chosen = choose_frame(robot, options.frame)
     frames = [chosen] if options.relative_to is None else [chosen, robot.frame(options.relative_to).name]
     notes: list[str] = []
@@ -217,7 +183,6 @@ def load_to_learn(
             joint, known = error.column, error.code == "missing-joint" and error.column in robot.joint_names
             if joint is None or not known or any(robot.moves(joint, f) for f in frames):
                 raise
-            held[joint] = None
-            robot = loading.load(options.robot, held, robot.objects)
+            robot = loading.load(options.robot, {**robot.locked, joint: None}, robot.objects)
             where = " or ".join(map(repr, frames))
             notes.append(f"joint {joint!r} is not recorded and does not move {where}: it was locked")

@@ -105,11 +105,15 @@ def console(stderr: bool = False) -> Console:
     return Console(stderr=stderr)
 
 
+def silent(step: str, share: float) -> None:
+    """Take progress, and show nothing."""
+
+
 @contextmanager
 def progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
     """A progress bar on standard error; silent when it is not a terminal."""
     if quiet or not sys.stderr.isatty():
-        yield lambda _step, _share: None
+        yield silent
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

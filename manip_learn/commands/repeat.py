@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from manip_learn.commands.control import with_rollout
 from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
 from manip_learn.commands.options import RepeatOptions, vector
-from manip_learn.commands.output import Answer, cells, place
+from manip_learn.commands.output import Answer, cells, place, silent
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import TargetError, counted
 from manip_learn.planning.repeat import TipSpeed, repeat
@@ -22,7 +22,7 @@ _STEP = (
 )
 
 
-def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Answer:
+def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
     """Plan and simulate every step of a skill; write the rollout and a replay to files if they are named.
 
     Raises:

@@ -8,7 +8,7 @@ import shlex
 from typing import Any
 
 from manip_learn.commands.options import InspectOptions, RobotsOptions
-from manip_learn.commands.output import Answer, cells
+from manip_learn.commands.output import Answer, cells, silent
 from manip_learn.errors import ManipLearnError, few
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.description.catalogue import SHIPPED, example_robots, fetched_names, find_robot
@@ -27,7 +27,7 @@ _ORIGINS = {
 }
 
 
-def known_robots(options: RobotsOptions, progress: Progress | None = None) -> Answer:
+def known_robots(options: RobotsOptions, progress: Progress = silent) -> Answer:
     """List every robot that has a name here and now, with its joints.
 
     In the document, `origin` is `package`, `extra` (of the extra `robots`) or `net` (of the extra `descriptions`);
@@ -64,7 +64,7 @@ def _described(name: str, origin: str) -> dict[str, Any]:
 _JOINT = "kind: {kind}; lower: {lower:.4g}; upper: {upper:.4g}; velocity: {velocity:.4g}; unit: {unit}"
 
 
-def inspect(options: InspectOptions, progress: Progress | None = None) -> Answer:
+def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
     """Load a robot, check its forward kinematics by another library, and show what one must know before recording."""
     summary = inspect_robot(options.loading.load(options.robot))
     joints, check, tip = summary.joints, summary.cross_check, summary.tips[0] if summary.tips else "NAME"
