@@ -124,7 +124,7 @@ def with_rollout(
     if options.html is not None:
         from manip_learn.playback import replay
 
-        page = replay(robot, {name: rollout}, options.html, open_browser=False)
+        page = replay(robot, {name: rollout}, options.html, open_browser=False, notes=answer.doubts)
     return answer.with_files(None if options.out is None else rollout.save(options.out), page)
 
 

@@ -74,17 +74,16 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ConstraintL
     with dask_client(options.dask) as client:
         learner.fit(demos, client=client, progress=progress)
     written = learner.skill_.save(options.out) if options.out is not None else None
+    answer = described(learner.constraints_, learner.reports_)
+    content = {"frame": frame, "notes": [*notes, *answer.notes]}
+    answer = replace(answer, content=answer.content | content, notes=content["notes"])
     page = None
     if options.html is not None and isinstance(demos, Demonstrations):
         from manip_learn.playback import replay
 
-        report, named = learner.report_, dict(zip(distinct_names(demos), demos, strict=True))
-        odd = [f"{name} does not agree with the others: {reason}" for name, reason in report.odd_trajectories]
-        shown = {"constraint": learner.constraints_ or None, "report": report, "notes": odd}
+        named = dict(zip(distinct_names(demos), demos, strict=True))
+        shown = {"constraint": learner.constraints_ or None, "report": learner.report_, "notes": answer.notes}
         page = replay(robot, named, options.html, tip=frame, open_browser=False, **shown)
-    answer = described(learner.constraints_, learner.reports_)
-    content = {"frame": frame, "notes": [*notes, *answer.notes]}
-    answer = replace(answer, content=answer.content | content, notes=content["notes"])
     following = _following(options, learner.skill_.constraints[0], learner.constraint_, written)
     return learner, replace(answer.with_files(written, page), following=following)
 

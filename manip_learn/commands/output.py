@@ -71,6 +71,11 @@ class Answer:
     pages: Mapping[str, str] = field(default_factory=dict)
     following: str = ""
 
+    @property
+    def doubts(self) -> list[str]:
+        """Warnings and notes: what a page says as well."""
+        return [*self.warnings, *self.notes]
+
     def with_files(self, out: Path | None, page: ReplayResult | None = None) -> Answer:
         """Return the answer with the files that were written."""
         files = {"out": out, "html": None if page is None else page.html}

@@ -328,6 +328,7 @@ def recorded_motion(
         own = tuple(replace(band, constraint=ways.get((band.name or "").rpartition(": ")[0])) for band in own)
     own = _within(own, first_time, float(time[-1]))
     bands = _within(phases, first_time, float(time[-1])) or own
+    tracks = joint_tracks(robot, tree, q[keys])  # first: it refuses postures of the wrong size
     path_times, poses = time[path_keys], robot.frame_kinematics(tip).poses(q[path_keys])
     measures = tracks_of(robot, recording, samples, guidance, bands)
     held = _held(recording, own, first_time) if isinstance(recording, Rollout) else {}
@@ -340,7 +341,7 @@ def recorded_motion(
     return RecordedMotion(
         name=name,
         key_times=time[keys],
-        tracks=joint_tracks(robot, tree, q[keys]),
+        tracks=tracks,
         postures=q[keys],
         path_times=path_times,
         path=poses[:, :3, 3],

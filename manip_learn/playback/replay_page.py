@@ -105,6 +105,13 @@ def _facts(content: Mapping[str, Any]) -> list[list[str]]:
     return facts
 
 
+def _doubts(evidence: Mapping[str, Any]) -> list[str]:
+    """Return warnings, the recordings that do not agree as far as no warning names them, and notes."""
+    named = " ".join(evidence["warnings"])
+    odd = [f"{name} does not agree with the others: {why}" for name, why in evidence["odd"] if name not in named]
+    return [*evidence["warnings"], *odd, *evidence["notes"]]
+
+
 def _list(value: object) -> list[Any]:
     return list(value)[:MOST_ROWS] if isinstance(value, list | tuple) else []
 
@@ -242,11 +249,12 @@ def replay(
             f"Of {len(motions)} rollouts the first {MAX_GHOSTS} are drawn as robots, the others as tip path and curve; "
             "click a name to draw that one.",
         )
-    all_notes = tuple(dict.fromkeys((*notes, *looks.notes)))
+    evidence = evidence_of(learnt) if learnt else None
+    doubts = _doubts(evidence) if evidence else ()
+    all_notes = tuple(dict.fromkeys((*notes, *doubts, *looks.notes)))
     colouring = rollout_colours(list(named), colours or {}, neutral=bool(phases))
     kinds = _kinds(phases, motions[0].guidance, drawings)
     data = scene_data(robot, tree, looks, tip_name, motions, colouring, all_notes, kinds, drawings)
-    evidence = evidence_of(learnt) if learnt else None
     data |= {
         "evidence": evidence,
         "zero": zero,

@@ -2,16 +2,11 @@
 
 function fillEvidence(evidence) {
   if (!evidence || !(evidence.headline || evidence.facts.length)) return;
-  const card = addSheet("evidence", "Evidence", "What was learnt, and why to believe it"), said = evidence.warnings.join();
-  const say = (className, texts) => card.append(...texts.filter(Boolean).map((text) => paragraph(text, className)));
-  say("headline", [evidence.headline]);
-  say("", [evidence.kind]);
+  const card = addSheet("evidence", "Evidence", "What was learnt, and why to believe it");
+  card.append(paragraph(evidence.headline, "headline"), paragraph(evidence.kind));
   card.append(factList(evidence.facts));
-  say("", [evidence.words]);
+  card.append(paragraph(evidence.words));
   if (evidence.rows.length) card.append(rowTable(evidence.rows));
-  say("warning", evidence.warnings.map((warning) => `warning: ${warning}`));
-  say("warning", evidence.odd.filter(([name]) => !said.includes(name)).map(([name, reason]) => `${name} does not agree with the others: ${reason}`));
-  say("note", evidence.notes);
 }
 
 function factList(facts) {
