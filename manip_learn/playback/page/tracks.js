@@ -119,7 +119,7 @@ class TrackRow extends ValueAxis {
     });
     const without = [...new Set(rollouts.flatMap((r) => r.byKind.get(kind).without))];
     if (without.length) caption.append(make("span", {}, `no limits: ${without.join(", ")}`));
-    this.box = make("div");
+    this.box = make("div", { className: "curves" });
     this.figure = make("figure", { className: "track" }, caption, this.box);
   }
 
