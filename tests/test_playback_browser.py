@@ -436,7 +436,7 @@ def opening(drawer):
 
 
 def test_the_drawer_is_in_the_hand_and_says_how_far_it_is_open(robot_of, opening, address, opened):
-    """At any time, of whichever rollout is solid; both legends and the readout say what the curves have; every mark is in
+    """At any time, of whichever rollout is solid; legends and the readout say what the curves have; every mark is in
     the first view; a dark page has lighter curves.
     """
     robot = robot_of("sawyer")
@@ -461,7 +461,7 @@ def test_the_drawer_is_in_the_hand_and_says_how_far_it_is_open(robot_of, opening
     assert any("speed within reach (μ)" in row and "m for 1 m/s" in row for row in words)
     assert page.locator("#legend .name").all_inner_texts() == list(opening)  # every arm that is drawn has its name
     page.locator("#legend .pick").nth(0).click()
-    texts, box = page.locator("#chart .readout text"), page.locator("#chart").bounding_box()
+    texts, box = page.locator("#chart .readout:not([hidden]) p"), page.locator("#chart").bounding_box()
     seek(page, 0.5)
     assert texts.count() == 0
     page.mouse.move(box["x"] + box["width"] - 14, box["y"] + 40)  # over the curves

@@ -107,9 +107,12 @@ def _facts(content: Mapping[str, Any]) -> list[list[str]]:
 
 def _doubts(evidence: Mapping[str, Any]) -> list[str]:
     """Return warnings, the recordings that do not agree as far as no warning names them, and notes."""
-    named = " ".join(evidence["warnings"])
-    odd = [f"{name} does not agree with the others: {why}" for name, why in evidence["odd"] if name not in named]
-    return [*evidence["warnings"], *odd, *evidence["notes"]]
+    warnings = evidence.get("warnings", [])
+    named = " ".join(warnings)
+    odd = [
+        f"{name} does not agree with the others: {why}" for name, why in evidence.get("odd", ()) if name not in named
+    ]
+    return [*warnings, *odd, *evidence.get("notes", ())]
 
 
 def _list(value: object) -> list[Any]:
@@ -231,10 +234,7 @@ def replay(
     if not phases:
         own = phases_from_json(learnt.get("phases") or ())
         phases = tuple(p for p in own if isinstance(named.get(p[0]), Trajectory))
-    first = learnt.get("mechanism") if mechanism is None else mechanism
-    first = first.to_dict() if isinstance(first, Mechanism) else first
-    if not isinstance(first, Mapping | None):  # as in a damaged file
-        raise RecordingError(f"the mechanism must be a dictionary, got {first!r:.60}: learn it again", code="mechanism")
+    first = _dictionary_of(learnt.get("mechanism") if mechanism is None else mechanism)
     tip_name, tree, bands = (
         shown_tip(robot, tip, named, guided),
         kinematic_tree(robot),
@@ -250,8 +250,7 @@ def replay(
             "click a name to draw that one.",
         )
     evidence = evidence_of(learnt) if learnt else None
-    doubts = _doubts(evidence) if evidence else ()
-    all_notes = tuple(dict.fromkeys((*notes, *doubts, *looks.notes)))
+    all_notes = tuple(dict.fromkeys((*notes, *_doubts(evidence or {}), *looks.notes)))
     colouring = rollout_colours(list(named), colours or {}, neutral=bool(phases))
     kinds = _kinds(phases, motions[0].guidance, drawings)
     data = scene_data(robot, tree, looks, tip_name, motions, colouring, all_notes, kinds, drawings)
@@ -268,6 +267,14 @@ def replay(
     if open_browser or (open_browser is None and html is None):
         webbrowser.open(path.as_uri())
     return ReplayResult(path, len(content), all_notes)
+
+
+def _dictionary_of(mechanism: object) -> Mapping[str, Any] | None:
+    described = mechanism.to_dict() if isinstance(mechanism, Mechanism) else mechanism
+    if isinstance(described, Mapping | None):
+        return described
+    # as in a damaged file
+    raise RecordingError(f"the mechanism must be a dictionary, got {described!r:.60}: learn it again", code="mechanism")
 
 
 def _temporary_file(robot: Robot) -> Path:

@@ -4,7 +4,7 @@
 const STATUS = { ok: "var(--status-ok)", slowed: "var(--status-slowed)", stopped: "var(--status-stopped)" };
 const MAX_STRIPS = 8;
 const TAP = 10; // a finger that moves less taps [px]
-const MOST_READ = 6, READ_ROW = 16; // values at the cursor, and the height of a row [px]
+const MOST_READ = 6; // values at the cursor
 const DASHES = ["", "7 4", "2 4", "10 3 2 3", "1 3 6 3"];
 
 function svg(tag, attributes, parent) {
@@ -114,8 +114,10 @@ class Chart extends ValueAxis {
     this.cursor = svg("line", { y1: this.top, y2: this.bottom + below + 2, stroke: "var(--ink)", "stroke-width": 1.5 }, root);
     this.knob = svg("path", { d: "M-6 0h12l-6 8z", fill: "var(--ink)" }, root);
     this.dots = curves.map((r) => [r, svg("circle", { r: 5, fill: r.colour, stroke: "var(--page)", "stroke-width": 2 }, root)]);
-    this.readout = svg("g", { class: "readout" }, root);
-    this.element.replaceChildren(root);
+    this.pointer = svg("line", { y1: this.top, y2: this.bottom, stroke: "var(--muted)" }, root);
+    this.readout = make("div", { className: "readout" });
+    this.element.replaceChildren(root, this.readout);
+    this.readOut();
     if (this.time !== undefined) this.setTime(this.time);
     if (this.onDrawn) this.onDrawn();
   }
@@ -191,25 +193,18 @@ class Chart extends ValueAxis {
     this.readOut();
   }
 
-  // The values where the mouse is: beside it, where the curves are not.
+  // The values where the mouse is: beside it, above or below the curves.
   readOut() {
     if (!this.readout) return;
     const t = this.hover, shown = [...this.curves].sort((a, b) => b.solid - a.solid).slice(0, MOST_READ);
-    this.readout.replaceChildren();
-    if (t === undefined || !shown.length) return;
-    const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), n = values.length;
-    const flat = this.bottom - this.top < 24 + READ_ROW * n, rows = values.map((value, i) => `${readable(value)} ${shortName(shown[i].name)}`), cell = 36 + 7.4 * Math.max(...rows.map((row) => row.length)); // side by side where the curves are low
-    const wide = flat ? 58 + cell * n : Math.max(cell + 8, 68), high = flat ? 22 : 22 + READ_ROW * n;
-    const left = x + 12 + wide > this.right ? Math.max(x - 12 - wide, 0) : x + 12, middle = values.reduce((sum, v) => sum + this.y(v), 0) / n;
-    const top = middle > (this.top + this.bottom) / 2 ? this.top + 1 : this.bottom - high - 3;
-    svg("rect", { x: left, y: top, width: wide, height: high, rx: 6 }, this.readout);
-    svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom }, this.readout);
-    svg("text", { x: left + 9, y: top + 15 }, this.readout).textContent = `${t.toFixed(2)} s`;
-    rows.forEach((row, i) => {
-      const from = left + 9 + (flat ? 50 + cell * i : 0), y = top + 15 + (flat ? 0 : READ_ROW * (i + 1));
-      svg("line", { x1: from, x2: from + 16, y1: y - 4, y2: y - 4, style: `stroke: ${shown[i].colour}`, "stroke-width": 3, "stroke-dasharray": DASHES[shown[i].index % DASHES.length] }, this.readout);
-      svg("text", { x: from + 22, y, class: "value" }, this.readout).textContent = row;
-    });
+    this.readout.hidden = t === undefined || !shown.length;
+    this.pointer.style.display = this.readout.hidden ? "none" : "";
+    if (this.readout.hidden) return;
+    const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), middle = values.reduce((sum, v) => sum + this.y(v), 0) / values.length;
+    for (const end of ["x1", "x2"]) this.pointer.setAttribute(end, x);
+    const across = 2 * x < this.left + this.right ? `left: ${x + 12}px` : `right: ${this.element.clientWidth - x + 12}px`, top = 2 * middle > this.top + this.bottom;
+    this.readout.style = `${across}; ${top ? "top: 2px" : `bottom: ${this.element.clientHeight - this.bottom + 2}px`}`;
+    this.readout.replaceChildren(make("p", {}, `${t.toFixed(2)} s`), ...shown.map((r, i) => make("p", { style: `--colour: ${r.colour}` }, make("b", {}, `${readable(values[i])} ${shortName(r.name)}`))));
   }
 
   // What the colours of strips and bands mean: the statuses that occur, mildest first, then the phases.

@@ -1,18 +1,18 @@
 // What is drawn beside the robots: the marks of the constraint, switched on and off; and what colours the paths.
 
 const SHOWN = {
-  constraint: { say: "Constraint at the tip", on: true },
-  handles: { say: "Handles", on: true },
-  mechanism: { say: "Mechanism", on: true },
-  around: { say: "What it keeps clear of", on: true },
-  target: { say: "Target", on: true },
-  ellipsoid: { say: "Ellipsoid of the task" },
-  paths: { say: "Paths of the tip", on: true },
+  constraint: { say: "Constraint at the tip", has: (r) => r.drawn },
+  handles: { say: "Handles", has: (r) => r.pieces.length },
+  mechanism: { say: "Mechanism", has: (_, { mechanisms }) => mechanisms.length },
+  around: { say: "Scene as stated", has: (r) => r.things.length },
+  target: { say: "Target", has: (r) => r.drawn && r.drawn.target },
+  ellipsoid: { say: "Ellipsoid of the task", has: (r) => r.drawn && r.drawn.ellipsoid.some((x) => x !== 0) },
+  paths: { say: "Paths of the tip", has: () => true },
 };
 
 class Shown {
   constructor(data, show) {
-    Object.assign(this, { show, scale: data.ellipsoidScale, on: Object.fromEntries(Object.entries(SHOWN).map(([name, { on }]) => [name, on])) });
+    Object.assign(this, { show, scale: data.ellipsoidScale, on: Object.fromEntries(Object.keys(SHOWN).map((name) => [name, true])) });
     this.on.ellipsoid = show.rollouts.some((r) => r.curve.length); // it belongs to the curve
     const size = show.stage ? show.stage.size : 1;
     for (const rollout of show.rollouts) {
@@ -25,16 +25,8 @@ class Shown {
     this.apply();
   }
 
-  has(name) {
-    if (name === "mechanism") return this.show.mechanisms.length > 0;
-    if (name === "paths") return true;
-    if (name === "handles") return this.show.rollouts.some((r) => r.pieces.length);
-    if (name === "around") return this.show.rollouts.some((r) => r.things.length);
-    return this.show.rollouts.some((r) => r.drawn && (name !== "target" || r.drawn.target) && (name !== "ellipsoid" || r.drawn.ellipsoid.some((x) => x !== 0)));
-  }
-
   offer(data) {
-    const names = Object.keys(SHOWN).filter((name) => this.has(name)), fits = this.show.rollouts.some((r) => r.fit);
+    const names = Object.keys(SHOWN).filter((name) => this.show.rollouts.some((r) => SHOWN[name].has(r, this.show))), fits = this.show.rollouts.some((r) => r.fit);
     if (names.length < 2 && !fits) return;
     const card = addSheet("shown", "Show", "What is drawn in the scene");
     for (const name of names) card.append(checkbox(SHOWN[name].say, this.on[name], (on) => { this.on[name] = on; this.apply(); }, { shown: name }));
