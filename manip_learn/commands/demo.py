@@ -124,6 +124,7 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
         tip=scene.frame,
         title=_difference(answers) if is_pair else scene.title,
         report=learner.report_,
+        notes=learnt.notes,
         side_by_side=is_pair,
         align="grasp" if is_pair else "start",
         open_browser=options.browser and not options.as_json,

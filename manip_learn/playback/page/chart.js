@@ -214,7 +214,7 @@ class Chart extends ValueAxis {
     if (this.rollouts.some(hasGaps)) phases.push({ ...NO_PHASE, colour: "var(--unclassified)" });
     if (colouring.mode === "fit") phases = fitKey();
     const statuses = Object.keys(STATUS).filter((state) => states.has(state)).map((label) => ({ label, colour: STATUS[label] }));
-    return [...statuses, ...phases].map(({ colour, label, mark, ink }) => ({ colour, say: label, mark, ink }));
+    return [...statuses, ...phases];
   }
 }
 

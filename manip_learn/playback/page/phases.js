@@ -106,7 +106,7 @@ function pathColours(rollout, times, sides) {
 
 // What was shown, from where the hands took hold, a ball where all of them did, to the farthest point, with a head.
 function shownWay(points, radius, hold) {
-  const ink = new THREE.MeshBasicMaterial({ toneMapped: false, transparent: true, opacity: 0.75 }), at = (k) => new THREE.Vector3(...points.slice(3 * k, 3 * k + 3));
+  const ink = new THREE.MeshBasicMaterial({ toneMapped: false }), at = (k) => new THREE.Vector3(...points.slice(3 * k, 3 * k + 3));
   onTheme(() => ink.color.copy(linear(pageColour("--shown"))));
   const last = points.length / 3 - 1, along = at(last).sub(at(Math.max(last - 1, 0))).normalize();
   const head = new THREE.Mesh(new THREE.ConeGeometry(2.6 * radius, 8 * radius, 20), ink), ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 20, 14), ink);

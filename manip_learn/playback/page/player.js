@@ -186,22 +186,18 @@ class Player {
   drawSlider() { drawSliderBands(get("scrub-bands"), this.show.solid, this.show.duration); }
 
   fillColourKey() {
-    get("status-key").replaceChildren(...this.chart.colourKey().map(({ colour, say, mark = "", ink }) => {
+    get("status-key").replaceChildren(...this.chart.colourKey().map(({ colour, label, mark = "", ink }) => {
       const image = svg("svg", { width: 16, height: mark ? 14 : 9 });
       svg("rect", { width: 16, height: mark ? 14 : 9, rx: 2, fill: colour }, image);
       if (mark) svg("text", { x: 8, y: 11, "text-anchor": "middle", style: `fill: ${ink}` }, image).textContent = mark;
-      return make("span", {}, image, say);
+      return make("span", {}, image, label);
     }));
   }
 
   wireTransport() {
-    for (const name of ["back", "forward", "loop"]) icon(get(name), name);
-    icon(get("play"), "play");
-    get("play").addEventListener("click", () => this.toggle());
-    get("back").addEventListener("click", () => this.step(-1));
-    get("forward").addEventListener("click", () => this.step(1));
-    get("loop").addEventListener("click", () => this.setLoop(!this.loop));
-    get("log").addEventListener("click", () => this.chart.turnLogarithmic());
+    for (const name of ["back", "forward", "loop", "play"]) icon(get(name), name);
+    const actions = { play: () => this.toggle(), back: () => this.step(-1), forward: () => this.step(1), loop: () => this.setLoop(!this.loop), log: () => this.chart.turnLogarithmic() };
+    for (const [name, action] of Object.entries(actions)) get(name).addEventListener("click", action);
     get("scrub").max = this.show.duration || 1;
     get("scrub").addEventListener("input", (event) => this.seek(Number(event.target.value)));
     get("speed").addEventListener("change", (event) => { this.speed = Number(event.target.value); releaseFocus(event.target); });
