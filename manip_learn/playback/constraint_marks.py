@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -150,14 +149,13 @@ def constraint_marks(
     }
 
 
-def ellipsoid_scale(marks: Sequence[dict[str, Any] | None], size: float) -> float:
+def ellipsoid_scale(longest: float, size: float) -> float:
     """Return the length drawn for 1 m/s: 1, 2 or 5 times a power of ten, the largest ellipsoid fits into the scene.
 
     Args:
-        marks: Those of each motion.
-        size: Longest semi-axis [m].
+        longest: Semi-axis of all ellipsoids [m/s].
+        size: Room for it [m].
     """
-    longest = max((mark["longest"] for mark in marks if mark is not None), default=0.0)
     if longest <= 0.0:
         return 1.0
     wanted = size / longest

@@ -69,6 +69,7 @@ def scene_data(
     cloud = np.concatenate([cloud, *corners])
     places = max(LEAST_PLACES, MOST_PLACES // len(motions))
     marks = [_marks(robot, m, places) for m in motions]
+    longest = max((mark.pop("longest") for some in marks for mark in some if mark is not None), default=0.0)
     most = points_per_curve([m.measures for m in motions])
     return {
         "robot": _robot(robot, tree, looks, tip),
@@ -82,7 +83,7 @@ def scene_data(
             for m, c, mark, things in zip(motions, colours, marks, around, strict=True)
         ],
         # the longest semi-axis takes 8 % of the scene
-        "ellipsoidScale": ellipsoid_scale([one for some in marks for one in some], 0.08 * _extent(cloud)),
+        "ellipsoidScale": ellipsoid_scale(longest, 0.08 * _extent(cloud)),
         "notes": list(notes),
         "panes": [],
         "zero": 0.0,
@@ -206,7 +207,6 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
         "pathTimes": packed(motion.path_times, "<f4"),
         "path": packed(motion.path, "<f4"),
         "status": [[t, word, status_in_page(word)] for t, word in motion.status],
-        "clear": keeps_clear(motion.around),
         "fitShare": motion.fit_share,
         "handles": motion.handles,
         # start, end, number of the kind; -1 for free motion
@@ -215,7 +215,8 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
             for b in motion.phases
         ],
     }
-    return described | ({"phaseKinds": [vars(k) for k in own]} if own else {})
+    more = {"phaseKinds": [vars(k) for k in own], "clear": keeps_clear(motion.around)}
+    return described | {key: value for key, value in more.items() if value}
 
 
 def _drawn_points(robot: Robot, looks: Appearance, motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "C 3"]:
