@@ -98,7 +98,7 @@ def links_of(robot):
 def picture(page):
     """The scene alone, as PNG."""
     wait_for_frames(page)
-    return page.locator("#scene canvas").screenshot(style="#legend, #notes, .sheet { visibility: hidden }")
+    return page.locator("#scene canvas").screenshot(style="#legend, #notes, #scene-key, .sheet { visibility: hidden }")
 
 
 @pytest.fixture(scope="module")
@@ -207,7 +207,8 @@ def test_hostile_names_do_nothing(tmp_path, opened):
     page = opened(replay(robot, {EVIL: evil}, tmp_path / "a.html", title=EVIL).html.as_uri())
     for place in ("#robot-name", "#subtitle", "#legend .name"):
         assert page.locator(place).inner_text() == EVIL
-    assert EVIL in page.locator("#status-key").inner_text()
+    assert page.locator("#status-key").inner_text() == "slowed"
+    assert page.locator("#chart rect title").all_text_contents() == [f"{EVIL}: slowed ({EVIL})"]
     np.testing.assert_allclose(link_pose(page, EVIL, EVIL), robot.pose(motion.q[0], robot.frame(EVIL)), atol=POSES)
     hinge = {"type": "hinge", "axis": [0, 0, 1], "point": [0.5, 0.5, 0.1], "radius": 0.6, "sentence": f"a hinge {EVIL}"}
     recording, phases = {EVIL: motion.trajectory(EVIL)}, [(EVIL, 0.0, 2.0, 0)]
@@ -388,12 +389,11 @@ def test_tracks_marks_and_cards_are_switched(drawer, rollout, address, opened):
     assert not page.locator("#track-choice section").is_visible()
     page.locator("#shown summary").click()
     names = page.locator("[data-shown]").evaluate_all("boxes => boxes.map((box) => [box.dataset.shown, box.checked])")
-    assert names == [["constraint", True], ["target", True], ["ellipsoid", True], ["paths", True], ["labels", True]]
-    for name, _ in names[:-1]:
+    assert names == [["constraint", True], ["target", True], ["ellipsoid", True], ["paths", True]]
+    for name, _ in names:
         before = picture(page)
         page.locator(f"[data-shown={name}]").click()
         assert picture(page) != before, name
-    assert "drawn for 1 m/s" in page.locator("#shown .key").inner_text()
     page.locator("#evidence summary").click()
     wait_until(page, "!document.querySelector('#shown').open", 5.0)
     told = page.locator("#evidence section").inner_text()
@@ -436,14 +436,14 @@ def opening(drawer):
 
 
 def test_the_drawer_is_in_the_hand_and_says_how_far_it_is_open(robot_of, opening, address, opened):
-    """At any time, of whichever rollout is solid; label, legend and readout say what the curves have; every mark is in
+    """At any time, of whichever rollout is solid; legends and the readout say what the curves have; every mark is in
     the first view; a dark page has lighter curves.
     """
     robot = robot_of("sawyer")
     page = opened(address("opening", "sawyer", lambda _: opening), 1280, 800)
     for t in (0.0, 1.2):
         seek(page, t)
-        wait_until(page, "document.querySelectorAll('#labels span:not([hidden])').length === 6")
+        assert page.locator("#scene-key li:visible").count() == 6
     for k, name in enumerate(opening):
         page.locator("#legend .pick").nth(k).click()
         for i in (0, 50, 120):
@@ -453,13 +453,15 @@ def test_the_drawer_is_in_the_hand_and_says_how_far_it_is_open(robot_of, opening
             tip = robot.position(opening[name].q[i], robot.frame("right_gripper_tip"))
             np.testing.assert_allclose(handle, tip, atol=1e-3)
             value = page.evaluate("([t, name]) => manipLearn.trackValues(t).opening[name]['']", [t, name])
-            wait_until(page, f"document.getElementById('labels').textContent.includes('handle moved {value:.3f} m')")
+            assert f"handle moved {value:.3f} m" in page.locator("#scene-key li:visible").all_inner_texts()
             assert f"moved {value:.3f} m" in page.locator("#legend .state").nth(k).inner_text()
         assert value == pytest.approx({"far": 0.15, "near": 0.08}[name], abs=2e-3)
-    words = {"free to move", "held", "target", "line that was learnt", "speed within reach (μ)"}
-    assert words <= set(page.locator("#labels span:visible").all_inner_texts())
+    words = page.locator("#scene-key li:visible").all_inner_texts()
+    assert {"free to move", "held", "target", "line that was learnt"} <= set(words)
+    assert any("speed within reach (μ)" in row and "m for 1 m/s" in row for row in words)
+    assert page.locator("#legend .name").all_inner_texts() == list(opening)  # every arm that is drawn has its name
     page.locator("#legend .pick").nth(0).click()
-    texts, box = page.locator("#chart .readout text"), page.locator("#chart").bounding_box()
+    texts, box = page.locator("#chart .readout:not([hidden]) p"), page.locator("#chart").bounding_box()
     seek(page, 0.5)
     assert texts.count() == 0
     page.mouse.move(box["x"] + box["width"] - 14, box["y"] + 40)  # over the curves
@@ -520,7 +522,7 @@ def test_a_plan_beside_other_rollouts(robot_of, opening, tmp_path, opened):
         assert [phase in state for state in states] == [True, False, False]
         assert ("moved 0.000 m" in states[0]) == shut
         wait_for_frames(page)
-        labels = page.locator("#labels span:not([hidden])").all_text_contents()  # in the way of the robot, or not
+        labels = page.locator("#scene-key li:visible").all_text_contents()
         assert ("held" in labels) == (phase != "approach")
     begins = robot.position(plan.q[110], robot.frame("right_gripper_tip"))
     seek(page, 0.5)

@@ -430,8 +430,8 @@ def test_names_and_answers_are_text(program, page):
     assert page.locator("#headline").inner_text() == ANSWER["sentence"]
     assert page.locator("#holding").inner_text() == "Holding the drawer. Pull it open. To let go:"
     assert page.locator("#teach img").count() == 0
-    wait_until(page, "document.getElementById('labels').innerText.includes('hardly move this way')")
-    labels = page.locator("#labels").inner_text()
+    wait_until(page, "document.getElementById('scene-key').innerText.includes('hardly move this way')")
+    labels = page.locator("#scene-key").inner_text()
     for label in (
         "gripped · 12.3 cm open",
         "joint2 is at its limit",
@@ -624,10 +624,10 @@ def test_ghosts_are_played_beside_the_arm(program, page):
     wait_until(page, "document.querySelectorAll('#ghost-ends button').length === 2")
     assert page.locator("#ghost-ends button").first.inner_text() == HOSTILE
     wait_until(page, "document.querySelectorAll('#chart polyline').length === 2")
-    wait_until(page, "document.getElementById('labels').innerText.includes('without: 9.3 of 20.0 cm')")
+    wait_until(page, "document.getElementById('scene-key').innerText.includes('without: 9.3 of 20.0 cm')")
     assert page.locator("#ghost-ends meter").first.evaluate("bar => bar.value") == pytest.approx(1.0)
     page.locator("#ghost-ends button").last.click()
-    wait_until(page, "!document.getElementById('labels').innerText.includes('without: 9.3')")
+    wait_until(page, "!document.getElementById('scene-key').innerText.includes('without: 9.3')")
     assert "9.3 of 20.0 cm" in page.locator("#ghost-ends").inner_text()
     program.put("ghosts", {"number": 2, "kind": "replay", "rollouts": [
         ghost | {"name": "motion", "ended": "", "curve": "", "curveTimes": "", "colour": "#d55e00"}]})  # fmt: skip

@@ -4,40 +4,57 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass
+import math
 from pathlib import Path
-from typing import Any, final
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.loading import robot_of_constraint
 from manip_learn.commands.options import AuditOptions
+from manip_learn.commands.output import Answer, cells, silent
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.errors import counted
 from manip_learn.learning.audit import AuditReport, EpisodeAudit, audit_episodes
 from manip_learn.learning.table import dask_client
 from manip_learn.recordings.load import Progress, RecordingSource
 
-
-@final
-@dataclass(frozen=True)
-class Audited:
-    """Report, and the file of its table or None."""
-
-    report: AuditReport
-    out: Path | None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON answer."""
-        return {**self.report.to_dict(), "csv": None if self.out is None else str(self.out)}
+# of an episode, in the order in which they matter
+_MEASURES = (
+    "score: {score:.1f}; broken: {residual:.1%}; room: {limit_margin:.0%}; mm: {displacement_mm:.1f}; "
+    "sigma: {sigma_min:.3f}; speed: {peak_speed:.0%}; rest: {rest_share:.0%}; deg: {displacement_deg:.1f}; "
+    "jerk: {jerk_rms:.1f}; s: {duration:.1f}"
+)
+_SHOWN = 20  # episodes on a terminal
 
 
-def audit(options: AuditOptions, progress: Progress | None = None) -> Audited:
+def audit(options: AuditOptions, progress: Progress = silent) -> Answer:
     """Measure and rank the episodes in some recordings; write them as CSV if a file is named."""
     robot = robot_of_constraint(options.robot, options.constraint, options.loading)
     constraint = Constraint.load(options.constraint, robot)
     source = RecordingSource(options.recordings, robot, progress=progress, **options.reading.keywords())
     with dask_client(options.dask) as client:
         report = audit_episodes(constraint, source, client=client, progress=progress)
-    return Audited(report, None if options.csv is None else write_table(report, options.csv))
+    file = None if options.csv is None else write_table(report, options.csv)
+    return described(report, file)
+
+
+def described(report: AuditReport, file: Path | None = None) -> Answer:
+    """Return an audit as an answer: what to leave out and why, and the worst episodes.
+
+    Args:
+        report: The audit.
+        file: Its table, if it was written.
+    """
+    content, n = report.to_dict() | {"csv": file}, len(report.episodes)
+    threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
+    return Answer(
+        content,
+        title=f"leave out {len(report.leave_out)} of {counted(n, 'episode')} ({threshold})",
+        sentences=[f"{e.episode}: {'; '.join(e.reasons)}" for e in report.leave_out],
+        remarks=[f"the {_SHOWN} worst (--csv FILE lists all):" if n > _SHOWN else ""],
+        rows=[{"episode": e["episode"]} | cells(e, _MEASURES) for e in content["episodes"][:_SHOWN]],
+        notes=report.notes,
+        written=[f"written: {file}" if file else ""],
+    )
 
 
 def write_table(report: AuditReport, path: Path) -> Path:

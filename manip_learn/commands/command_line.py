@@ -28,32 +28,53 @@ _WORDS: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
 
 
 def parsed_by(options: type, run: Callable[[Any], None]) -> Callable[..., None]:
-    """A function for typer that has the fields of some options as its parameters, and runs a command with them.
+    """Return a function for typer that has the fields of some options as its parameters, and runs a command with them.
 
-    A field that is itself a dataclass is a set of options: its fields stand in its place, under its `HEADING`.
+    A field that is itself a dataclass is a set of options: its fields stand in its place, under its docstring.
 
     Args:
         options: A dataclass; the first paragraph of its docstring is the help of the command, the second an example.
         run: Takes an object of it.
     """
     own = _parameters(options)
-    sets: dict[str, Any] = {name: p.annotation for name, p in own.items() if dataclasses.is_dataclass(p.annotation)}
+    sets: dict[str, Any] = {p.name: p.annotation for p in own if dataclasses.is_dataclass(p.annotation)}
     flags = {name: _parameters(kind) for name, kind in sets.items()}
 
     def with_options(**given: Any) -> None:
         given.pop(HELP_ALL)
-        made = {name: sets[name](**{flag: given.pop(flag) for flag in of}) for name, of in flags.items()}
+        made = {name: sets[name](**{p.name: given.pop(p.name) for p in of}) for name, of in flags.items()}
         run(options(**given, **made))
 
-    merged = [q for name, p in own.items() for q in flags.get(name, {name: p}).values()]
+    merged = [q for p in own for q in flags.get(p.name, [p])]
     merged.append(inspect.Parameter(HELP_ALL, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=HelpAll))
-    with_options.__doc__, _, example = (inspect.getdoc(options) or "").partition("\n\n")
+    with_options.__doc__, example, *_ = f"{inspect.getdoc(options)}\n\n".split("\n\n")
     with_options.__annotations__ = {}
-    first = takewhile(lambda name: name not in sets, own)
-    headings = {flag: sets[name].HEADING for name, of in flags.items() for flag in of}
-    told = {"headings": headings, "first": {*first, "help", HELP_ALL}, "example": example.strip()}
+    first = takewhile(lambda name: name not in sets, (p.name for p in own))
+    headings = {p.name: (inspect.getdoc(sets[name]) or "").partition(".")[0] for name, of in flags.items() for p in of}
+    told = {"headings": headings, "first": {*first, "help", HELP_ALL}, "example": example}
     vars(with_options).update(__signature__=inspect.Signature(merged), **told)
     return with_options
+
+
+def described(kind: type) -> dict[str, str]:
+    """Return the names that the docstring of a class describes under `Attributes:`, and what it says of them."""
+    entries = re.findall(r"^    (\w[\w ]*): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.MULTILINE)
+    return {name: " ".join(text.split()) for name, text in entries}
+
+
+def _parameters(options: Any) -> list[inspect.Parameter]:
+    """Return the fields of a dataclass as keywords of a function, with their help from its docstring."""
+    texts = described(options)
+    hints, parameters = get_type_hints(options, include_extras=True), list[inspect.Parameter]()
+    for field in dataclasses.fields(options):
+        name, kind = field.name, hints[field.name]
+        if hasattr(kind, "__metadata__"):
+            kind.__metadata__[0].help = texts.get(name, kind.__metadata__[0].help)
+        elif not dataclasses.is_dataclass(kind):
+            kind = Annotated[kind, Option("--" + name.replace("_", "-"), help=texts[name])]
+        default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
+        parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind))
+    return parameters
 
 
 def _explain_all(context: Context, asked: bool) -> None:
@@ -65,19 +86,6 @@ def _explain_all(context: Context, asked: bool) -> None:
 
 
 HelpAll = Annotated[bool, Option("--help-all", is_eager=True, callback=_explain_all, help="Explain all options.")]
-
-
-def _parameters(options: Any) -> dict[str, inspect.Parameter]:
-    """Fields of a dataclass as keywords of a function."""
-    hints = get_type_hints(options, include_extras=True)
-    defaults = {
-        f.name: inspect.Parameter.empty if f.default is dataclasses.MISSING else f.default
-        for f in dataclasses.fields(options)
-    }
-    return {
-        name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[name])
-        for name, default in defaults.items()
-    }
 
 
 class GroupedCommand(TyperCommand):

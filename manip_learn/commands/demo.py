@@ -4,27 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
-from manip_learn.commands.control import Controlled, follow, with_margin
-from manip_learn.commands.learn import LearntTask, learn_task
-from manip_learn.commands.options import DemoOptions, LearnOptions, PlanOptions, ReadingOptions
+from manip_learn.commands.control import run
+from manip_learn.commands.learn import fit
+from manip_learn.commands.options import ControlOptions, DemoOptions, LearnOptions, PlanOptions, ReadingOptions
+from manip_learn.commands.output import Answer, silent
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
-from manip_learn.control.simulation import WayDone, simulate, simulate_way
 from manip_learn.control.tasks import PointAttractor, Task, motion
-from manip_learn.control.tasks.motion import null_policy
 from manip_learn.errors import UnknownNameError
-from manip_learn.planning.plan import Plan
-from manip_learn.playback import ReplayResult, replay
+from manip_learn.playback import replay
 from manip_learn.recordings.files import shipped_recordings
 from manip_learn.recordings.load import Progress
 from manip_learn.robot import load_robot
 
-DT, _TOLERANCE = 0.01, 0.01  # [s], as the shipped recordings; [m or rad] of a target that counts as reached
 PAUSE = 0.5  # [s] at the handle, as a gripper takes to close
 
 
@@ -40,9 +36,9 @@ class DemoScene:
         title: For the page.
         story: What the start is, and how typical its outcome, for the terminal.
         start: Joint positions [rad].
-        rest: Rest posture of the attractor policy [rad].
+        rest: Rest posture of the attractor policy, as it is typed [rad].
         target: For the feature rows, in the base frame; None where the hand does what was shown, without turning.
-        duration: Of a demo without a way [s].
+        duration: Of a demo without a way [s]; None for as long as a way needs.
         velocities: How recorded ones are used.
     """
 
@@ -52,9 +48,9 @@ class DemoScene:
     title: str
     story: str
     start: tuple[float, ...]
-    rest: tuple[float, ...]
+    rest: str
     target: tuple[float, ...] | None = None
-    duration: float = 8.0
+    duration: float | None = None
     velocities: str | None = None
 
     def task(self, constraint: Constraint) -> Task:
@@ -74,7 +70,7 @@ SCENES = {
         "shown, without turning.",
         # of benchmarks/opening_drawers.py, near a singularity, seed 20000, number 28: the elbow is at the side
         start=(0.1096, -1.6298, 2.8231, -1.8008, 2.0846, -0.051, 3.049),
-        rest=(-0.13, -0.974, 0.386, 2.142, -0.372, -1.105, 3.227),  # the mean recorded posture
+        rest="-0.13,-0.974,0.386,2.142,-0.372,-1.105,3.227",  # the mean recorded posture
     ),
     "planar3": DemoScene(
         recordings="planar3_reach",
@@ -83,34 +79,15 @@ SCENES = {
         title="reaching, learnt from 20 motions",
         story="The arm starts stretched out, the paper's singular start but for a tenth of a degree.",
         start=tuple(np.radians([90.1, 0.0, 0.0]).tolist()),
-        rest=tuple(np.radians([10.0, -10.0, 10.0]).tolist()),
+        rest=",".join(map(str, np.radians([10.0, -10.0, 10.0]))),
         target=(0.0, 0.5, 0.0),
+        duration=8.0,
         velocities="recorded",  # which made the positions, by Euler steps
     ),
 }
 
 
-@final
-@dataclass(frozen=True)
-class Demo:
-    """All results of the demo."""
-
-    learnt: LearntTask
-    rollouts: dict[str, Controlled]
-    page: ReplayResult
-    story: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON answer."""
-        return {
-            "constraint": self.learnt.to_dict(),
-            "rollouts": {name: r.to_dict() for name, r in self.rollouts.items()},
-            "html": str(self.page.html),
-            "bytes": self.page.bytes,
-        }
-
-
-def demo(options: DemoOptions, progress: Progress | None = None) -> Demo:
+def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
     """Learn, move from one nearly singular start without and with what was learnt, write constraint, rollouts, replay.
 
     "without" leaves the spare joints at rest; "with" plans the posture of hold where a fixture is moved, and climbs mu
@@ -122,57 +99,61 @@ def demo(options: DemoOptions, progress: Progress | None = None) -> Demo:
     """
     if options.robot not in SCENES:
         raise UnknownNameError("demo robot", options.robot, SCENES)
-    scene, out, said = SCENES[options.robot], options.out, progress or (lambda _step, _share: None)
-    said("learning from the recordings", 0.0)
+    scene, out = SCENES[options.robot], options.out
+    progress("learning from the recordings", 0.0)
     shipped, file = str(shipped_recordings() / scene.recordings), out / "constraint.json"
     asked = LearnOptions(options.robot, [shipped], frame=scene.frame, axes=scene.axes, out=file)
-    learnt = learn_task(replace(asked, reading=ReadingOptions(velocities=scene.velocities)))
-    robot, constraint, done = load_robot(options.robot), learnt.constraint, dict[str, Controlled]()
-
-    def keep(name: str, rollout: Rollout, task: Task, way: WayDone | None = None, found: Plan | None = None) -> None:
-        rollout, margin = with_margin(rollout, task, way, found, robot)
-        saved = rollout.save(out / f"{name}.npz")
-        done[name] = Controlled.of(constraint, rollout, _TOLERANCE, way, out=saved, plan=found, margin=margin)
-
+    learner, learnt = fit(replace(asked, reading=ReadingOptions(velocities=scene.velocities)))
+    constraint, rollouts, answers = learner.constraint_, dict[str, Rollout](), dict[str, Answer]()
     best = "manipulability" if scene.target is not None else "plan"
     shown = {"without": "zero", "with": best}
     if options.all_policies:
         shown = {name: name for name in dict.fromkeys((best, "manipulability", "attractor", "zero"))}
     for i, (name, policy) in enumerate(shown.items()):
-        said("planning in which posture to take hold" if policy == "plan" else f"moving {name}", 0.5 + 0.1 * i)
-        task, start = scene.task(constraint), np.array(scene.start)
-        if policy == "plan":
-            found, rollout, way = follow(PlanOptions(plan=True), constraint, task, start, DT)
-            keep(name, rollout, task, way, found)
-            continue
-        spare = null_policy(policy, task, constraint, robot, None, scene.rest)
-        controller = ResolvedRateController(constraint, task, spare, dt=DT)
-        if scene.target is not None:
-            keep(name, simulate(robot, controller, start, scene.duration, DT), task)
-        else:
-            rollout, way = simulate_way(robot, controller, start, DT)
-            keep(name, rollout, task, way)
-    said("writing the replay", 0.9)
+        progress("planning in which posture to take hold" if policy == "plan" else f"moving {name}", 0.5 + 0.1 * i)
+        how = ControlOptions(options.robot, str(file), policy=policy, rest=scene.rest, duration=scene.duration)
+        how = replace(how, planned=PlanOptions(policy == "plan"), gain=1.0 if policy == "attractor" else how.gain)
+        rollouts[name], answer = run(how, constraint, scene.task(constraint), np.array(scene.start))
+        answers[name] = answer.with_files(rollouts[name].save(out / f"{name}.npz"))
+    progress("writing the replay", 0.9)
     is_pair = scene.target is None and not options.all_policies  # both reach a target, on much the same way
     page = replay(
-        robot,
-        {name: controlled.rollout for name, controlled in done.items()},
+        load_robot(options.robot),
+        rollouts,
         out / "replay.html",
         tip=scene.frame,
-        title=_difference(done) if is_pair else scene.title,
-        report=learnt.report,
+        title=_difference(answers) if is_pair else scene.title,
+        report=learner.report_,
+        notes=learnt.notes,
         side_by_side=is_pair,
         align="grasp" if is_pair else "start",
         open_browser=options.browser and not options.as_json,
     )
-    said("done", 1.0)
-    return Demo(learnt, done, page, scene.story)
+    progress("done", 1.0)
+    contents = {name: answer.content for name, answer in answers.items()}
+    return replace(
+        learnt,
+        content={"constraint": learnt.content, "rollouts": contents, "html": page.html, "bytes": page.bytes},
+        remarks=[
+            *learnt.remarks,
+            scene.story,
+            *(f"{n}: {a.remarks[0]}" for n, a in answers.items() if a.content["plan"]),
+        ],
+        rows=[{"policy": name} | answer.facts for name, answer in answers.items()],
+        warnings=[
+            *learnt.warnings,
+            *(f"{n}: stopped by {c['stopped_by']}" for n, c in contents.items() if c["stopped_by"]),
+        ],
+        page=page,
+        following="",
+    )
 
 
-def _difference(done: Mapping[str, Controlled]) -> str:
+def _difference(answers: Mapping[str, Answer]) -> str:
     """Say what each rollout did: "Without: 1 of 23 cm, then it stops at a singularity. With: all 23 cm."."""
-    ways, sentences = {name: c.way for name, c in done.items() if c.way is not None}, []
-    for name, way in ways.items():
-        far = f"{100 * way.done:.0f} of {100 * way.wanted:.0f} cm, then it stops at {way.stopped_by}"
-        sentences.append(f"{name.capitalize()}: {f'all {100 * way.done:.0f} cm' if way.stopped_by is None else far}.")
+    sentences = []
+    for name, way in ((name, answer.content) for name, answer in answers.items()):
+        done, wanted, stopped = 100 * way["done"], 100 * way["wanted"], way["stopped_by"]
+        far = f"all {done:.0f} cm" if stopped is None else f"{done:.0f} of {wanted:.0f} cm, then it stops at {stopped}"
+        sentences.append(f"{name.capitalize()}: {far}.")
     return " ".join(sentences)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, final
 
 from numpy.typing import ArrayLike
 
@@ -14,6 +12,7 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.command_line import refuse_to_replace
 from manip_learn.commands.loading import load_for_files, locks_of_files, robot_of_constraint
 from manip_learn.commands.options import ExportOptions, vector
+from manip_learn.commands.output import Answer
 from manip_learn.constraint.constraint import Constraint, read_constraint_file
 from manip_learn.control.interop.force_control import WRITERS as TASK_WRITERS
 from manip_learn.control.interop.force_control import as_json
@@ -32,39 +31,14 @@ _FORMATS: dict[str, tuple[tuple[str, ...], Callable[[SavedMotion], bytes]]] = {
 }
 
 
-@final
-@dataclass(frozen=True)
-class Exported:
-    """What was written.
-
-    Attributes:
-        format: mcap, csv, lerobot, trajectory, urscript, stiffness, moveit or json.
-        files: Files, or the folder of a LeRobot data set.
-        trajectories: Number of trajectories; 0 for a task.
-        samples: Number of samples of all of them; 0 for a task.
-        notes: What was noticed while reading; of a task also its axes.
-    """
-
-    format: str
-    files: tuple[Path, ...]
-    trajectories: int
-    samples: int
-    notes: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON answer."""
-        return vars(self) | {"files": [str(f) for f in self.files], "notes": list(self.notes)}
-
-
-def export(options: ExportOptions, progress: Progress | None = None) -> Exported:
+def export(options: ExportOptions, progress: Progress) -> Answer:
     """Read recordings or rollouts, and write them in another format.
 
     Raises:
         OutputError: A format that is not known, several trajectories for one file, or it cannot be written.
         ManipLearnError: Anything that is wrong with the robot or the recordings.
     """
-    if progress is not None:
-        progress("writing", 0.0)
+    progress("writing", 0.0)
     out, keywords = options.out, options.reading.keywords()
     if options.to is not None and options.to in TASK_WRITERS:
         return _export_task(options, TASK_WRITERS[options.to])
@@ -101,10 +75,17 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
         refuse_to_replace([("--out", name) for name in names], options.files)
         written = [content_of(m) for m in motions]  # nothing is written unless all can be
         files = tuple(map(write_atomically, names, written))
-    return Exported(kind, files, len(motions), sum(map(len, motions)), (*locks, *demonstrations.notes))
+    return _exported(kind, files, [*locks, *demonstrations.notes], len(motions), sum(map(len, motions)))
 
 
-def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLike], str]) -> Exported:
+def _exported(kind: str, files: Sequence[Path], notes: list[str], trajectories: int = 0, samples: int = 0) -> Answer:
+    """Return the files, or the folder of a LeRobot data set, as an answer; of a task without numbers."""
+    content = {"format": kind, "files": files, "trajectories": trajectories, "samples": samples, "notes": notes}
+    said = f"{counted(trajectories, 'trajectory')}, {counted(samples, 'sample')}" if trajectories else ""
+    return Answer(content, remarks=[said], notes=notes, written=[f"{kind}: {file}" for file in files])
+
+
+def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLike], str]) -> Answer:
     """Write a constraint for another controller; it says in words what it holds."""
     if len(options.files) != 1:
         raise OutputError(f"--to {options.to} writes one constraint file, got {', '.join(options.files)}")
@@ -122,4 +103,4 @@ def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLik
         text = as_json(read_constraint_file(Path(options.files[0])) | frame.to_dict())
     file = write_atomically(options.out, text)
     notes = [*constraint.notes, f"task frame: {frame.sentence}{where and f', {where} (--at takes another)'}"]
-    return Exported(str(options.to), (file,), 0, 0, tuple(notes))
+    return _exported(str(options.to), [file], notes)

@@ -1,23 +1,24 @@
-"""Robot, frame and recordings of a command: joints are locked as the files say, or where nothing is recorded."""
+"""Robot, frame, start and scene of a command: joints are locked as the files say, or where nothing is recorded."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from manip_learn.commands.options import RobotOptions
 from manip_learn.constraint.constraint import Constraint, locks_in_words, read_constraint_file
 from manip_learn.control.limits import check_inside
-from manip_learn.errors import DAMAGE, ConstraintMismatchError, UnknownNameError, named
+from manip_learn.errors import DAMAGE, ConstraintMismatchError, ManipLearnError, UnknownNameError, named
 from manip_learn.recordings.files import SUFFIXES
 from manip_learn.recordings.guards import natural_order
 from manip_learn.recordings.options import unmoved_joint_names
 from manip_learn.recordings.saved_motion import FileHeader, file_header
 from manip_learn.robot import Robot
+from manip_learn.robot.tips import distance_to_last_joint, likely_tips
 
 if TYPE_CHECKING:
     from manip_learn.planning.plan import Around
@@ -29,12 +30,12 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Ro
     Rollouts and exported recordings do.
     """
     header, file = _first_header(files)
-    made_with = None if header is None else header.robot
-    if made_with is None:
+    if header is None or header.robot is None:
         return loading.load(name)
+    made_with = header.robot
     plain = loading.load(name, objects=loading.objects or made_with.objects)
     known = {*plain.joint_names, *plain.locked, *unmoved_joint_names(plain)}
-    free = [j for j in (loading.lock or ()) if j not in made_with.locked]
+    free = set(loading.lock or ()).difference(made_with.locked)
     if free or not known >= {*made_with.joint_names, *made_with.locked} or plain.objects != made_with.objects:
         made_with.refuse_another(plain, file.name, file)
     robot = loading.load(name, made_with.locked, made_with.objects)
@@ -50,40 +51,38 @@ def locks_of_files(robot: Robot, loading: RobotOptions) -> list[str]:
 
 def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
     """The first header that a file of the library has, of the paths given or the first file in each folder."""
-    for file in files:
-        path = Path(file)
+    for path in map(Path, files):
         if path.is_dir() and file_header(path) is None:
             with suppress(OSError):  # reading says what is wrong with the folder
-                called = (
+                inside = (
                     p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "." and p.is_file()
                 )
-                path = min(called, key=lambda p: natural_order(p.name), default=path)
+                path = min(inside, key=lambda p: natural_order(p.name), default=path)
         header = file_header(path) if path.exists() else None
         if header is not None:
             return header, path
     return None, Path()
 
 
-def load_for_joints(
-    name: str,
-    joints: Sequence[str],
-    loading: RobotOptions,
-    locked: Mapping[str, float | None] | None = None,
-    objects: Sequence[str] | None = None,
-) -> Robot:
+def load_for_joints(name: str, joints: Sequence[str], loading: RobotOptions, *held: Any) -> Robot:
     """The robot with just these joints moving; its other joints are locked.
+
+    Args:
+        name: Of the robot.
+        joints: Those that move.
+        loading: How it is loaded.
+        *held: Joints that are locked where, and objects, where they are not as the options say.
 
     Raises:
         UnknownNameError: The robot lacks one of the joints.
     """
-    held = dict.fromkeys(loading.lock or ()) if locked is None else dict(locked)
-    robot = loading.load(name, held, objects)
+    robot = loading.load(name, *held)
     if tuple(robot.joint_names) == tuple(joints):
         return robot
     if lacking := [joint for joint in joints if joint not in robot.joint_names]:
         raise UnknownNameError("joint", lacking[0], robot.joint_names, f"robot {robot.name!r}")
     others = [j for j in robot.joint_names if j not in joints]
-    return loading.load(name, {**held, **dict.fromkeys(others)}, objects)
+    return loading.load(name, {**robot.locked, **dict.fromkeys(others)}, robot.objects)
 
 
 def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> Robot:
@@ -101,12 +100,11 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
         # Constraint.load says what is wrong with the file
         return loading.load(robot_name)
     if loading.objects and sorted(loading.objects) != sorted(saved):
+        had, asked = (named("object", map(repr, names)) if names else "no object" for names in (saved, loading.objects))
         raise ConstraintMismatchError(
-            f"{constraint_file} was learnt with {_listed(saved)}, --object names {_listed(loading.objects)}: "
-            "leave --object out, the file knows"
+            f"{constraint_file} was learnt with {had}, --object names {asked}: leave --object out, the file knows"
         )
-    moving = [joint for joint in (loading.lock or ()) if joint in joints]
-    if moving:
+    if moving := [joint for joint in (loading.lock or ()) if joint in joints]:
         raise ConstraintMismatchError(
             f"{constraint_file} was learnt with joint {moving[0]!r} moving, --lock {moving[0]} would hold it still: "
             "leave --lock out, the file knows which joints were locked"
@@ -122,21 +120,38 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
         ) from error
 
 
-def _listed(objects: Sequence[str]) -> str:
-    return named("object", map(repr, objects)) if objects else "no object"
+def choose_frame(robot: Robot, frame: str | None) -> str:
+    """Return the frame that the hand guided: the one that was named, checked, or the only likely tip.
+
+    Raises:
+        UnknownNameError: No such frame.
+        ManipLearnError: None was named and there is more than one candidate.
+    """
+    tips = likely_tips(robot)
+    if frame is None and len(tips) == 1:
+        return tips[0]
+    if frame in robot.frame_names:
+        return robot.frame(frame).name
+    shown = [f"{tip} ({distance_to_last_joint(robot, tip):.3g} m from its last joint)" for tip in tips[:6]]
+    likely = f"likely tips: {', '.join(shown) or 'none'}; `manip-learn inspect` lists all frames"
+    if frame is not None:
+        raise UnknownNameError("frame", frame, robot.frame_names, f"robot {robot.name!r}", f"; {likely}")
+    name = tips[0] if tips else "NAME"
+    raise ManipLearnError(
+        f"which frame of {robot.name!r} was guided? Name it, e.g. --frame {name}; {likely}", code="frame"
+    )
 
 
 def start_posture(
     robot: Robot, constraint: Constraint, start: list[float] | None, moves: bool
 ) -> tuple[np.ndarray, str]:
     """The start posture, and where it comes from if it was not given."""
+    q0, whence = robot.neutral(), "the robot's neutral posture"
     shown = constraint.provenance.get("postures")
     if start is not None:
         q0, whence = robot.checked_posture(start), ""
     elif moves and shown:
         q0, whence = robot.checked_posture(shown[0]), "the first posture in which the task was shown"
-    else:
-        q0, whence = robot.neutral(), "the robot's neutral posture"
     check_inside(robot, robot.positions(q0))
     return q0, whence
 

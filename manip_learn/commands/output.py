@@ -1,4 +1,4 @@
-"""What is shown while a command works, and how its answer leaves, or the sentence that says why there is none."""
+"""Answers of commands: shown while one works, printed as JSON or for people, or refused in a sentence."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 from manip_learn.errors import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from manip_learn.playback import ReplayResult
 
 # keys of sentences, for people; what other keys hold is for programs, which need names and paths as they are
 SENTENCES = {"message", "sentence", "notes", "warnings", "advice", "evidence", "reason", "reasons", "refused"} | {
@@ -36,6 +38,71 @@ def for_json(value: object, sentence: bool = False) -> object:
     return printable(value, layout=True) if sentence and isinstance(value, str) else value
 
 
+@final
+@dataclass(frozen=True)
+class Answer:
+    """Answer of a command: a document for programs, and the same for people, printed in this order.
+
+    Attributes:
+        content: JSON document.
+        title: First sentence.
+        sentences: More of them, each on a line of its own; empty ones are left out, here and below.
+        facts: Name -> words.
+        remarks: Sentences about the facts.
+        rows: Lines of a table, heading -> words; the headings in the order in which they matter.
+        warnings: Doubts, and obstacles, in sentences.
+        notes: More to know, in sentences.
+        written: Lines that end in the name of a file.
+        page: Replay that was written.
+        pages: Heading -> text in Markdown.
+        following: Command to type next.
+    """
+
+    content: dict[str, Any]
+    title: str = ""
+    sentences: Sequence[str] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
+    remarks: Sequence[str] = ()
+    rows: Sequence[Mapping[str, str]] = ()
+    warnings: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    written: Sequence[str] = ()
+    page: ReplayResult | None = None
+    pages: Mapping[str, str] = field(default_factory=dict)
+    following: str = ""
+
+    @property
+    def doubts(self) -> list[str]:
+        """Warnings and notes: what a page says as well."""
+        return [*self.warnings, *self.notes]
+
+    def with_files(self, out: Path | None, page: ReplayResult | None = None) -> Answer:
+        """Return the answer with the files that were written."""
+        files = {"out": out, "html": None if page is None else page.html}
+        return replace(self, content=self.content | files, written=[f"written: {out}" if out else ""], page=page)
+
+
+def cells(content: Mapping[str, Any], layout: str) -> dict[str, str]:
+    """Return numbers of a JSON document in words, by their headings: "-" where one does not exist or is not finite.
+
+    Args:
+        content: The document.
+        layout: Headings with formats of keys of the document, e.g. `"time: {seconds:.1f} s; margin: {margin:.0%}"`.
+    """
+    known, words = for_json(dict(content)), {}
+    for heading, form in (part.split(": ") for part in layout.split("; ")):
+        try:
+            words[heading] = form.format_map(known).replace("%", " %")
+        except TypeError:  # None has no digits
+            words[heading] = "-"
+    return words
+
+
+def place(point: Iterable[float]) -> str:
+    """Return a point in metres as it is printed."""
+    return f"({', '.join(f'{x:.3f}' for x in point)}) m"
+
+
 def console(stderr: bool = False) -> Console:
     """A rich console, loaded at first use."""
     from rich.console import Console
@@ -43,21 +110,20 @@ def console(stderr: bool = False) -> Console:
     return Console(stderr=stderr)
 
 
+def silent(step: str, share: float) -> None:
+    """Take progress, and show nothing."""
+
+
 @contextmanager
 def progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
     """A progress bar on standard error; silent when it is not a terminal."""
     if quiet or not sys.stderr.isatty():
-        yield lambda _step, _share: None
+        yield silent
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f}%"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+    shown = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"), TimeElapsedColumn())
+    with Progress(*shown, console=console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda step, share: bar.update(task, description=step, completed=share)
 

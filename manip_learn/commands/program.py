@@ -23,14 +23,12 @@ class _Command:
     Attributes:
         name: As it is typed.
         options: Dataclass of its arguments and options; its docstring is the help.
-        work: File in `commands` and function that does the work: options and progress -> an answer with `to_dict`.
-        printer: Function in `commands.tables` that prints the answer.
+        work: File in `commands` and function that does the work: options and progress -> an `Answer`.
     """
 
     name: str
     options: type
     work: str
-    printer: str
 
     def __call__(self, given: Any) -> None:
         """Do the work, and print the answer."""
@@ -39,25 +37,26 @@ class _Command:
         with progress(given.as_json) as report:
             answer = work(given, report)
         if given.as_json:
-            print(json.dumps(for_json(answer.to_dict()), indent=2, allow_nan=False))
+            print(json.dumps(for_json(answer.content), indent=2, allow_nan=False))
         else:
-            explain = {"explain": given.explain} if "explain" in vars(given) else {}
-            getattr(import_module("manip_learn.commands.tables"), self.printer)(console(), answer, **explain)
+            from manip_learn.commands.tables import show  # rich takes a moment
+
+            show(console(), answer, vars(given).get("explain"))
 
 
 COMMANDS = (
-    _Command("robots", options.RobotsOptions, "robots.known_robots", "print_robots"),
-    _Command("demo", options.DemoOptions, "demo.demo", "print_demo"),
-    _Command("inspect", options.InspectOptions, "robots.inspect", "print_robot"),
-    _Command("record", options.RecordOptions, "record.record_motions", "print_recorded"),
-    _Command("teach", options.TeachOptions, "teach.teach", "print_taught"),
-    _Command("learn", options.LearnOptions, "learn.learn_task", "print_learnt"),
-    _Command("audit", options.AuditOptions, "audit.audit", "print_audit"),
-    _Command("control", options.ControlOptions, "control.control", "print_controlled"),
-    _Command("repeat", options.RepeatOptions, "repeat.repeat_skill", "print_repeated"),
-    _Command("replay", options.ReplayOptions, "replay.replay_files", "print_replayed"),
-    _Command("export", options.ExportOptions, "export.export", "print_exported"),
-    _Command("reproduce", options.ReproduceOptions, "reproduce.reproduce_paper", "print_reproduction"),
+    _Command("robots", options.RobotsOptions, "robots.known_robots"),
+    _Command("demo", options.DemoOptions, "demo.demo"),
+    _Command("inspect", options.InspectOptions, "robots.inspect"),
+    _Command("record", options.RecordOptions, "record.record_motions"),
+    _Command("teach", options.TeachOptions, "teach.teach"),
+    _Command("learn", options.LearnOptions, "learn.learn_task"),
+    _Command("audit", options.AuditOptions, "audit.audit"),
+    _Command("control", options.ControlOptions, "control.control"),
+    _Command("repeat", options.RepeatOptions, "repeat.repeat_skill"),
+    _Command("replay", options.ReplayOptions, "replay.replay_files"),
+    _Command("export", options.ExportOptions, "export.export"),
+    _Command("reproduce", options.ReproduceOptions, "reproduce.reproduce_paper"),
 )
 # commands of 0.1 that are gone, and what to do instead; until 0.3
 REMOVED_COMMANDS = {"warm-up": "nothing is compiled any more: leave the command out"}

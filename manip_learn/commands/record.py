@@ -11,13 +11,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, final, get_args
+from typing import Any, get_args
 
-from manip_learn.commands.guided_frame import choose_frame
-from manip_learn.commands.loading import load_for_joints
+from manip_learn.commands.loading import choose_frame, load_for_joints
 from manip_learn.commands.options import RecordOptions
+from manip_learn.commands.output import Answer
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.driver import Driver
 from manip_learn.drivers.record import LOOK, MOVES, By, Key, RecordedFiles, record
@@ -28,32 +28,10 @@ from manip_learn.recordings.load import Progress
 from manip_learn.recordings.trajectory import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.robot import Robot
 
-_SAID = 0.1  # [s] between two words on the state
 _ENOUGH = 1.0  # [degrees] to which a direction is to be known: at 0.5 m that is 9 mm, more than a gripper gives way
 
 
-@final
-@dataclass(frozen=True)
-class Recorded:
-    """The files, and what can be learnt from all of that name.
-
-    Attributes:
-        recorded: The files and their numbers.
-        sentence: What the recordings show; empty without a robot or a recording.
-        advice: What to do next.
-    """
-
-    recorded: RecordedFiles
-    sentence: str
-    advice: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON answer."""
-        facts = asdict(self.recorded)
-        return facts | {"files": list(map(str, self.recorded.files)), "sentence": self.sentence, "advice": self.advice}
-
-
-def record_motions(options: RecordOptions, progress: Progress) -> Recorded:
+def record_motions(options: RecordOptions, progress: Progress) -> Answer:
     """Record from a driver, and learn from what there is.
 
     Raises:
@@ -63,27 +41,37 @@ def record_motions(options: RecordOptions, progress: Progress) -> Recorded:
     """
     if options.by not in get_args(By):
         raise ConfigurationError(f"--by must be motion or key, not {options.by!r}")
-    driver = driver_of(options.driver)
-    robot = _robot_of(options, driver)
+    driver, robot, viewer = driver_of(options.driver), None, None
+    if options.robot is not None:
+        robot, names = options.loading.load(options.robot), getattr(driver, "joint_names", None)
+        if names is not None:
+            moving = [name for name in robot.joint_names if name in names]
+            robot = load_for_joints(options.robot, moving, options.loading)
     told = {"file": "", "since": 0.0, "files": 0, "said": 0.0}
 
     def began(file: Path | None) -> None:
         told.update(file="" if file is None else file.name, since=time.monotonic())
         told["files"] += file is not None
 
+    def shown(q: Mapping[str, float], recorded: bool) -> None:
+        if viewer is not None and robot is not None and all(name in q for name in robot.joint_names):
+            viewer.show([q[name] for name in robot.joint_names])
+        now = time.monotonic()
+        if now - told["said"] > 0.1:  # [s] between two words on the state
+            told["said"] = now
+            waits = "waiting for a motion" if options.by == "motion" else "Enter begins, q ends"
+            doing = f"recording {told['file']}, {now - told['since']:.1f} s" if recorded else waits
+            progress(f"{doing}; {counted(told['files'], 'motion')}", 0.0)
+
     with ExitStack() as opened:
-        show = opened.enter_context(_picture(options, robot)) if robot is not None else lambda _q: None
-        pressed = opened.enter_context(_keys()) if options.by == "key" else lambda: ""
+        if robot is not None:
+            from manip_learn.playback import LiveViewer
 
-        def shown(q: Mapping[str, float], recorded: bool) -> None:
-            show(q)
-            now = time.monotonic()
-            if now - told["said"] > _SAID:
-                told["said"] = now
-                waits = "waiting for a motion" if options.by == "motion" else "Enter begins, q ends"
-                doing = f"recording {told['file']}, {now - told['since']:.1f} s" if recorded else waits
-                progress(f"{doing}; {counted(told['files'], 'motion')}", 0.0)
-
+            page = LiveViewer(robot, title=options.name, open_browser=not options.no_browser)
+            viewer = opened.enter_context(page)
+            if options.no_browser and not options.as_json:
+                print(f"live picture: {viewer.url}", file=sys.stderr, flush=True)
+        pressed = opened.enter_context(_keys()) if options.by == "key" else None
         done = record(
             driver,
             options.out,
@@ -99,7 +87,14 @@ def record_motions(options: RecordOptions, progress: Progress) -> Recorded:
     if not done.ordered:
         kept = f"; kept: {', '.join(map(str, done.files))}" if done.files else ""
         raise OutputError(f"recording ended: {done.sentence}{kept}")
-    return Recorded(done, *_learnt(options, robot, done, progress))
+    sentence, advice = _learnt(options, robot, done, progress)
+    return Answer(
+        asdict(done) | {"sentence": sentence, "advice": advice},
+        title=sentence,
+        sentences=[done.sentence],
+        notes=done.notes,
+        written=[*(f"recorded: {file}" for file in done.files), advice],
+    )
 
 
 def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, progress: Progress) -> tuple[str, str]:
@@ -127,20 +122,8 @@ def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, pr
     return report.sentence, f"enough: manip-learn learn {shlex.quote(str(options.robot))} {pattern} {words}"
 
 
-def _robot_of(options: RecordOptions, driver: Driver) -> Robot | None:
-    """The robot with the joints moving that the driver names, if it names some."""
-    if options.robot is None:
-        return None
-    robot, names = options.loading.load(options.robot), getattr(driver, "joint_names", None)
-    return (
-        robot
-        if names is None
-        else load_for_joints(options.robot, [name for name in robot.joint_names if name in names], options.loading)
-    )
-
-
 def driver_of(spec: str) -> Driver:
-    """The driver that `FILE.py:NAME` or `package.module:NAME` names, or that calling what it names makes.
+    """Return the driver that `FILE.py:NAME` or `package.module:NAME` names, or that calling what it names makes.
 
     Raises:
         ConfigurationError: There is none, or its code fails.
@@ -148,12 +131,10 @@ def driver_of(spec: str) -> Driver:
     place, _, name = spec.rpartition(":")
     if not place:
         raise ConfigurationError(f"DRIVER must be FILE.py:NAME or package.module:NAME, got {spec!r}")
+    # as Python does for a script: its neighbours are found
+    sys.path[:0] = [str(Path(place).parent.absolute()), os.getcwd()]
     try:
-        sys.path.insert(0, os.getcwd())
-        try:
-            module = _file_as_module(Path(place)) if place.endswith(".py") else importlib.import_module(place)
-        finally:
-            sys.path.remove(os.getcwd())
+        module = _file_as_module(Path(place)) if place.endswith(".py") else importlib.import_module(place)
         found = getattr(module, name)
         driver = found if _is_driver(found) else found()
     except ManipLearnError:
@@ -174,35 +155,15 @@ def _file_as_module(path: Path) -> Any:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.is_file():
         raise ConfigurationError(f"no driver: the file {path} does not exist")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
-    sys.path.insert(0, str(path.parent.absolute()))  # as Python does for a script: its neighbours are found
+    module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
 @contextmanager
-def _picture(options: RecordOptions, robot: Robot) -> Iterator[Callable[[Mapping[str, float]], None]]:
-    """Shows postures by joint names in a live page, where they have all joints of the robot."""
-    from manip_learn.playback import LiveViewer
-
-    names = robot.joint_names
-    with LiveViewer(robot, title=options.name, open_browser=not options.no_browser) as viewer:
-        if options.no_browser and not options.as_json:
-            print(f"live picture: {viewer.url}", file=sys.stderr, flush=True)
-
-        def show(q: Mapping[str, float]) -> None:
-            if all(name in q for name in names):
-                viewer.show([q[name] for name in names])
-
-        yield show
-
-
-@contextmanager
 def _keys() -> Iterator[Callable[[], Key]]:
     """Enter or space and q as they are pressed; of a terminal without waiting for the end of a line."""
-    source = sys.stdin.fileno()
-    before = None
+    source, before = sys.stdin.fileno(), None
     if os.isatty(source):
         import termios
         import tty
@@ -211,9 +172,7 @@ def _keys() -> Iterator[Callable[[], Key]]:
         tty.setcbreak(source)
 
     def pressed() -> Key:
-        if not select.select([source], [], [], 0.0)[0]:
-            return ""
-        letter = os.read(source, 1)
+        letter = os.read(source, 1) if select.select([source], [], [], 0.0)[0] else None
         if letter in (b"q", b""):  # or nobody is there to press one
             return "end"
         return "start or stop" if letter in (b"\n", b"\r", b" ") else ""

@@ -3,52 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast, final
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from manip_learn.commands.control import with_rollout
 from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
 from manip_learn.commands.options import RepeatOptions, vector
+from manip_learn.commands.output import Answer, cells, place, silent
 from manip_learn.constraint.skill import Skill
-from manip_learn.errors import TargetError
-from manip_learn.planning.repeat import Repetition, TipSpeed, repeat
+from manip_learn.errors import TargetError, counted
+from manip_learn.planning.repeat import TipSpeed, repeat
 from manip_learn.recordings.load import Progress
 
-if TYPE_CHECKING:
-    from manip_learn.playback import ReplayResult
+_STEP = (
+    "done: {done:.3g} {unit}; of: {wanted:.3g} {unit}; off: {off:.1f} mm; fastest: {fastest:.0%}; margin: {margin:.0%}"
+)
 
 
-@final
-@dataclass(frozen=True)
-class Repeated:
-    """A skill done again, and where it was written."""
-
-    repetition: Repetition
-    whence: str
-    out: Path | None
-    page: ReplayResult | None
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON answer."""
-        rollout = self.repetition.rollout
-        return {
-            "done": self.repetition.is_done,
-            "steps": [step.to_dict() for step in self.repetition.steps],
-            "min_manipulability": float(np.min(rollout.manipulability)),
-            "duration": float(rollout.time[-1]),
-            "tip_path": self.repetition.tip_path,
-            "tip_speed": self.repetition.tip_speed,
-            "phases": [list(phase) for phase in rollout.phases],
-            "notes": list(self.repetition.notes),
-            "out": None if self.out is None else str(self.out),
-            "html": None if self.page is None else str(self.page.html),
-        }
-
-
-def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Repeated:
+def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
     """Plan and simulate every step of a skill; write the rollout and a replay to files if they are named.
 
     Raises:
@@ -71,13 +45,31 @@ def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Re
     around, speed = scene_of(options.scene, robot), _tip_speed(options.tip_speed)
     made = {"scene": around, "seed": options.seed, "tip_speed": speed, "prefer": options.prefer}
     done = repeat(skill, q0, T, **made, progress=progress)
-    out = None if options.out is None else done.rollout.save(options.out)
-    page = None
-    if options.html is not None:
-        from manip_learn.playback import replay
+    rollout, steps = done.rollout, [step.to_dict() for step in done.steps]
+    ends = [f"{step.name}: at {place(step.place)}{_missed(step.off)}" for step in done.steps if step.kind == "reach"]
+    ways = counted(sum(step.kind == "way" for step in done.steps), "way")
+    answer = Answer(
+        {
+            "done": done.is_done,
+            "steps": steps,
+            "min_manipulability": float(np.min(rollout.manipulability)),
+            "duration": float(rollout.time[-1]),
+            "tip_path": done.tip_path,
+            "tip_speed": done.tip_speed,
+            "phases": [list(phase) for phase in rollout.phases],
+            "notes": list(done.notes),
+        },
+        title=f"{ways} done as shown" if done.is_done else "not all of it was done",
+        sentences=[f"start: {whence} (another: --start)" if whence else "", done.pace, *ends],
+        rows=[{"step": step["name"]} | cells(step | {"off": 1e3 * step["deviation"]}, _STEP) for step in steps],
+        warnings=[f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by],
+        notes=done.notes,
+    )
+    return with_rollout(answer, rollout, robot, "repeat", options)
 
-        page = replay(robot, {"repeat": done.rollout}, options.html, open_browser=False)
-    return Repeated(done, whence, out, page)
+
+def _missed(off: float | None) -> str:
+    return "" if off is None else f", {1e3 * off:.1f} mm from where a contact began"
 
 
 def _tip_speed(text: str) -> TipSpeed:

@@ -3,91 +3,89 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
-from typing import Any, final
+import math
+import shlex
+from typing import Any
 
 from manip_learn.commands.options import InspectOptions, RobotsOptions
-from manip_learn.errors import ManipLearnError
+from manip_learn.commands.output import Answer, cells, silent
+from manip_learn.errors import ManipLearnError, few
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.description.catalogue import SHIPPED, example_robots, fetched_names, find_robot
 from manip_learn.robot.description.text import parse_xml, read_description
 from manip_learn.robot.description.urdf import validate_urdf
-from manip_learn.robot.robot_summary import RobotSummary, inspect_robot
+from manip_learn.robot.robot_summary import inspect_robot
+
+# origin of a robot -> what is said of it, and how more of them come
+_ORIGINS = {
+    "package": ("with the package (and how many joints they have)", ""),
+    "extra": ("with the extra robots, without a net", "robots]' (panda, xarm7, so101, ur5 and 60 more)"),
+    "net": (
+        "with the extra descriptions, fetched from the net when first named",
+        "descriptions]' (xarm6 and more)",
+    ),
+}
 
 
-@final
-@dataclass(frozen=True)
-class KnownRobot:
-    """One robot.
+def known_robots(options: RobotsOptions, progress: Progress = silent) -> Answer:
+    """List every robot that has a name here and now, with its joints.
 
-    Attributes:
-        name: As `load_robot` takes it.
-        origin: `package`; `extra`, of the extra `robots`; `net`, fetched by the extra `descriptions`.
-        joints: Joints that move on their own; empty where the description is refused, or is not fetched to be listed.
-        refused: Why it cannot be loaded; empty where it can.
+    In the document, `origin` is `package`, `extra` (of the extra `robots`) or `net` (of the extra `descriptions`);
+    `joints` move on their own, and there are none where a description is refused, or not fetched to be listed.
     """
-
-    name: str
-    origin: str
-    joints: tuple[str, ...] = ()
-    refused: str = ""
-
-
-@final
-@dataclass(frozen=True)
-class KnownRobots:
-    """All of them, those of the package first, then those that are there without a net."""
-
-    robots: tuple[KnownRobot, ...]
-
-    def of(self, origin: str) -> tuple[KnownRobot, ...]:
-        """Those of one origin."""
-        return tuple(robot for robot in self.robots if robot.origin == origin)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON answer."""
-        robots = [vars(r) | {"refused": r.refused or None} for r in self.robots]
-        return {"robots": robots, "extra_installed": bool(self.of("extra"))}
-
-
-def known_robots(options: RobotsOptions, progress: Progress | None = None) -> KnownRobots:
-    """Every robot that has a name here and now, with its joints."""
     extra = sorted(example_robots())
-    net = [KnownRobot(name, "net") for name in sorted(fetched_names().difference(SHIPPED, extra))]
-    here = [*(_described(n, "package") for n in sorted(SHIPPED)), *(_described(n, "extra") for n in extra)]
-    return KnownRobots((*here, *net))
+    robots = [_described(name, "package") for name in sorted(SHIPPED)]
+    robots += [_described(name, "extra") for name in extra]
+    net = sorted(fetched_names().difference(SHIPPED, extra))
+    robots += [{"name": name, "origin": "net", "joints": (), "refused": None} for name in net]
+    sentences = []
+    for origin, (title, more) in _ORIGINS.items():
+        known = [robot for robot in robots if robot["origin"] == origin]
+        names = [r["name"] + ("" if origin == "net" else f" ({_size(r)})") for r in known]
+        sentences.append(f"{title}: {', '.join(names)}" if names else f"more with: pip install 'manip_learn[{more}")
+    return Answer({"robots": robots, "extra_installed": bool(extra)}, sentences=sentences)
 
 
-def _described(name: str, origin: str) -> KnownRobot:
-    path = find_robot(name)
+def _size(robot: dict[str, Any]) -> str:
+    return "refused" if robot["refused"] else str(len(robot["joints"]))
+
+
+def _described(name: str, origin: str) -> dict[str, Any]:
+    path, moving, refused = find_robot(name), list[str](), None
     try:
         checked = validate_urdf(parse_xml(read_description(path), path))
+        followers = {m.joint for m in checked.followers}
+        moving = [j.name for j in checked.joints if j.type != "fixed" and j.name not in followers]
     except ManipLearnError as error:
-        return KnownRobot(name, origin, (), str(error))
-    followers = {m.joint for m in checked.followers}
-    moving = [j.name for j in checked.joints if j.type != "fixed" and j.name not in followers]
-    return KnownRobot(name, origin, tuple(moving))
+        refused = str(error)
+    return {"name": name, "origin": origin, "joints": moving, "refused": refused}
 
 
-@final
-@dataclass(frozen=True)
-class Inspected:
-    """What a robot is made of.
-
-    Attributes:
-        summary: Its facts.
-        loaded: The words of a command that name it: its name or file, and how it is loaded.
-    """
-
-    summary: RobotSummary
-    loaded: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON answer; limits that do not exist are infinite, which JSON says as null."""
-        return dataclasses.asdict(self.summary)
+_JOINT = "kind: {kind}; lower: {lower:.4g}; upper: {upper:.4g}; velocity: {velocity:.4g}; unit: {unit}"
 
 
-def inspect(options: InspectOptions, progress: Progress | None = None) -> Inspected:
-    """Load a robot and look at it, and check its forward kinematics by another library."""
-    loaded = (options.robot, *options.loading.words)
-    return Inspected(inspect_robot(options.loading.load(options.robot)), loaded)
+def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
+    """Load a robot, check its forward kinematics by another library, and show what one must know before recording."""
+    summary = inspect_robot(options.loading.load(options.robot))
+    joints, check, tip = summary.joints, summary.cross_check, summary.tips[0] if summary.tips else "NAME"
+    still = [j.name for j in joints if summary.moving_tip and j.name not in summary.moving_tip]
+    facts = {
+        "likely tips": f"{few(summary.tips)} (--frame {shlex.quote(tip)})",
+        f"moving {tip}": f"{few(summary.moving_tip)}; not: {few(still)}" if still else "",
+        "without limits": few([j.name for j in joints if not math.isfinite(j.upper - j.lower)]),
+        "mimic": few([f"{m.joint} = {m.multiplier:g} {m.leader} + {m.offset:g}" for m in summary.mimics], 3),
+        "locked": few([f"{name} at {position:g}" for name, position in summary.locked.items()]),
+        "last frames": f"{few(summary.frames[::-1])} (all: --json)",
+        "kinematics": f"agrees with yourdfpy to {check.largest_difference:.1e}" if check and check.agrees else "",
+        "shapes": summary.shapes,
+    }
+    words = shlex.join([options.robot, *options.loading.words])
+    return Answer(
+        dataclasses.asdict(summary),  # limits that do not exist are infinite, which JSON says as null
+        title=f"{summary.name}: nq {summary.nq}, nv {summary.nv}",
+        facts={name: fact for name, fact in facts.items() if fact not in ("", "none")},
+        rows=[{"joint": j.name} | cells(vars(j), _JOINT) for j in joints],
+        warnings=[f"warning: {warning}" for warning in summary.warnings],
+        written=["" if summary.source is None else f"file: {summary.source}"],
+        following=f"manip-learn learn {words} RECORDINGS --frame {shlex.quote(tip)}",
+    )

@@ -9,13 +9,12 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast, final
+from typing import TYPE_CHECKING, Any, cast
 
-from manip_learn.commands.guided_frame import choose_frame
+from manip_learn.commands.loading import choose_frame
 from manip_learn.commands.options import TeachOptions
-from manip_learn.errors import OutputError
+from manip_learn.commands.output import Answer
+from manip_learn.errors import OutputError, counted
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.description.catalogue import known_as
 
@@ -26,29 +25,7 @@ _STARTS = 20.0  # [s] in which the server starts: a busy machine takes a few
 FAREWELL = 0.2  # [s] in which open pages hear that the program has ended
 
 
-@final
-@dataclass(frozen=True)
-class Taught:
-    """The end of a session.
-
-    Attributes:
-        folder: Of recordings and constraint; it is there if something was recorded.
-        recordings: The recordings of the last scene.
-        sentence: The last answer; empty without one.
-        notes: Assumptions about the robot.
-    """
-
-    folder: Path
-    recordings: tuple[Path, ...]
-    sentence: str
-    notes: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON answer."""
-        return vars(self) | {"folder": str(self.folder), "recordings": list(map(str, self.recordings))}
-
-
-def teach(options: TeachOptions, progress: Progress) -> Taught:
+def teach(options: TeachOptions, progress: Progress) -> Answer:
     """Serve the page until it is closed.
 
     Raises:
@@ -93,7 +70,14 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
         time.sleep(FAREWELL)
     finally:
         server.close()
-    return Taught(session.folder, session.files, session.sentence, session.notes)
+    content = {"folder": session.folder, "recordings": session.files, "sentence": session.sentence}
+    kept = f"{counted(len(session.files), 'recording')} kept in: {session.folder}"
+    return Answer(
+        content | {"notes": session.notes},
+        title=session.sentence,
+        notes=session.notes,
+        written=[kept if session.files else "nothing was recorded"],
+    )
 
 
 @contextmanager

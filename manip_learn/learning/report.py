@@ -192,19 +192,7 @@ class LearningReport:
         return f"LearningReport({self.sentence} Gap {self.gap:.3g}, {counted(self.n_samples, 'sample')}{warned})"
 
     def _repr_html_(self) -> str:
-        residual, odd = self.held_out_residual, self.odd_trajectories
-        source = f"{counted(self.n_samples, 'sample')} of {counted(self.n_trajectories, 'recording')}"
-        unexplained = f"{100 * residual:.2g} % of the motion on recordings that were left out"
-        facts = [
-            ("rows", f"{self.n_constraints} of {len(self.row_names)} ({' '.join(self.row_names)})"),
-            ("reference frame", self.reference),
-            ("estimator", f"{self.estimator} ({self.kind})"),
-            ("gap", f"{self.gap:.3g} (a ratio; {CLEAR_GAP:g} is clear)"),
-            ("unexplained", unexplained if math.isfinite(residual) else None),
-            ("uncertainty", self.known_to() or None),
-            ("mechanism", self.mechanism_in_words() or None),
-            ("learnt from", f"{source} in {self.seconds:.2g} s"),
-        ]
+        odd = self.odd_trajectories
         levels = [(f"{'held' if i < self.n_constraints else 'free'}, {x:.2g}", x) for i, x in enumerate(self.levels)]
         phases = [
             (p.trajectory, f"{p.start:.2f}", f"{p.end:.2f}", "free" if p.constraint is None else p.constraint + 1)
@@ -220,10 +208,32 @@ class LearningReport:
             "What was learnt",
             html_card.sentence(self.sentence),
             html_card.warnings(self.warnings),
-            html_card.facts(facts),
+            html_card.facts(list(self.facts().items())),
             html_card.bars(levels, "how much the recordings move along each direction, by powers of ten"),
             *(html_card.folded(title, inner) for title, inner in folded.items()),
         )
+
+    def facts(self) -> dict[str, str]:
+        """Return the evidence in words, by what it is called; a number has its scale beside it."""
+        rank = f"{CLEAR_GAP:g} is clear" if self.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
+        residual, held = self.held_out_residual, [row for row in self.row_evidence if row.state == "held"]
+        share = f"{100 * residual:.2g} %" if residual >= 1e-5 else "less than 0.001 %"
+        strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
+        p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
+        source = f"{counted(self.n_samples, 'sample')} of {counted(self.n_trajectories, 'recording')}"
+        facts = {
+            "estimator": f"{self.estimator} ({self.kind})",
+            "reference": self.reference,
+            "policy model": self.policy_model,
+            "number of rows": f"{self.n_constraints} of {len(self.row_names)} ({' '.join(self.row_names)})",
+            "gap": f"{self.gap:,.0f} ({rank})" if self.gap >= 10 else f"{self.gap:.2g} ({rank})",
+            "left out": f"{share} of the motion unexplained" if math.isfinite(residual) else None,
+            "uncertainty": self.known_to(),
+            "strength": f"{strengths}{p_value} (recombination test)" if self.row_evidence else None,
+            "mechanism": self.mechanism_in_words(),
+            "learnt from": f"{source} in {self.seconds:.2g} s",
+        }
+        return {name: words for name, words in facts.items() if words}
 
     def known_to(self) -> str:
         """Return the uncertainty of each quantity in words, as in the sentence; empty if none is known."""

@@ -13,10 +13,8 @@ if TYPE_CHECKING:
 __all__ = ["LiveViewer", "ReplayResult", "replay", "show"]
 
 # the file is not called replay.py: importing it would put the module where the function belongs
-_HOMES = {
+_HOMES = dict.fromkeys(("ReplayResult", "replay"), "replay_page") | {
     "LiveViewer": "live_viewer",
-    "ReplayResult": "replay_page",
-    "replay": "replay_page",
     "show": "meshcat_scene",
 }
 

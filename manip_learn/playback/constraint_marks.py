@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -15,7 +14,7 @@ from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.linalg import null_basis, row_basis
 from manip_learn.playback.guided_motion import MotionSamples
-from manip_learn.playback.page_writer import packed, unpacked
+from manip_learn.playback.page_writer import packed
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
@@ -23,7 +22,6 @@ from manip_learn.robot.robot import Robot
 COUPLED = 0.1  # part of a learnt unit row that turns, up to which it counts as one that only moves, and the other way
 EXACT = 1e-6  # the same of a mechanism's rows
 SIX = np.triu_indices(3)  # xx xy xz yy yz zz of a symmetric matrix
-ROUND = (1.0, 2.0, 5.0)
 
 
 @final
@@ -61,39 +59,42 @@ def held_directions(constraint: Constraint, places: Float[np.ndarray, "T 3"]) ->
     """
     features = constraint.features
     if isinstance(features, WeighedVelocity):
-        W = features.place_weights.values(places)
-        turning = bool(np.any(W[..., 3:]))
-        observed = np.eye(3), np.eye(3) if turning else np.zeros((3, 3))
-        learnt = not isinstance(features, MechanismRows)  # a mixture, where a mechanism's rows are what they are
-        parts = [_parts(constraint.selection @ w, observed, COUPLED if learnt else EXACT) for w in W]
-        stacked = (np.array([p[k] for p in parts]) for k in range(4))
-        return HeldDirections(features.frame, features.relative_to, *stacked)
-    if not isinstance(features, PoseRows):
+        W, axes = features.place_weights.values(places), features.relative_to
+        seen = np.repeat([1.0, float(np.any(W[..., 3:]))], 3)
+        # a mixture was learnt, where a mechanism's rows are what they are
+        tolerance = EXACT if isinstance(features, MechanismRows) else COUPLED
+    elif isinstance(features, PoseRows):
+        W = np.eye(6)[[AXES.index(name) for name in features.row_names]][None]
+        axes, seen, tolerance = features.frame if features.own_axes else features.relative_to, W[0].sum(axis=0), COUPLED
+    else:
         return None
-    columns = [AXES.index(name) for name in features.row_names]
-    rows = np.zeros((constraint.n_constraints, 6))
-    rows[:, columns] = constraint.selection
-    seen = np.zeros(6)
-    seen[columns] = 1.0
-    axes = features.frame if features.own_axes else features.relative_to
-    return HeldDirections(features.frame, axes, *_parts(rows, (np.diag(seen[:3]), np.diag(seen[3:])), COUPLED))
+    parts = [_parts(constraint.selection @ w, seen, tolerance) for w in W]
+    stacked = (np.array([p[k] for p in parts]) for k in range(4))
+    if isinstance(features, PoseRows):  # the same everywhere
+        stacked = iter(parts[0])
+    return HeldDirections(features.frame, axes, *stacked)
 
 
 def _parts(
-    rows: Float[np.ndarray, "s 6"], observed: tuple[np.ndarray, np.ndarray], tolerance: float
+    rows: Float[np.ndarray, "s 6"], seen: Float[np.ndarray, " 6"], tolerance: float
 ) -> list[Float[np.ndarray, "3 3"]]:
-    """Projectors onto held and free directions, moving, then turning."""
+    """Return projectors onto held and free directions, moving, then turning.
+
+    Args:
+        rows: Constrained velocities, 3 linear and 3 angular ones.
+        seen: 1 for each velocity that the features look at, else 0.
+        tolerance: Part of a row that turns, up to which it counts as one that only moves, and the other way.
+    """
     basis = row_basis(rows) if np.any(rows) else np.zeros((0, 6))
     allowed = null_basis(basis) if len(basis) else np.eye(6)
-    parts = []
-    for part, other, seen in zip((slice(0, 3), slice(3, 6)), (slice(3, 6), slice(0, 3)), observed, strict=True):
+    parts, moving, turning = [], slice(0, 3), slice(3, 6)
+    for part, other in ((moving, turning), (turning, moving)):
         # held are the directions of those rows that only move, or only turn
         U, sigma, _ = np.linalg.svd(basis[:, other])
         coupled = np.zeros(len(U), dtype=bool)  # more rows than columns have further, zero singular values
         coupled[: len(sigma)] = sigma >= tolerance
-        held = _projector((U[:, ~coupled].T @ basis[:, part]).T)
-        free = _projector(allowed[part])
-        parts += [held, _projector(free @ (seen - held if np.any(seen) else seen))]
+        held, free = _projector((U[:, ~coupled].T @ basis[:, part]).T), _projector(allowed[part])
+        parts += [held, _projector(free @ (np.diag(seen[part]) - held))]
     return parts
 
 
@@ -134,38 +135,32 @@ def constraint_marks(
     if ruled.axes is not None:
         J = robot.frame_kinematics(ruled.axes).poses(q)[:, :3, :3].transpose(0, 2, 1) @ J
     driven = ruled.held @ J
+    ellipsoid = driven @ driven.transpose(0, 2, 1)
     names = {"held": "held", "free": "free", "heldTurns": "held_turns", "freeTurns": "free_turns"}
     return {
         "tip": _place(robot, twist.frame),
         "axes": None if directions.axes is None else _place(robot, directions.axes),
         "times": packed(samples.time[kept], "<f8"),
         **{key: packed(getattr(directions, n)[..., *SIX], "<f4") for key, n in names.items()},
-        "ellipsoid": packed((driven @ driven.transpose(0, 2, 1))[:, *SIX], "<f4"),
+        "ellipsoid": packed(ellipsoid[:, *SIX], "<f4"),
+        "longest": float(np.sqrt(np.maximum(np.linalg.eigvalsh(ellipsoid), 0.0).max(initial=0.0))),  # semi-axis [m/s]
         "driven": constraint.n_constraints > learnt.n_constraints,  # along what is free, too
         "target": target_place(robot, constraint, goal, samples.q[0]),
     }
 
 
-def ellipsoid_scale(marks: Sequence[dict[str, Any] | None], size: float) -> float:
-    """Length drawn for a speed of 1 m/s: 1, 2 or 5 times a power of ten, the largest ellipsoid fits into the scene.
+def ellipsoid_scale(longest: float, size: float) -> float:
+    """Return the length drawn for 1 m/s: 1, 2 or 5 times a power of ten, the largest ellipsoid fits into the scene.
 
     Args:
-        marks: Those of each motion.
-        size: What the longest semi-axis may take [m].
+        longest: Semi-axis of all ellipsoids [m/s].
+        size: Room for it [m].
     """
-    longest = 0.0
-    for mark in marks:
-        if mark is not None:
-            numbers = unpacked(mark["ellipsoid"], "<f4").reshape(-1, 6).astype(np.float64)
-            full = np.zeros((len(numbers), 3, 3))
-            full[:, *SIX] = numbers
-            full[:, SIX[1], SIX[0]] = numbers
-            longest = max(longest, float(np.sqrt(np.maximum(np.linalg.eigvalsh(full), 0.0).max(initial=0.0))))
     if longest <= 0.0:
         return 1.0
     wanted = size / longest
     power = 10.0 ** np.floor(np.log10(wanted))
-    return float(power * max(m for m in ROUND if m * power <= wanted * (1.0 + 1e-9)))
+    return float(power * max(m for m in (1.0, 2.0, 5.0) if m * power <= wanted * (1.0 + 1e-9)))
 
 
 def target_place(
@@ -175,27 +170,24 @@ def target_place(
     features = constraint.features
     if target is None or not isinstance(features, PoseRows | WeighedVelocity):
         return None
-    carrier = features.relative_to
-    pose = robot.pose(q, features.frame)
-    here = pose[:3, 3] if carrier is None else (np.linalg.inv(robot.pose(q, carrier)) @ pose)[:3, 3]
+    carrier, pose, selection = features.relative_to, robot.pose(q, features.frame), constraint.selection
+    point = pose[:3, 3] if carrier is None else (np.linalg.inv(robot.pose(q, carrier)) @ pose)[:3, 3]
     if target.shape == (4, 4):
         point = target[:3, 3]
     elif isinstance(features, WeighedVelocity):
         return None  # distances from an axis are no place
     else:
-        r, selection = features.coordinates(q), constraint.selection
+        r = features.coordinates(q)
         if target.shape == (len(selection),) != r.shape:  # along the rows: the nearest place from the start
             target = r + selection.T @ (target - selection @ r)
-        known = [name for name in features.row_names if name in AXES[:3]]
+        known = {name: k for k, name in enumerate(features.row_names) if name in AXES[:3]}
         if target.shape != r.shape or not known:
             return None
-        point = here.copy()
-        for name in known:
-            point[AXES.index(name)] = target[features.row_names.index(name)]
-    return {"carrier": None if carrier is None else _place(robot, carrier), "point": [float(x) for x in point]}
+        point[[AXES.index(name) for name in known]] = target[list(known.values())]
+    return {"carrier": None if carrier is None else _place(robot, carrier), "point": point.tolist()}
 
 
 def _place(robot: Robot, frame: Frame) -> dict[str, Any]:
     """Joint that carries a frame, and the frame's pose in the joint's, row by row."""
     placement = robot.pinocchio_model.frames[frame.index].placement.homogeneous
-    return {"joint": frame.parent_joint, "placement": [float(x) for x in placement.ravel()]}
+    return {"joint": frame.parent_joint, "placement": placement.ravel().tolist()}

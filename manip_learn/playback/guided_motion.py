@@ -18,8 +18,6 @@ from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.robot.robot import Robot
 
-IMPOSED = "self-imposed"
-
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -60,29 +58,23 @@ def motion_samples(robot: Robot, name: str, recording: Rollout | Trajectory) -> 
     if set(names) != set(robot.joint_names) or len(names) != robot.nv:
         missing = [n for n in robot.joint_names if n not in names]
         extra = [n for n in names if n not in robot.joint_names]
-        what = "; ".join(
-            f"{label} {', '.join(some[:6])}" for label, some in (("missing", missing), ("not its own", extra)) if some
-        )
-        raise RecordingError(
-            f"rollout {name!r} was not made with robot {robot.name!r}: joints {what or 'given twice'}; "
-            "load the robot that it was made with",
-            code="joint-names",
-        )
+        parts = {"missing": missing, "not its own": extra}
+        what = "; ".join(f"{label} {', '.join(some[:6])}" for label, some in parts.items() if some) or "given twice"
+        sentence = f"rollout {name!r} was not made with robot {robot.name!r}: joints {what}; load the robot that it was"
+        raise RecordingError(f"{sentence} made with", code="joint-names")
     order = [names.index(n) for n in robot.joint_names]
     first, time = float(recording.time[0]), recording.time - recording.time[0]
     q = recording.q[:, order] if names != robot.joint_names and recording.q.shape[1] == robot.nv else recording.q
     if u is not None:
         if u.shape != (time.size, robot.nv):
-            raise RecordingError(
-                f"rollout {name!r}: u has shape {u.shape}, {(time.size, robot.nv)} is needed: one row per time",
-                code="shape",
-            )
+            wanted = f"{(time.size, robot.nv)} is needed: one row per time"
+            raise RecordingError(f"rollout {name!r}: u has shape {u.shape}, {wanted}", code="shape")
         return MotionSamples(time, q, first, time, q, u[:, order])
-    if time.size >= 5:  # samples, from which velocities can be derived
-        derived = derive_velocities(Trajectory(recording.time, q, None, robot.joint_names, name), robot)
-        if derived.u is not None:
-            return MotionSamples(time, q, first, derived.time - first, derived.q, derived.u)
-    return MotionSamples(time, q, first, time[:0], q[:0], np.zeros((0, robot.nv)))
+    derived = Trajectory(recording.time, q, None, robot.joint_names, name)
+    derived = derive_velocities(derived, robot) if time.size >= 5 else derived  # [samples] that a derivative needs
+    if derived.u is None:
+        return MotionSamples(time, q, first, time[:0], q[:0], np.zeros((0, robot.nv)))
+    return MotionSamples(time, q, first, derived.time - first, derived.q, derived.u)
 
 
 @final
@@ -112,7 +104,7 @@ class Guidance:
     @property
     def holds(self) -> bool:
         """Whether the world holds the first constraint (b = 0), so that motion may be measured by it."""
-        return bool(self.constraints) and self.constraints[0].provenance.get("kind") != IMPOSED
+        return bool(self.constraints) and self.constraints[0].provenance.get("kind") != "self-imposed"
 
     def at(self, time: Float[np.ndarray, " T"], phases: Sequence[PhaseBand]) -> Int[np.ndarray, " T"]:
         """Number of the constraint by which each sample is measured: that of its phase, else the first; -1: none."""
@@ -145,22 +137,12 @@ def guidance_of(
         RecordingError: A rollout of another robot.
         TargetError: A target that is not finite numbers.
     """
-    if isinstance(constraint, Constraint):
-        constraint = (constraint,)
-    if constraint is None and isinstance(motion, Rollout):
-        kept = [way.get("constraint") for way in motion.ways]
-        if not kept or None in kept:
-            kept = [motion.constraint]
-        source = f"the constraint of rollout {name!r}"
-        try:
-            constraint = tuple(Constraint.from_dict(c, robot, source=source) for c in kept if c is not None)
-        except ConstraintMismatchError as error:
-            raise RecordingError(
-                f"rollout {name!r} was not made with robot {robot.name!r}: {error}", code="other-robot"
-            ) from error
-    if target is None and isinstance(motion, Rollout):
-        target = motion.target
-    for c in constraint or ():
+    given = (constraint,) if isinstance(constraint, Constraint) else tuple(constraint or ())
+    if isinstance(motion, Rollout):
+        target = motion.target if target is None else target
+        if constraint is None:
+            given = _kept_constraints(robot, name, motion)
+    for c in given:
         other = c.robot
         if c.nv != robot.nv or (other is not None and other.joint_names != robot.joint_names):
             whose = f"robot {other.name!r}" if other is not None else f"a system of {c.nv} velocities"
@@ -168,12 +150,24 @@ def guidance_of(
                 f"the constraint to show with {name!r} is of {whose}, the robot shown is {robot.name!r} with "
                 f"{robot.nv}: give the constraint of that robot"
             )
-    place = None
-    if target is not None:
-        try:
-            place = np.array(target, dtype=np.float64)
-        except (TypeError, ValueError):
-            place = np.array(np.nan)
-        if place.ndim not in (1, 2) or not np.all(np.isfinite(place)):
-            raise TargetError(f"the target to show must be finite numbers, or a 4 x 4 pose, got {target!r:.80}")
-    return Guidance(tuple(constraint or ()), place)
+    if target is None:
+        return Guidance(given)
+    try:
+        place = np.array(target, dtype=np.float64)
+    except (TypeError, ValueError):
+        place = np.array(np.nan)
+    if place.ndim not in (1, 2) or not np.all(np.isfinite(place)):
+        raise TargetError(f"the target to show must be finite numbers, or a 4 x 4 pose, got {target!r:.80}")
+    return Guidance(given, place)
+
+
+def _kept_constraints(robot: Robot, name: str, rollout: Rollout) -> tuple[Constraint, ...]:
+    """Return the constraints that a rollout keeps: one for each of its ways, or its only one."""
+    kept = [way.get("constraint") for way in rollout.ways]
+    kept = [rollout.constraint] if not kept or None in kept else kept
+    try:
+        given = (Constraint.from_dict(c, robot, source=f"the constraint of rollout {name!r}") for c in kept if c)
+        return tuple(given)
+    except ConstraintMismatchError as error:
+        sentence = f"rollout {name!r} was not made with robot {robot.name!r}: {error}"
+        raise RecordingError(sentence, code="other-robot") from error

@@ -18,13 +18,10 @@ from manip_learn.linalg import finite, null_basis
 from manip_learn.playback.page_writer import packed
 
 CIRCLE_POINTS = 96  # 3.75 degrees apart: looks round when it fills a screen
-MARGIN = 0.25  # how far lines and patches reach beyond the motion, relative to its extent
-LEAST_MARGIN = 0.06  # [m]
 MAX_TURNS = 12.0  # of a screw that is drawn
 MAX_NUMBER = 1e9  # [m] what is farther away cannot be drawn
 _MAX_TEXT = 400
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # of a cube with sides of 1
-_TURN = 2.0 * np.pi
 UPRIGHT = 0.98  # cosine of the tilt up to which a chest stands on the floor
 
 
@@ -58,45 +55,17 @@ class MechanismDrawing:
         return content | {"way": packed(self.way, "<f4")}
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Geometry:
-    """Where a mechanism is, as far as that is known.
+def _numbers(described: Mapping[str, Any], name: str, n: int) -> Any:
+    """Return a vector of n numbers, or the single number if n is 0; None where the mechanism has none.
 
-    Attributes:
-        axis: shape (3,), unit vector in the base frame.
-        point: shape (3,), on the axis, or the centre [m].
-        radius: Of the hand about the axis or the centre [m]; 0 if there is none.
-        pitch: Travel along the axis per radian [m/rad]; 0 if there is none.
+    Raises:
+        RecordingError: Numbers of a wrong size, not finite or too large.
     """
-
-    axis: Float[np.ndarray, " 3"] | None
-    point: Float[np.ndarray, " 3"] | None
-    radius: float
-    pitch: float
-
-    @staticmethod
-    def of(described: Mapping[str, Any]) -> Geometry:
-        """The numbers of a mechanism's dictionary.
-
-        Raises:
-            RecordingError: Numbers of a wrong size or not finite.
-        """
-        axis, point = (_numbers(described, name, 3) for name in ("axis", "point"))
-        radius, pitch = (float(_numbers(described, name, 0) or 0.0) for name in ("radius", "pitch"))
-        length = 0.0 if axis is None else float(np.linalg.norm(axis))
-        return Geometry(axis / length if axis is not None and length > 0.0 else None, point, radius, pitch)
-
-
-def _numbers(described: Mapping[str, Any], name: str, n: int) -> np.ndarray | None:
-    """A vector of n numbers, or the single number if n is 0; None where the mechanism has none."""
     given = described.get(name)
-    if given is None:
-        return None
-    what = f"the mechanism's {name} must be {'three finite numbers' if n else 'a finite number'} below {MAX_NUMBER:g}"
-    numbers = finite(given, *(n,) * bool(n))
-    if numbers is None or not np.all(np.abs(numbers) < MAX_NUMBER):
-        raise RecordingError(f"{what}, got {given!r:.80}", code="mechanism")
+    numbers = None if given is None else finite(given, *(n,) * bool(n))
+    if given is not None and (numbers is None or not np.all(np.abs(numbers) < MAX_NUMBER)):
+        wanted = f"{'three finite numbers' if n else 'a finite number'} below {MAX_NUMBER:g}"
+        raise RecordingError(f"the mechanism's {name} must be {wanted}, got {given!r:.80}", code="mechanism")
     return numbers
 
 
@@ -117,56 +86,63 @@ def mechanism_drawing(
     Raises:
         RecordingError: Numbers of a wrong size or not finite.
     """
-    described = mechanism if isinstance(mechanism, Mapping | None) else mechanism.to_dict()
-    if shown is not None:
-        plain = MechanismDrawing("", "", ()) if mechanism is None else mechanism_drawing(mechanism, held)
-        if isinstance(shown, Intention) or (described or {}).get("relative_to"):
-            return replace(plain, shown=shown.sentence)
-        return replace(plain, shown=shown.sentence, way=shown.points, hold=shown.hold is not None)
-    described = described or {}
-    kind = str(described.get("type") or "mechanism")[:_MAX_TEXT]
-    sentence = str(described.get("sentence") or kind)[:_MAX_TEXT]
-    geometry = Geometry.of(described)
-    axis, point = geometry.axis, geometry.point
-    if kind == "ball" and point is not None and geometry.radius:
-        circles = (_around(axis, point, geometry.radius) for axis in np.eye(3))
-        return MechanismDrawing(kind, sentence, tuple(circles))
-    if kind == "ball" or axis is None or point is None:
-        return MechanismDrawing(kind, sentence, ())
+    described = mechanism.to_dict() if isinstance(mechanism, Mechanism) else dict(mechanism or {})
+    kind = str(described.get("type") or "mechanism")[:_MAX_TEXT] if described or shown is None else ""
+    drawn = MechanismDrawing(kind, str(described.get("sentence") or kind)[:_MAX_TEXT], *_form(kind, described, held))
+    if shown is None:
+        return drawn
+    if isinstance(shown, Intention) or described.get("relative_to"):
+        return replace(drawn, shown=shown.sentence)
+    return replace(drawn, shown=shown.sentence, way=shown.points, hold=shown.hold is not None)
+
+
+def _form(
+    kind: str, described: Mapping[str, Any], held: Float[np.ndarray, "n 3"]
+) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    """Return the lines and the patches of a mechanism; none where it lacks an axis or a place."""
+    axis, point = (_numbers(described, name, 3) for name in ("axis", "point"))
+    radius, pitch = (float(_numbers(described, name, 0) or 0.0) for name in ("radius", "pitch"))
+    if kind == "ball":
+        return tuple(_around(a, point, radius) for a in np.eye(3) if point is not None and radius), ()
+    if axis is None or point is None or not np.any(axis):
+        return (), ()
+    axis = axis / np.linalg.norm(axis)
     if kind == "plane":  # a rectangle, its sides along the widest and the narrowest spread of the motion
         basis = np.array(_across(axis))
         flat = (held - point) @ basis.T
         turn = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)[2] if len(flat) > 2 else np.eye(2)
-        sides = turn @ basis
-        within = (held - point) @ sides.T
-        low, high = within.min(axis=0), within.max(axis=0)
-        margin = _margin(float((high - low).max()))
-        (x, y), (right, top) = low - margin, high + margin
+        within, sides = flat @ turn.T, turn @ basis
+        margin = _margin(float(np.ptp(within, axis=0).max()))
+        (x, y), (right, top) = within.min(axis=0) - margin, within.max(axis=0) + margin
         patch = point + np.array([[x, y], [right, y], [right, top], [x, top]]) @ sides
-        return MechanismDrawing(kind, sentence, (np.vstack([patch, patch[:1]]),), (patch,))
+        return (np.vstack([patch, patch[:1]]),), (patch,)
     along = (held - point) @ axis
-    low, high, radius = float(along.min()), float(along.max()), geometry.radius
+    low, high = float(along.min()), float(along.max())
     reach = _margin(high - low) + 0.3 * radius
     lines = [np.array([point + (low - reach) * axis, point + (high + reach) * axis])]
-    if kind == "screw" and geometry.pitch and radius:
-        arm, pitch = held[0] - point, geometry.pitch
-        first, second = _across(axis)
+    if kind == "screw" and pitch and radius:
+        arm, (first, second) = held[0] - point, _across(axis)
         phase = np.arctan2(arm @ second, arm @ first) + (low - arm @ axis) / pitch  # at the lowest place held
-        turn = np.sign(pitch) * min((high - low) / abs(pitch), _TURN * MAX_TURNS)
+        turn = np.sign(pitch) * min((high - low) / abs(pitch), 2.0 * np.pi * MAX_TURNS)
         lines.append(_around(axis, point + low * axis, radius, turn, pitch, phase))
     elif kind != "line" and radius:  # the circle of a hinge, the two rims of a cylinder
         heights = (low, high) if kind == "other" else (0.5 * (low + high),)
         lines += [_around(axis, point + h * axis, radius) for h in heights]
-    return MechanismDrawing(kind, sentence, tuple(lines))
+    return tuple(lines), ()
 
 
 def _around(
-    axis: np.ndarray, point: np.ndarray, radius: float, turn: float = _TURN, pitch: float = 0.0, phase: float = 0.0
+    axis: np.ndarray,
+    point: np.ndarray,
+    radius: float,
+    turn: float = 2.0 * np.pi,
+    pitch: float = 0.0,
+    phase: float = 0.0,
 ) -> Float[np.ndarray, "n 3"]:
     """The circle, or the helix, of a hand that turns about an axis; it begins beside the point, at a phase [rad]."""
     first, second = _across(axis)
     begin = point + radius * (np.cos(phase) * first + np.sin(phase) * second)
-    angles = np.linspace(0.0, turn, max(2, round(CIRCLE_POINTS * abs(turn) / _TURN) + 1))[:, None]
+    angles = np.linspace(0.0, turn, max(2, round(CIRCLE_POINTS * abs(turn) / (2.0 * np.pi)) + 1))[:, None]
     return Mechanism("screw", axis, point, pitch=pitch).places(begin, angles)
 
 
@@ -177,7 +153,7 @@ def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _margin(extent: float) -> float:
-    return max(MARGIN * extent, LEAST_MARGIN)
+    return max(0.25 * extent, 0.06)  # [m] beyond a motion of that extent
 
 
 def facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:

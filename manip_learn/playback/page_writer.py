@@ -30,11 +30,6 @@ def packed(array: np.ndarray, dtype: str) -> str:
     return base64.b64encode(np.ascontiguousarray(array, dtype=dtype).tobytes()).decode("ascii")
 
 
-def unpacked(text: str, dtype: str) -> np.ndarray:
-    """The numbers that `packed` was given."""
-    return np.frombuffer(base64.b64decode(text), dtype)
-
-
 @final
 @dataclass(frozen=True)
 class PageKind:
@@ -54,17 +49,11 @@ class PageKind:
     markup: Path | None = None
 
 
+_PARTS = "scene stage fit phases chart sheets tracks constraint_marks handles around scene_key shown evidence keys"
 REPLAY = PageKind(
     "replay",
     (_FOLDER / "style.css", _FOLDER / "tracks.css"),
-    tuple(
-        _FOLDER / f"{name}.js"
-        for name in (
-            *("scene", "stage", "fit", "phases", "chart", "sheets", "tracks"),
-            *("constraint_marks", "handles", "around", "labels", "shown", "evidence"),
-            *("keys", "legend", "player", "live", "main"),
-        )
-    ),
+    tuple(_FOLDER / f"{name}.js" for name in f"{_PARTS} legend player live main".split()),
 )
 LIVE = replace(REPLAY, mode="live")
 

@@ -100,12 +100,10 @@ def phase_bands(phases: Sequence[Phase], names: Sequence[str]) -> dict[str, tupl
         if trajectory in bands:
             bands[trajectory].append(band)
     if phases and not any(bands.values()):
-        others = ", ".join(dict.fromkeys(repr(phase[0]) for phase in phases[:6]))
-        shown = ", ".join(map(repr, names[:6]))
-        raise RecordingError(
-            f"the phases are of the trajectories {others}, but the recordings shown are {shown}: "
-            "show the recordings under the names that the learner knows them by",
-            code="phases",
+        others, shown = dict.fromkeys(repr(phase[0]) for phase in phases[:6]), map(repr, names[:6])
+        raise _refusal(
+            f"the phases are of the trajectories {', '.join(others)}, but the recordings shown are {', '.join(shown)}: "
+            "show the recordings under the names that the learner knows them by"
         )
     return {name: tuple(sorted(some, key=lambda b: b.start)) for name, some in bands.items()}
 
@@ -145,7 +143,7 @@ def phases_from_json(value: object) -> tuple[Phase, ...]:
         RecordingError: Something else.
     """
     if not isinstance(value, list | tuple):
-        raise RecordingError(f"phases must be a list, got {type(value).__name__}", code="phases")
+        raise _refusal(f"phases must be a list, got {type(value).__name__}")
     phases: list[Phase] = []
     for i, item in enumerate(value):
         if isinstance(item, Mapping):
@@ -159,28 +157,23 @@ def phases_from_json(value: object) -> tuple[Phase, ...]:
 
 def _checked(i: int, phase: Any) -> tuple[str, PhaseBand]:
     if not isinstance(phase, list | tuple) or len(phase) not in (4, 5) or not isinstance(phase[0], str):
-        raise RecordingError(
-            f"phase {i} must be (trajectory, start, end, constraint or None), got {phase!r:.80}", code="phases"
-        )
+        raise _refusal(f"phase {i} must be (trajectory, start, end, constraint or None), got {phase!r:.80}")
     trajectory, start, end, constraint = phase[:4]
     try:
         start, end = float(start), float(end)
     except (TypeError, ValueError, OverflowError) as error:
-        raise RecordingError(f"phase {i}: start and end must be numbers: {error}", code="phases") from error
+        raise _refusal(f"phase {i}: start and end must be numbers: {error}") from error
     if not (math.isfinite(start) and math.isfinite(end) and start <= end):
-        raise RecordingError(
-            f"phase {i} of {trajectory!r} must end after it starts, got {start} s to {end} s", code="phases"
-        )
-    if constraint is None:
-        return trajectory, PhaseBand(start, end, None)
-    number = int(constraint) if isinstance(constraint, int) and not isinstance(constraint, bool) else -1
-    if not 0 <= number < MAX_CONSTRAINTS:
-        raise RecordingError(
-            f"phase {i} of {trajectory!r}: the constraint must be a number from 0 up, or None for free motion, got "
-            f"{constraint!r:.40}",
-            code="phases",
-        )
-    return trajectory, PhaseBand(start, end, number)
+        raise _refusal(f"phase {i} of {trajectory!r} must end after it starts, got {start} s to {end} s")
+    is_number = isinstance(constraint, int) and not isinstance(constraint, bool)
+    if constraint is not None and not (is_number and 0 <= constraint < MAX_CONSTRAINTS):
+        wanted = "the constraint must be a number from 0 up, or None for free motion"
+        raise _refusal(f"phase {i} of {trajectory!r}: {wanted}, got {constraint!r:.40}")
+    return trajectory, PhaseBand(start, end, constraint)
+
+
+def _refusal(sentence: str) -> RecordingError:
+    return RecordingError(sentence, code="phases")
 
 
 def _ink(colour: str) -> str:

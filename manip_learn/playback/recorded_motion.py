@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.linalg import finite
@@ -327,15 +328,15 @@ def recorded_motion(
         own = tuple(replace(band, constraint=ways.get((band.name or "").rpartition(": ")[0])) for band in own)
     own = _within(own, first_time, float(time[-1]))
     bands = _within(phases, first_time, float(time[-1])) or own
-    tracks = joint_tracks(robot, tree, q[keys])
+    tracks = joint_tracks(robot, tree, q[keys])  # first: it refuses postures of the wrong size
     path_times, poses = time[path_keys], robot.frame_kinematics(tip).poses(q[path_keys])
-    path = poses[:, :3, 3]
     measures = tracks_of(robot, recording, samples, guidance, bands)
     held = _held(recording, own, first_time) if isinstance(recording, Rollout) else {}
-    held = {k: spans for k, spans in held.items() if (guidance.mechanism(k) or mechanism or {}).get("type")}
+    known = {k: guidance.mechanism(k) or mechanism or {} for k in held}
+    held = {k: spans for k, spans in held.items() if known[k].get("type")}
+    ways = [way for k, spans in held.items() if (way := _way(known[k], path_times, poses, spans)) is not None]
     for kind, unit in (("turning", "rad"), ("opening", "m")):
-        ways = [_way(guidance.mechanism(k) or mechanism, unit, path_times, poses, spans) for k, spans in held.items()]
-        moved = tuple(_Curve("", path_times, way) for way in ways if way is not None)
+        moved = tuple(curve for measured, curve in ways if measured == unit)
         measures = (_Track(kind, moved, unit), *measures) if moved else measures
     return RecordedMotion(
         name=name,
@@ -343,7 +344,7 @@ def recorded_motion(
         tracks=tracks,
         postures=q[keys],
         path_times=path_times,
-        path=path,
+        path=poses[:, :3, 3],
         curve_times=curve_times,
         curve=curve,
         status=status_changes(name, time, getattr(recording, "status", ())),
@@ -360,37 +361,37 @@ def recorded_motion(
 
 
 def _held(recording: Rollout, bands: Sequence[PhaseBand], first_time: float) -> dict[int, list[tuple[float, float]]]:
-    """When the hand of a rollout has hold of each fixture, by the number of its constraint [s]."""
+    """Return when the hand of a rollout has each fixture, by the number of its constraint [s]."""
     held: dict[int, list[tuple[float, float]]] = {}
     for band in bands:
         if band.part == WAY:
             held.setdefault(band.constraint or 0, []).append((band.start, band.end))
-    begins = [way["begins"] for way in recording.ways[:1]] or [first_time]  # else in the hand all the time
-    if not held and not bands and begins[0] is not None:
-        held[0] = [(begins[0] - first_time, float(recording.time[-1]) - first_time)]
+    begins = recording.ways[0]["begins"] if recording.ways else first_time  # else in the hand all the time
+    if not bands and begins is not None:
+        held[0] = [(begins - first_time, float(recording.time[-1]) - first_time)]
     return held
 
 
 def _way(
-    mechanism: Mapping[str, Any] | None,
-    unit: str,
+    mechanism: Mapping[str, Any],
     times: Float[np.ndarray, " T"],
     poses: Float[np.ndarray, "T 4 4"],
     spans: Sequence[tuple[float, float]],
-) -> Float[np.ndarray, " T"] | None:
-    """How far a fixture of one free coordinate has moved over time [m or rad]; None of others, or of another unit."""
-    kind = {"line": "m", "hinge": "rad", "screw": "rad"}.get(str((mechanism or {}).get("type")))
-    if mechanism is None or kind != unit or (found := Mechanism.from_dict(mechanism)).axis is None:
+) -> tuple[str, _Curve] | None:
+    """Return the unit, and how far a fixture of one free coordinate has moved [m or rad]; None of others."""
+    kind = str(mechanism.get("type"))
+    if kind not in ("line", "hinge", "screw") or (learnt := Mechanism.from_dict(mechanism)).axis is None:
         return None
     way, moved = np.zeros(len(times)), 0.0
     for start, end in spans:
         inside = np.flatnonzero((times >= start - 1e-9) & (times <= end + 1e-9))
-        if inside.size and (found.type == "line" or found.point is not None):
-            at = found.at(poses[inside[0]], np.inf).coordinates(poses[inside])[:, 0]
+        if inside.size and (kind == "line" or learnt.point is not None):
+            coordinates = learnt.at(poses[inside[0]], np.inf).coordinates(poses[inside])[:, 0]
             way[inside[0] :] = moved
-            way[inside] += at
+            way[inside] += coordinates
             way[inside[-1] :] = moved = way[inside[-1]]
-    return way * np.sign(way[np.argmax(np.abs(way))] or 1.0) + 0.0
+    sign = np.sign(way[np.argmax(np.abs(way))] or 1.0)
+    return "m" if kind == "line" else "rad", _Curve("", times, way * sign + 0.0)
 
 
 def _within(phases: tuple[PhaseBand, ...], first_time: float, duration: float) -> tuple[PhaseBand, ...]:
@@ -409,15 +410,20 @@ def key_frames(time: Float[np.ndarray, " T"]) -> np.ndarray:
 
 
 def status_changes(name: str, time: Float[np.ndarray, " T"], words: Iterable[object]) -> tuple[tuple[float, str], ...]:
-    """Time and word of each status that differs from the one before it.
+    """Return time and word of each status that differs from the one before it.
 
     Raises:
         RecordingError: There are not as many words as times.
     """
     status = [str(word) for word in words]
-    if not status:
-        return ()
-    if len(status) != time.size:
+    if status and len(status) != time.size:
         raise RecordingError(f"rollout {name!r} has {time.size} times and {len(status)} status words", code="shape")
-    changes = [i for i in range(len(status)) if i == 0 or status[i] != status[i - 1]]
-    return tuple((float(time[i]), status[i]) for i in changes)
+    return tuple((float(time[i]), word) for i, word in enumerate(status) if i == 0 or word != status[i - 1])
+
+
+def status_in_page(word: str) -> str:
+    """Return a status as the page shows it: `"ok"` as asked, `"slowed"` or changed by a limit, or `"stopped"`."""
+    if word in (Status.OK, Status.NULL_SCALED, Status.REROUTED):  # the task is done as it was asked
+        return "ok"
+    stands = Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED, Status.STALLED
+    return "stopped" if word in stands else "slowed"

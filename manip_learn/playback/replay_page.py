@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import tempfile
@@ -21,6 +20,7 @@ from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.shown import Shown
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
+from manip_learn.linalg import finite
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.guided_motion import Guidance, guidance_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
@@ -28,7 +28,7 @@ from manip_learn.playback.mechanism_drawing import MechanismDrawing, mechanism_d
 from manip_learn.playback.notebook import in_cell
 from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
-from manip_learn.playback.phase_bands import WAY, Phase, phase_bands, phase_kinds, phases_from_json
+from manip_learn.playback.phase_bands import WAY, Phase, PhaseKind, phase_bands, phase_kinds, phases_from_json
 from manip_learn.playback.recorded_motion import RecordedMotion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
@@ -40,7 +40,6 @@ from manip_learn.robot.tips import default_tip
 if TYPE_CHECKING:
     from manip_learn.learning.report import LearningReport
 
-_MAX_TEXT = 2000  # characters of a text in a card
 MOST_ROWS = 60  # of a table in a card
 STATES = {
     "held": "held",
@@ -53,7 +52,7 @@ MAX_GHOSTS = 12  # as in page/scene.js
 
 
 def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
-    """Headline, facts with what they mean, the evidence of each row, warnings, odd recordings.
+    """Return headline, facts with their meaning, the evidence of each row, warnings and odd recordings.
 
     What the report lacks is left out: constraint files of earlier versions hold less.
 
@@ -61,7 +60,6 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
         report: `learner.report_`, or the dictionary of it that a constraint file keeps as its provenance.
     """
     content = report if isinstance(report, Mapping) else report.to_dict()
-    imposed = content.get("kind") == "self-imposed"
     odd = _list(content.get("odd_trajectories"))
     pairs = [(e.get("trajectory"), e.get("reason")) if isinstance(e, Mapping) else e for e in odd]
     rows = []  # strength, chance and verdict of each, most firmly held first
@@ -70,8 +68,9 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
             strength, chance = _number(entry.get("strength")), _number(entry.get("p_value"))
             state = str(entry.get("state"))
             grown = "" if strength is None else f"{strength:,.3g} times" if strength < 1e6 else "over a million times"
-            said = "" if chance is None else f"p = {chance:.2g}"
-            rows.append([f"row {k + 1}", STATES.get(state, state[:40]), grown, said])
+            p_value = "" if chance is None else f"p = {chance:.2g}"
+            rows.append([f"row {k + 1}", STATES.get(state, state[:40]), grown, p_value])
+    imposed = content.get("kind") == "self-imposed"
     return {
         "headline": _text(content.get("sentence")),
         "kind": "the demonstrator moves the constrained directions (b is not 0)" if imposed else "",
@@ -85,7 +84,7 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _facts(content: Mapping[str, Any]) -> list[list[str]]:
-    """Name, number and meaning of what the report knows."""
+    """Return name, number and meaning of what the report knows."""
     gap, residual, angle = (_number(content.get(k)) for k in ("gap", "held_out_residual", "uncertainty_deg"))
     n, samples, recordings = (content.get(k) for k in ("n_constraints", "n_samples", "n_trajectories"))
     estimator, facts = _text(content.get("estimator")), []
@@ -95,15 +94,25 @@ def _facts(content: Mapping[str, Any]) -> list[list[str]]:
         value = f"{gap:,.3g}" if gap < 1000 else f"{gap:,.0f}"
         facts.append(["Gap", value, f"how clearly the data ask for {rows}: {scale}"])
     if residual is not None:
-        said = "share of the motion left unexplained in recordings not learnt from"
-        facts.append(["Residual", f"{100.0 * residual:.2g} %", said])
+        meaning = "share of the motion left unexplained in recordings not learnt from"
+        facts.append(["Residual", f"{100.0 * residual:.2g} %", meaning])
     if angle is not None:
-        said = "68 % of repetitions with other recordings stay within it"
-        facts.append(["Direction", error_in_words(angle, "degrees"), said])
+        meaning = "68 % of repetitions with other recordings stay within it"
+        facts.append(["Direction", error_in_words(angle, "degrees"), meaning])
     if isinstance(samples, int) and isinstance(recordings, int):
-        said = f"of {counted(recordings, 'recording')}" + f"; estimator: {estimator}" * bool(estimator)
-        facts.append(["Learnt from", counted(samples, "sample"), said])
+        meaning = f"of {counted(recordings, 'recording')}" + f"; estimator: {estimator}" * bool(estimator)
+        facts.append(["Learnt from", counted(samples, "sample"), meaning])
     return facts
+
+
+def _doubts(evidence: Mapping[str, Any]) -> list[str]:
+    """Return warnings, the recordings that do not agree as far as no warning names them, and notes."""
+    warnings = evidence.get("warnings", [])
+    named = " ".join(warnings)
+    odd = [
+        f"{name} does not agree with the others: {why}" for name, why in evidence.get("odd", ()) if name not in named
+    ]
+    return [*warnings, *odd, *evidence.get("notes", ())]
 
 
 def _list(value: object) -> list[Any]:
@@ -115,12 +124,12 @@ def _texts(value: object) -> list[str]:
 
 
 def _text(value: object) -> str:
-    return "" if value is None else str(value)[:_MAX_TEXT]
+    return "" if value is None else str(value)[:2000]  # characters that a card has room for
 
 
 def _number(value: object) -> float | None:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if is_number else None  # type: ignore[arg-type]
+    number = None if isinstance(value, bool) else finite(value)
+    return None if number is None else float(number)
 
 
 @final
@@ -217,60 +226,71 @@ def replay(
     if side_by_side and not 2 <= len(named) <= 4:
         raise RecordingError(f"side_by_side needs two to four rollouts, got {len(named)}", code="side-by-side")
     guided = {name: guidance_of(robot, name, r, constraint, target) for name, r in named.items()}
-    if report is not None:
-        learnt = report if isinstance(report, Mapping) else report.to_dict()
-    else:  # of the first constraint shown
-        kept = (g.constraint.provenance for g in guided.values() if g.constraint is not None)
-        learnt = next((provenance for provenance in kept if provenance), {})
+    kept = [g.constraint.provenance for g in guided.values() if g.constraint is not None]
+    learnt = next(filter(None, kept), {}) if report is None else report
+    learnt = learnt if isinstance(learnt, Mapping) else learnt.to_dict()
     if not phases:
         own = phases_from_json(learnt.get("phases") or ())
         phases = tuple(p for p in own if isinstance(named.get(p[0]), Trajectory))
-    if mechanism is None:
-        mechanism = learnt.get("mechanism")
-        if not isinstance(mechanism, Mapping | None):  # as in a damaged file
-            raise RecordingError(
-                f"the mechanism must be a dictionary, got {mechanism!r:.60}: learn it again", code="mechanism"
-            )
-    tip_name = shown_tip(robot, tip, named, guided)
-    bands = phase_bands(phases, list(named))
-    chosen_colours = rollout_colours(list(named), colours or {}, neutral=bool(phases))
-    tree, frame = kinematic_tree(robot), robot.frame(tip_name)
-    first = mechanism if isinstance(mechanism, Mapping | None) else mechanism.to_dict()
+    first = _dictionary_of(learnt.get("mechanism") if mechanism is None else mechanism)
+    tip_name, tree, bands = (
+        shown_tip(robot, tip, named, guided),
+        kinematic_tree(robot),
+        phase_bands(phases, list(named)),
+    )
+    frame, looks = robot.frame(tip_name), appearance(robot, tree)
     motions = [recorded_motion(robot, tree, frame, n, r, bands[n], guided[n], first) for n, r in named.items()]
     drawings = _drawings(first, motions)
-    # each constraint is named by its mechanism, else by how many directions it holds
-    rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in motions[0].guidance.constraints]
-    parts = zip(drawings, rows or [""] * len(drawings), strict=False)
-    kinds = phase_kinds(phases, [(d and d.type) or said for d, said in parts]) if phases else ()
-    looks = appearance(robot, tree)
-    all_notes = (*notes, *looks.notes)
     if len(motions) > MAX_GHOSTS and not phases:
-        all_notes += (
+        notes = (
+            *notes,
             f"Of {len(motions)} rollouts the first {MAX_GHOSTS} are drawn as robots, the others as tip path and curve; "
             "click a name to draw that one.",
         )
-    data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, all_notes, kinds, drawings)
     evidence = evidence_of(learnt) if learnt else None
-    data["evidence"], data["zero"] = evidence, zero
-    origins = (g.constraint.provenance.get("made") for g in guided.values() if g.constraint is not None)
-    data["made"] = next(filter(None, origins), None)
-    data["done"] = [row for motion in motions for row in _done(motion, named[motion.name], len(named) > 1)]
-    data["panes"] = [_outcome(*pair) for pair in named.items()] if side_by_side else []
-    data["odd"] = {name: why for name, why in evidence["odd"] if name in named} if evidence else {}
+    all_notes = tuple(dict.fromkeys((*notes, *_doubts(evidence or {}), *looks.notes)))
+    colouring = rollout_colours(list(named), colours or {}, neutral=bool(phases))
+    kinds = _kinds(phases, motions[0].guidance, drawings)
+    data = scene_data(robot, tree, looks, tip_name, motions, colouring, all_notes, kinds, drawings)
+    data |= {
+        "evidence": evidence,
+        "zero": zero,
+        "made": next((made for provenance in kept if (made := provenance.get("made"))), None),
+        "done": [row for motion in motions for row in _done(motion, named[motion.name], len(named) > 1)],
+        "panes": [_outcome(*pair) for pair in named.items()] if side_by_side else [],
+        "odd": {name: why for name, why in evidence["odd"] if name in named} if evidence else {},
+    }
     content = page(data, robot=known_as(robot.source) or robot.name or "robot", subtitle=title).encode("utf-8")
-    if html is None:
-        try:
-            folder = tempfile.mkdtemp(prefix="manip_learn_")
-        except OSError as error:
-            raise OutputError(f"no temporary folder for the replay: {error}; name a file with html=...") from error
-        safe = re.sub(r"[^A-Za-z0-9_-]+", "_", robot.name)[:40] or "robot"
-        is_shown, html = open_browser is None or open_browser, Path(folder) / f"{safe}_replay.html"
-    else:
-        is_shown = bool(open_browser)
-    path = write_atomically(html, content)
-    if is_shown:
+    path = write_atomically(_temporary_file(robot) if html is None else html, content)
+    if open_browser or (open_browser is None and html is None):
         webbrowser.open(path.as_uri())
     return ReplayResult(path, len(content), all_notes)
+
+
+def _dictionary_of(mechanism: object) -> Mapping[str, Any] | None:
+    described = mechanism.to_dict() if isinstance(mechanism, Mechanism) else mechanism
+    if isinstance(described, Mapping | None):
+        return described
+    # as in a damaged file
+    raise RecordingError(f"the mechanism must be a dictionary, got {described!r:.60}: learn it again", code="mechanism")
+
+
+def _temporary_file(robot: Robot) -> Path:
+    try:
+        folder = tempfile.mkdtemp(prefix="manip_learn_")
+    except OSError as error:
+        raise OutputError(f"no temporary folder for the replay: {error}; name a file with html=...") from error
+    safe = re.sub(r"[^A-Za-z0-9_-]+", "_", robot.name)[:40] or "robot"
+    return Path(folder) / f"{safe}_replay.html"
+
+
+def _kinds(
+    phases: Sequence[Phase], guidance: Guidance, drawings: Sequence[MechanismDrawing | None]
+) -> tuple[PhaseKind, ...]:
+    """Return the kinds of phases: each constraint is named by its mechanism, else by how many directions it holds."""
+    rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guidance.constraints]
+    parts = zip(drawings, rows or [""] * len(drawings), strict=False)
+    return phase_kinds(phases, [(d and d.type) or words for d, words in parts]) if phases else ()
 
 
 def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Recording], float]:
@@ -281,64 +301,56 @@ def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Re
     """
     if align not in ("start", "grasp"):
         raise RecordingError(f"align is {align!r}; 'start' or 'grasp' is needed", code="align")
-    begins = {name: float(r.time[0]) for name, r in named.items() if isinstance(r, Rollout) and len(r)}
-    if align == "start" or not begins:
+    rollouts = {name: r for name, r in named.items() if isinstance(r, Rollout) and len(r)}
+    if align == "start" or not rollouts:
         return named, 0.0
-    for name, start in begins.items():
-        grasp = next((w["begins"] for w in named[name].ways if w["begins"] is not None), start)  # type: ignore[union-attr]
-        begins[name] = grasp - start
-    latest, out = max(begins.values()), dict(named)
-    for name, grasp in begins.items():
-        rollout = named[name]
-        if isinstance(rollout, Rollout) and grasp < latest:
+    grasps = dict[str, float]()  # [s] from the start
+    for name, r in rollouts.items():
+        grasps[name] = next((w["begins"] for w in r.ways if w["begins"] is not None), r.time[0]) - float(r.time[0])
+    latest, out = max(grasps.values()), dict(named)
+    for name, rollout in rollouts.items():
+        if grasps[name] < latest:
             first = rollout.until(float(rollout.time[0]))
-            twice = {field: np.repeat(getattr(first, field), 2, axis=0) for field in ("q", "u", "manipulability")}
-            twice |= {"task_error": np.repeat(first.task_error, 2), "status": first.status * 2}
-            time = np.array([rollout.time[0], latest - grasp])
-            still = replace(first, time=time, phases=(), ways=(), following_error=None, **twice)
+            arrays = ("q", "u", "manipulability", "task_error")
+            twice = {field: np.repeat(getattr(first, field), 2, axis=0) for field in arrays}
+            time = np.array([rollout.time[0], latest - grasps[name]])
+            still = replace(
+                first, time=time, status=first.status * 2, phases=(), ways=(), following_error=None, **twice
+            )
             out[name] = still.followed_by(rollout)
     return out, latest
 
 
 def _outcome(name: str, recording: Recording) -> dict[str, str]:
-    """What became of a rollout in a few words: its name, how far each way went, and what stopped it."""
+    """Return the caption of a pane: name, how far each way went, and what stopped it."""
     ways = recording.ways if isinstance(recording, Rollout) else ()
-    said, why = ("; ".join(map(of, ways)) for of in (_so_far, _stop))
-    return {"name": name, "said": said, "why": why}
+    parts = [_way_in_words(way) for way in ways]
+    return {"name": name, "said": "; ".join(far for far, _ in parts), "why": "; ".join(why for _, why in parts)}
 
 
-def _so_far(way: Mapping[str, Any]) -> str:
-    done, wanted, unit = (
-        _number(way.get("done")),
-        _number(way.get("wanted")),
-        "m" if way.get("unit") == "m" else "degrees",
-    )
-    return "" if done is None or wanted is None else f"{abs(done):.3g} of {abs(wanted):.3g} {unit}"
-
-
-def _stop(way: Mapping[str, Any]) -> str:
-    stopped = _text(way.get("stopped_by"))
-    return f", stopped by {stopped}" if stopped else ""
+def _way_in_words(way: Mapping[str, Any]) -> tuple[str, str]:
+    done, wanted, stopped = _number(way.get("done")), _number(way.get("wanted")), _text(way.get("stopped_by"))
+    unit = "m" if way.get("unit") == "m" else "degrees"
+    far = "" if done is None or wanted is None else f"{abs(done):.3g} of {abs(wanted):.3g} {unit}"
+    return far, f", stopped by {stopped}" if stopped else ""
 
 
 def _done(motion: RecordedMotion, recording: Recording, several: bool) -> list[list[str]]:
-    """What became of each way of a rollout: its name, where the hand took hold, and its numbers, in words."""
+    """Return a row for each way of a rollout: its name, where the hand took hold, and its numbers, in words."""
     rows = []
     for way in recording.ways if isinstance(recording, Rollout) else ():
         whose = ": ".join(filter(None, (motion.name if several else "", _text(way.get("name"))))) or motion.name
-        begins = way["begins"]
-        place = "not reached"
+        begins, place = way["begins"], "not reached"
         if begins is not None:
             at = [np.interp(begins - motion.first_time, motion.path_times, axis) for axis in motion.path.T]
             place = ", ".join(f"{x:.3f}" for x in at) + " m"
-        off, margin = _number(way.get("deviation")), _number(way.get("margin"))
         joint = way.get("fastest_joint")
         joint = joint if isinstance(joint, Mapping) else {}
-        share = _number(joint.get("share_of_limit"))
-        fastest = "" if share is None else f"{100 * share:.0f} % of its limit ({_text(joint.get('name'))})"
-        far = _so_far(way) + _stop(way)
+        off, margin, share = map(_number, (way.get("deviation"), way.get("margin"), joint.get("share_of_limit")))
         strayed = "" if off is None else f"{1e3 * off:.1f} mm"
-        rows.append([whose, place, far, strayed, fastest, "" if margin is None else f"{100 * margin:.0f} %"])
+        fastest = "" if share is None else f"{100 * share:.0f} % of its limit ({_text(joint.get('name'))})"
+        room = "" if margin is None else f"{100 * margin:.0f} %"
+        rows.append([whose, place, "".join(_way_in_words(way)), strayed, fastest, room])
     return rows
 
 
@@ -389,15 +401,13 @@ def named_recordings(rollouts: Mapping[str, Recording] | Recording) -> dict[str,
     if isinstance(rollouts, Rollout | Trajectory):
         rollouts = {rollouts.name if isinstance(rollouts, Trajectory) else "rollout": rollouts}
     if not isinstance(rollouts, Mapping):
-        raise RecordingError(
-            f"rollouts must be a dictionary from names to rollouts, got {type(rollouts).__name__}", code="type"
-        )
+        given = type(rollouts).__name__
+        raise RecordingError(f"rollouts must be a dictionary from names to rollouts, got {given}", code="type")
     if not rollouts:
         raise RecordingError("there is nothing to replay: give at least one rollout", code="empty")
     for name, rollout in rollouts.items():
         if not isinstance(name, str) or not isinstance(rollout, Rollout | Trajectory):
-            raise RecordingError(
-                f"rollout {name!r} must be a Rollout or a Trajectory under a name, got {type(rollout).__name__}",
-                code="type",
-            )
+            given = type(rollout).__name__
+            sentence = f"rollout {name!r} must be a Rollout or a Trajectory under a name, got {given}"
+            raise RecordingError(sentence, code="type")
     return dict(rollouts)

@@ -9,21 +9,20 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.playback.appearance import Appearance
+from manip_learn.errors import listed
+from manip_learn.playback.appearance import Appearance, Shape
 from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.mechanism_drawing import CORNERS, MechanismDrawing, facing
 from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import PhaseKind, own_kinds
-from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, track_data
+from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, status_in_page, track_data
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import Mesh
 
 MAX_POSTURES_FOR_BOUNDS = 120  # of all motions, around which the camera stands
 OUTLINE_DIRECTIONS = 240  # over the sphere, 13 degrees apart
 MOST_PLACES, LEAST_PLACES = 12_000, 60  # of all ellipsoids of a page, and of one motion
-ELLIPSOID = 0.08  # longest semi-axis relative to the scene
-ASIDE = np.deg2rad(62.0)  # the camera from what it looks at
 _NEAR = 0.25  # of the motion's extent: how far around it the picture reaches for what stands there
 FLOOR_REACH = 3.0  # edge of a floor in extents of the motion: to the rim of the picture
 PATCH = 0.6  # [m] of a front that has no end: as wide as a cupboard
@@ -41,60 +40,50 @@ def scene_data(
     kinds: Sequence[PhaseKind] = (),
     mechanisms: Sequence[MechanismDrawing | None] = (),
 ) -> dict[str, Any]:
-    """The data of a page; arrays are little-endian and in base64."""
+    """Return the data of a page; arrays are little-endian and in base64.
+
+    Args:
+        robot: The robot.
+        tree: Its joints as the page moves them.
+        looks: How it is drawn.
+        tip: Name of the frame whose path is drawn.
+        motions: What is played.
+        colours: Name and hexadecimal value, one for each motion.
+        notes: Sentences.
+        kinds: Phases of recordings; empty without.
+        mechanisms: What is drawn of each constraint's mechanism, None for nothing.
+    """
     drawn = [line for m in mechanisms if m for line in (*m.lines, m.way)]
     cloud = np.concatenate([_drawn_points(robot, looks, motions), *drawn])
     # and where the marks at the tip reach to, along its path
-    reach = _MARKS * float(np.linalg.norm(np.ptp(cloud, axis=0)))
+    reach = _MARKS * _extent(cloud)
     paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in motions if m.guidance.constraints]
-    marked = [path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3))]
-    cloud = np.concatenate([cloud, *marked])
-    low, high = cloud.min(axis=0), cloud.max(axis=0)
-    size = float(np.linalg.norm(high - low))
-    around = [[_thing(thing, low, high) for thing in m.around] for m in motions]
-    # of what stands around as much is framed as is near the motion
-    near = [corner for some in around for thing in some for corner in thing.pop("corners")]
-    cloud = np.concatenate([cloud, np.clip(np.reshape(near, (-1, 3)), low - _NEAR * size, high + _NEAR * size)])
-    low, high = cloud.min(axis=0), cloud.max(axis=0)
-    most, marks = points_per_curve([m.measures for m in motions]), list[list[dict[str, Any] | None]]()
+    cloud = np.concatenate([cloud, *(path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3)))])
+    low, high, size = cloud.min(axis=0), cloud.max(axis=0), _extent(cloud)
+    # what was stated is drawn; of it as much is framed as is near the motion
+    around, corners = list[list[dict[str, Any]]](), [np.zeros((0, 3))]
     for m in motions:
-        each, target = m.guidance.constraints, m.guidance.target
-        places = max(LEAST_PLACES, MOST_PLACES // len(motions)) // max(len(each), 1)
-        marks.append([constraint_marks(robot, m.samples, c, target, places) for c in each if m.samples is not None])
-    size = float(np.linalg.norm(high - low))
-    # the points that stick out farthest in directions all over the sphere: what the camera must frame
-    k = np.arange(OUTLINE_DIRECTIONS) + 0.5
-    height, turn = 1.0 - 2.0 * k / OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
-    ring = np.sqrt(1.0 - height**2)
-    outermost = np.unique(np.argmax(cloud @ np.array([ring * np.cos(turn), ring * np.sin(turn), height]), axis=0))
-    # an arm all of whose motion is in the horizontal plane is seen from above
-    rotation, is_flat, frames = [np.eye(3)], True, robot.pinocchio_model.frames
-    for joint in tree[1:]:
-        rotation.append(rotation[joint.parent] @ joint.placement[:3, :3])
-        upright = abs(float((rotation[-1] @ joint.axis)[2]))
-        is_flat &= joint.motion != "free" and abs(upright - (joint.motion == "revolute")) <= 1e-6
+        things = [_thing(thing, low, high) for thing in m.around if not thing.get("assumed")]
+        around.append([thing for thing, _ in things])
+        corners += [np.clip(points, low - _NEAR * size, high + _NEAR * size) for _, points in things]
+    cloud = np.concatenate([cloud, *corners])
+    places = max(LEAST_PLACES, MOST_PLACES // len(motions))
+    marks = [_marks(robot, m, places) for m in motions]
+    longest = max((mark.pop("longest") for some in marks for mark in some if mark is not None), default=0.0)
+    most = points_per_curve([m.measures for m in motions])
     return {
-        "robot": {
-            "tip": tip,
-            "joints": [vars(j) | {"placement": _rows(j.placement), "axis": j.axis.tolist()} for j in tree],
-            "links": [
-                {"name": name, "joint": f.parent_joint, "placement": _rows(frames[f.index].placement.homogeneous)}
-                for name, f in ((name, robot.frame(name)) for name in robot.frame_names)
-                if frames[f.index].type == pin.FrameType.BODY or name == tip
-            ],
-            "shapes": [vars(s) | {"pose": _rows(s.pose)} for s in looks.shapes],
-            "meshes": [_mesh(m) for m in looks.meshes],
-        },
-        "bounds": [low.tolist(), high.tolist()],
-        "outline": cloud[outermost].round(5).tolist(),
+        "robot": _robot(robot, tree, looks, tip),
+        "bounds": [cloud.min(axis=0).tolist(), cloud.max(axis=0).tolist()],
+        "outline": _outline(cloud).round(5).tolist(),
         "azimuth": _azimuth(motions),
-        "floor": float(min(low[2], 0.0)),
-        "view": "top" if is_flat and len(tree) > 1 else "iso",
+        "floor": float(min(cloud[:, 2].min(), 0.0)),
+        "view": "top" if _is_flat(tree) else "iso",
         "rollouts": [
             _rollout(m, c) | {"measures": track_data(m.measures, most), "marks": mark, "around": things}
             for m, c, mark, things in zip(motions, colours, marks, around, strict=True)
         ],
-        "ellipsoidScale": ellipsoid_scale([one for some in marks for one in some], ELLIPSOID * size),
+        # the longest semi-axis takes 8 % of the scene
+        "ellipsoidScale": ellipsoid_scale(longest, 0.08 * _extent(cloud)),
         "notes": list(notes),
         "panes": [],
         "zero": 0.0,
@@ -103,22 +92,88 @@ def scene_data(
     }
 
 
-def _thing(thing: Mapping[str, Any], low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"]) -> dict[str, Any]:
-    """What stands around, with corners of a box about it; a floor reaches below the motion, other faces are patches."""
-    pose, size, kind = np.array(thing["pose"], dtype=np.float64), thing.get("size", ()), thing["kind"]
-    mesh = Mesh(np.array(thing["vertices"]), np.array(thing["faces"])) if kind == "mesh" else None
+def _extent(cloud: Float[np.ndarray, "n 3"]) -> float:
+    """Return the diagonal of the box around points [m]."""
+    return float(np.linalg.norm(np.ptp(cloud, axis=0)))
+
+
+def _outline(cloud: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """Return the points that stick out farthest in directions all over the sphere: what the camera must frame."""
+    k = np.arange(OUTLINE_DIRECTIONS) + 0.5
+    height, turn = 1.0 - 2.0 * k / OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
+    ring = np.sqrt(1.0 - height**2)
+    return cloud[np.unique(np.argmax(cloud @ np.array([ring * np.cos(turn), ring * np.sin(turn), height]), axis=0))]
+
+
+def _is_flat(tree: tuple[TreeJoint, ...]) -> bool:
+    """True if all motion of the arm is in the horizontal plane: it is seen from above."""
+    rotation = [np.eye(3)]
+    for joint in tree[1:]:
+        rotation.append(rotation[joint.parent] @ joint.placement[:3, :3])
+        upright = abs(float((rotation[-1] @ joint.axis)[2]))
+        if joint.motion == "free" or abs(upright - (joint.motion == "revolute")) > 1e-6:
+            return False
+    return len(tree) > 1
+
+
+def _robot(robot: Robot, tree: tuple[TreeJoint, ...], looks: Appearance, tip: str) -> dict[str, Any]:
+    frames = robot.pinocchio_model.frames
+    links = {name: frames[robot.frame(name).index] for name in robot.frame_names}
+    return {
+        "tip": tip,
+        "joints": [vars(j) | {"placement": _rows(j.placement), "axis": j.axis.tolist()} for j in tree],
+        "links": [
+            {"name": name, "joint": frame.parentJoint, "placement": _rows(frame.placement.homogeneous)}
+            for name, frame in links.items()
+            if frame.type == pin.FrameType.BODY or name == tip
+        ],
+        "shapes": [vars(s) | {"pose": _rows(s.pose)} for s in looks.shapes],
+        "meshes": [_mesh(m) for m in looks.meshes],
+    }
+
+
+def _marks(robot: Robot, motion: RecordedMotion, places: int) -> list[dict[str, Any] | None]:
+    samples, guidance = motion.samples, motion.guidance
+    if samples is None:
+        return []
+    each = places // max(len(guidance.constraints), 1)
+    return [constraint_marks(robot, samples, c, guidance.target, each) for c in guidance.constraints]
+
+
+def _thing(
+    thing: Mapping[str, Any], low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"]
+) -> tuple[dict[str, Any], Float[np.ndarray, "C 3"]]:
+    """Return a thing that was stated as the page draws it, and points around it [m].
+
+    A floor reaches below the motion, other faces are patches.
+    """
+    pose, size, kind = np.array(thing["pose"], dtype=np.float64), list(thing.get("size", ())), thing["kind"]
+    mesh, box = None, CORNERS * [PATCH, 0.0, PATCH]
     if kind == "face":
-        size = (FLOOR_REACH * float(np.linalg.norm(high - low)),) * 2 if thing["name"] == "floor" else (PATCH,) * 2
-        pose = facing(pose[:3, 2], pose[:3, 3])
-        pose[:2, 3] = 0.5 * (low + high)[:2] if thing["name"] == "floor" else pose[:2, 3]
-    extents = {"face": [PATCH, 0.0, PATCH], "sphere": [2.0 * x for x in (*size,) * 3], "box": size}.get(kind)
-    if kind == "cylinder":
-        extents = [2.0 * size[0], 2.0 * size[0], size[1]]
-    corners = CORNERS * extents if mesh is None else mesh.vertices
-    known = {"name": thing["name"], "kind": kind, "size": list(size), "pose": _rows(pose)}
-    known |= {"assumed": bool(thing.get("assumed")), "nearest": thing.get("nearest"), "link": thing.get("link")}
-    known |= {"mesh": None if mesh is None else _mesh(mesh)}
-    return known | {"corners": (corners @ pose[:3, :3].T + pose[:3, 3]).tolist()}
+        pose, size = facing(pose[:3, 2], pose[:3, 3]), [PATCH, PATCH]
+        if thing["name"] == "floor":
+            pose[:2, 3], size = 0.5 * (low + high)[:2], [FLOOR_REACH * float(np.linalg.norm(high - low))] * 2
+    elif kind == "mesh":
+        mesh = Mesh(np.array(thing["vertices"]), np.array(thing["faces"]))
+        box = mesh.vertices
+    else:
+        box = 2.0 * CORNERS * Shape(0, kind, tuple(size), pose).half_extent()
+    known = {"name": thing["name"], "kind": kind, "size": size, "pose": _rows(pose)}
+    return known | {"mesh": None if mesh is None else _mesh(mesh)}, _moved(pose, box)
+
+
+def keeps_clear(around: Sequence[Mapping[str, Any]]) -> str:
+    """Return what a plan keeps clear of in words, e.g. "table (0.30 m from link1) as stated"; empty if nothing.
+
+    Args:
+        around: As `Rollout.around`.
+    """
+    said: dict[str, dict[str, str]] = {"as stated": {}, "assumed: --scene states what is there": {}}
+    for thing in around:
+        how = list(said)[bool(thing.get("assumed"))]
+        near = f" ({thing['nearest']:.2f} m from {thing['link']})" if thing.get("nearest") is not None else ""
+        said[how].setdefault(thing["name"], thing["name"] + near)
+    return "; ".join(f"{listed(names.values())} {how}" for how, names in said.items() if names)
 
 
 def _rows(pose: Float[np.ndarray, "4 4"]) -> list[float]:
@@ -141,32 +196,31 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
 
 def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
     own = own_kinds(motion.phases, colour[1])
-    numbers = {kind.label: k for k, kind in enumerate(own)}
+    kinds = {kind.label: k for k, kind in enumerate(own)}
+    # angles in float64: one of many turns must still be right to a nanoradian
+    exact = {"keyTimes": motion.key_times, "tracks": motion.tracks, "curveTimes": motion.curve_times}
     described: dict[str, Any] = {
         "name": motion.name,
         "colour": colour[1],
         "duration": motion.duration,
-        # float64: an angle of many turns must still be right to a nanoradian
-        "keyTimes": packed(motion.key_times, "<f8"),
-        "tracks": packed(motion.tracks, "<f8"),
+        **{key: packed(numbers, "<f8") for key, numbers in (exact | {"curve": motion.curve}).items()},
         "pathTimes": packed(motion.path_times, "<f4"),
         "path": packed(motion.path, "<f4"),
-        "curveTimes": packed(motion.curve_times, "<f8"),
-        "curve": packed(motion.curve, "<f8"),
-        "status": [list(change) for change in motion.status],
+        "status": [[t, word, status_in_page(word)] for t, word in motion.status],
         "fitShare": motion.fit_share,
         "handles": motion.handles,
         # start, end, number of the kind; -1 for free motion
         "phases": [
-            [b.start, b.end, numbers.get(b.name or "", -1 if b.constraint is None else b.constraint)]
+            [b.start, b.end, kinds.get(b.name or "", -1 if b.constraint is None else b.constraint)]
             for b in motion.phases
         ],
     }
-    return described | ({"phaseKinds": [vars(k) for k in own]} if own else {})
+    more = {"phaseKinds": [vars(k) for k in own], "clear": keeps_clear(motion.around)}
+    return described | {key: value for key, value in more.items() if value}
 
 
 def _drawn_points(robot: Robot, looks: Appearance, motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "C 3"]:
-    """Points that enclose everything that is ever drawn, in the base frame [m]."""
+    """Return points that enclose all of the arm at any time, in the base frame [m]."""
     model = robot.pinocchio_model
     data = model.createData()
     corners = [_corners(looks, i) for i in range(model.njoints)]
@@ -175,25 +229,25 @@ def _drawn_points(robot: Robot, looks: Appearance, motions: Sequence[RecordedMot
         every = max(1, len(motion.postures) * len(motions) // MAX_POSTURES_FOR_BOUNDS)
         for q in motion.postures[::every]:
             pin.forwardKinematics(model, data, robot.pinocchio_configuration(q))
-            for i, local in enumerate(corners):
-                pose = data.oMi[i].homogeneous
-                points.append(local @ pose[:3, :3].T + pose[:3, 3])
-    return np.concatenate([p for p in points if len(p)])
-
-
-def _azimuth(motions: Sequence[RecordedMotion]) -> float:
-    """Where the camera stands [rad]: beside the arm and a little before it."""
-    x, y, _ = np.concatenate([m.path for m in motions]).mean(axis=0)
-    return float(np.arctan2(y, x) - ASIDE) if np.hypot(x, y) > 1e-6 else float(np.deg2rad(-50.0))
+            points += [_moved(pose.homogeneous, local) for pose, local in zip(data.oMi, corners, strict=True)]
+    return np.concatenate(points)
 
 
 def _corners(looks: Appearance, joint: int) -> Float[np.ndarray, "C 3"]:
-    """Corners of the boxes around a joint's shapes, and the joint's origin, in the joint's frame [m]."""
+    """Return the corners of the boxes around a joint's shapes, and its origin, in the joint's frame [m]."""
     points = [np.zeros((1, 3))]
     for shape in (s for s in looks.shapes if s.joint == joint):
         half = shape.half_extent()
         ends = np.array([-half, half]) if shape.mesh is None else looks.meshes[shape.mesh].vertices
-        low, high = ends.min(axis=0), ends.max(axis=0)
-        box = (low + high) / 2.0 + CORNERS * (high - low)
-        points.append(box @ shape.pose[:3, :3].T + shape.pose[:3, 3])
+        points.append(_moved(shape.pose, 0.5 * (ends.min(axis=0) + ends.max(axis=0)) + CORNERS * np.ptp(ends, axis=0)))
     return np.concatenate(points)
+
+
+def _moved(pose: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def _azimuth(motions: Sequence[RecordedMotion]) -> float:
+    """Return the direction of the camera [rad]: beside the arm, 62 degrees from the middle of the path."""
+    x, y, _ = np.concatenate([m.path for m in motions]).mean(axis=0)
+    return float(np.arctan2(y, x) - np.deg2rad(62.0)) if np.hypot(x, y) > 1e-6 else float(np.deg2rad(-50.0))

@@ -1,21 +1,10 @@
 // The manipulability curves, the status strips below them, and a cursor that can be dragged.
 
-const STATUS = {
-  ok: { colour: "var(--status-ok)", say: "ok" },
-  "null-scaled": { colour: "#9cc7e0", say: "null-space part scaled" },
-  rerouted: { colour: "#56b4e9", say: "null-space motion makes room for the task" },
-  damped: { colour: "#e69f00", say: "damped" },
-  "velocity-limited": { colour: "#cc79a7", say: "velocity limit" },
-  "position-limited": { colour: "#7b4fa3", say: "position limit" },
-  "acceleration-limited": { colour: "#b08bbf", say: "acceleration limit" },
-  singular: { colour: "var(--status-singular)", say: "singular" },
-  stopped: { colour: "#8a949c", say: "stopped" },
-  "following-error": { colour: "#c0392b", say: "following error" },
-};
-const OTHER_STATUS = ["#8c6d1f", "#4d7f6a", "#a04040", "#77808a"];
+// how what was asked is done, mildest first
+const STATUS = { ok: "var(--status-ok)", slowed: "var(--status-slowed)", stopped: "var(--status-stopped)" };
 const MAX_STRIPS = 8;
 const TAP = 10; // a finger that moves less taps [px]
-const MOST_READ = 6, READ_ROW = 16; // values at the cursor, and the height of a row [px]
+const MOST_READ = 6; // values at the cursor
 const DASHES = ["", "7 4", "2 4", "10 3 2 3", "1 3 6 3"];
 
 function svg(tag, attributes, parent) {
@@ -49,6 +38,9 @@ function wireSeek(element, seek) {
   element.addEventListener("pointermove", (event) => { if (event.buttons & 1 && from && (event.pointerType !== "touch" || across(event) > down(event))) seek(event); });
   element.addEventListener("pointerup", (event) => { if (from && across(event) + down(event) < TAP) seek(event); from = null; });
 }
+
+// The lowest and the highest of values, which may be too many for Math.min.
+function extent(values) { return values.reduce(([low, high], v) => [Math.min(low, v), Math.max(high, v)], [Infinity, -Infinity]); }
 
 // Whole powers of ten around values, at most twelve of them.
 function decades(low, high) {
@@ -95,24 +87,12 @@ class Chart extends ValueAxis {
     this.draw();
   }
 
-  statusStyle(word) {
-    if (STATUS[word]) return STATUS[word];
-    if (!this.styles.has(word)) this.styles.set(word, { colour: OTHER_STATUS[this.styles.size % OTHER_STATUS.length], say: word });
-    return this.styles.get(word);
-  }
-
   x(t) { return this.left + ((t - this.start) / Math.max(this.duration, 1e-9)) * (this.right - this.left); }
 
   findRange(curves) {
-    let high = 0, low = Infinity, least = Infinity;
-    for (const { curve } of curves)
-      for (const v of curve) {
-        if (v > high) high = v;
-        if (v < least) least = v;
-        if (v > 0 && v < low) low = v;
-      }
-    if (high <= 0) return [Math.min(least, 0), 1];
-    return this.logarithmic ? decades(low, high) : [Math.min(least, 0), 1.06 * high];
+    const values = curves.flatMap(({ curve }) => Array.from(curve)), [least, high] = extent([...values, 0]);
+    if (high <= 0) return [least, 1];
+    return this.logarithmic ? decades(extent(values.filter((v) => v > 0))[0], high) : [least, 1.06 * high];
   }
 
   draw() {
@@ -134,8 +114,10 @@ class Chart extends ValueAxis {
     this.cursor = svg("line", { y1: this.top, y2: this.bottom + below + 2, stroke: "var(--ink)", "stroke-width": 1.5 }, root);
     this.knob = svg("path", { d: "M-6 0h12l-6 8z", fill: "var(--ink)" }, root);
     this.dots = curves.map((r) => [r, svg("circle", { r: 5, fill: r.colour, stroke: "var(--page)", "stroke-width": 2 }, root)]);
-    this.readout = svg("g", { class: "readout" }, root);
-    this.element.replaceChildren(root);
+    this.pointer = svg("line", { y1: this.top, y2: this.bottom, stroke: "var(--muted)" }, root);
+    this.readout = make("div", { className: "readout" });
+    this.element.replaceChildren(root, this.readout);
+    this.readOut();
     if (this.time !== undefined) this.setTime(this.time);
     if (this.onDrawn) this.onDrawn();
   }
@@ -190,11 +172,10 @@ class Chart extends ValueAxis {
 
   drawStrip(root, rollout, y, height) {
     svg("rect", { x: this.left - 14, y, width: 8, height, rx: 2, fill: rollout.colour }, root);
-    rollout.status.forEach(([t, word], i) => {
-      const next = i + 1 < rollout.status.length ? rollout.status[i + 1][0] : rollout.duration;
-      const x = this.x(t), width = Math.max(this.x(next) - x, 1.2);
-      const bar = svg("rect", { x, y, width, height, fill: this.statusStyle(word).colour }, root);
-      svg("title", {}, bar).textContent = `${rollout.name}: ${this.statusStyle(word).say}`;
+    rollout.status.forEach(([t, word, state], i) => {
+      const [next] = rollout.status[i + 1] || [rollout.duration], x = this.x(t);
+      const bar = svg("rect", { x, y, width: Math.max(this.x(next) - x, 1.2), height, fill: STATUS[state] }, root);
+      svg("title", {}, bar).textContent = `${rollout.name}: ${state}${word === state ? "" : ` (${word})`}`;
     });
   }
 
@@ -212,36 +193,28 @@ class Chart extends ValueAxis {
     this.readOut();
   }
 
-  // The values where the mouse is: beside it, where the curves are not.
+  // The values where the mouse is: beside it, above or below the curves.
   readOut() {
     if (!this.readout) return;
     const t = this.hover, shown = [...this.curves].sort((a, b) => b.solid - a.solid).slice(0, MOST_READ);
-    this.readout.replaceChildren();
-    if (t === undefined || !shown.length) return;
-    const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), n = values.length;
-    const flat = this.bottom - this.top < 24 + READ_ROW * n, rows = values.map((value, i) => `${readable(value)} ${shortName(shown[i].name)}`), cell = 36 + 7.4 * Math.max(...rows.map((row) => row.length)); // side by side where the curves are low
-    const wide = flat ? 58 + cell * n : Math.max(cell + 8, 68), high = flat ? 22 : 22 + READ_ROW * n;
-    const left = x + 12 + wide > this.right ? Math.max(x - 12 - wide, 0) : x + 12, middle = values.reduce((sum, v) => sum + this.y(v), 0) / n;
-    const top = middle > (this.top + this.bottom) / 2 ? this.top + 1 : this.bottom - high - 3;
-    svg("rect", { x: left, y: top, width: wide, height: high, rx: 6 }, this.readout);
-    svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom }, this.readout);
-    svg("text", { x: left + 9, y: top + 15 }, this.readout).textContent = `${t.toFixed(2)} s`;
-    rows.forEach((row, i) => {
-      const from = left + 9 + (flat ? 50 + cell * i : 0), y = top + 15 + (flat ? 0 : READ_ROW * (i + 1));
-      svg("line", { x1: from, x2: from + 16, y1: y - 4, y2: y - 4, style: `stroke: ${shown[i].colour}`, "stroke-width": 3, "stroke-dasharray": DASHES[shown[i].index % DASHES.length] }, this.readout);
-      svg("text", { x: from + 22, y, class: "value" }, this.readout).textContent = row;
-    });
+    this.readout.hidden = t === undefined || !shown.length;
+    this.pointer.style.display = this.readout.hidden ? "none" : "";
+    if (this.readout.hidden) return;
+    const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), middle = values.reduce((sum, v) => sum + this.y(v), 0) / values.length;
+    for (const end of ["x1", "x2"]) this.pointer.setAttribute(end, x);
+    const across = 2 * x < this.left + this.right ? `left: ${x + 12}px` : `right: ${this.element.clientWidth - x + 12}px`, top = 2 * middle > this.top + this.bottom;
+    this.readout.style = `${across}; ${top ? "top: 2px" : `bottom: ${this.element.clientHeight - this.bottom + 2}px`}`;
+    this.readout.replaceChildren(make("p", {}, `${t.toFixed(2)} s`), ...shown.map((r, i) => make("p", { style: `--colour: ${r.colour}` }, make("b", {}, `${readable(values[i])} ${shortName(r.name)}`))));
   }
 
-  // What the colours of strips and bands mean: the words that occur, mildest first, then the phases.
+  // What the colours of strips and bands mean: the statuses that occur, mildest first, then the phases.
   colourKey() {
-    const words = new Set(this.rollouts.flatMap((r) => r.status.map(([, word]) => word)));
-    const known = Object.keys(STATUS).filter((w) => words.delete(w));
-    const used = new Set(this.rollouts.flatMap((r) => r.bands.map((b) => b.kind)));
-    const phases = [...new Set(this.rollouts.flatMap((r) => (r.hasOwnPhases ? [] : r.kinds)))].filter((kind) => used.has(kind)); // a rollout's own have their words
+    const states = new Set(this.rollouts.flatMap((r) => r.status.map(([, , state]) => state))), used = new Set(this.rollouts.flatMap((r) => r.bands.map((b) => b.kind)));
+    let phases = [...new Set(this.rollouts.flatMap((r) => (r.hasOwnPhases ? [] : r.kinds)))].filter((kind) => used.has(kind)); // a rollout's own have their words
     if (this.rollouts.some(hasGaps)) phases.push({ ...NO_PHASE, colour: "var(--unclassified)" });
-    if (colouring.mode === "fit") phases.splice(0, Infinity, ...fitKey());
-    return [...[...known, ...words].map((word) => this.statusStyle(word)), ...phases.map(({ colour, label, mark, ink }) => ({ colour, say: label, mark, ink }))];
+    if (colouring.mode === "fit") phases = fitKey();
+    const statuses = Object.keys(STATUS).filter((state) => states.has(state)).map((label) => ({ label, colour: STATUS[label] }));
+    return [...statuses, ...phases];
   }
 }
 
@@ -266,21 +239,13 @@ function indexAt(times, t) {
 }
 
 function curveValue(rollout, t) {
-  const i = indexAt(rollout.curveTimes, t), times = rollout.curveTimes, curve = rollout.curve;
+  const { curveTimes: times, curve } = rollout, i = indexAt(times, t);
   if (i + 1 >= curve.length || t <= times[i]) return curve[i];
-  const share = (t - times[i]) / (times[i + 1] - times[i]);
-  return curve[i] + share * (curve[i + 1] - curve[i]);
+  return curve[i] + ((t - times[i]) / (times[i + 1] - times[i])) * (curve[i + 1] - curve[i]);
 }
 
-function statusAt(rollout, t) {
-  if (!rollout.status.length) return null;
-  let low = 0, high = rollout.status.length;
-  while (high - low > 1) {
-    const middle = (low + high) >> 1;
-    if (rollout.status[middle][0] <= t) low = middle; else high = middle;
-  }
-  return rollout.status[low][1];
-}
+// "ok", "slowed" or "stopped"; none of a recording.
+function statusAt({ status }, t) { return status.length ? status[indexAt(status.map(([start]) => start), t)][2] : ""; }
 
 // A further value of a curve that is being made, of which the last seconds stay.
 function addNewest(rollout, { times, mu: curve }, time, mu, seconds) {

@@ -20,9 +20,8 @@ function eigen(matrix) {
       if (a[p][q] === 0) continue;
       const theta = (a[q][q] - a[p][p]) / (2 * a[p][q]), t = (theta >= 0 ? 1 : -1) / (Math.abs(theta) + Math.hypot(theta, 1));
       const c = 1 / Math.hypot(t, 1), s = t * c;
-      for (let k = 0; k < 3; k++) { const x = a[k][p], y = a[k][q]; a[k][p] = c * x - s * y; a[k][q] = s * x + c * y; }
-      for (let k = 0; k < 3; k++) { const x = a[p][k], y = a[q][k]; a[p][k] = c * x - s * y; a[q][k] = s * x + c * y; }
-      for (let k = 0; k < 3; k++) { const x = v[k][p], y = v[k][q]; v[k][p] = c * x - s * y; v[k][q] = s * x + c * y; }
+      for (const row of [...a, ...v]) [row[p], row[q]] = [c * row[p] - s * row[q], s * row[p] + c * row[q]];
+      [a[p], a[q]] = [a[p].map((x, k) => c * x - s * a[q][k]), a[p].map((x, k) => s * x + c * a[q][k])];
     }
   }
   const found = [0, 1, 2].map((k) => ({ value: a[k][k], vector: v.map((row) => row[k]) }));
@@ -104,20 +103,6 @@ class ConstraintMarks {
     this.placeEllipsoid(t);
     this.fade(isHeld ? 1 : FADED);
     if (this.target && this.target.carrier) this.poseOf(this.carrier).decompose(this.parts.target.position, this.parts.target.quaternion, new THREE.Vector3());
-  }
-
-  // Where the labels of the marks point to in the robot's base, by the inks of these.
-  anchors() {
-    const { position, quaternion } = this.parts.constraint, { held, free, freeTurns, heldTurns } = this.drawn, size = ARROW * this.size;
-    const out = (d, length) => d && d.clone().multiplyScalar(length).applyQuaternion(quaternion).add(position);
-    const side = held.length === 2 ? held[0] : held.length === 3 ? new THREE.Vector3(0.6, 0, 0) : held[0] || heldTurns[0];
-    const long = this.ellipsoidAt(this.time)[0];
-    return {
-      "--free": held.length && free.length && free.length < 3 ? out(free[0], size) : heldTurns.length ? out(freeTurns[0], 0) : null,
-      "--held": out(side, 0.5 * size),
-      "--ellipsoid": out(new THREE.Vector3(...long.vector), -this.scale * long.length),
-      "--goal": this.targetAt && this.targetAt.clone().applyQuaternion(this.parts.target.quaternion).add(this.parts.target.position),
-    };
   }
 
   // Row-major pose of what is drawn at the tip.
@@ -208,7 +193,7 @@ class ConstraintMarks {
   addTarget(target) {
     if (!target) return;
     if (target.carrier) this.carrier = this.place(target.carrier);
-    const at = (this.targetAt = new THREE.Vector3(...target.point)), r = 0.009 * this.size;
+    const at = new THREE.Vector3(...target.point), r = 0.009 * this.size;
     const ball = this.mesh(new THREE.SphereGeometry(r, 24, 16), this.inks.goal);
     ball.position.copy(at);
     this.parts.target.add(ball);

@@ -3,7 +3,8 @@
 class Handle {
   constructor(rollout, spans, size) {
     this.spans = spans;
-    const ink = new THREE.MeshStandardMaterial({ color: linear("#39424c"), roughness: 0.5 });
+    const ink = new THREE.MeshStandardMaterial({ roughness: 0.5 });
+    onTheme(() => ink.color.copy(linear(pageColour("--handle"))));
     this.mesh = new THREE.Mesh(new THREE.SphereGeometry(size, 24, 16), ink);
     rollout.instance.root.add(this.mesh);
   }

@@ -4,26 +4,19 @@ function fillNotes(notes) {
   const box = get("notes");
   box.hidden = notes.length === 0;
   box.querySelector("summary").textContent = notes.length === 1 ? "1 note" : `${notes.length} notes`;
-  for (const note of notes) {
-    const item = document.createElement("li");
-    item.textContent = note;
-    box.querySelector("ul").append(item);
-  }
-}
-
-// The cards beside the tracks, from the most to the least needed.
-function fillCards(show, data, player) {
-  show.shown = new Shown(data, show);
-  fillDone(data.done);
-  fillEvidence(data.evidence);
-  player.arrangePanel();
+  box.querySelector("ul").append(...notes.map((note) => make("li", {}, note)));
 }
 
 function start() {
   const data = JSON.parse(get("data").textContent), show = new Show(data);
   fillNotes(data.notes);
   const player = document.body.dataset.mode === "live" ? new Live(show, data) : new Player(show);
-  if (player instanceof Player) fillCards(show, data, player);
+  if (player instanceof Player) {
+    show.shown = new Shown(data, show);
+    fillDone(data.done);
+    fillEvidence(data.evidence);
+    player.arrangePanel();
+  }
   window.manipLearn = {
     seek: (t) => player.seek(t),
     play: () => player.play(),

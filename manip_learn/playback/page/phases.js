@@ -106,15 +106,14 @@ function pathColours(rollout, times, sides) {
 
 // What was shown, from where the hands took hold, a ball where all of them did, to the farthest point, with a head.
 function shownWay(points, radius, hold) {
-  const ink = new THREE.MeshBasicMaterial({ toneMapped: false, transparent: true, opacity: 0.75 }), at = (k) => new THREE.Vector3(...points.slice(3 * k, 3 * k + 3));
-  onTheme(() => ink.color.copy(linear(pageColour("--free"))));
-  const last = points.length / 3 - 1, meshes = [new THREE.Mesh(tubeGeometry(points, radius), ink), new THREE.Mesh(new THREE.ConeGeometry(2.6 * radius, 8 * radius, 20), ink)];
-  const back = at(Math.max(last - 1, 0)), ahead = at(last).sub(back);
-  if (ahead.lengthSq() > 0) meshes[1].quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), ahead.normalize());
-  meshes[1].position.copy(at(last));
-  if (hold) meshes.push(Object.assign(new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 20, 14), ink)));
-  if (hold) meshes[2].position.copy(at(0));
-  return meshes;
+  const ink = new THREE.MeshBasicMaterial({ toneMapped: false }), at = (k) => new THREE.Vector3(...points.slice(3 * k, 3 * k + 3));
+  onTheme(() => ink.color.copy(linear(pageColour("--shown"))));
+  const last = points.length / 3 - 1, along = at(last).sub(at(Math.max(last - 1, 0))).normalize();
+  const head = new THREE.Mesh(new THREE.ConeGeometry(2.6 * radius, 8 * radius, 20), ink), ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 20, 14), ink);
+  if (along.lengthSq() > 0) head.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), along);
+  head.position.copy(at(last));
+  ball.position.copy(at(0));
+  return [new THREE.Mesh(tubeGeometry(points, radius), ink), head, ...(hold ? [ball] : [])];
 }
 
 function mechanismGroup(mechanism, colour, radius) {

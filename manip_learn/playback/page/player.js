@@ -22,29 +22,23 @@ function readable(x) {
 }
 
 function prepare(rollout, index, phaseKinds) {
-  const own = rollout.phaseKinds && ownKinds(rollout.phaseKinds, rollout.colour), kinds = own || phaseKinds;
+  const own = rollout.phaseKinds && ownKinds(rollout.phaseKinds, rollout.colour), kinds = own || phaseKinds, byKind = tracksByKind(rollout.measures);
   return {
-    around: [], ...rollout, kinds, hasPhases: phaseKinds.length > 0, hasOwnPhases: Boolean(own), bands: bandsOf(rollout, kinds), index, visible: true, solid: index === 0,
+    ...rollout, kinds, hasPhases: phaseKinds.length > 0, hasOwnPhases: Boolean(own), bands: bandsOf(rollout, kinds), index, visible: true, solid: index === 0,
     keyTimes: decode(rollout.keyTimes, Float64Array), tracks: decode(rollout.tracks, Float64Array),
     path: decode(rollout.path, Float32Array), pathTimes: decode(rollout.pathTimes, Float32Array),
     curve: decode(rollout.curve, Float64Array), curveTimes: decode(rollout.curveTimes, Float64Array),
-    byKind: tracksByKind(rollout.measures), get colour() { return onScreen(rollout.colour); },
+    byKind, fit: fitOf({ byKind }), get colour() { return onScreen(rollout.colour); },
   };
 }
 
 // The tip's place at time t; after the end, the last one.
-function pathAt({ path, pathTimes }, t) {
-  const i = indexAt(pathTimes, t), j = Math.min(i + 1, pathTimes.length - 1), at = (k) => new THREE.Vector3(...path.subarray(3 * k, 3 * k + 3));
-  return j > i ? at(i).lerp(at(j), Math.min(Math.max((t - pathTimes[i]) / (pathTimes[j] - pathTimes[i]), 0), 1)) : at(i);
-}
+function pathAt({ path, pathTimes }, t) { return new THREE.Vector3(...rowAt(pathTimes, path, 3, t)); }
 
 class Show {
   constructor(data) {
     this.rollouts = data.rollouts.map((r, i) => prepare(r, i, data.phaseKinds));
-    for (const rollout of this.rollouts) {
-      rollout.fit = fitOf(rollout);
-      rollout.odd = (data.odd ?? {})[rollout.name];
-    }
+    for (const rollout of this.rollouts) rollout.odd = (data.odd ?? {})[rollout.name];
     this.duration = Math.max(...this.rollouts.map((r) => r.duration));
     this.time = 0;
     this.panes = data.panes.length > 0;
@@ -63,16 +57,15 @@ class Show {
       get("no-webgl").hidden = false;
     }
     const meshes = data.robot.meshes.map(meshGeometry), geometries = data.robot.shapes.map((s) => shapeGeometry(s, meshes));
-    const world = this.stage ? this.stage.world : new THREE.Group();
+    const world = this.stage ? this.stage.world : new THREE.Group(), size = this.stage ? this.stage.size : 1;
     for (const rollout of this.rollouts) {
       rollout.instance = new RobotInstance(data.robot, rollout, geometries, !this.panes && this.rollouts.length > 1 && !rollout.hasPhases);
       rollout.instance.setSolid(rollout.solid);
       world.add(rollout.instance.root);
-      const size = this.stage ? this.stage.size : 1;
       if (rollout.path.length >= 6) rollout.trail = new TipPath(rollout, 0.0028 * size, rollout.instance.root);
+      rollout.pieces = rollout.handles.map((spans) => new Handle(rollout, spans, 0.008 * size));
     }
-    for (const rollout of this.rollouts) rollout.pieces = rollout.handles.map((spans) => new Handle(rollout, spans, 0.008 * (this.stage ? this.stage.size : 1)));
-    addAround(this, geometries);
+    addAround(this);
     this.mechanisms = data.mechanisms;
     if (!this.stage) return;
     this.mechanismGroup = new THREE.Group();
@@ -83,14 +76,8 @@ class Show {
   // One pane for each rollout, in its own colours, with its name and what became of it below.
   arrangePanes(panes) {
     document.body.dataset.panes = panes.length;
-    const row = Object.assign(document.createElement("div"), { className: "panes" });
-    panes.forEach(({ name, said, why }, k) => {
-      const caption = document.createElement("p");
-      caption.style.setProperty("--colour", this.rollouts[k].colour);
-      caption.append(Object.assign(document.createElement("strong"), { textContent: name }), said, Object.assign(document.createElement("span"), { textContent: why }));
-      row.append(caption);
-    });
-    get("scene").after(row);
+    const captions = panes.map(({ name, said, why }, k) => make("p", { style: `--colour: ${this.rollouts[k].colour}` }, make("strong", {}, name), said, make("span", {}, why)));
+    get("scene").after(make("div", { className: "panes" }, ...captions));
     if (this.stage) this.stage.showPanes(this.rollouts.map((r) => r.instance.root));
   }
 
@@ -108,11 +95,7 @@ class Show {
 
   // Numbers of all joints at time t; after the end, the last ones.
   valuesAt(rollout, t) {
-    const times = rollout.keyTimes, n = times.length, w = rollout.tracks.length / n;
-    const i = indexAt(times, t), from = rollout.tracks.subarray(i * w, (i + 1) * w);
-    if (i + 1 >= n || t <= times[i]) return from;
-    const share = (t - times[i]) / (times[i + 1] - times[i]), to = rollout.tracks.subarray((i + 1) * w, (i + 2) * w);
-    return from.map((x, k) => x + share * (to[k] - x));
+    return rowAt(rollout.keyTimes, rollout.tracks, rollout.tracks.length / rollout.keyTimes.length, t);
   }
 
   setTime(t) {
@@ -171,8 +154,7 @@ class Player {
     this.arrangePanel();
     this.drawSlider();
     this.moveTo(0);
-    if (this.goTo(location.hash)) return requestAnimationFrame((now) => this.frame(now));
-    if (!matchMedia("(prefers-reduced-motion: reduce)").matches) this.play(); // once
+    if (!this.goTo(location.hash) && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.play(); // once
     requestAnimationFrame((now) => this.frame(now));
   }
 
@@ -204,24 +186,18 @@ class Player {
   drawSlider() { drawSliderBands(get("scrub-bands"), this.show.solid, this.show.duration); }
 
   fillColourKey() {
-    get("status-key").replaceChildren();
-    for (const { colour, say, mark = "", ink } of this.chart.colourKey()) {
-      const item = document.createElement("span"), image = svg("svg", { width: 16, height: mark ? 14 : 9 });
+    get("status-key").replaceChildren(...this.chart.colourKey().map(({ colour, label, mark = "", ink }) => {
+      const image = svg("svg", { width: 16, height: mark ? 14 : 9 });
       svg("rect", { width: 16, height: mark ? 14 : 9, rx: 2, fill: colour }, image);
       if (mark) svg("text", { x: 8, y: 11, "text-anchor": "middle", style: `fill: ${ink}` }, image).textContent = mark;
-      item.append(image, say);
-      get("status-key").append(item);
-    }
+      return make("span", {}, image, label);
+    }));
   }
 
   wireTransport() {
-    for (const name of ["back", "forward", "loop"]) icon(get(name), name);
-    icon(get("play"), "play");
-    get("play").addEventListener("click", () => this.toggle());
-    get("back").addEventListener("click", () => this.step(-1));
-    get("forward").addEventListener("click", () => this.step(1));
-    get("loop").addEventListener("click", () => this.setLoop(!this.loop));
-    get("log").addEventListener("click", () => this.chart.turnLogarithmic());
+    for (const name of ["back", "forward", "loop", "play"]) icon(get(name), name);
+    const actions = { play: () => this.toggle(), back: () => this.step(-1), forward: () => this.step(1), loop: () => this.setLoop(!this.loop), log: () => this.chart.turnLogarithmic() };
+    for (const [name, action] of Object.entries(actions)) get(name).addEventListener("click", action);
     get("scrub").max = this.show.duration || 1;
     get("scrub").addEventListener("input", (event) => this.seek(Number(event.target.value)));
     get("speed").addEventListener("change", (event) => { this.speed = Number(event.target.value); releaseFocus(event.target); });
@@ -294,7 +270,7 @@ class Player {
     const t = this.show.time;
     this.chart.setTime(t);
     this.tracks.setTime(t);
-    this.legend.setTime(t, (word) => this.chart.statusStyle(word).say);
+    this.legend.setTime(t);
     const phase = phaseAt(this.show.solid, t);
     this.sayPhase(this.show.solid, phase);
     get("scrub").value = t;
@@ -304,19 +280,16 @@ class Player {
 
   // Where there is little room, a rollout's own phases go without its name: the legend has it.
   sayPhase({ name, hasOwnPhases }, phase) {
-    const whose = Object.assign(document.createElement("span"), { className: hasOwnPhases ? "of" : "", textContent: phase ? `${name}: ` : "" });
-    const words = document.createElement("span");
-    words.append(whose, phase ? phase.label : "");
-    get("phase").replaceChildren(words);
-    get("phase").style.setProperty("--colour", phase ? phase.colour : "transparent");
-    get("phase").style.setProperty("--outline", (phase && phase.outline) || "transparent");
+    const { label = "", colour = "transparent", outline = "transparent" } = phase || {};
+    get("phase").replaceChildren(make("span", {}, make("span", { className: hasOwnPhases ? "of" : "" }, phase ? `${name}: ` : ""), label));
+    get("phase").style = `--colour: ${colour}; --outline: ${outline}`;
   }
 
   // The moment for those who hear it.
   inWords(t, phase) {
-    const { solid, duration } = this.show, word = statusAt(solid, t);
-    const said = [phase && phase.label, openInWords(solid, t), word && this.chart.statusStyle(word).say, solid.curve.length && `manipulability ${readable(curveValue(solid, t))}`];
-    return [`${this.show.sayTime(t)} of ${this.show.sayTime(duration)}`, ...said].filter(Boolean).join(", ");
+    const { solid, duration } = this.show;
+    const said = momentInWords(solid, phase, t, [solid.curve.length && `manipulability ${readable(curveValue(solid, t))}`]);
+    return [`${this.show.sayTime(t)} of ${this.show.sayTime(duration)}`, ...said].join(", ");
   }
 
   frame(now) {

@@ -1,42 +1,39 @@
-// Cards that open below the head of the page: one button each, one open at a time.
+// Elements of the page; and cards that open below its head: one button each, one open at a time.
+
+// Properties with a dash, and the role, are attributes.
+function make(tag, properties = {}, ...content) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) if (name === "role" || name.includes("-")) element.setAttribute(name, value); else element[name] = value;
+  element.append(...content);
+  return element;
+}
 
 function addSheet(id, label, title) {
   let bar = get("sheets");
   if (!bar) {
-    bar = Object.assign(document.createElement("div"), { id: "sheets" });
-    bar.setAttribute("role", "group");
-    bar.setAttribute("aria-label", "Cards");
+    bar = make("div", { id: "sheets", role: "group", "aria-label": "Cards" });
     get("views").before(bar);
-    document.addEventListener("keydown", (event) => {
-      const open = bar.querySelector("details[open]");
-      if (event.key !== "Escape" || !open) return;
-      open.open = false;
-      open.querySelector("summary").focus();
-    });
+    document.addEventListener("keydown", (event) => { if (event.key === "Escape") bar.querySelectorAll("details[open]").forEach(closeList); });
   }
-  const details = Object.assign(document.createElement("details"), { id }), summary = document.createElement("summary");
-  summary.textContent = label;
-  const card = Object.assign(document.createElement("section"), { className: "sheet" }), head = document.createElement("h3");
-  head.textContent = title;
-  card.setAttribute("aria-label", title);
-  card.tabIndex = 0; // so that it can be scrolled by keys
-  card.append(head);
-  details.append(summary, card);
+  const card = make("section", { className: "sheet", "aria-label": title, tabIndex: 0 }, make("h3", {}, title)); // scrolled by keys, too
+  const details = make("details", { id }, make("summary", {}, label), card);
   details.addEventListener("toggle", () => { if (details.open) for (const other of bar.querySelectorAll("details")) other.open = other === details; });
   bar.append(details);
   return card;
 }
 
-function checkbox(label, on, onChange, data = {}) {
-  const row = Object.assign(document.createElement("label"), { className: "check" }), box = Object.assign(document.createElement("input"), { type: "checkbox", checked: on });
+function checkbox(label, checked, onChange, data = {}) {
+  const box = make("input", { type: "checkbox", checked });
   Object.assign(box.dataset, data);
   box.addEventListener("change", () => onChange(box.checked));
-  const text = document.createElement("span");
-  text.append(label);
-  row.append(box, text);
-  return row;
+  return make("label", { className: "check" }, box, make("span", {}, label));
 }
 
-function paragraph(text, className = "") {
-  return Object.assign(document.createElement("p"), { textContent: text, className });
+function paragraph(text, className = "") { return make("p", { className }, text); }
+
+function tableOf(caption, heads, rows) {
+  const table = make("table", {}, make("caption", {}, caption)), head = table.createTHead().insertRow(), body = table.createTBody();
+  head.append(...heads.map((text) => make("th", { scope: "col" }, text)));
+  for (const cells of rows) body.insertRow().append(...cells.map((text) => make("td", {}, text)));
+  return table;
 }

@@ -44,9 +44,7 @@ class Tracks {
     Object.assign(this, { show, chart, rows: [], time: 0 });
     this.kinds = Object.keys(TRACKS).filter((kind) => show.rollouts.some((r) => r.byKind.has(kind)));
     this.chosen = new Set(this.kinds.filter((kind) => kind === "fit" && !show.rollouts.some((r) => r.curve.length || r.bands.length)));
-    this.element = Object.assign(document.createElement("div"), { id: "tracks", tabIndex: 0 }); // it scrolls, by keys too
-    this.element.setAttribute("role", "group");
-    this.element.setAttribute("aria-label", "Tracks");
+    this.element = make("div", { id: "tracks", tabIndex: 0, role: "group", "aria-label": "Tracks" }); // it scrolls, by keys too
     get("chart").after(this.element);
     let width = 0;
     new ResizeObserver(() => { if (this.element.clientWidth !== width) { width = this.element.clientWidth; this.draw(); } }).observe(this.element);
@@ -111,29 +109,18 @@ class TrackRow extends ValueAxis {
     Object.assign(this, { kind, rollouts, chart, form: TRACKS[kind] });
     this.curves = rollouts.flatMap((r) => r.byKind.get(kind).curves.map((curve, k) => ({ curve, rollout: r, k, own: this.form.of === "all" })));
     this.unit = rollouts.length ? rollouts[0].byKind.get(kind).unit.replace("limit", "") : "";
-    this.figure = Object.assign(document.createElement("figure"), { className: "track" });
-    const caption = document.createElement("figcaption"), title = document.createElement("b");
-    title.textContent = this.form.title;
-    caption.append(title);
-    if (named && this.form.of === "one" && rollouts.length) caption.append(this.whose(rollouts[0]));
+    const caption = make("figcaption", {}, make("b", {}, this.form.title)), [first] = rollouts;
+    if (named && this.form.of === "one" && first) caption.append(make("span", { className: "of", style: `--colour: ${first.colour}` }, first.name));
     this.values = this.curves.map(({ curve, rollout, k, own }) => {
-      const item = document.createElement("span"), mark = svg("svg", { width: 18, height: 4, "aria-hidden": "true" }), text = document.createElement("span");
+      const mark = svg("svg", { width: 18, height: 4, "aria-hidden": "true" }), text = make("span");
       svg("line", { x1: 0, x2: 18, y1: 2, y2: 2, ...this.stroke(rollout, k, own) }, mark);
-      item.className = "value";
-      item.append(mark, `${own ? rollout.name : curve.name} `, text);
-      caption.append(item);
+      caption.append(make("span", { className: "value" }, mark, `${own ? rollout.name : curve.name} `, text));
       return text;
     });
     const without = [...new Set(rollouts.flatMap((r) => r.byKind.get(kind).without))];
-    if (without.length) caption.append(Object.assign(document.createElement("span"), { className: "without", textContent: `no limits: ${without.join(", ")}` }));
-    this.box = Object.assign(document.createElement("div"), { className: "curves" });
-    this.figure.append(caption, this.box);
-  }
-
-  whose(rollout) {
-    const name = Object.assign(document.createElement("span"), { className: "of", textContent: rollout.name });
-    name.style.setProperty("--colour", rollout.colour);
-    return name;
+    if (without.length) caption.append(make("span", {}, `no limits: ${without.join(", ")}`));
+    this.box = make("div", { className: "curves" });
+    this.figure = make("figure", { className: "track" }, caption, this.box);
   }
 
   stroke(rollout, k, own) {
@@ -145,19 +132,12 @@ class TrackRow extends ValueAxis {
   get logarithmic() { return this.chart.logarithmic && Boolean(this.form.log); }
 
   findRange() {
-    let low = this.form.low === undefined ? Infinity : this.form.low, high = this.form.high === undefined ? -Infinity : this.form.high, least = Infinity;
-    for (const { curve } of this.curves)
-      for (const v of curve.values) {
-        if (v < low) low = v;
-        if (v > high) high = v;
-        if (v > 0 && v < least) least = v;
-      }
-    if (!(high > -Infinity)) return [0, 1];
-    if (this.logarithmic && high > 0) return decades(least, high);
-    if (low > 0 && this.form.low === undefined) low = 0;
-    high = Math.max(high, this.form.least || 0);
+    const { form } = this, values = this.curves.flatMap(({ curve }) => Array.from(curve.values)).filter((v) => !Number.isNaN(v));
+    if (!values.length) return [0, 1];
+    const [least, high] = extent([...values, ...[form.low, form.high, form.least].filter((v) => v !== undefined)]), low = form.low === undefined ? Math.min(least, 0) : least;
+    if (this.logarithmic && high > 0) return decades(extent(values.filter((v) => v > 0))[0], high);
     const room = 0.06 * (high - low || Math.abs(high) || 1);
-    return [low < (this.form.low ?? 0) || this.form.limits ? low - room : low, high + room];
+    return [low < (form.low ?? 0) || form.limits ? low - room : low, high + room];
   }
 
   draw() {

@@ -11,7 +11,7 @@ function ghostRollout(raw, index) {
 class Ghosts {
   constructor(teach) {
     Object.assign(this, { teach, rollouts: [], rows: [], number: null });
-    for (let i = 0; i < MOST_LABELLED; i++) teach.labels.add("--scene-ink", () => this.words(this.rollouts[i]), () => this.rollouts[i].instance.tipPosition());
+    for (let i = 0; i < MOST_LABELLED; i++) teach.key.add({ ink: "--scene-ink", say: () => this.words(this.rollouts[i]) });
     DARK.addEventListener("change", () => { for (const { instance } of this.rollouts) { instance.setSolid(false); teach.quality.plain(instance); } });
   }
 

@@ -4,7 +4,7 @@ const OFTEN = 100; // [ms] between two values of a slider, or two places of the 
 const LATELY = 1000; // [ms] for which a slider is left where the person has put it
 const LIVE_SECONDS = 20; // of manipulability that stay in the chart
 const MARK_SHARE = 0.7; // of the size of the scene, which encloses all that the arm can reach, for which marks are drawn
-const MOST_LABELLED = 3; // limits and handles at a time
+const MOST_LABELLED = 3; // handles at a time
 const WORDS_GAP = 200; // [ms] between two readings of the time in the headline
 
 // All of a pose that can be seen, to a hundredth of a millimetre or a thousandth of a degree.
@@ -55,36 +55,31 @@ class Teach {
     this.rings = [0, 1].map(() => Object.assign(document.createElement("div"), { className: "ring" }));
     for (const ring of this.rings) ring.setAttribute("aria-hidden", "true");
     stage.element.append(...this.rings);
-    this.labels = this.label();
-    stage.onRendered = () => { this.labels.place(); this.placeRings(); };
+    this.key = new SceneKey(stage, this.rows());
+    stage.onRendered = () => { this.key.update(); this.placeRings(); };
     this.quality = new Quality(stage, instance, software);
     this.ghosts = new Ghosts(this);
     this.show.onRecolour = () => { this.quality.plain(instance); this.limits.again(); };
     this.hand = new Hand(this);
   }
 
-  label() {
-    const labels = new Labels(this.stage), { marks } = this, now = (say) => () => (this.pose ? say(this.pose) : "");
-    labels.add("--weak", now(({ weak }) => (weak ? "the hand can hardly move this way" : "")), () => this.weakEnd());
-    labels.add("--free", now((pose) => (pose.marks && (marks.drawn.free.length || marks.drawn.freeTurns.length) ? (marks.drawn.free.length ? "free to move" : "free to turn") : "")), () => marks.anchors()["--free"]);
-    labels.add("--held-mark", now((pose) => (pose.marks && (marks.drawn.held.length || marks.drawn.heldTurns.length) ? (marks.drawn.held.length ? "held" : "may not turn") : "")), () => marks.anchors()["--held"]);
-    labels.add("--goal-knob", () => (this.goal.group.visible && !this.goal.known ? "drag: where the hand should go" : ""), () => this.goal.place);
-    labels.add("--scene-ink", () => (this.lines.ends.learnt ? MECHANISM_WORDS[this.state.answer.mechanism.type] || "learnt" : ""), () => this.lines.ends.learnt);
-    labels.add("--truth", () => (this.lines.ends.truth ? "the truth" : ""), () => this.lines.ends.truth);
-    for (let i = 0; i < MOST_LABELLED; i++) {
-      labels.add("--weak", now(({ touches }) => (touches[i] ? "the arm touches this" : "")), () => new THREE.Vector3(...this.pose.touches[i]));
-      labels.add("--weak", now(({ limit }) => (limit[i] ? `${limit[i]} is at its limit` : "")), () => this.limits.at(this.pose.limit[i]));
-      labels.add("--scene-ink", now((pose) => (this.furniture.pieces[i] ? this.furniture.words(i, pose, this.scene) : "")), () => this.furniture.pieces[i].handleAt());
-    }
-    return labels;
-  }
-
-  // The end of the weak direction's arrow that is farther inside the picture.
-  weakEnd() {
-    const { clientWidth, clientHeight } = this.stage.element, reach = 1.15 * ARROW * this.marks.size;
-    const out = ({ x, y }) => Math.hypot(x / clientWidth - 0.5, y / clientHeight - 0.5);
-    const ends = [1, -1].map((sign) => this.instance.tipPosition().addScaledVector(new THREE.Vector3(...this.pose.weak.direction), sign * reach));
-    return ends.map((end) => [out(this.stage.onScreen(end) || { x: Infinity, y: 0 }), end]).sort((a, b) => a[0] - b[0])[0][1];
+  // What the marks in the picture are, and what the arm feels.
+  rows() {
+    const { marks, furniture, lines, goal } = this, now = (say) => () => (this.pose ? say(this.pose) : "");
+    const drawn = (places, turns, moving, turning) => now((pose) => (!pose.marks ? "" : marks.drawn[places].length ? moving : marks.drawn[turns].length ? turning : ""));
+    const limits = ({ limit }) => limit.map((name) => `${name} is at its limit`).join(", ");
+    const handles = Array.from({ length: MOST_LABELLED }, (_, i) => ({ ink: "--scene-ink", form: "ball", say: now((pose) => (furniture.pieces[i] ? furniture.words(i, pose, this.scene) : "")) }));
+    return [
+      { ink: "--weak", say: now(({ weak }) => (weak ? "the hand can hardly move this way" : "")) },
+      { ink: "--free", say: drawn("free", "freeTurns", "free to move", "free to turn") },
+      { ink: "--held-mark", say: drawn("held", "heldTurns", "held", "may not turn") },
+      { ink: "--goal-knob", form: "ball", say: () => (goal.group.visible && !goal.known ? "drag: where the hand should go" : "") },
+      { ink: "--scene-ink", form: "line", say: () => (lines.ends.learnt ? MECHANISM_WORDS[this.state.answer.mechanism.type] || "learnt" : "") },
+      { ink: "--truth", form: "line", say: () => (lines.ends.truth ? "the truth" : "") },
+      { ink: "--weak", form: "ball", say: now(({ touches }) => (touches.length ? "the arm touches this" : "")) },
+      { ink: "--weak", say: now(limits) },
+      ...handles,
+    ];
   }
 
   wire() {

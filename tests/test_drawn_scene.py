@@ -1,0 +1,202 @@
+"""What a page draws and says: what was learnt and stated, nothing that an arm goes through, and every warning."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mechanism_motions import about, along, demonstrate
+from scipy.spatial.transform import Rotation
+from test_mechanism import MIDDLE, TIP
+from test_playback import data_in, waving
+
+import manip_learn as ml
+from manip_learn.cli import main
+from manip_learn.commands import tables
+from manip_learn.commands.output import Answer
+from manip_learn.control.command import Status
+from manip_learn.errors import NoPlanError
+from manip_learn.playback.recorded_motion import status_in_page
+
+DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
+SHIPPED = {  # folder -> robot, tip, and how many recordings are enough
+    "sawyer_drawer": ("sawyer", "right_gripper_tip", 4),
+    "sawyer_door": ("sawyer", "right_gripper_tip", 3),
+    "panda_drawer_whole": ("panda", "panda_hand_tcp", 3),
+    "ur5_loose_door": ("ur5", "tool0", 4),
+    "xarm7_drawer_then_table": ("xarm7", "link_eef", 3),
+}
+ARMS = {  # of generated tasks -> tip, and a posture about which the hand takes hold
+    **{name: (TIP[name], MIDDLE[name]) for name in ("panda", "ur5")},
+    "sawyer": ("right_gripper_tip", [0.2, -0.5, 0.1, 1.4, 0.1, 0.6, 0.3]),
+    "xarm7": ("link_eef", [0.2, -0.3, 0.1, 1.2, 0.1, 1.4, 0.2]),
+}
+FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+AROUND = np.array([[0.35, -0.8, 0.15], [0.35, 0.8, 0.15]])  # [m] where boxes are stated beside the arms
+
+
+def numbers(text: str, dtype: str) -> np.ndarray:
+    """Unpack what a page packs."""
+    return np.frombuffer(base64.b64decode(text), dtype)
+
+
+def centre_line(robot: dict[str, Any], values: np.ndarray) -> np.ndarray:
+    """Return points on the lines that join the origins of the joints and the tip, as the page places them (n, 3)."""
+    poses, points, k = [np.eye(4)], [], 0
+    for joint in robot["joints"][1:]:
+        motion, axis = np.eye(4), np.array(joint["axis"])
+        if joint["motion"] == "revolute":
+            motion[:3, :3] = Rotation.from_rotvec(axis * values[k]).as_matrix()
+        elif joint["motion"] == "prismatic":
+            motion[:3, 3] = axis * values[k]
+        k += 1
+        poses.append(poses[joint["parent"]] @ np.reshape(joint["placement"], (4, 4)) @ motion)
+    ends = [(poses[joint["parent"]][:3, 3], pose[:3, 3]) for joint, pose in zip(robot["joints"], poses, strict=True)]
+    tip = next(link for link in robot["links"] if link["name"] == robot["tip"])
+    ends.append((poses[tip["joint"]][:3, 3], (poses[tip["joint"]] @ np.reshape(tip["placement"], (4, 4)))[:3, 3]))
+    for a, b in ends[1:]:
+        points.append(a + np.linspace(0.0, 1.0, 9)[:, None] * (b - a))
+    return np.concatenate(points)
+
+
+def inside(body: dict[str, Any], points: np.ndarray) -> bool:
+    """Whether a point is in a box, a sphere or a cylinder; a face has no inside."""
+    pose = np.reshape(body["pose"], (4, 4))
+    local, size = (points - pose[:3, 3]) @ pose[:3, :3], np.array(body["size"])
+    if body["kind"] == "face":
+        return False
+    if body["kind"] == "box":
+        return bool(np.any(np.all(np.abs(local) < size / 2.0, axis=1)))
+    if body["kind"] == "sphere":
+        return bool(np.any(np.linalg.norm(local, axis=1) < size[0]))
+    assert body["kind"] == "cylinder", body["kind"]
+    return bool(np.any((np.hypot(*local.T[:2]) < size[0]) & (np.abs(local[:, 2]) < size[1] / 2.0)))
+
+
+def moments_inside(page: dict[str, Any]) -> int:
+    """Return at how many moments the centre line of an arm is in a body that the page draws beside it.
+
+    A page draws no more than this function knows: lines, patches and paths of mechanisms have no inside.
+    """
+    for mechanism in page["mechanisms"]:
+        assert set(mechanism) == {"type", "sentence", "shown", "hold", "lines", "patches", "way", "constraint"}
+    count = 0
+    for rollout in page["rollouts"]:
+        times = numbers(rollout["keyTimes"], "<f8")
+        postures = numbers(rollout["tracks"], "<f8").reshape(len(times), -1)
+        for values in postures[:: max(1, len(postures) // 60)]:
+            line = centre_line(page["robot"], values)
+            count += any(inside(body, line) for body in rollout["around"])
+    return count
+
+
+def stated(robot: ml.Robot) -> ml.Scene:
+    """Return two boxes and a post beside the arm, and a floor well below it."""
+    boxes = [ml.Box((0.2, 0.2, 0.3), at, f"box {k}") for k, at in enumerate(AROUND)]
+    return ml.Scene(floor=-1.0, boxes=boxes, cylinders=[ml.Cylinder(0.05, 0.6, (-0.6, 0.0, 0.3), "post")])
+
+
+def pages_of(skill: ml.Skill, demos: ml.Demonstrations, folder: Path) -> Iterator[dict[str, Any]]:
+    """Yield the data of a page of recordings, and of the task done again among boxes that were stated."""
+    robot, constraints = skill.constraints[0].robot, skill.constraints
+    assert robot is not None
+    yield data_in(ml.replay(robot, {t.name: t for t in demos}, folder / "a.html", constraint=constraints).html)
+    try:
+        done = ml.repeat(skill, demos[0].q[0], scene=stated(robot))
+    except NoPlanError:
+        return
+    yield data_in(ml.replay(robot, {"again": done.rollout}, folder / "b.html", open_browser=False).html)
+
+
+@pytest.mark.parametrize("folder", SHIPPED)
+def test_no_arm_is_inside_what_is_drawn(folder: str, tmp_path: Path):
+    """The centre line of the arm is in no drawn body, at no moment of the recordings or of the task done again."""
+    name, tip, n = SHIPPED[folder]
+    robot = ml.load_robot(name, locked=FINGERS if name == "panda" else ())
+    demos = ml.load_demonstrations(sorted(map(str, (DATA / folder).glob("*.csv")))[:n], robot)
+    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "pose"), phases="auto").fit(demos)
+    pages = list(pages_of(learner.skill_, demos, tmp_path))
+    assert [moments_inside(page) for page in pages] == [0] * len(pages)
+    drawn = {body["name"] for page in pages[1:] for rollout in page["rollouts"] for body in rollout["around"]}
+    assert drawn in (set(), {"floor", "box 0", "box 1", "post"})  # as stated, and all of it
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(20))
+def test_no_arm_is_inside_what_is_drawn_of_generated_tasks(number: int, tmp_path: Path):
+    """The same of drawers and doors at random places, firmly and loosely grasped, with several arms."""
+    rng, name, firm = np.random.default_rng([66, number]), sorted(ARMS)[number % 4], number % 8 < 4
+    robot = ml.load_robot(name, locked=FINGERS if name == "panda" else ())
+    (tip, posture), middle = ARMS[name], np.array(ARMS[name][1])
+    hand = robot.position(posture, robot.frame(tip))
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    way = along(axis[None], 0.12, firm)
+    if number % 3:
+        across = np.cross(axis, rng.normal(size=3))
+        way = about(axis, hand + 0.35 * across / np.linalg.norm(across), 0.35, firm=firm)
+    demos = ml.Demonstrations(demonstrate(robot, tip, middle, way, rng, grip=0.1))
+    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "pose")).fit(demos)
+    assert sum(map(moments_inside, pages_of(learner.skill_, demos, tmp_path))) == 0
+
+
+def test_a_body_around_the_arm_is_found_and_an_assumed_floor_is_neither_drawn_nor_framed(robot_of, tmp_path: Path):
+    """The check above sees a box that a user states around the base; what a plan assumes changes no picture."""
+    robot, pose = robot_of("sawyer"), np.eye(4)
+    box = {"name": "box", "kind": "box", "size": [0.3, 0.3, 0.6], "pose": pose.tolist(), "assumed": False}
+    pose[2, 3] = -3.0
+    floor = {"name": "floor", "kind": "face", "pose": pose.tolist(), "assumed": True, "nearest": 0.12, "link": "a"}
+    motion = waving(robot)
+    pages = {}
+    for name, around in {"plain": (), "floor": (floor,), "box": (box,)}.items():
+        shown = replace(motion, around=around)
+        pages[name] = data_in(ml.replay(robot, {"a": shown}, tmp_path / "a.html", open_browser=False).html)
+    assert moments_inside(pages["box"]) > 0 and moments_inside(pages["plain"]) == 0
+    assert pages["floor"]["rollouts"][0]["around"] == []
+    assert pages["floor"]["rollouts"][0]["clear"] == "floor (0.12 m from a) assumed: --scene states what is there"
+    for key in ("bounds", "outline", "floor"):
+        assert pages["floor"][key] == pages["plain"][key]
+    below = replace(motion, around=({**floor, "assumed": False},))
+    page = data_in(ml.replay(robot, {"a": below}, tmp_path / "a.html", open_browser=False).html)
+    assert page["floor"] < pages["plain"]["floor"]
+
+
+def test_three_statuses_stand_for_all():
+    """As asked, slower than asked, or standing; a word of another program is no reason to say that all is well."""
+    of = {
+        status_in_page(status): {s for s in Status if status_in_page(s) == status_in_page(status)} for status in Status
+    }
+    assert of["ok"] == {Status.OK, Status.NULL_SCALED, Status.REROUTED}
+    standing = {Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED, Status.STALLED}
+    assert of["stopped"] == standing and of["slowed"] == {*Status} - of["ok"] - standing
+    assert set(of) == {"ok", "slowed", "stopped"} and status_in_page("warming up") == "slowed"
+
+
+def test_a_page_says_every_warning_of_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    """In the same words: of learning, of a task done again, of a rollout, and of a replay of files."""
+    page, task, run, short = (tmp_path / name for name in ("a.html", "task.json", "run.npz", "short.npz"))
+    answers = list[Answer]()
+    show = tables.show
+    monkeypatch.setattr(
+        tables, "show", lambda console, answer, *more: (answers.append(answer), show(console, answer, *more))
+    )
+    for words in (
+        ["learn", "panda", str(DATA / "panda_drawer_whole"), "--out", str(task)],
+        ["learn", "panda", str(DATA / "panda_drawer_mixed"), "--out", str(tmp_path / "mixed.json")],
+        ["repeat", "panda", str(task), "--out", str(run)],
+        ["control", "panda", str(task), "--along", "0.1", "--plan", "--out", str(short)],
+        ["control", "panda", str(task), "--duration", "0.3"],
+        ["replay", str(run), str(short)],
+    ):
+        assert main([*words, "--html", str(page)]) == 0, words
+        printed, notes = (" ".join(t.split()) for t in (capsys.readouterr().out, " ".join(data_in(page)["notes"])))
+        doubts = [" ".join(doubt.removeprefix("warning: ").split()) for doubt in answers[-1].doubts]
+        assert doubts and all(doubt in printed and doubt in notes for doubt in doubts), words
+    assert answers[1].warnings and answers[-2].warnings  # there is something to say
