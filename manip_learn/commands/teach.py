@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 import signal
 import sys
 import threading
@@ -59,7 +58,7 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
     from manip_learn.playback.live_viewer import LiveProcess
     from manip_learn.teach.arm import PERIOD
     from manip_learn.teach.picture import teaching_page
-    from manip_learn.teach.scene import Kind, physics
+    from manip_learn.teach.scene import FIRST_SEED, Kind, physics
     from manip_learn.teach.session import TeachingSession
 
     progress("preparing the scene", 0.0)
@@ -78,7 +77,7 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
         for session in listeners:
             session.hear(message)
 
-    seed = secrets.randbits(32) if options.seed is None else options.seed
+    seed = FIRST_SEED if options.seed is None else options.seed
     server = LiveProcess(lambda token: teaching_page(robot, name, token), _STARTS, heard, 1.0 / PERIOD)
     try:
         session = TeachingSession(robot, tip, options.out, cast(Kind, options.scene), seed, server)

@@ -34,8 +34,6 @@ TWISTS = 6.0  # [N m] that a wrist turns with
 STEADY = 0.02  # [s] in which a hand comes to where it is meant to be: between two pictures of 60 Hz it does not jump
 LOST = 0.6  # [s] after which a pull that nobody repeats is over: pages repeat it every 0.2 s
 _SLOWEST = 0.25  # [s] that the physics may be late before they let the time go: a computer that slept does not catch up
-BUMP, BUMPED = 25.0, 0.3  # [N m], [s] of somebody who bumps into the arm
-LATELY = 0.02  # share of the newest period in their mean: half a second of them count
 
 
 @final
@@ -73,7 +71,6 @@ class _Hand:
         self.pull: Pull | None = None
         self._goal = self._first = None
         self.force, self.limited, self.at = np.zeros(3), False, np.zeros(3)
-        self.push: tuple[Float[np.ndarray, " nv"], float] | None = None  # on the joints [N m or N], until when [s]
 
     def take(self, pull: Pull | None, data: Any) -> None:
         """Pull there from now on; None lets go."""
@@ -88,8 +85,6 @@ class _Hand:
 
     def __call__(self, model: Any, data: Any) -> None:
         """Add the hand's force to `data.qfrc_applied`."""
-        if self.push is not None and data.time < self.push[1]:
-            data.qfrc_applied += self.push[0]
         pull = self.pull
         if pull is None or self._goal is None or self._first is None:
             return
@@ -183,6 +178,10 @@ class TeachingArm:
         """Hold the arm where it is."""
         self._arm.hold()
 
+    def gripper(self, word: Literal["close", "open"]) -> None:
+        """Close or open the gripper, as a motion says."""
+        self.grip(word == "close")
+
     def _pass(self) -> None:
         """After a period of physics: the gripper, the picture, the clock."""
         now = time.perf_counter()
@@ -198,7 +197,7 @@ class TeachingArm:
         elif -left > _SLOWEST:
             self._due = time.perf_counter()
         now = time.perf_counter()
-        self._each += LATELY * (now - self._before - self._each)
+        self._each += 0.02 * (now - self._before - self._each)  # half a second of periods count
         self._before = now
 
     @property
@@ -297,18 +296,6 @@ class TeachingArm:
         """
         near = self.near()
         return self.held is None and near is not None and near != self._opened and self.grip(True)
-
-    def disturb(self, what: Literal["elbow", "hand"], rng: np.random.Generator) -> None:
-        """Push the joint in the middle of the arm, or pull the hand to a side, for a moment."""
-        model, data, torque = self.model, self.data, np.zeros(self.model.nv)
-        if what == "elbow":
-            joint = self._arm._u[len(self._arm._u) // 2]
-            torque[joint] = float(rng.choice([-1.0, 1.0])) * BUMP
-        else:
-            J, side = np.zeros((3, model.nv)), rng.normal(size=3)
-            self._mujoco.mj_jacSite(model, data, J, None, self._tip)
-            torque = J.T @ (STRONGEST * side / np.linalg.norm(side))
-        self.hand.push = torque, self.time + BUMPED
 
     def shut(self) -> None:
         """Open the gripper, and put what it moved back to where it was at first."""

@@ -49,7 +49,7 @@ TEACH = replace(
             _FOLDER / f"{name}.js"
             for name in (
                 *("quality", "link", "pointing", "hand", "furniture", "drawing", "recordings", "answer", "ghosts"),
-                *("take", "panel", "tour", "teach"),
+                *("take", "panel", "teach"),
             )
         ),
     ),
@@ -145,7 +145,7 @@ def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
         "number": number,
         "kind": scene.kind,
         "title": TITLES[scene.kind],
-        "task": TASKS[scene.kind],
+        "task": TASKS[scene.handles[0].type] if scene.handles else "There is nothing to learn here: move the hand about.",
         "handles": [
             {
                 "name": handle.name,

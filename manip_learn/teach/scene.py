@@ -8,8 +8,8 @@ furniture stops the arm's links, but for the hand; what is moved does not.
 # (the compiled parts of MuJoCo have no complete stubs)
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any, Literal, final
 
@@ -21,13 +21,13 @@ from manip_learn.constraint.features.frame_jacobian import pose_error
 from manip_learn.constraint.place import across
 from manip_learn.errors import ConfigurationError, MissingExtraError, counted
 from manip_learn.planning.clearance import hand_of, links_of
+from manip_learn.planning.scene import Box, Scene
 from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.mechanism_drawing import facing
-from manip_learn.robot.collision import collision_shapes, known_shapes, obstacles_of
+from manip_learn.robot.collision import collision_shapes, known_shapes
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 from manip_learn.robot.visuals.visual_shapes import Solid
-from manip_learn.teach.furniture import BODY, HANDLE, Box, about, door_boxes, drawer_boxes
+from manip_learn.teach.furniture import BODY, HANDLE, Board, about, door_boards, drawer_boards, facing
 
 Kind = Literal["drawer", "door", "loose-door", "table", "free"]
 TITLES: dict[Kind, str] = {
@@ -37,15 +37,16 @@ TITLES: dict[Kind, str] = {
     "table": "A table to wipe",
     "free": "Nothing at all: free space",
 }
-TASKS: dict[Kind, str] = {
-    "drawer": "Take the hand to the handle, pull the drawer open and push it shut.",
-    "door": "Take the hand to the handle, swing the door open and shut it.",
-    "loose-door": "Take the hand to the handle, swing the door open and shut it.",
-    "table": "Take the hand to the sponge and wipe the table to and fro, in both directions.",
-    "free": "Move the hand about as you like: there is nothing to learn here.",
-}
-# type of a handle -> what to do with it
+# type of a handle -> what to do with it, and with the whole scene
 MOVES = {"line": "Pull it open", "hinge": "Swing it open", "plane": "Wipe to and fro"}
+TASKS = {
+    "line": "Take the hand to the handle, pull the drawer open and push it shut.",
+    "hinge": "Take the hand to the handle, swing the door open and shut it.",
+    "plane": "Take the hand to the sponge and wipe the table to and fro, in both directions.",
+}
+
+FIRST_SEED = 3  # of the first scenes: what stands there stands beside the arm, so that neither hides the other
+HARD_STARTS: dict[tuple[str, Kind], tuple[float, ...]] = {}
 
 TIMESTEP = 0.002  # [s], 500 steps a second
 STIFF, SOFT = 2.0 * TIMESTEP, 0.12  # [s] in which a grip settles: the firmest that the time step allows, and at first
@@ -95,22 +96,13 @@ class Handle:
     travel: float
     play: float
     friction: float
-    fixed: tuple[Box, ...]
-    moving: tuple[Box, ...]
+    fixed: tuple[Board, ...]
+    moving: tuple[Board, ...]
 
     @property
     def turns(self) -> bool:
         """Whether it turns rather than slides."""
         return self.type == "hinge"
-
-    @property
-    def solids(self) -> Iterator[tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 3"]]]:
-        """Poses in the base and sizes of the boxes that stop an arm [m]."""
-        for x, y, z, *size, what in self.fixed:
-            if what != HANDLE:
-                at = self.pose.copy()
-                at[:3, 3] += at[:3, :3] @ [x, y, z]
-                yield at, np.array(size)
 
     def moved(self, by: float, beside: float = 0.0) -> Float[np.ndarray, "4 4"]:
         """The handle's pose when it has moved by some way [m or rad], and in a plane by another beside that [m]."""
@@ -156,6 +148,30 @@ class TeachingScene:
     start: Float[np.ndarray, " nv"]
     notes: tuple[str, ...] = ()
 
+    @property
+    def around(self) -> Scene:
+        """What stands still, and stops an arm; its hand may touch that."""
+        return around(self.handles)
+
+    @property
+    def hard_start(self) -> tuple[float, ...] | None:
+        """Posture at the handle from which only a planned motion does the task [rad]; None where none is known."""
+        start = HARD_STARTS.get((self.robot.name, self.kind))
+        is_here = start is not None and np.linalg.norm(self.robot.position(start, self.tip) - self.handles[0].pose[:3, 3]) < 0.01  # [m]
+        return start if is_here else None
+
+
+def around(handles: Iterable[Handle]) -> Scene:
+    """Return the boxes that stand still around handles, in the robot's base."""
+    boxes = []
+    for handle in handles:
+        for x, y, z, *size, what in handle.fixed:
+            if what != HANDLE:
+                pose = handle.pose.copy()
+                pose[:3, 3] += pose[:3, :3] @ [x, y, z]
+                boxes.append(Box(tuple(size), pose, f"{handle.name} {len(boxes) + 1}"))
+    return Scene(boxes=boxes, handled=[box.name for box in boxes])
+
 
 def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) -> TeachingScene:
     """A scene of a kind at a random place where the arm can do the whole task, away from limits and singularities.
@@ -183,8 +199,8 @@ def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) ->
         start = next(reach.postures(None))
         return TeachingScene(kind, robot, tip, (), start, notes)
     for _ in range(TRIES):
-        if (found := reach.place(kind)) is not None:
-            return TeachingScene(kind, robot, tip, found[:1], found[1], notes)
+        if (placed := reach.place(kind)) is not None:
+            return TeachingScene(kind, robot, tip, placed[:1], placed[1], notes)
     raise ConfigurationError(
         f"no place was found where {robot.name!r} can do this with {tip!r}: {TITLES[kind].lower()}; try another scene, "
         "or another frame with --frame"
@@ -270,8 +286,8 @@ class _Reach:
         start = posture_at(self._robot, self._tip, q, begin, False, self._rank)
         if start is None or self._margin_of(start) < 0.0:
             return None
-        solids = [o for at, size in handle.solids for o in obstacles_of("", at, Solid("box", tuple(size)), self._hand)]
-        clear = self._links.with_obstacles(solids, False)
+        solids = around([handle]).obstacles(self._robot)
+        clear = self._links.with_obstacles([replace(one, may_touch=self._hand) for one in solids], False)
         return (handle, start) if all(clear.is_clear(x, CLEAR) for x in (*way, start)) else None
 
     def _handle(self, kind: Kind, at: np.ndarray, points: np.ndarray) -> tuple[Handle, Float[np.ndarray, " 3"]]:
@@ -283,8 +299,8 @@ class _Reach:
         if kind == "drawer":
             travel = float(rng.uniform(0.2, 0.32)) * size
             pose = facing(out, at)
-            boxes = drawer_boxes(travel, pose)
-            made = Handle("drawer", "line", pose, out, at, False, travel, play, float(rng.uniform(1.0, 4.0)), *boxes)
+            boards = drawer_boards(travel, pose)
+            made = Handle("drawer", "line", pose, out, at, False, travel, play, float(rng.uniform(1.0, 4.0)), *boards)
             return made, out
         if kind in ("door", "loose-door"):
             axis = float(rng.choice([-1.0, 1.0])) * up
@@ -294,7 +310,7 @@ class _Reach:
             travel, friction = float(rng.uniform(0.6, 1.1)), float(rng.uniform(0.1, 0.5))
             point = pose[:3, :3] @ pivot + at
             firm = kind == "door"
-            made = Handle("door", "hinge", pose, axis, point, firm, travel, play, friction, *door_boxes(pivot))
+            made = Handle("door", "hinge", pose, axis, point, firm, travel, play, friction, *door_boards(pivot))
             return made, out
         normal = -points if self._flat else rotation_matrix(rng.normal(0.0, 0.12, 3)) @ up
         pose = np.eye(4)
@@ -323,7 +339,6 @@ def posture_at(
     wanted: Float[np.ndarray, "4 4"],
     firm: bool,
     rank: int = 6,
-    weakest: float = WEAKEST,
 ) -> Float[np.ndarray, " nv"] | None:
     """The next posture with the tip at a pose, by Newton steps; None where that is singular or out of reach.
 
@@ -334,14 +349,13 @@ def posture_at(
         wanted: Pose of the tip in the base [m].
         firm: Whether the hand is turned as well; else its place alone counts.
         rank: Number of directions in which the tip can move at all: three for an arm in a plane.
-        weakest: Least singular value of the tip's rows that is taken [m/rad].
     """
     for _ in range(NEWTON_STEPS):
         pose, J = robot.pose(q, tip), robot.jacobian(q, tip)
         error = pose_error(pose, wanted, own_axes=False)[: 6 if firm else 3]
         if np.linalg.norm(error) < ON_PATH:
             sizes = np.linalg.svd(J[: len(error)], compute_uv=False)
-            return q if sizes[min(len(sizes), len(error), rank) - 1] >= weakest else None
+            return q if sizes[min(len(sizes), len(error), rank) - 1] >= WEAKEST else None
         step = np.linalg.pinv(J[: len(error)], rcond=1e-3) @ error
         q = q + step * min(1.0, LARGEST_STEP / max(float(np.linalg.norm(step)), 1e-12))
     return None
@@ -379,9 +393,9 @@ def scene_model(scene: TeachingScene) -> object:
     _add_arm(mujoco, spec, scene)
     for number, handle in enumerate(scene.handles):
         _add_handle(mujoco, spec, handle, number)
-        for at, size in handle.solids:
-            made = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=at[:3, 3], quat=_quaternion(at[:3, :3]))
-            made.size, made.contype, made.conaffinity = 0.5 * size, 0, 1
+    for box in scene.around.boxes:
+        made = _add_geom(mujoco, spec, spec.worldbody, np.asarray(box.pose), box.shape, box.name)
+        made.contype, made.conaffinity = 0, 1
     return spec.compile()
 
 
@@ -399,7 +413,8 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
         inertia = model.inertias[i]
         body.mass, body.ipos, body.explicitinertial = max(inertia.mass, LEAST_MASS), inertia.lever, True
         moments, axes = np.linalg.eigh(inertia.inertia)
-        body.inertia = _possible(np.maximum(moments, LEAST_INERTIA))
+        moments = np.maximum(moments, LEAST_INERTIA)
+        body.inertia = np.minimum(moments, np.sum(np.sort(moments)[:2]))  # none of a body is above the sum of the others
         body.iquat = _quaternion(axes * np.linalg.det(axes))
         kind = mujoco.mjtJoint.mjJNT_HINGE if joint.motion == "revolute" else mujoco.mjtJoint.mjJNT_SLIDE
         made = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
@@ -414,14 +429,8 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
     hand = hand_of(robot, robot.frame(scene.tip))
     shapes = collision_shapes(robot, known_shapes(robot)) if scene.handles else ()
     for k, shape in enumerate(one for one in shapes if one.joint and one.link not in hand):
-        solid, at = shape.geometry, shape.placement
-        made = bodies[shape.joint].add_geom(pos=at[:3, 3], quat=_quaternion(at[:3, :3]), contype=1, conaffinity=0)
-        if getattr(solid, "points", None) is not None:  # a hull
-            spec.add_mesh(name=f"link_{k}", uservert=np.array(solid.points()).ravel())
-            made.type, made.meshname = mujoco.mjtGeom.mjGEOM_MESH, f"link_{k}"
-            continue
-        made.type = getattr(mujoco.mjtGeom, f"mjGEOM_{type(solid).__name__.upper()}")
-        made.size = getattr(solid, "halfSide", (getattr(solid, "radius", 0.0), getattr(solid, "halfLength", 0.0), 0.0))
+        made = _add_geom(mujoco, spec, bodies[shape.joint], shape.placement, shape.shape, f"link_{k}")
+        made.contype, made.conaffinity = 1, 0
     for mimic in robot.mimics:
         led = spec.add_equality(name=f"{mimic.joint}_follows", type=mujoco.mjtEq.mjEQ_JOINT)
         led.objtype, led.name1, led.name2 = mujoco.mjtObj.mjOBJ_JOINT, mimic.joint, mimic.leader
@@ -438,26 +447,21 @@ def _add_handle(mujoco: Any, spec: Any, handle: Handle, number: int) -> None:
     slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
     axis, point = axes.T @ handle.axis, axes.T @ (handle.point - handle.pose[:3, 3])
 
-    def joint(kind: Any, along: np.ndarray, label: str, friction: float, reach: float | None) -> None:
+    def joint(kind: Any, along: np.ndarray, label: str, friction: float, reach: tuple[float, float] | None) -> None:
         made = body.add_joint(name=f"{name}_{label}", type=kind, axis=along, pos=point)
         _set_damping(made, 4.0 if kind == slide else 0.2)
         made.frictionloss = friction
         if reach is not None:
-            made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-reach, reach]
+            made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, reach
             made.solref_limit, made.solimp_limit = (STIFF, 1.0), STIFF_SOLIMP
 
-    sides = [axis] if handle.type == "plane" else list(across(axis))
-    for k, side in enumerate(sides):
-        joint(slide, side, f"play_{k}", 0.0, handle.play)
+    for k, side in enumerate([axis] if handle.type == "plane" else across(axis)):
+        joint(slide, side, f"play_{k}", 0.0, (-handle.play, handle.play))
     if handle.type == "plane":
         joint(slide, np.array([1.0, 0.0, 0.0]), "x", handle.friction, None)
         joint(slide, np.array([0.0, 1.0, 0.0]), "y", handle.friction, None)
-    elif handle.type == "line":
-        joint(slide, axis, "x", handle.friction, None)
-        _stops(mujoco, body, handle.travel)
-    else:
-        joint(hinge, axis, "x", handle.friction, None)
-        _stops(mujoco, body, handle.travel)
+    else:  # it stops where it is shut, and a little beyond where it is open
+        joint(hinge if handle.turns else slide, axis, "x", handle.friction, (0.0, 1.1 * handle.travel))
     body.add_site(name=name)
     grip = spec.add_equality(
         name=f"grip_{number}", type=mujoco.mjtEq.mjEQ_WELD if handle.firm else mujoco.mjtEq.mjEQ_CONNECT
@@ -466,21 +470,32 @@ def _add_handle(mujoco: Any, spec: Any, handle: Handle, number: int) -> None:
     grip.solref, grip.solimp = (STIFF, 1.0), STIFF_SOLIMP
 
 
-def _stops(mujoco: Any, body: Any, travel: float) -> None:
-    """The last joint of a body ends where it is shut, and a little beyond where it is open."""
-    made = body.joints[-1]
-    made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [0.0, 1.1 * travel]
-    made.solref_limit, made.solimp_limit = (STIFF, 1.0), STIFF_SOLIMP
+def _add_geom(mujoco: Any, spec: Any, body: Any, at: Float[np.ndarray, "4 4"], shape: Any, name: str) -> Any:
+    """Add a solid, or the convex hull of a mesh, to a body and return it.
+
+    Args:
+        mujoco: The module.
+        spec: The model that is made.
+        body: Of that model.
+        at: Pose of the shape in the body's frame [m].
+        shape: As `CollisionShape.shape` and `Thing.shape` have it.
+        name: Of its mesh.
+    """
+    made = body.add_geom(pos=at[:3, 3], quat=_quaternion(at[:3, :3]))
+    if not isinstance(shape, Solid):
+        spec.add_mesh(name=name, uservert=np.array(shape.vertices).ravel())
+        made.type, made.meshname = mujoco.mjtGeom.mjGEOM_MESH, name
+        return made
+    made.type = getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}")
+    halves = np.array(shape.size)  # MuJoCo has half lengths, and a whole radius
+    halves[slice(None) if shape.kind == "box" else slice(1, None)] *= 0.5
+    made.size[: len(halves)] = halves
+    return made
 
 
 def _quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 4"]:
     """As MuJoCo writes it, the real part first."""
     return Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
-
-
-def _possible(moments: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    """Principal moments of inertia that a body can have: none above the sum of the others."""
-    return np.minimum(moments, np.sum(np.sort(moments)[:2]))
 
 
 def _set_damping(joint: Any, damping: float) -> None:
