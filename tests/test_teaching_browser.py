@@ -28,7 +28,6 @@ def tab(chromium, address):
     page.on("pageerror", lambda error: trouble.append(str(error)))
     own = (f"http://{urlsplit(address).netloc}/", "data:", "blob:")
     context.on("request", lambda one: None if one.url.startswith(own) else trouble.append(one.url))
-    page.add_init_script("sessionStorage.setItem('manip-learn-tour', 'seen')")
     page.goto(address)
     wait_until(page, "window.manipLearnReady && manipLearnTeach.allowed && manipLearnTeach.pose !== null")
     yield page

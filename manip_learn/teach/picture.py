@@ -145,7 +145,9 @@ def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
         "number": number,
         "kind": scene.kind,
         "title": TITLES[scene.kind],
-        "task": TASKS[scene.handles[0].type] if scene.handles else "There is nothing to learn here: move the hand about.",
+        "task": TASKS[scene.handles[0].type]
+        if scene.handles
+        else "There is nothing to learn here: move the hand about.",
         "handles": [
             {
                 "name": handle.name,

@@ -593,7 +593,10 @@ class TeachingSession:
                 "progress": self._progress,
                 "answer": self._answer,
                 "truth": truth_content(arm.scene, self.constraint) if self._truth_shown else None,
-                "can": {"run": self._way is not None, "compare": self._way is not None and arm.scene.hard_start is not None},
+                "can": {
+                    "run": self._way is not None,
+                    "compare": self._way is not None and arm.scene.hard_start is not None,
+                },
                 "run": self._outcome,
                 "files": [{"name": name, "says": says, "number": n} for name, (_, says, n) in self._files.items()],
                 "keep": str(self.folder),

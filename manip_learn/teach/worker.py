@@ -213,6 +213,16 @@ def distance_in_words(distance: float, unit: str) -> str:
     return f"{100.0 * distance:.1f} cm" if unit == "m" else f"{np.degrees(distance):.0f} degrees"
 
 
+def _limits(robot: Robot, tip: str) -> Any:
+    """Return the limits of what the arm does by itself: at the tip the reduced speed beside people of ISO 10218-1."""
+    from manip_learn.control.limits import Limits
+    from manip_learn.control.tasks.motion import APPROACH_SPEED
+
+    # [rad/s or m/s] of joints whose description has no limit, in units of which a plan counts its margin
+    velocity = np.where(np.isfinite(robot.velocity_limit), robot.velocity_limit, 1.5)
+    return Limits(robot, velocity=velocity, tip_speed=APPROACH_SPEED, frames=tip)
+
+
 def _repeat(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayLike, scene: Any) -> Any:
     """Return what `repeat` makes of a skill's file.
 
@@ -224,43 +234,41 @@ def _repeat(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayLi
         start: shape (nv,), posture of the arm [rad or m].
         scene: What stands around it.
     """
-    from manip_learn.control.limits import Limits
     from manip_learn.planning.repeat import repeat
 
-    # [rad/s or m/s] of joints whose description has no limit, in units of which a plan counts its margin
-    velocity = np.where(np.isfinite(robot.velocity_limit), robot.velocity_limit, 1.5)
-    limits = Limits(robot, velocity=velocity)
-    return repeat(Skill.load(file, robot), start, scene=scene, limits=limits, dt=STEP, progress=said)
+    return repeat(Skill.load(file, robot), start, scene=scene, limits=_limits(robot, tip), dt=STEP, progress=said)
 
 
-def _compare(robot: Robot, tip: str, said: Progress, **asked: Any) -> dict[str, Any]:
-    """Return ghosts of the task done without and with the learnt manipulability, from one start; and both in a sentence.
+def _compare(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayLike, scene: Any) -> dict[str, Any]:
+    """Return ghosts of the task without and with the learnt manipulability, from one start; and both in a sentence.
 
-    Without: the resolved-rate law whose null-space policy is zero. With: as `repeat` plans it. Arguments as `_repeat`.
+    Without: the resolved-rate law whose null-space policy is zero. With: as `repeat` plans the way. In both a hand that
+    slides keeps its orientation, as a gripper does that has closed on a bar. Arguments as for `_repeat`.
     """
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.policies import ZeroPolicy
     from manip_learn.control.simulation import simulate_way
     from manip_learn.control.tasks.motion import motion
+    from manip_learn.planning.plan import plan
     from manip_learn.playback.palette import rollout_colours
 
-    again = _repeat(robot, tip, said, **asked)
-    task = motion(next(step.as_shown for step in again.skill.steps if step.kind == "way"))
-    law = ResolvedRateController(task.learnt, task, ZeroPolicy(robot.nv), dt=STEP, limits=again.controller.limits)
-    alone, done = simulate_way(robot, law, asked["start"], STEP)
-    planned = next(step for step in again.steps if step.kind == "way")
-    colours = rollout_colours(["the arm itself", "without", "with"], {})[1:]
+    step, limits = next(one for one in Skill.load(file, robot).steps if one.kind == "way"), _limits(robot, tip)
+    way: Any = step.as_shown
+    task = motion(way, keep_orientation=way.shown.unit == "m")
+    law = ResolvedRateController(way, task, ZeroPolicy(robot.nv), dt=STEP, limits=limits)
+    alone, stopped = simulate_way(robot, law, start, STEP)
+    planned = plan(way, task, start, limits=limits, scene=scene, dt=STEP, progress=said, takes=step.takes)
+    ends = {"without": (alone, stopped), "with": (planned.rollout, planned.outcome)}
     ghosts, words = [], []
-    for (_, colour), name, rollout, end in zip(
-        colours, ("without", "with"), (alone, again.rollout), (done, planned), strict=True
+    for (name, (rollout, end)), (_, colour) in zip(
+        ends.items(), rollout_colours(["the arm itself", *ends], {})[1:], strict=True
     ):
-        far = distance_in_words(max(0.0, end.done * np.sign(end.wanted)), end.unit)
-        ended = f"all {far}" if end.stopped_by is None else f"stops after {far}"
-        why = "" if end.stopped_by is None else f", stopped by {end.stopped_by}"
-        made = ghost(robot, name, colour, rollout.time, rollout.q, rollout.manipulability, ended + why)
+        far = distance_in_words(abs(end.done), end.unit)
+        words.append(f"all {far}" if end.is_done else f"stops after {far}")
+        why = "" if end.is_done else f": {end.stopped_by}"
+        made = ghost(robot, name, colour, rollout.time, rollout.q, rollout.manipulability, words[-1] + why)
         ghosts.append(made | {"share": end.done / end.wanted})
-        words.append(f"{name.capitalize()}: {ended}.")
-    return {"rollouts": ghosts, "sentence": " ".join(words)}
+    return {"rollouts": ghosts, "sentence": "Without: {}. With: {}.".format(*words)}
 
 
 def ghost(

@@ -80,5 +80,5 @@ function fillTruth(element, truth) {
     line.insertCell().textContent = value;
   }
   if (truth.errors.length) element.append(table);
-  if (truth.lines && truth.lines.length) element.append(paragraph("In the picture the truth is the dashed line.", "note"));
+  if (truth.lines && truth.lines.length) element.append(paragraph("In the picture the truth is the wide, pale line.", "note"));
 }

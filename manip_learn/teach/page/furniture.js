@@ -125,10 +125,11 @@ class TeachFurniture {
   }
 
   // How far a handle is moved, and whether it can be gripped.
-  words(i, pose, scene) {
-    const { name, unit } = scene.handles[i], value = pose.opening[i] ?? 0, several = scene.handles.length > 1;
-    const open = Math.abs(value) > LEAST_OPENING[unit] ? `${openingInWords(value, unit)} open` : "";
-    const state = pose.held[i] ? "gripped" : pose.near === i ? "within reach: grip it" : "";
-    return [several && (open || state) ? name : "", state, open].filter(Boolean).join(" · ");
+  words({ opening, held, near }) {
+    return this.pieces.map(({ handle: { name, unit } }, i) => {
+      const open = Math.abs(opening[i] ?? 0) > LEAST_OPENING[unit] && `${openingInWords(opening[i], unit)} open`;
+      const words = [held[i] ? "gripped" : near === i && "within reach: grip it", open].filter(Boolean).join(" · ");
+      return words && `${name}: ${words}`;
+    }).filter(Boolean).join(", ");
   }
 }

@@ -1,10 +1,8 @@
 // An arm that is taken by the hand: poses come from the program, the newest one is drawn; what the person does is posted.
 
-const OFTEN = 100; // [ms] between two values of a slider, or two places of the goal, that are said
-const LATELY = 1000; // [ms] for which a slider is left where the person has put it
 const LIVE_SECONDS = 20; // of manipulability that stay in the chart
 const MARK_SHARE = 0.7; // of the size of the scene, which encloses all that the arm can reach, for which marks are drawn
-const MOST_LABELLED = 3; // limits and handles at a time
+const MOST_LABELLED = 3; // ghosts that are named at a time
 const WORDS_GAP = 200; // [ms] between two readings of the time in the headline
 
 // All of a pose that can be seen, to a hundredth of a millimetre or a thousandth of a degree.
@@ -12,14 +10,37 @@ function inPicture({ values, furniture, held, near, hand, weak, marks, limit, to
   return JSON.stringify([values, furniture, held, near, hand, weak, marks, limit, touches, trail], (_, x) => (typeof x === "number" ? Math.round(1e5 * x) : x));
 }
 
+// What can be seen now, in a fixed list beside the picture: rows {ink, say}, those that say nothing are left out.
+class Names {
+  constructor(scene) {
+    this.rows = [];
+    this.list = Object.assign(document.createElement("ul"), { id: "names" });
+    this.list.setAttribute("aria-hidden", "true"); // what matters of it is told when it changes
+    scene.append(this.list);
+  }
+
+  add(ink, say) {
+    const item = document.createElement("li");
+    item.style.setProperty("--ink-of", `var(${ink})`);
+    this.list.append(item);
+    this.rows.push({ item, say });
+  }
+
+  fill() {
+    for (const { item, say } of this.rows) {
+      const text = say() || "";
+      if (item.textContent !== text) item.textContent = text;
+    }
+  }
+}
+
 class Teach {
   constructor(show, data, software) {
-    Object.assign(this, { show, stage: show.stage, rollout: show.rollouts[0], instance: show.rollouts[0].instance, state: null, scene: null, pose: null, drawnSeq: 0, often: new Map(), notes: data.notes });
+    Object.assign(this, { show, stage: show.stage, rollout: show.rollouts[0], instance: show.rollouts[0].instance, state: null, scene: null, pose: null, drawnSeq: 0, notes: data.notes });
     this.rollout.solid = true;
     this.values = { times: [], mu: [] };
     Object.assign(this.rollout, { curveTimes: this.values.times, curve: this.values.mu });
     this.arrange();
-    this.tour = new Tour(this);
     this.link = new TeachLink(data.events.slice(0, -"events".length), {
       ended: () => { this.ended = true; this.link.close(); }, pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.setGhosts(ghosts),
     }, () => this.allow(), (words) => this.tell(words, true));
@@ -34,7 +55,7 @@ class Teach {
 
   arrange() {
     get("step-do").append(get("panel")); // of what is of interest while the arm does it
-    get("log").title = "Logarithmic scale";
+    get("log").remove();
     get("scene").after(get("hand-bar"), get("drop-here"));
     get("keys").querySelector("dl").replaceChildren(get("teach-keys").content.cloneNode(true));
     get("scene").setAttribute("aria-label", "The arm in three dimensions: drag it, or press H and move its hand by the arrow keys; otherwise arrow keys turn the view, plus and minus zoom");
@@ -47,48 +68,35 @@ class Teach {
     this.furniture = new TeachFurniture(stage, instance);
     this.marks = new LiveMarks(instance, size);
     this.spring = new Spring(this.marks);
-    this.goal = new Goal(this, this.marks);
     this.trail = new TipTrail(instance, size, () => this.rollout.colour);
     this.limits = new LimitTint(instance);
     this.lines = new Lines(stage);
-    stage.world.add(this.marks.group, this.spring.group, this.goal.group, this.trail.mesh, this.lines.group);
+    stage.world.add(this.marks.group, this.spring.group, this.trail.mesh, this.lines.group);
     this.rings = [0, 1].map(() => Object.assign(document.createElement("div"), { className: "ring" }));
     for (const ring of this.rings) ring.setAttribute("aria-hidden", "true");
     stage.element.append(...this.rings);
-    this.labels = this.label();
-    stage.onRendered = () => { this.labels.place(); this.placeRings(); };
+    this.labels = this.names();
+    stage.onRendered = () => this.placeRings();
     this.quality = new Quality(stage, instance, software);
     this.ghosts = new Ghosts(this);
     this.show.onRecolour = () => { this.quality.plain(instance); this.limits.again(); };
     this.hand = new Hand(this);
   }
 
-  label() {
-    const labels = new Labels(this.stage), { marks } = this, now = (say) => () => (this.pose ? say(this.pose) : "");
-    labels.add("--weak", now(({ weak }) => (weak ? "the hand can hardly move this way" : "")), () => this.weakEnd());
-    labels.add("--free", now((pose) => (pose.marks && (marks.drawn.free.length || marks.drawn.freeTurns.length) ? (marks.drawn.free.length ? "free to move" : "free to turn") : "")), () => marks.anchors()["--free"]);
-    labels.add("--held-mark", now((pose) => (pose.marks && (marks.drawn.held.length || marks.drawn.heldTurns.length) ? (marks.drawn.held.length ? "held" : "may not turn") : "")), () => marks.anchors()["--held"]);
-    labels.add("--goal-knob", () => (this.goal.group.visible && !this.goal.known ? "drag: where the hand should go" : ""), () => this.goal.place);
-    labels.add("--scene-ink", () => (this.lines.ends.learnt ? MECHANISM_WORDS[this.state.answer.mechanism.type] || "learnt" : ""), () => this.lines.ends.learnt);
-    labels.add("--truth", () => (this.lines.ends.truth ? "the truth" : ""), () => this.lines.ends.truth);
-    for (let i = 0; i < MOST_LABELLED; i++) {
-      labels.add("--weak", now(({ touches }) => (touches[i] ? "the arm touches this" : "")), () => new THREE.Vector3(...this.pose.touches[i]));
-      labels.add("--weak", now(({ limit }) => (limit[i] ? `${limit[i]} is at its limit` : "")), () => this.limits.at(this.pose.limit[i]));
-      labels.add("--scene-ink", now((pose) => (this.furniture.pieces[i] ? this.furniture.words(i, pose, this.scene) : "")), () => this.furniture.pieces[i].handleAt());
-    }
-    return labels;
-  }
-
-  // The end of the weak direction's arrow that is farther inside the picture.
-  weakEnd() {
-    const { clientWidth, clientHeight } = this.stage.element, reach = 1.15 * ARROW * this.marks.size;
-    const out = ({ x, y }) => Math.hypot(x / clientWidth - 0.5, y / clientHeight - 0.5);
-    const ends = [1, -1].map((sign) => this.instance.tipPosition().addScaledVector(new THREE.Vector3(...this.pose.weak.direction), sign * reach));
-    return ends.map((end) => [out(this.stage.onScreen(end) || { x: Infinity, y: 0 }), end]).sort((a, b) => a[0] - b[0])[0][1];
+  names() {
+    const names = new Names(this.stage.element), now = (say) => () => this.pose && say(this.pose), { marks, lines } = this;
+    names.add("--weak", now(({ weak }) => weak && "the hand can hardly move this way"));
+    names.add("--weak", now(({ limit }) => limit.map((name) => `${name} is at its limit`).join(", ")));
+    names.add("--weak", now(({ touches }) => touches.length && "the arm touches the furniture"));
+    names.add("--free", now((pose) => pose.marks && (marks.drawn.free.length ? "free to move" : marks.drawn.freeTurns.length && "free to turn")));
+    names.add("--held-mark", now((pose) => pose.marks && (marks.drawn.held.length ? "held" : marks.drawn.heldTurns.length && "may not turn")));
+    names.add("--scene-ink", () => lines.shown.learnt && (MECHANISM_WORDS[this.state.answer.mechanism.type] || "learnt"));
+    names.add("--truth", () => lines.shown.truth && "the truth");
+    names.add("--scene-ink", now((pose) => this.furniture.words(pose)));
+    return names;
   }
 
   wire() {
-    get("log").addEventListener("click", () => this.chart.turnLogarithmic());
     wireCamera(this.show);
     const once = (action) => (event) => { if (!event.repeat) action(); };
     wireKeys({
@@ -123,23 +131,6 @@ class Teach {
 
   say(said) { if (this.allowed) this.link.say(said); }
 
-  // The newest of its kind, a few times a second, and the last one always.
-  sayOften(said) {
-    const one = this.often.get(said.do) || { last: -Infinity };
-    this.often.set(said.do, one);
-    one.said = said;
-    if (one.timer) return;
-    one.timer = setTimeout(() => {
-      Object.assign(one, { timer: null, last: performance.now() });
-      this.say(one.said);
-    }, Math.max(0, one.last + OFTEN - performance.now()));
-  }
-
-  saidLately(kind) {
-    const one = this.often.get(kind);
-    return Boolean(one) && (Boolean(one.timer) || performance.now() < one.last + LATELY);
-  }
-
   // What the page itself has to say; refusals are seen as well as heard.
   tell(words, wrong = false) {
     get("alerts").textContent = wrong ? "" : words;
@@ -159,7 +150,6 @@ class Teach {
     this.link.heard(pose.seq);
     this.pose = pose;
     this.isNew = true;
-    if (pose.opening.some((value) => Math.abs(value) > 0.05)) this.moved = true;
     if (pose.mu !== null) this.addValue(pose.time, pose.mu);
     const picture = inPicture(pose);
     if (this.stage && picture !== this.picture) this.stage.dirty(); // an arm that rests need not be drawn again
@@ -173,7 +163,6 @@ class Teach {
     this.setNotes(scene.notes || []);
     if (!this.stage) return;
     this.furniture.setScene(scene);
-    if (isNew) this.moved = false;
     if (isNew) this.trail.clear();
     this.stage.dirty();
   }
@@ -216,7 +205,6 @@ class Teach {
     }
     if (this.pose && this.isNew) this.hasDrawn(this.pose);
     this.drawWords(now);
-    this.tour.frame();
     requestAnimationFrame((next) => this.frame(next));
   }
 
@@ -230,8 +218,6 @@ class Teach {
     this.marks.setPose(pose);
     this.limits.set(pose.limit);
     this.trail.setPose(pose.trail);
-    this.goal.setPose(pose, this.allowed && Boolean(this.state.way));
-    if (this.hand.held && !this.hand.held.goal) this.pulled = true;
   }
 
   hasDrawn(pose) {
@@ -244,7 +230,7 @@ class Teach {
   // The own hand is drawn where the pointer is now, not where the program last heard of it.
   drawSpring() {
     const { held, axis } = this.hand, told = this.pose && this.pose.hand;
-    if (held && !held.goal) this.spring.set(this.hand.heldAt(), held.to, told || {}, held.drag && axis);
+    if (held) this.spring.set(this.hand.heldAt(), held.to, told || {}, held.drag && axis);
     else if (told) this.spring.set(new THREE.Vector3(...told.at), new THREE.Vector3(...told.to), told);
     else this.spring.set(null);
   }
@@ -252,11 +238,12 @@ class Teach {
   drawWords(now) {
     if (now < (this.worded ?? 0) + WORDS_GAP || !this.pose) return;
     this.worded = now;
-    const { weak, limit, touches, rate } = this.pose, doing = this.state && this.state.doing;
-    if (this.link.open) this.head(`${DOING[doing] || "live"}${doing === "running" ? ` · ${Math.round(rate)} steps/s` : ""}`, false);
+    const { weak, limit, touches } = this.pose, doing = this.state && this.state.doing;
+    if (this.link.open) this.head(doing === "idle" ? "ready" : doing || "live", false);
     const words = [weak && "The hand can hardly move this way.", touches.length && "The arm touches the furniture.", ...limit.map((name) => `${name} is at its limit.`)].filter(Boolean).join(" ");
     if (words !== this.warned) this.tell(words);
     this.warned = words;
+    if (this.labels) this.labels.fill();
     if (this.changed && get("step-do").open && !(this.ghosts && this.ghosts.curves)) this.drawChart();
   }
 
@@ -270,10 +257,10 @@ class Teach {
     chart.setTime(curves ? this.ghosts.time : last);
   }
 
-  // Around the tip, and around the handle until something has been moved.
+  // Around the tip, and around the handle until the hand holds it.
   placeRings() {
     const rests = this.allowed && !this.hand.held && !this.isHeld, [piece] = this.furniture.pieces;
-    [rests && this.instance.tipPosition(), rests && this.pulled && !this.moved && piece && piece.handleAt()].forEach((place, i) => {
+    [rests && this.instance.tipPosition(), rests && this.state.doing === "recording" && piece && piece.handleAt()].forEach((place, i) => {
       const at = place && this.stage.onScreen(place);
       this.rings[i].hidden = !at;
       if (at) this.rings[i].style.transform = `translate(${at.x.toFixed(1)}px, ${at.y.toFixed(1)}px)`;
@@ -310,8 +297,7 @@ function startTeaching() {
     // From the scene to the eye, unit vector in the robot's base.
     toEye: () => teach.pointing.toEye().toArray(),
     // What the person pulls: link, place, and the number of a handle that it goes to; null without a pull.
-    get pull() { const held = teach.hand && teach.hand.held; return held && !held.goal ? { link: held.link, to: held.to.toArray(), toHandle: held.toHandle } : null; },
-    goalOnScreen: () => (teach.goal.group.visible ? teach.screenOf(teach.goal.place.toArray()) : null),
+    get pull() { const held = teach.hand && teach.hand.held; return held ? { link: held.link, to: held.to.toArray(), toHandle: held.toHandle } : null; },
     get drawing() { return Boolean(teach.stage); },
     get allowed() { return teach.allowed; },
   };
