@@ -141,7 +141,7 @@ def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_pat
         yield from done(person, do="home")
         yield from done(person, do="run")
         seen["run"], seen["opening"] = person.state["run"], person.pose["opening"][0]
-        seen["away"] = np.linalg.norm(person.session.arm.place - person.session.arm.handle_place(0))
+        seen["away"] = np.linalg.norm(person.session.arm.place - person.session.arm.handle_place)
         yield from person.press(do="run")
         yield from person.wait_for(lambda: person.pose["opening"][0] > 0.03 and person.pose["held"][0], 100.0)
         away = person.session.arm.place - 0.5 * person.session.arm.scene.handles[0].axis
@@ -343,18 +343,18 @@ def test_scenes_are_within_reach_of_other_robots(robot_of, name):
             assert "no place was found" in str(refusal) and "try another scene" in str(refusal)
             continue
         could.append(kind)
-        arm = TeachingArm(scene, rng, in_real_time=False)
+        arm = TeachingArm(scene, rng, in_real_time=False, shown=bool)
         assert np.allclose(arm.place, robot.position(scene.start, tip), atol=1e-9)
         for _ in range(20):
             arm.wait()
         assert np.allclose(arm.q, scene.start, atol=1e-3)
         if scene.handles:
             for _ in range(600):
-                arm.pull(None, None, arm.handle_place(0))
+                arm.pull(None, None, arm.handle_place)
                 arm.wait()
                 if arm.close_when_near():
                     break
-            assert arm.held == 0, (kind, np.linalg.norm(arm.handle_place(0) - arm.place))
+            assert arm.held, (kind, np.linalg.norm(arm.handle_place - arm.place))
     assert {"drawer", "loose-door", "free"} <= set(could)
 
 
@@ -365,7 +365,7 @@ def test_a_robot_without_masses_and_limits_is_taught_with_defaults_that_are_told
     scene = place_scene("free", ml.load_robot(str(path)), "tip", np.random.default_rng(0))
     assert any("without mass" in note for note in scene.notes)
     assert any("without a velocity limit" in note for note in scene.notes)
-    arm = TeachingArm(scene, np.random.default_rng(1), in_real_time=False)
+    arm = TeachingArm(scene, np.random.default_rng(1), in_real_time=False, shown=bool)
     for _ in range(50):
         arm.pull(None, None, arm.place + 0.05)
         arm.wait()
@@ -404,9 +404,9 @@ def test_a_recording_begins_with_everything_shut(sawyer, tmp_path):
         handle = arm.scene.handles[0]
         for let_go in (True, False):
             for _ in range(400):
-                if arm.held == 0:
+                if arm.held:
                     break
-                yield {"do": "pull", "to": arm.handle_place(0).tolist(), "turn": None, "seq": 0}
+                yield {"do": "pull", "to": arm.handle_place.tolist(), "turn": None, "seq": 0}
             for k in range(150):
                 to = handle.pose[:3, 3] + min(k / 100.0, 1.0) * 0.1 * handle.axis
                 yield {"do": "pull", "to": to.tolist(), "turn": None, "seq": 0}
@@ -414,7 +414,7 @@ def test_a_recording_begins_with_everything_shut(sawyer, tmp_path):
                 yield {"do": "grip", "closed": False}
                 yield from person.press(do="release")
             yield from person.press(do="record")
-            seen.append(arm.opening(0))
+            seen.append(arm.opening)
             yield from person.press(do="record")
             yield from person.wait_for(lambda: person.state["doing"] == "idle")
 

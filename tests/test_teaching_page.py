@@ -24,7 +24,7 @@ DESKTOP = (1000, 640)
 SLOW = threading.Event()  # that never comes: a pull is answered 0.05 s later
 STATE = {
     "leader": None, "doing": "idle", "said": "Take the arm by its hand.", "wrong": False, "recordings": [],
-    "scenes": [{"kind": "drawer", "title": "A drawer"}, {"kind": "door", "title": "A door"}], "recording": None,
+    "recording": None,
     "progress": None, "answer": None, "truth": None, "can": {"run": False, "compare": False}, "unlearnt": 0, "run": None, "files": [],
     "keep": "/kept/here",
 }  # fmt: skip

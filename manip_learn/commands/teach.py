@@ -92,7 +92,7 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
         time.sleep(FAREWELL)
     finally:
         server.close()
-    return Taught(session.folder, session.files, session.sentence, session.notes)
+    return Taught(session.folder, session.files, session.sentence, session.arm.scene.notes)
 
 
 @contextmanager

@@ -57,13 +57,8 @@ def drawer_boards(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[
     chest = _case(-0.5 * width, 0.5 * width, -0.5 * height, 0.5 * height, depth + BOARD, face - BOARD)
     below = float(pose[2, 3]) - 0.5 * height - BOARD
     if pose[2, 2] > UPRIGHT and below > 0.05:
-        n = max(1, round(below / height))
-        step = below / n
         back = face - 1.5 * BOARD - 0.5 * depth
         chest += ((0.0, back, -0.5 * height - BOARD - 0.5 * below, width + 2.0 * BOARD, depth + BOARD, below, BODY),)
-        for k in range(n):
-            z = -0.5 * height - BOARD - (k + 0.5) * step
-            chest += ((0.0, face - 0.5 * BOARD, z, width, BOARD, step - 0.6 * BOARD, _FRONT), *_handle(0.36 * width, z))
     return chest, moving
 
 
@@ -90,7 +85,7 @@ def _case(left: float, right: float, low: float, high: float, depth: float, fron
     )
 
 
-def _handle(width: float, z: float = 0.0) -> tuple[Board, ...]:
+def _handle(width: float) -> tuple[Board, ...]:
     """A bar across, at which the hand is, and its two feet."""
-    feet = ((x * 0.42 * width, -0.5 * STANDOFF, z, 0.01, STANDOFF, 0.01, HANDLE) for x in (-1.0, 1.0))
-    return ((0.0, 0.0, z, width, 0.014, 0.014, HANDLE), *feet)
+    feet = ((x * 0.42 * width, -0.5 * STANDOFF, 0.0, 0.01, STANDOFF, 0.01, HANDLE) for x in (-1.0, 1.0))
+    return ((0.0, 0.0, 0.0, width, 0.014, 0.014, HANDLE), *feet)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from manip_learn.constraint.features.frame_jacobian import pose_error
 from manip_learn.constraint.place import across
-from manip_learn.errors import ConfigurationError, MissingExtraError, counted
+from manip_learn.errors import ConfigurationError, MissingExtraError, counted, few
 from manip_learn.planning.clearance import hand_of, links_of
 from manip_learn.planning.scene import Box, Scene
 from manip_learn.playback.kinematic_tree import kinematic_tree
@@ -51,28 +51,17 @@ FIRST_SEED = 3  # of the first scenes: what stands there stands beside the arm, 
 # clear of the furniture and of the arm's own links, those of the least manipulability first: each was simulated for the
 # recordings of two scripted persons, and the first one taken whose plan follows a recording.
 HARD_STARTS: dict[tuple[str, Kind], tuple[float, ...]] = {
+    ("sawyer", "door"): (-2.021, -1.637, 2.097, 2.281, 2.91, -0.662, -3.783),
     ("sawyer", "drawer"): (-0.845, 0.408, -0.439, -1.315, -1.141, 2.838, -4.571),
 }
 
 TIMESTEP = 0.002  # [s], 500 steps a second
-STIFF, SOFT = 2.0 * TIMESTEP, 0.12  # [s] in which a grip settles: the firmest that the time step allows, and at first
-CLOSES = 0.4  # [s] in which a gripper closes
+STIFF = 2.0 * TIMESTEP  # [s] in which stops and grips settle: the firmest that the time step allows
 # share of a load that stops and grips take, least and most, over 1 mm: below 1 as MuJoCo demands, and so near that a
 # person's 60 N moves them by less than encoders tell
 STIFF_SOLIMP = (0.9999, 0.99999, 0.001, 0.5, 2.0)
-# damping [N m s/rad], dry friction [N m], rotor inertia [kg m2] of the drives: as guided arms of this size have them
-UPPER, FORE, WRIST = (4.0, 0.5, 0.10), (3.0, 0.3, 0.10), (1.0, 0.1, 0.02)
-SLIDING = (40.0, 4.0, 2.0)  # likewise of a sliding joint [N s/m], [N], [kg]
-LEAST_MASS, LEAST_INERTIA = 0.05, 1e-4  # [kg], [kg m2] where a description has none: lighter links need a shorter step
+LEAST_MASS = 0.05  # [kg] where a description has none: lighter links need a shorter step
 REACHES = 0.03  # [m] from the handle within which the gripper can close: the opening of a common gripper
-_AWAY = 0.16  # [m] from the handle to where the hand begins, so that a recording has a way to it
-ON_PATH = 1e-4  # [m or rad] to which a posture is on the mechanism's path: below what encoders tell
-WEAKEST = 0.075  # least singular value of the tip's rows [m/rad] that counts as away from a singularity
-NEWTON_STEPS, LARGEST_STEP = 12, 0.3  # to a place, and of all joints together [rad]: linearised they are near enough
-NEAR_LIMIT = 0.06  # share of its range that each joint keeps from its limits along the whole motion
-TRIES = 400  # random places for a mechanism: one in three to one in thirty are within reach
-CLEAR = 0.01  # [m] that the links keep from the furniture while the hand moves it: a person's elbow swings by more
-STATIONS = 25  # of a mechanism's motion at which the arm must reach it
 
 
 @final
@@ -126,10 +115,10 @@ class Handle:
     def stations(self) -> Iterator[Float[np.ndarray, "4 4"]]:
         """Poses all over its motion, each near the one before."""
         if self.type == "plane":
-            for angle in np.linspace(0.0, 2.0 * np.pi, STATIONS):
+            for angle in np.linspace(0.0, 2.0 * np.pi, 25):
                 yield self.moved(self.travel * np.sin(angle), self.travel * np.sin(2.0 * angle))
         else:
-            for by in np.linspace(0.0, self.travel, STATIONS):
+            for by in np.linspace(0.0, self.travel, 25):
                 yield self.moved(float(by))
 
 
@@ -150,7 +139,7 @@ class TeachingScene:
     kind: Kind
     robot: Robot
     tip: str
-    handles: tuple[Handle, ...]
+    handles: tuple[Handle, ...]  # none, or one
     start: Float[np.ndarray, " nv"]
     notes: tuple[str, ...] = ()
 
@@ -207,7 +196,7 @@ def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) ->
     if kind == "free":
         start = next(reach.postures(None))
         return TeachingScene(kind, robot, tip, (), start, notes)
-    for _ in range(TRIES):
+    for _ in range(400):  # random places: one in three to one in thirty are within reach
         if (placed := reach.place(kind)) is not None:
             return TeachingScene(kind, robot, tip, placed[:1], placed[1], notes)
     raise ConfigurationError(
@@ -222,16 +211,10 @@ def _assumed(robot: Robot) -> Iterator[str]:
     if known_shapes(robot) == "links":
         yield "no shapes: capsules along the links are stopped by the furniture"
     if light:
-        yield (
-            f"{counted(len(light), 'link')} without mass ({', '.join(light[:3])}{', ...' * (len(light) > 3)}): "
-            f"taken as {LEAST_MASS:g} kg"
-        )
+        yield f"{counted(len(light), 'link')} without mass ({few(light)}): taken as {LEAST_MASS:g} kg"
     unlimited = [n for n, v in zip(robot.joint_names, robot.velocity_limit, strict=True) if not np.isfinite(v)]
     if unlimited:
-        yield (
-            f"{counted(len(unlimited), 'joint')} without a velocity limit ({', '.join(unlimited[:3])}): the arm moves "
-            "by itself at most at what its task asks for"
-        )
+        yield f"{counted(len(unlimited), 'joint')} without a velocity limit ({few(unlimited)}): taken as 1.5 rad/s or m/s"
 
 
 @final
@@ -252,7 +235,8 @@ class _Reach:
         self._points = lever / np.linalg.norm(lever) if np.linalg.norm(lever) > 0.01 else np.array([0.0, 0.0, 1.0])
         self._points = frame.placement.rotation.T @ self._points
         low, high = robot.position_lower, robot.position_upper
-        self._margin = np.where(np.isfinite(high - low), NEAR_LIMIT * (high - low), 0.0)
+        # room that each joint keeps from its limits along the whole motion
+        self._margin = np.where(np.isfinite(high - low), 0.06 * (high - low), 0.0)
 
     def _drawn(self) -> Float[np.ndarray, " nv"]:
         return self._robot.positions(self._robot.random_configuration(self._rng))
@@ -291,13 +275,14 @@ class _Reach:
         if way is None:
             return None
         begin = pose.copy()
-        begin[:3, 3] += _AWAY * away
+        begin[:3, 3] += 0.16 * away  # [m], so that a recording has a way to the handle
         start = posture_at(self._robot, self._tip, q, begin, False, self._rank)
         if start is None or self._margin_of(start) < 0.0:
             return None
         solids = around([handle]).obstacles(self._robot)
         clear = self._links.with_obstacles([replace(one, may_touch=self._hand) for one in solids], False)
-        return (handle, start) if all(clear.is_clear(x, CLEAR) for x in (*way, start)) else None
+        # [m] of room while the hand moves it: a person's elbow swings by more
+        return (handle, start) if all(clear.is_clear(x, 0.01) for x in (*way, start)) else None
 
     def _handle(self, kind: Kind, at: np.ndarray, points: np.ndarray) -> tuple[Handle, Float[np.ndarray, " 3"]]:
         """A mechanism of random size with its handle at a place, in front of a hand; and the way off it."""
@@ -359,14 +344,14 @@ def posture_at(
         firm: Whether the hand is turned as well; else its place alone counts.
         rank: Number of directions in which the tip can move at all: three for an arm in a plane.
     """
-    for _ in range(NEWTON_STEPS):
+    for _ in range(12):
         pose, J = robot.pose(q, tip), robot.jacobian(q, tip)
         error = pose_error(pose, wanted, own_axes=False)[: 6 if firm else 3]
-        if np.linalg.norm(error) < ON_PATH:
-            sizes = np.linalg.svd(J[: len(error)], compute_uv=False)
-            return q if sizes[min(len(sizes), len(error), rank) - 1] >= WEAKEST else None
+        if np.linalg.norm(error) < 1e-4:  # [m or rad]: below what encoders tell
+            sizes = np.linalg.svd(J[: len(error)], compute_uv=False)  # [m/rad]; 0.075 is away from a singularity
+            return q if sizes[min(len(sizes), len(error), rank) - 1] >= 0.075 else None
         step = np.linalg.pinv(J[: len(error)], rcond=1e-3) @ error
-        q = q + step * min(1.0, LARGEST_STEP / max(float(np.linalg.norm(step)), 1e-12))
+        q = q + step * min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-12))  # [rad]: linearised they are near enough
     return None
 
 
@@ -388,8 +373,8 @@ def physics() -> ModuleType:
 
 
 def scene_model(scene: TeachingScene) -> object:
-    """The scene as a `mujoco.MjModel`: the arm's joints by their names, then `handle_<i>`, which the equality
-    `grip_<i>` can hold at the site `tip`.
+    """The scene as a `mujoco.MjModel`: the arm's joints by their names, then the body `handle`, which the
+    equality `grip` can hold at the site `tip`.
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
@@ -400,8 +385,8 @@ def scene_model(scene: TeachingScene) -> object:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.tolerance = 1e-10
     _add_arm(mujoco, spec, scene)
-    for number, handle in enumerate(scene.handles):
-        _add_handle(mujoco, spec, handle, number)
+    for handle in scene.handles:
+        _add_handle(mujoco, spec, handle)
     for box in scene.around.boxes:
         made = _add_geom(mujoco, spec, spec.worldbody, np.asarray(box.pose), box.shape, box.name)
         made.contype, made.conaffinity = 0, 1
@@ -422,7 +407,7 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
         inertia = model.inertias[i]
         body.mass, body.ipos, body.explicitinertial = max(inertia.mass, LEAST_MASS), inertia.lever, True
         moments, axes = np.linalg.eigh(inertia.inertia)
-        moments = np.maximum(moments, LEAST_INERTIA)
+        moments = np.maximum(moments, 1e-4)  # [kg m2]
         body.inertia = np.minimum(
             moments, np.sum(np.sort(moments)[:2])
         )  # none of a body is above the sum of the others
@@ -430,9 +415,10 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
         kind = mujoco.mjtJoint.mjJNT_HINGE if joint.motion == "revolute" else mujoco.mjtJoint.mjJNT_SLIDE
         made = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
         left = len(chain) - chain.index(i) if i in chain else 1  # joints from here to the tip
-        drive = SLIDING if joint.motion == "prismatic" else WRIST if left <= 3 else FORE if left <= 5 else UPPER
-        _set_damping(made, drive[0])
-        made.frictionloss, made.armature = drive[1:]
+        # damping [N m s/rad or N s/m], dry friction [N m or N], rotor inertia [kg m2 or kg] as guided arms of this size have
+        revolute = (1.0, 0.1, 0.02) if left <= 3 else (3.0, 0.3, 0.10) if left <= 5 else (4.0, 0.5, 0.10)
+        damping, made.frictionloss, made.armature = (40.0, 4.0, 2.0) if joint.motion == "prismatic" else revolute
+        _set_damping(made, damping)
         low, high = limits.get(joint.name, (-np.inf, np.inf))
         if np.isfinite(low) and np.isfinite(high):
             made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
@@ -451,8 +437,8 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
     )
 
 
-def _add_handle(mujoco: Any, spec: Any, handle: Handle, number: int) -> None:
-    name, axes = f"handle_{number}", handle.pose[:3, :3]
+def _add_handle(mujoco: Any, spec: Any, handle: Handle) -> None:
+    name, axes = "handle", handle.pose[:3, :3]
     body = spec.worldbody.add_body(name=name, pos=handle.pose[:3, 3], quat=_quaternion(axes))
     body.mass, body.inertia, body.explicitinertial, body.gravcomp = 1.5, np.full(3, 0.01), True, 1.0
     slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
@@ -474,9 +460,7 @@ def _add_handle(mujoco: Any, spec: Any, handle: Handle, number: int) -> None:
     else:  # it stops where it is shut, and a little beyond where it is open
         joint(hinge if handle.turns else slide, axis, "x", handle.friction, (0.0, 1.1 * handle.travel))
     body.add_site(name=name)
-    grip = spec.add_equality(
-        name=f"grip_{number}", type=mujoco.mjtEq.mjEQ_WELD if handle.firm else mujoco.mjtEq.mjEQ_CONNECT
-    )
+    grip = spec.add_equality(name="grip", type=mujoco.mjtEq.mjEQ_WELD if handle.firm else mujoco.mjtEq.mjEQ_CONNECT)
     grip.objtype, grip.name1, grip.name2, grip.active = mujoco.mjtObj.mjOBJ_SITE, "tip", name, False
     grip.solref, grip.solimp = (STIFF, 1.0), STIFF_SOLIMP
 

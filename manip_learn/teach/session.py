@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, cast, final
+from typing import Any, cast, final
 
 import numpy as np
 from jaxtyping import Float
@@ -29,12 +29,13 @@ from manip_learn.drivers.record import record
 from manip_learn.errors import ManipLearnError, counted
 from manip_learn.linalg import finite
 from manip_learn.planning.repeat import Repetition
+from manip_learn.playback.live_viewer import LiveProcess
 from manip_learn.playback.palette import COLOURS
 from manip_learn.recordings import load_demonstrations
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import PERIOD, TeachingArm
 from manip_learn.teach.picture import TeachingPicture, answer_content, refusal_content, scene_content, truth_content
-from manip_learn.teach.scene import MOVES, TITLES, Kind, place_scene
+from manip_learn.teach.scene import MOVES, Kind, place_scene
 from manip_learn.teach.worker import TeachingWorker, distance_in_words, first_way, ghost
 
 LEFT = 30.0  # [s] without a page after which the program ends: who pressed Back by mistake comes back in less
@@ -42,18 +43,6 @@ FEW = 3  # recordings below which no evidence can be had
 BY_HAND = "stopped by hand"  # why a motion ended
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,60}")
 FIRST = "There is nothing to {} yet: record the task first."
-
-
-class Shows(Protocol):
-    """Where messages go, as `LiveProcess` takes them."""
-
-    def put(self, message: Callable[[], str], slot: str) -> None:
-        """Take the newest message of a slot."""
-        ...
-
-    def offer(self, files: Mapping[str, Path]) -> None:
-        """Take files that may be fetched by their names."""
-        ...
 
 
 @final
@@ -125,7 +114,15 @@ class TeachingSession:
     """
 
     def __init__(
-        self, robot: Robot, tip: str, keep: Path, kind: Kind, seed: int, shows: Shows, *, in_real_time: bool = True
+        self,
+        robot: Robot,
+        tip: str,
+        keep: Path,
+        kind: Kind,
+        seed: int,
+        shows: LiveProcess,
+        *,
+        in_real_time: bool = True,
     ):
         self.robot, self.tip, self.keep = robot, tip, keep
         self._shows, self._real = shows, in_real_time
@@ -137,8 +134,8 @@ class TeachingSession:
         self._leader, self._left, self._opened = "", np.inf, False
         self._mode: Callable[[], None] | None = None
         self._doing, self._sentence, self._wrong = "idle", "", False
-        self._ended, self._stop, self._seq, self._number = False, False, 0, 0
-        self._number_of_ghosts = self._files_written = 0
+        self._ended = self._stop = False
+        self._seq = self._number = self._number_of_ghosts = self._files_written = 0
         self._put: dict[str, str] = {}
         self._looked = self._began = 0.0
         self._acts: dict[str, Callable[[Mapping[str, Any]], None]] = {
@@ -191,11 +188,6 @@ class TeachingSession:
         """True if the process that learns has a job."""
         return bool(self._worker.busy)
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Assumptions about the robot."""
-        return self.arm.scene.notes
-
     def run(self) -> None:
         """Go on until the last page is closed, or `end`."""
         try:
@@ -225,7 +217,7 @@ class TeachingSession:
                 self._finish()
             else:
                 self._obey(str(heard.get("page", "")), heard.get("said"))
-        self._touched |= self.arm.held is not None
+        self._touched |= self.arm.held
         if time.monotonic() - self._left > LEFT:
             self._finish()
         for kind, what in self._worker.heard():
@@ -295,7 +287,7 @@ class TeachingSession:
             self._say("No handle is within reach of the gripper: take the hand to one first.")
 
     def _gripped(self) -> None:
-        handle = self.arm.scene.handles[self.arm.held or 0]
+        handle = self.arm.scene.handles[0]
         self._say(f"Holding the {handle.name}. {MOVES[handle.type]}.")
 
     def _start_or_stop(self) -> None:
@@ -394,9 +386,9 @@ class TeachingSession:
 
     def _record(self) -> None:
         """Record until the person stops; the file grows as it goes, and begins with everything shut."""
-        if self.arm.held is None:
+        if not self.arm.held:
             self.arm.shut()
-        self._doing, self._began, self._touched = "recording", self.arm.time, self.arm.held is not None
+        self._doing, self._began, self._touched = "recording", self.arm.time, self.arm.held
         started = [False]
 
         def key() -> Any:
@@ -530,7 +522,7 @@ class TeachingSession:
                 self._outcome = {"done": done, "wanted": wanted, "unit": task.unit, "ended": "", "ordered": True}
             if self._stop:
                 return BY_HAND
-            if laws.gripper == "close" and self.arm.held is None:
+            if laws.gripper == "close" and not self.arm.held:
                 return "the gripper found no handle: reset the arm, and try again"
             at_rest = float(np.max(np.abs(loop.state.velocity))) < 1e-3  # [rad/s or m/s]
             is_last = laws.number == len(laws.laws) - 1
@@ -586,7 +578,6 @@ class TeachingSession:
                 "doing": "learning" if self._doing == "idle" and self._worker.busy == "learn" else self._doing,
                 "said": self._sentence,
                 "wrong": self._wrong,
-                "scenes": [{"kind": kind, "title": title} for kind, title in TITLES.items()],
                 "recordings": [one.to_dict() for one in self._recordings],
                 "unlearnt": sum(one not in self._learnt_from for one in self._recordings),
                 "recording": recording,

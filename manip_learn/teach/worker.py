@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.shown import Shown
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import ManipLearnError, OutputError
 from manip_learn.recordings.load import Progress
@@ -137,6 +136,7 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], out: str)
     """
     from manip_learn.constraint.features import FrameJacobian
     from manip_learn.learning import ConstraintLearner
+    from manip_learn.playback.mechanism_drawing import mechanism_drawing
     from manip_learn.playback.phase_bands import phase_kinds
     from manip_learn.playback.replay_page import evidence_of
     from manip_learn.recordings import load_demonstrations
@@ -148,42 +148,24 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], out: str)
     skill = with_gripper(learner.skill_)
     skill.save(out)
     names = [c.mechanism.type if c.mechanism is not None else "" for c in learner.constraints_]
-    evidence = evidence_of(report)
+    evidence, mechanism, shown = evidence_of(report), report.mechanism, skill.constraints[0].shown
+    uncertain = report.uncertainty_deg
+    if uncertain is None and mechanism is not None:
+        uncertain = mechanism.uncertainty.get("axis")
+    drawn = None
+    if mechanism is not None:
+        places = [robot.position(q, tip) for t in demos for q in t.q[::50]] if shown is None else shown.points
+        drawn = mechanism_drawing(mechanism, np.array(places), shown).to_dict()
     answer = {
+        **{name: evidence[name] for name in ("facts", "rows", "warnings", "odd")},
         "sentence": report.sentence,
         "refused": False,
         "evidence": evidence["words"],
-        "facts": evidence["facts"],
-        "rows": evidence["rows"],
-        "warnings": evidence["warnings"],
-        "odd": evidence["odd"],
         "phaseKinds": [vars(kind) for kind in phase_kinds(report.phases, names)] if report.phases else [],
-        "mechanism": None
-        if report.mechanism is None
-        else _drawn(robot, tip, report.mechanism, demos, report.phases, skill.constraints[0].shown),
-        "others": [c.mechanism.sentence for c in learner.constraints_[1:] if c.mechanism is not None],
+        "mechanism": drawn,
     }
-    uncertain = report.uncertainty_deg
-    if uncertain is None and report.mechanism is not None:
-        uncertain = report.mechanism.uncertainty.get("axis")
     phases = [[name, start, end, -1 if k is None else k] for name, start, end, k, *_ in report.phases]
-    return {"answer": answer, "phases": phases, "uncertainty": uncertain, "warned": bool(report.warnings)}
-
-
-def _drawn(robot: Robot, tip: str, mechanism: Any, demos: Any, phases: Any, shown: Shown | None) -> dict[str, Any]:
-    """Lines and patches of a mechanism, as large as the motion that it held, and what was shown along it."""
-    from manip_learn.playback.mechanism_drawing import mechanism_drawing
-
-    held = [
-        robot.position(t.q[k], tip)
-        for t in demos
-        for name, start, end, number, *_ in phases
-        if name == t.name and number == 0
-        for k in np.flatnonzero((t.time >= start) & (t.time <= end))[::10]
-    ]
-    places = np.array(held or [robot.position(t.q[0], tip) for t in demos])
-    drawing = mechanism_drawing(mechanism, places, shown)
-    return drawing.to_dict()
+    return {"answer": answer, "phases": phases, "uncertainty": uncertain}
 
 
 def with_gripper(skill: Skill) -> Skill:

@@ -115,34 +115,6 @@ class TipTrail {
   }
 }
 
-// Links beyond joints at their limits, tinted.
-class LimitTint {
-  constructor(instance) { Object.assign(this, { instance, names: "", plain: new Map() }); }
-
-  set(names) {
-    if (names.join() === this.names) return;
-    this.names = names.join();
-    const { robot, meshes } = this.instance, at = new Set(names.map((name) => robot.joints.findIndex((joint) => joint.name === name)));
-    for (const [skin, material] of this.plain) skin.material = material;
-    this.plain.clear();
-    for (const { skin } of meshes) {
-      if (!at.has(skin.userData.shape.joint)) continue;
-      this.plain.set(skin, skin.material);
-      skin.material = skin.material.clone();
-      skin.material.color.lerp(linear(pageColour("--weak")), 0.6);
-    }
-  }
-
-  // After the arm has got other colours.
-  again() {
-    const names = this.names ? this.names.split(",") : [];
-    this.plain.clear();
-    this.names = "";
-    this.set(names);
-  }
-
-}
-
 // The mechanism that was learnt, and the true one, wider and pale around it.
 class Lines {
   constructor(stage) {

@@ -50,24 +50,15 @@ class Panel {
   get drives() { return this.busy && this.state.doing !== "learning"; }
 
   setScene({ kind, title, handles }) {
-    Object.assign(this, { kind, title, handles });
-    this.setKinds();
-  }
-
-  setKinds() {
-    const select = get("scene-kind"), scenes = (this.state && this.state.scenes) || [], said = JSON.stringify(scenes);
-    if (said !== this.scenesSaid) select.replaceChildren(...scenes.map(({ kind, title }) => Object.assign(document.createElement("option"), { value: kind, textContent: title })));
-    if (said !== this.scenesSaid || this.kind !== this.shownKind) select.value = this.kind ?? select.value;
-    Object.assign(this, { scenesSaid: said, shownKind: this.kind });
-    const name = this.handles && this.handles.length === 1 ? this.handles[0].name : "scene";
-    get("another").textContent = `New ${name}`;
+    Object.assign(this, { title, handles });
+    get("scene-kind").value = kind;
+    get("another").textContent = `New ${handles.length ? handles[0].name : "scene"}`;
   }
 
   setState(state) {
     this.state = state;
     get("said").textContent = state.said || "";
     get("said").classList.toggle("lost", Boolean(state.wrong));
-    this.setKinds();
     this.showActions(state);
     this.showRecordings(state);
     this.showLearning(state);

@@ -69,7 +69,6 @@ class Teach {
     this.marks = new LiveMarks(instance, size);
     this.spring = new Spring(this.marks);
     this.trail = new TipTrail(instance, size, () => this.rollout.colour);
-    this.limits = new LimitTint(instance);
     this.lines = new Lines(stage);
     stage.world.add(this.marks.group, this.spring.group, this.trail.mesh, this.lines.group);
     this.rings = [0, 1].map(() => Object.assign(document.createElement("div"), { className: "ring" }));
@@ -79,7 +78,7 @@ class Teach {
     stage.onRendered = () => this.placeRings();
     this.quality = new Quality(stage, instance, software);
     this.ghosts = new Ghosts(this);
-    this.show.onRecolour = () => { this.quality.plain(instance); this.limits.again(); };
+    this.show.onRecolour = () => this.quality.plain(instance);
     this.hand = new Hand(this);
   }
 
@@ -216,7 +215,6 @@ class Teach {
     this.hand.setPose(pose);
     this.furniture.setPose(pose);
     this.marks.setPose(pose);
-    this.limits.set(pose.limit);
     this.trail.setPose(pose.trail);
   }
 
