@@ -25,8 +25,8 @@ pytest.importorskip("mujoco")
 from manip_learn.robot.tips import default_tip  # noqa: E402
 from manip_learn.teach.arm import STRONGEST, TeachingArm  # noqa: E402
 from manip_learn.teach.files import HOMES, Lesson  # noqa: E402
-from manip_learn.teach.scene import FIRST_SEED, TITLES, place_scene  # noqa: E402
-from manip_learn.teach.session import TeachingSession  # noqa: E402
+from manip_learn.teach.scene import FIRST_SEED, HARD_STARTS, TITLES, place_scene  # noqa: E402
+from manip_learn.teach.session import FEW, TeachingSession  # noqa: E402
 
 pytestmark = pytest.mark.timeout(400)  # a busy machine takes four times as long as an idle one
 TIP = "right_gripper_tip"
@@ -181,6 +181,32 @@ def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_pat
     again = subprocess.run([sys.executable, "taught.py"], cwd=session.folder, capture_output=True, text=True)
     assert again.returncode == 0, again.stderr
     assert (session.folder / "again.html").exists() and "drawer" in again.stdout
+
+
+@pytest.mark.parametrize("kind", [kind for name, kind in HARD_STARTS if kind != "drawer"])
+def test_with_and_without(sawyer, tmp_path, kind):
+    """From the stored start of each scene the law without a null-space policy does a third of the way at most, and the
+    plan all of it; the sentence says both.
+    """
+
+    def script(person: Person) -> Iterator[Any]:
+        yield from lesson(person, FEW)
+        yield from person.press(do="compare")
+        yield from person.wait_for(lambda: (person.slots.get("ghosts") or {}).get("kind") == "compare", 1e5)
+        yield from person.wait(0.05)
+
+    person, _ = taught(sawyer, kind, FIRST_SEED, tmp_path, script)
+    without, with_it = (one["share"] for one in person.slots["ghosts"]["rollouts"])
+    assert without <= 1.0 / 3.0 and with_it >= 0.97, person.state["said"]
+    assert re.fullmatch(r"Without: stops after \d+ degrees. With: all \d+ degrees.", person.state["said"])
+
+
+def test_a_scene_without_a_stored_start_offers_no_comparison(sawyer):
+    """Only where the hand is at the handle in the stored start it belongs to the scene."""
+    tip = default_tip(sawyer)
+    for kind, seed in (("drawer", FIRST_SEED + 1), ("table", FIRST_SEED)):
+        assert place_scene(kind, sawyer, tip, np.random.default_rng(seed)).hard_start is None
+    assert place_scene("drawer", sawyer, tip, np.random.default_rng(FIRST_SEED)).hard_start is not None
 
 
 @pytest.mark.slow

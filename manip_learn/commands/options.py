@@ -472,7 +472,9 @@ class TeachOptions:
     frame: Annotated[str | None, Option(help="The frame that takes hold, e.g. the tool's tip.")] = None
     scene: Annotated[str, Option(help="First scene: drawer, door, loose-door, table or free.")] = "drawer"
     out: Annotated[Path, Option(help="Folder for recordings and what is learnt.")] = Path("taught")
-    seed: Annotated[int | None, Option(help="Random seed for the scene; by default the first scenes are always the same.")] = None
+    seed: Annotated[
+        int | None, Option(help="Random seed for the scene; by default the first scenes are always the same.")
+    ] = None
     no_browser: Annotated[bool, Option("--no-browser", help="Print the page's address, and do not open it.")] = False
     loading: RobotOptions = RobotOptions()
     as_json: Json = False
