@@ -54,7 +54,7 @@ def test_names_do_not_run_in_the_script(tmp_path, monkeypatch):
     tip = f"tip {name}"
     ml.Constraint(np.eye(3)[:1], ml.FrameJacobian(robot, tip)).save(tmp_path / "constraint.json")
     lesson = Lesson(robot, tip, [f"a/{name}.csv"], str(tmp_path / "constraint.json"), tmp_path, [0.0, 0.0])
-    ((_, file, _),) = HOMES["script"](lesson)
+    _, file, _ = HOMES["script"](lesson)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "manip_learn", library := MagicMock())
     exec(compile(Path(file).read_text(encoding="utf-8"), file, "exec"), {})

@@ -25,8 +25,8 @@ SLOW = threading.Event()  # that never comes: a pull is answered 0.05 s later
 STATE = {
     "leader": None, "doing": "idle", "said": "Take the arm by its hand.", "wrong": False, "recordings": [],
     "recording": None,
-    "progress": None, "answer": None, "truth": None, "can": {"run": False, "compare": False}, "unlearnt": 0, "run": None, "files": [],
-    "keep": "/kept/here",
+    "progress": None, "answer": None, "truth": None, "can": {"run": False, "compare": False}, "unlearnt": 0,
+    "run": None, "files": [], "keep": "/kept/here",
 }  # fmt: skip
 RECORDINGS = [
     {"name": HOSTILE, "seconds": 4.2, "samples": 420, "odd": "", "phases": [[0, 2, -1], [2, 4.2, 0]], "kept": True},

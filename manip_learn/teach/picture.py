@@ -19,7 +19,7 @@ from manip_learn.playback.live_viewer import live_page
 from manip_learn.playback.page_writer import REPLAY, packed
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import TeachingArm
-from manip_learn.teach.scene import MOVES, TASKS, TITLES, Handle, TeachingScene
+from manip_learn.teach.scene import MOVES, TASKS, TITLES, TeachingScene
 
 WEAK = 0.2  # least over largest singular value of the tip's translation, below which the weak direction is drawn
 AT_LIMIT = 0.01  # [rad or m] from a joint's limit at which the arm feels it

@@ -46,10 +46,10 @@ TASKS = {
 }
 
 FIRST_SEED = 3  # of the first scenes: what stands there stands beside the arm, so that neither hides the other
-# robot and scene -> posture with the hand at the handle of the first scene [rad], from which the law without a null-space
-# policy stops after less than a third of the way, and a plan does all of it. Found among random postures at the handle,
-# clear of the furniture and of the arm's own links, those of the least manipulability first: each was simulated for the
-# recordings of two scripted persons, and the first one taken whose plan follows a recording.
+# robot and scene -> posture with the hand at the handle of the first scene [rad], from which the law without a
+# null-space policy stops after less than a third of the way, and a plan does all of it. Found among random postures at
+# the handle, clear of the furniture and of the arm's own links, those of the least manipulability first: each was
+# simulated for the recordings of two scripted persons, and the first one taken whose plan follows a recording.
 HARD_STARTS: dict[tuple[str, Kind], tuple[float, ...]] = {
     ("sawyer", "door"): (-2.021, -1.637, 2.097, 2.281, 2.91, -0.662, -3.783),
     ("sawyer", "drawer"): (-0.845, 0.408, -0.439, -1.315, -1.141, 2.838, -4.571),
@@ -112,14 +112,12 @@ class Handle:
             pose[:3, 3] += by * self.axis
         return pose
 
-    def stations(self) -> Iterator[Float[np.ndarray, "4 4"]]:
+    def stations(self) -> list[Float[np.ndarray, "4 4"]]:
         """Poses all over its motion, each near the one before."""
         if self.type == "plane":
-            for angle in np.linspace(0.0, 2.0 * np.pi, 25):
-                yield self.moved(self.travel * np.sin(angle), self.travel * np.sin(2.0 * angle))
-        else:
-            for by in np.linspace(0.0, self.travel, 25):
-                yield self.moved(float(by))
+            angles = np.linspace(0.0, 2.0 * np.pi, 25)
+            return [self.moved(self.travel * np.sin(x), self.travel * np.sin(2.0 * x)) for x in angles]
+        return [self.moved(by) for by in np.linspace(0.0, self.travel, 25)]
 
 
 @final
@@ -152,11 +150,11 @@ class TeachingScene:
     def hard_start(self) -> tuple[float, ...] | None:
         """Posture at the handle from which only a planned motion does the task [rad]; None where none is known."""
         start = HARD_STARTS.get((self.robot.name, self.kind))
-        is_here = (
-            start is not None
-            and np.linalg.norm(self.robot.position(start, self.tip) - self.handles[0].pose[:3, 3]) < 0.01
-        )  # [m]
-        return start if is_here else None
+        if (
+            start is None or np.linalg.norm(self.robot.position(start, self.tip) - self.handles[0].pose[:3, 3]) > 0.01
+        ):  # [m]
+            return None
+        return start
 
 
 def around(handles: Iterable[Handle]) -> Scene:
@@ -214,7 +212,7 @@ def _assumed(robot: Robot) -> Iterator[str]:
         yield f"{counted(len(light), 'link')} without mass ({few(light)}): taken as {LEAST_MASS:g} kg"
     unlimited = [n for n, v in zip(robot.joint_names, robot.velocity_limit, strict=True) if not np.isfinite(v)]
     if unlimited:
-        yield f"{counted(len(unlimited), 'joint')} without a velocity limit ({few(unlimited)}): taken as 1.5 rad/s or m/s"
+        yield f"{counted(len(unlimited), 'joint')} without a velocity limit ({few(unlimited)}): taken as 1.5 rad/s"
 
 
 @final
@@ -224,16 +222,16 @@ class _Reach:
     def __init__(self, robot: Robot, tip: str, rng: np.random.Generator):
         self._robot, self._tip, self._rng = robot, tip, rng
         self._links, self._hand = links_of(robot)[0], hand_of(robot, robot.frame(tip))
-        drawn = [self._drawn() for _ in range(200)]
-        places = np.array([robot.position(q, tip) for q in drawn])
+        places = np.array([robot.position(self._drawn(), tip) for _ in range(200)])
         self._far = float(np.quantile(np.linalg.norm(places, axis=1), 0.95))
         self._flat = bool(np.ptp(places[:, 2]) < 1e-6)
         self._rank = 2 if self._flat else 6
-        frame = robot.pinocchio_model.frames[robot.frame(tip).index]
-        lever = frame.placement.translation
+        frames = robot.pinocchio_model.frames  # all moving links but the first are to be above the floor
+        self._links_above = [f.name for f in frames if f.parentJoint > 1 and f.name in robot.frame_names]
+        hand = robot.pinocchio_model.frames[robot.frame(tip).index].placement
+        far = float(np.linalg.norm(hand.translation))
         # the way that a hand points: from its last joint to the tip, or along z where the tip is on the joint
-        self._points = lever / np.linalg.norm(lever) if np.linalg.norm(lever) > 0.01 else np.array([0.0, 0.0, 1.0])
-        self._points = frame.placement.rotation.T @ self._points
+        self._points = hand.rotation.T @ (hand.translation / far if far > 0.01 else np.array([0.0, 0.0, 1.0]))
         low, high = robot.position_lower, robot.position_upper
         # room that each joint keeps from its limits along the whole motion
         self._margin = np.where(np.isfinite(high - low), 0.06 * (high - low), 0.0)
@@ -249,18 +247,14 @@ class _Reach:
             x, points = pose[:3, 3], pose[:3, :3] @ self._points
             if not 0.4 * self._far < np.linalg.norm(x) < 0.85 * self._far or self._margin_of(q) < 0.0:
                 continue
-            if not self._flat and (x[2] < 0.15 * self._far or self._lowest(q) < 0.0):
+            if not self._flat and (
+                x[2] < 0.15 * self._far or min(self._robot.position(q, name)[2] for name in self._links_above) < 0.0
+            ):
                 continue
             flat = np.linalg.norm(x[:2])
             outward = float(points[:2] @ x[:2]) / flat if flat > 1e-6 else 0.0
             if self._flat or toward is None or (outward > 0.6 if toward == "ahead" else points[2] < -0.7):
                 yield q
-
-    def _lowest(self, q: np.ndarray) -> float:
-        """Height of the lowest moving link but the first above the floor [m]."""
-        robot, model = self._robot, self._robot.pinocchio_model
-        names = [f.name for f in model.frames if f.parentJoint > 1 and f.name in robot.frame_names]
-        return min((float(robot.position(q, name)[2]) for name in names), default=0.0)
 
     def _margin_of(self, q: np.ndarray) -> float:
         robot = self._robot
@@ -415,7 +409,7 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
         kind = mujoco.mjtJoint.mjJNT_HINGE if joint.motion == "revolute" else mujoco.mjtJoint.mjJNT_SLIDE
         made = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
         left = len(chain) - chain.index(i) if i in chain else 1  # joints from here to the tip
-        # damping [N m s/rad or N s/m], dry friction [N m or N], rotor inertia [kg m2 or kg] as guided arms of this size have
+        # damping [N m s/rad], dry friction [N m], rotor inertia [kg m2] as guided arms have; the last ones of a slide
         revolute = (1.0, 0.1, 0.02) if left <= 3 else (3.0, 0.3, 0.10) if left <= 5 else (4.0, 0.5, 0.10)
         damping, made.frictionloss, made.armature = (40.0, 4.0, 2.0) if joint.motion == "prismatic" else revolute
         _set_damping(made, damping)

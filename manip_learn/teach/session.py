@@ -24,7 +24,7 @@ from manip_learn.control.driver import run
 from manip_learn.control.joint_motion import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits
 from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.control.tasks.motion import motion
+from manip_learn.control.tasks.motion import FreeDirection, motion
 from manip_learn.drivers.record import record
 from manip_learn.errors import ManipLearnError, counted
 from manip_learn.linalg import finite
@@ -114,15 +114,7 @@ class TeachingSession:
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        tip: str,
-        keep: Path,
-        kind: Kind,
-        seed: int,
-        shows: LiveProcess,
-        *,
-        in_real_time: bool = True,
+        self, robot: Robot, tip: str, keep: Path, kind: Kind, seed: int, shows: LiveProcess, in_real_time: bool = True
     ):
         self.robot, self.tip, self.keep = robot, tip, keep
         self._shows, self._real = shows, in_real_time
@@ -449,9 +441,10 @@ class TeachingSession:
             self._planned = answer
         elif job == "take":
             self._files_written += 1
-            self._files |= {name: (Path(path), says, self._files_written) for name, path, says in answer}
+            name, path, says = answer
+            self._files[name] = Path(path), says, self._files_written
             self._shows.offer({name: path for name, (path, *_) in self._files.items()})
-            self._say("Ready to take home: " + ", ".join(name for name, *_ in answer) + ".")
+            self._say(f"Ready to take home: {name}.")
         else:
             self._show_ghosts(job, answer["rollouts"])
             self._say(answer["sentence"])
@@ -517,7 +510,7 @@ class TeachingSession:
 
         def over() -> str:
             laws, task = cast(LawSequence, loop.controller), cast(LawSequence, loop.controller).law.task
-            if not task.is_approach:
+            if isinstance(task, FreeDirection):
                 done, wanted = abs(task.progress(self.arm.q)), abs(task.wanted)
                 self._outcome = {"done": done, "wanted": wanted, "unit": task.unit, "ended": "", "ordered": True}
             if self._stop:

@@ -6,7 +6,6 @@ import multiprocessing
 import os
 import sys
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing.connection import Connection
@@ -18,12 +17,10 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import ManipLearnError, OutputError
+from manip_learn.playback.live_server import end_with_parent
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
 
-PARENT_CHECK_SECONDS = 0.5  # between two looks for the parent
-_STOP_SECONDS = 1.0  # for the process to end by itself
-GENTLE = 10  # steps of niceness: on one core the physics go first
 STEP = 0.01  # [s] of a simulation, as the arm's period
 
 
@@ -84,7 +81,7 @@ class TeachingWorker:
     def close(self) -> None:
         """End the process, whatever it does."""
         self._process.terminate()
-        self._process.join(_STOP_SECONDS)
+        self._process.join(1.0)  # [s] to end by itself
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
@@ -93,12 +90,15 @@ class TeachingWorker:
 
 def _serve(pipe: Connection, robot: Robot, tip: str, parent: int) -> None:
     """The process: job after job until the pipe closes or the parent is gone."""
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=end_with_parent, args=(parent,), daemon=True).start()
     with open(os.devnull, "w") as nowhere:  # its warnings are part of the answers
         sys.stdout = sys.stderr = nowhere
         if (nice := getattr(os, "nice", None)) is not None:  # Windows has none
-            nice(GENTLE)
+            nice(10)  # on one core the physics go first
         from manip_learn import learning  # noqa: F401  # now, and not when somebody waits
+
+        def said(step: str, share: float) -> None:
+            pipe.send(("progress", (step, float(share))))
 
         while True:
             try:
@@ -106,23 +106,13 @@ def _serve(pipe: Connection, robot: Robot, tip: str, parent: int) -> None:
             except (EOFError, OSError, KeyboardInterrupt):
                 return
             try:
-                pipe.send(("done", (job, JOBS[job](robot, tip, _said(pipe), **what))))
+                pipe.send(("done", (job, JOBS[job](robot, tip, said, **what))))
             except ManipLearnError as error:
                 pipe.send(("failed", (job, str(error))))
             except KeyboardInterrupt:
                 return
             except Exception as error:  # the arm goes on: whatever failed here is a sentence there
                 pipe.send(("failed", (job, f"{type(error).__name__}: {error}")))
-
-
-def _end_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(PARENT_CHECK_SECONDS)
-    os._exit(0)
-
-
-def _said(pipe: Connection) -> Progress:
-    return lambda step, share: pipe.send(("progress", (step, float(share))))
 
 
 # ---- jobs ---------------------------------------------------------------------------------------------------------
@@ -185,9 +175,10 @@ def first_way(skill: Skill) -> Constraint | None:
     Returns:
         A way of 2 cm, or of 3 degrees, or more.
     """
-    ways = (step.as_shown for step in skill.steps if step.kind == "way")
-    known = (way for way in ways if way is not None and way.shown is not None)
-    return next((way for way in known if way.shown.extent > {"m": 0.02, "rad": 0.05}[way.shown.unit]), None)
+    for way in (step.as_shown for step in skill.steps if step.kind == "way"):
+        if way is not None and way.shown is not None and way.shown.extent > {"m": 0.02, "rad": 0.05}[way.shown.unit]:
+            return way
+    return None
 
 
 def distance_in_words(distance: float, unit: str) -> str:
@@ -286,8 +277,8 @@ def ghost(
     }
 
 
-def take(robot: Robot, tip: str, said: Progress, *, what: str, **lesson: Any) -> list[tuple[str, str, str]]:
-    """Files to take home: name, path and what each is.
+def take(robot: Robot, tip: str, said: Progress, *, what: str, **lesson: Any) -> tuple[str, str, str]:
+    """Write a file to take home, and return its name, its path and what it is.
 
     Args:
         robot: The robot.
