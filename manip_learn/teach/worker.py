@@ -229,7 +229,7 @@ def _compare(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayL
     way: Any = step.as_shown
     task = motion(way, keep_orientation=way.shown.unit == "m")
     law = ResolvedRateController(way, task, ZeroPolicy(robot.nv), dt=STEP, limits=limits)
-    alone, stopped = simulate_way(robot, law, start, STEP)
+    alone, stopped = simulate_way(robot, law, np.asarray(start), STEP)
     planned = plan(way, task, start, limits=limits, scene=scene, dt=STEP, progress=said, takes=step.takes)
     ends = {"without": (alone, stopped), "with": (planned.rollout, planned.outcome)}
     ghosts, words = [], []

@@ -1,4 +1,4 @@
-// What is drawn beside the arm: the pull, what is held and free, what is weak, limits, the tip's way, mechanisms, the goal.
+// What is drawn beside the arm: the pull, what is held and free, what is weak, the tip's path, mechanisms.
 
 const SPRING = { thin: 0.0016, thick: 0.0055, full: 80, ball: 0.009 }; // radii relative to the scene; the force [N] of the thickest
 const TRAIL = { apart: 0.004, most: 1500, gap: 70 }; // distance of points relative to the scene, their number, time between redrawings [ms]
