@@ -1,7 +1,7 @@
 """Write the film of `manip-learn teach` that the documentation shows: `python docs/make_film.py [FILE.webp]`.
 
 Needs a Chromium, Playwright, Pillow and the extra `physics`. A mouse takes the arm by the hand, opens and shuts a
-drawer five times, and presses Learn and Run. Takes about three minutes.
+drawer five times, and presses Learn; then the arm opens it by itself. Takes about three minutes.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from playwright.sync_api import Page, sync_playwright
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
 MOST_BYTES = 2_000_000
-WINDOW = {"width": 920, "height": 600}  # [px] of the page, in which all the steps of the film are in view
-SIZE = (800, 522)  # [px] of the page in the film
+WINDOW = {"width": 1280, "height": 800}  # [px] of the page, in which the whole answer is in view
+SIZE = (960, 600)  # [px] of the page in the film
 BAR = 40  # [px] for the caption above it
 RATE = 9  # pictures a second in the film
 STEP = 0.02  # [s] between two places of the mouse
@@ -217,7 +217,7 @@ def act(page: Page, person: Person) -> list[Scene]:
     scenes += [scene(2.2, f"1   Show it {SHOWN} times")]
     person.press("#learn")
     person.wait_for("state.answer !== null && state.progress === null", 120.0)
-    if person.say("state.answer.refused") or not person.say("state.way"):
+    if person.say("state.answer.refused") or not person.say("state.can.run"):
         raise SystemExit(f"nothing was learnt: {person.say('state.answer.evidence')}")
     page.locator("#answer").scroll_into_view_if_needed()
     scenes += [scene(1.2, "2   Learn")]
@@ -225,11 +225,14 @@ def act(page: Page, person: Person) -> list[Scene]:
     person.rest(2.6)
     scenes += [scene(3.0, "2   It says what it understood")]
     person.press("#run")
-    person.wait_for("state.doing !== 'idle'", 10.0)
+    person.wait_for("state.doing === 'running'", 60.0)
+    scenes += [scene(1.2, "3   It plans the whole motion")]
     person.wait_for("state.run && state.run.ended && state.doing === 'idle'", 60.0)
-    scenes += [scene(5.5, "3   The arm does it by itself")]
-    person.rest(1.8)
-    return [*scenes, scene(1.8, "3   The arm does it by itself")]
+    scenes += [scene(6.0, "3   The arm opens the drawer by itself")]
+    if person.say("pose.opening[0]") < 0.9 * person.say("state.run.wanted"):
+        raise SystemExit(f"the drawer was not opened: {person.say('state.said')}")
+    person.rest(2.2)
+    return [*scenes, scene(2.2, "3   The arm opens the drawer by itself")]
 
 
 def cursor(draw: ImageDraw.ImageDraw, x: float, y: float, down: bool) -> None:
@@ -275,7 +278,6 @@ def film(folder: Path) -> list[Image.Image]:
     with program(folder) as address, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         page = browser.new_page(viewport=WINDOW, color_scheme="light")  # type: ignore[arg-type]
-        page.add_init_script("sessionStorage.setItem('manip-learn-tour', 'seen')")
         page.goto(address)
         page.wait_for_function(
             "window.manipLearnTeach && manipLearnTeach.state && manipLearnTeach.pose", timeout=30_000

@@ -107,11 +107,10 @@ class Person:
             places = [home, *(home + rng.normal(0.0, 0.12, 3) for _ in range(4)), home]
             for a, b in zip(places[:-1], places[1:], strict=True):
                 yield from self.drag(lambda s, a=a, b=b: a + _smooth(s) * (b - a), float(rng.uniform(0.8, 1.5)))
-        for number, handle in enumerate(arm.scene.handles):
-            yield from self._move(number, handle)
+        for handle in arm.scene.handles:
+            yield from self._move(handle)
             a = arm.place
-            back = home if number == len(arm.scene.handles) - 1 else a + 0.1 * (home - a) / np.linalg.norm(home - a)
-            yield from self.drag(lambda s, a=a, b=back: a + _smooth(s) * (b - a), float(rng.uniform(0.8, 1.3)))
+            yield from self.drag(lambda s, a=a: a + _smooth(s) * (home - a), float(rng.uniform(0.8, 1.3)))
         yield {"do": "release"}
         yield from self.wait(float(rng.uniform(0.3, 0.6)))
         recorded = len(self.state["recordings"])
@@ -119,16 +118,16 @@ class Person:
         yield from self.wait_for(lambda: len(self.state["recordings"]) > recorded)
         yield from self.wait(0.3)
 
-    def _move(self, number: int, handle: Any) -> Script:
+    def _move(self, handle: Any) -> Script:
         """Go to a handle, move it as far as it goes and back, and let it go."""
         arm, rng = self.session.arm, self.rng
-        a, b = arm.place, arm.handle_place(number)
+        a, b = arm.place, arm.handle_place
         yield from self.drag(lambda s: a + _smooth(1.15 * s) * (b - a), float(rng.uniform(1.0, 1.6)))
         for _ in range(round(5.0 / PERIOD)):
-            if arm.held == number:
+            if arm.held:
                 break
-            yield {"do": "pull", "to": arm.handle_place(number).tolist(), "turn": None, "seq": 0}
-        assert arm.held == number, f"the hand did not come to handle {number}"
+            yield {"do": "pull", "to": arm.handle_place.tolist(), "turn": None, "seq": 0}
+        assert arm.held, "the hand did not come to the handle"
         yield from self.drag(lambda _: b, float(rng.uniform(0.3, 0.6)))
         far, turn = float(rng.uniform(0.75, 1.0)) * handle.travel, None
         if handle.type == "plane":

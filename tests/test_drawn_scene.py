@@ -21,7 +21,6 @@ from manip_learn.commands import tables
 from manip_learn.commands.output import Answer
 from manip_learn.control.command import Status
 from manip_learn.errors import NoPlanError
-from manip_learn.playback.recorded_motion import status_in_page
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
 SHIPPED = {  # folder -> robot, tip, and how many recordings are enough
@@ -167,14 +166,11 @@ def test_a_body_around_the_arm_is_found_and_an_assumed_floor_is_neither_drawn_no
 
 
 def test_three_statuses_stand_for_all():
-    """As asked, slower than asked, or standing; a word of another program is no reason to say that all is well."""
-    of = {
-        status_in_page(status): {s for s in Status if status_in_page(s) == status_in_page(status)} for status in Status
-    }
+    """As asked, slower than asked, or standing: each status is one of them."""
+    of = {effect: {s for s in Status if s.effect == effect} for effect in ("ok", "slowed", "stopped")}
     assert of["ok"] == {Status.OK, Status.NULL_SCALED, Status.REROUTED}
     standing = {Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED, Status.STALLED}
     assert of["stopped"] == standing and of["slowed"] == {*Status} - of["ok"] - standing
-    assert set(of) == {"ok", "slowed", "stopped"} and status_in_page("warming up") == "slowed"
 
 
 def test_a_page_says_every_warning_of_the_terminal(

@@ -24,9 +24,9 @@ DESKTOP = (1000, 640)
 SLOW = threading.Event()  # that never comes: a pull is answered 0.05 s later
 STATE = {
     "leader": None, "doing": "idle", "said": "Take the arm by its hand.", "wrong": False, "recordings": [],
-    "scenes": [{"kind": "drawer", "title": "A drawer"}, {"kind": "door", "title": "A door"}], "recording": None,
-    "progress": None, "answer": None, "truth": None, "way": None, "unlearnt": 0, "run": None, "files": [],
-    "keep": "/kept/here",
+    "recording": None,
+    "progress": None, "answer": None, "truth": None, "can": {"run": False, "compare": False}, "unlearnt": 0,
+    "run": None, "files": [], "keep": "/kept/here",
 }  # fmt: skip
 RECORDINGS = [
     {"name": HOSTILE, "seconds": 4.2, "samples": 420, "odd": "", "phases": [[0, 2, -1], [2, 4.2, 0]], "kept": True},
@@ -44,8 +44,7 @@ REFUSAL = ANSWER | {
     "sentence": "Too little was shown.", "refused": True, "mechanism": None, "next": "Show it from the other side.",
     "offer": {"say": "Turn the arm", "said": {"do": "scene", "kind": "door"}},
 }  # fmt: skip
-WAY = {"unit": "m", "low": 0.0, "high": 0.3, "value": 0.2}
-LEARNT = {"recordings": RECORDINGS, "answer": ANSWER, "way": WAY}
+LEARNT = {"recordings": RECORDINGS, "answer": ANSWER, "can": {"run": True, "compare": True}}
 MARKS = {"free": [[1, 0, 0]], "held": [[0, 1, 0]], "turns": [], "fixed": [[0, 0, 1]]}
 
 
@@ -88,7 +87,7 @@ class Program:
         self.q = q
         values = joint_tracks(self.robot, kinematic_tree(self.robot), np.array([q]))[0].tolist()
         calm = {"time": 1.0, "held": [False], "near": None, "hand": None, "weak": None, "mu": 0.2, "marks": None,
-                "limit": [], "touches": [], "opening": [0.0], "rate": 1000, "seq": self.last("pull").get("seq", 0),
+                "limit": [], "touches": [], "opening": [0.0], "seq": self.last("pull").get("seq", 0),
                 "trail": False, "furniture": [[*self.handle, 1, 0, 0, 0]]}  # fmt: skip
         self.put("pose", calm | {"values": values} | more)
 
@@ -187,7 +186,7 @@ def opened_page(chromium, program, size, phone=False, before=""):
         page.on(
             "request", lambda r: trouble.append(r.url) if not r.url.startswith((address, "data:", "blob:")) else None
         )
-        page.add_init_script(before or "sessionStorage.setItem('manip-learn-tour', 'seen')")
+        page.add_init_script(before or "0")
         page.goto(address)
         wait_until(page, "window.manipLearnReady && manipLearnTeach.allowed && manipLearnTeach.pose !== null")
         yield page
@@ -433,53 +432,43 @@ def test_names_and_answers_are_text(program, page):
     wait_until(page, "document.getElementById('scene-key').innerText.includes('hardly move this way')")
     labels = page.locator("#scene-key").inner_text()
     for label in (
-        "gripped · 12.3 cm open",
+        "drawer: gripped · 12.3 cm open",
         "joint2 is at its limit",
         "free to move",
         "the truth",
         "line that was learnt",
-        "the arm touches this",
+        "the arm touches the furniture",
     ):
         assert label in labels
 
 
 def test_what_the_person_does_is_posted(program, page):
-    """Buttons, keys, names, the slider and the target say what they are for, and space stops a run."""
+    """Buttons, keys and names say what they are for, and space stops a run."""
     page.keyboard.press("r")
     program.say(**LEARNT)
     program.pose(START, marks=MARKS)
-    wait_until(page, "manipLearnTeach.goalOnScreen()")
     unfold(page, "show")
     page.locator("#recordings input").nth(1).fill("opened twice")
     page.keyboard.press("Enter")
     page.locator("#recordings button", has_text="Replay").nth(1).click()
     page.locator("#recordings button", has_text="Delete").nth(1).click()
     page.locator("#recordings button", has_text="Sure?").click()
-    page.locator("#way").fill("0.25")
-    page.locator("#policy").select_option("zero")
+    page.locator("#compare").click()
     page.locator("#run").click()
     program.say(doing="running")
-    wait_until(page, "!document.querySelector('[data-disturb=elbow]').disabled")
-    page.locator("[data-disturb=elbow]").click()
+    wait_until(page, "document.querySelector('#actions .next').innerText.startsWith('Stop')")
     page.locator("#scene").focus()
     page.keyboard.press(" ")
     program.say(doing="idle")
-    goal = page.evaluate("manipLearnTeach.goalOnScreen()")
-    page.mouse.move(goal["x"], goal["y"])
-    page.mouse.down()
-    page.mouse.move(goal["x"] + 40, goal["y"], steps=4)
-    page.mouse.up()
-    until(page, lambda: program.all("target"), "no target")
+    until(page, lambda: program.all("stop"), "space does not stop it")
     said = [said for _, said in program.heard]
-    run = {"do": "run", "policy": "zero", "along": 0.25, "plan": False}
     for expected in (
         {"do": "record"}, {"do": "rename", "name": "second", "to": "opened twice"}, {"do": "replay", "name": "second"},
-        {"do": "delete", "name": "second"}, {"do": "way", "value": 0.25}, run, {"do": "disturb", "what": "elbow"},
-        {"do": "stop"},
+        {"do": "delete", "name": "second"}, {"do": "compare"}, {"do": "run"}, {"do": "stop"},
     ):  # fmt: skip
         assert expected in said, expected
     assert not program.all("pull")
-    program.say(way=None)
+    program.say(can=STATE["can"])
     wait_until(page, "document.getElementById('no-way').checkVisibility()")
     assert "no way to go" in page.locator("#no-way").inner_text()
     program.say(answer=REFUSAL)
@@ -540,17 +529,17 @@ def test_the_next_step_and_the_cards(program, page):
     """
     record = {"name": "recording", "seconds": 1.2}
     five = [RECORDINGS[1] | {"name": f"motion {k}"} for k in range(5)]
-    done = {"policy": "zero", "done": 0.2, "wanted": 0.2, "ended": "all of the way is done", "ordered": True}
+    done = {"done": 0.2, "wanted": 0.2, "unit": "m", "ended": "all of it is done", "ordered": True, "notes": [HOSTILE]}
     shown = {"recordings": five, "unlearnt": 5}
     learnt = {**LEARNT, "recordings": five, "answer": ANSWER | {"line": "It slides."}}
     for state, button, step in (
         ({}, "Record 1 of 5", "show"),
         ({"doing": "recording", "recording": record}, "Stop (1.2 s)", "show"),
         ({"recordings": five[:3], "unlearnt": 3}, "Record 4 of 5", "show"),
-        (shown, "Learn from 5 motions", "show"),
+        (shown, "Learn", "show"),
         ({**shown, "doing": "learning"}, "Learning …", "show"),
         ({"recordings": five, "answer": REFUSAL}, "Record another one", "learn"),
-        ({**learnt, "unlearnt": 1}, "Learn from 5 motions", "show"),
+        ({**learnt, "unlearnt": 1}, "Learn", "show"),
         (learnt, "Let the arm do it", "do"),
         ({**learnt, "doing": "running"}, "Stop", "do"),
         ({**learnt, "run": done}, "Reset the arm", "do"),
@@ -562,21 +551,18 @@ def test_the_next_step_and_the_cards(program, page):
         assert page.evaluate("[...document.querySelectorAll('.step[open]')].map(s => s.id)") == [f"step-{step}"]
     assert page.locator("#headline").inner_text() == "It slides."
     assert "20.0 cm of 20.0 cm" in page.locator("#step-do summary").inner_text()
+    assert page.locator("#run-notes").inner_text() == HOSTILE
     page.locator("#home").focus()
     page.keyboard.press("r")
     until(page, lambda: program.all("record"), "R does nothing while a button has the focus")
 
 
-def test_the_tour_is_a_line_of_the_panel_and_an_end_is_told(chromium, robot_of):
-    """It says the first step that was not done, in one line while the arm is pulled, and takes no key; skipped, it
-    stays away. A drag that turns the view before the first pull is explained. When the program is gone the page says
-    so, and everything is disabled.
+def test_a_turned_view_and_an_end_are_told(chromium, robot_of):
+    """A drag that turns the view before the first pull is explained. When the program is gone the page says so, and
+    everything is disabled.
     """
     program = Program(robot_of("planar3"))
     with opened_page(chromium, program, DESKTOP, before="window.errors = 1") as page:
-        tour = page.locator("#tour")
-        wait_until(page, "document.getElementById('tour').checkVisibility()")
-        assert "1 of 5: Take the hand" in tour.inner_text()
         scene = page.locator("#scene").bounding_box()
         page.mouse.move(scene["x"] + 20, scene["y"] + 40)
         page.mouse.down()
@@ -585,16 +571,8 @@ def test_the_tour_is_a_line_of_the_panel_and_an_end_is_told(chromium, robot_of):
         wait_until(page, "document.getElementById('hand-hint').checkVisibility()")
         assert "That turned the view" in page.locator("#hand-hint").inner_text()
         drag(page, (20, 0))
-        program.pose(FARTHER)
-        until(page, lambda: "2 of 5" in tour.inner_text(), "the first step is not done by a pull")
-        assert page.evaluate("document.getElementById('tour').classList.contains('brief')")
+        wait_until(page, "!document.getElementById('hand-hint').checkVisibility()")
         page.mouse.up()
-        page.locator("#tour-skip").focus()
-        page.keyboard.press("r")
-        until(page, lambda: program.all("record"), "the tour takes R")
-        page.locator("#tour-skip").click()
-        until(page, lambda: not tour.is_visible(), "the tour stays")
-        assert page.evaluate("sessionStorage.getItem('manip-learn-tour')") == "seen"
         program.put("ended", True)
         wait_until(page, "document.getElementById('banner').innerText.includes('The program has ended')")
 

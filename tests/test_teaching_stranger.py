@@ -120,7 +120,6 @@ def test_a_stranger_teaches_a_drawer_without_scrolling(chromium, tmp_path, size)
     """
     with stranger(chromium, tmp_path, size) as person:
         page = person.page
-        assert "1 of 5" in page.locator("#tour").inner_text()
         person.look("first")
         for number in range(RECORDINGS):
             person.press(f"Record {number + 1} of 5")

@@ -511,7 +511,7 @@ class TeachOptions:
         frame: The frame that takes hold, e.g. the tool's tip.
         scene: First scene: drawer, door, loose-door, table or free.
         out: Folder for recordings and what is learnt.
-        seed: Random seed for the scene; default: different each time.
+        seed: Random seed for the scene; by default the first scenes are always the same.
         no_browser: Print the page's address, and do not open it.
     """
 

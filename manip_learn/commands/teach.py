@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 import signal
 import sys
 import threading
@@ -36,7 +35,7 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
     from manip_learn.playback.live_viewer import LiveProcess
     from manip_learn.teach.arm import PERIOD
     from manip_learn.teach.picture import teaching_page
-    from manip_learn.teach.scene import Kind, physics
+    from manip_learn.teach.scene import FIRST_SEED, Kind, physics
     from manip_learn.teach.session import TeachingSession
 
     progress("preparing the scene", 0.0)
@@ -55,7 +54,7 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
         for session in listeners:
             session.hear(message)
 
-    seed = secrets.randbits(32) if options.seed is None else options.seed
+    seed = FIRST_SEED if options.seed is None else options.seed
     server = LiveProcess(lambda token: teaching_page(robot, name, token), _STARTS, heard, 1.0 / PERIOD)
     try:
         session = TeachingSession(robot, tip, options.out, cast(Kind, options.scene), seed, server)
@@ -73,9 +72,9 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
     content = {"folder": session.folder, "recordings": session.files, "sentence": session.sentence}
     kept = f"{counted(len(session.files), 'recording')} kept in: {session.folder}"
     return Answer(
-        content | {"notes": session.notes},
+        content | {"notes": session.arm.scene.notes},
         title=session.sentence,
-        notes=session.notes,
+        notes=session.arm.scene.notes,
         written=[kept if session.files else "nothing was recorded"],
     )
 

@@ -59,8 +59,8 @@ class Status(StrEnum):
         """Effect on the motion that was asked for: it is done as asked, slowed down, or the arm stands."""
         if self in (Status.OK, Status.NULL_SCALED, Status.REROUTED):
             return "ok"
-        limits = (Status.OUTSIDE_LIMITS, Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED)
-        return "slowed" if self in (*limits, Status.DAMPED) else "stopped"
+        stands = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED, Status.STALLED)
+        return "stopped" if self in stands else "slowed"
 
 
 @final

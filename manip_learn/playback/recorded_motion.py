@@ -14,7 +14,6 @@ from jaxtyping import Float, Int
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.linalg import finite
@@ -419,11 +418,3 @@ def status_changes(name: str, time: Float[np.ndarray, " T"], words: Iterable[obj
     if status and len(status) != time.size:
         raise RecordingError(f"rollout {name!r} has {time.size} times and {len(status)} status words", code="shape")
     return tuple((float(time[i]), word) for i, word in enumerate(status) if i == 0 or word != status[i - 1])
-
-
-def status_in_page(word: str) -> str:
-    """Return a status as the page shows it: `"ok"` as asked, `"slowed"` or changed by a limit, or `"stopped"`."""
-    if word in (Status.OK, Status.NULL_SCALED, Status.REROUTED):  # the task is done as it was asked
-        return "ok"
-    stands = Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED, Status.STALLED
-    return "stopped" if word in stands else "slowed"

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from manip_learn.control.command import Status
 from manip_learn.errors import listed
 from manip_learn.playback.appearance import Appearance, Shape
 from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale
@@ -16,7 +17,7 @@ from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.mechanism_drawing import CORNERS, MechanismDrawing, facing
 from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import PhaseKind, own_kinds
-from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, status_in_page, track_data
+from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, track_data
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import Mesh
 
@@ -197,6 +198,7 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
 def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
     own = own_kinds(motion.phases, colour[1])
     kinds = {kind.label: k for k, kind in enumerate(own)}
+    effects = {str(status): status.effect for status in Status}  # of a controller of one's own there are others
     # angles in float64: one of many turns must still be right to a nanoradian
     exact = {"keyTimes": motion.key_times, "tracks": motion.tracks, "curveTimes": motion.curve_times}
     described: dict[str, Any] = {
@@ -206,7 +208,7 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
         **{key: packed(numbers, "<f8") for key, numbers in (exact | {"curve": motion.curve}).items()},
         "pathTimes": packed(motion.path_times, "<f4"),
         "path": packed(motion.path, "<f4"),
-        "status": [[t, word, status_in_page(word)] for t, word in motion.status],
+        "status": [[t, word, effects.get(word, "slowed")] for t, word in motion.status],
         "fitShare": motion.fit_share,
         "handles": motion.handles,
         # start, end, number of the kind; -1 for free motion

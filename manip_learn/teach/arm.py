@@ -6,41 +6,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal, final
+from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.drivers.mujoco import MuJoCoDriver
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
-from manip_learn.teach.scene import (
-    CLOSES,
-    REACHES,
-    SOFT,
-    STIFF,
-    TIMESTEP,
-    TeachingScene,
-    physics,
-    scene_model,
-)
+from manip_learn.teach.scene import REACHES, STIFF, TIMESTEP, TeachingScene, physics, scene_model
 
 PERIOD = 0.01  # [s] between two readings, as cobots report at 100 Hz and more
-_NOISE = 1e-4  # [rad or m] of the encoders: 16 bits a turn
-SPRING, DASHPOT = 900.0, 30.0  # a hand that guides [N/m], [N s/m]: 1 cm off is 9 N
+SOFT = 0.12  # [s] in which a grip settles at first
 STRONGEST = 60.0  # [N] that a person pulls with for a while, standing
-WRIST_SPRING, WRIST_DASHPOT = 15.0, 0.5  # a hand that turns [N m/rad], [N m s/rad]
-TWISTS = 6.0  # [N m] that a wrist turns with
-STEADY = 0.02  # [s] in which a hand comes to where it is meant to be: between two pictures of 60 Hz it does not jump
-LOST = 0.6  # [s] after which a pull that nobody repeats is over: pages repeat it every 0.2 s
-_SLOWEST = 0.25  # [s] that the physics may be late before they let the time go: a computer that slept does not catch up
-BUMP, BUMPED = 25.0, 0.3  # [N m], [s] of somebody who bumps into the arm
-LATELY = 0.02  # share of the newest period in their mean: half a second of them count
 
 
 @final
-@dataclass
-class Pull:
+class Pull(NamedTuple):
     """Where a person holds the arm and where the hand wants it.
 
     Attributes:
@@ -73,7 +54,6 @@ class _Hand:
         self.pull: Pull | None = None
         self._goal = self._first = None
         self.force, self.limited, self.at = np.zeros(3), False, np.zeros(3)
-        self.push: tuple[Float[np.ndarray, " nv"], float] | None = None  # on the joints [N m or N], until when [s]
 
     def take(self, pull: Pull | None, data: Any) -> None:
         """Pull there from now on; None lets go."""
@@ -88,26 +68,25 @@ class _Hand:
 
     def __call__(self, model: Any, data: Any) -> None:
         """Add the hand's force to `data.qfrc_applied`."""
-        if self.push is not None and data.time < self.push[1]:
-            data.qfrc_applied += self.push[0]
         pull = self.pull
         if pull is None or self._goal is None or self._first is None:
             return
         rotation = data.xmat[pull.body].reshape(3, 3)
         self.at = data.xpos[pull.body] + rotation @ pull.at
         self._mujoco.mj_jac(model, data, self._linear, self._angular, self.at, pull.body)
-        self._goal = self._goal + (pull.to - self._goal) * (TIMESTEP / STEADY)
-        wanted = SPRING * (self._goal - self.at)
+        # it comes there in 0.02 s: between two pictures of 60 Hz it does not jump; 1 cm off is 9 N
+        self._goal = self._goal + (pull.to - self._goal) * (TIMESTEP / 0.02)
+        wanted = 900.0 * (self._goal - self.at)
         size = float(np.linalg.norm(wanted))
         self.limited = size > STRONGEST
         wanted *= min(1.0, STRONGEST / max(size, 1e-9))
-        self.force = wanted - DASHPOT * (self._linear @ data.qvel)
+        self.force = wanted - 30.0 * (self._linear @ data.qvel)  # [N s/m]
         data.qfrc_applied += self._linear.T @ self.force
         if pull.turn is not None:
             aim = rotation_matrix(pull.turn) @ self._first
-            moment = WRIST_SPRING * rotation_vector(aim @ rotation.T)
-            moment *= min(1.0, TWISTS / max(float(np.linalg.norm(moment)), 1e-9))
-            data.qfrc_applied += self._angular.T @ (moment - WRIST_DASHPOT * (self._angular @ data.qvel))
+            moment = 15.0 * rotation_vector(aim @ rotation.T)  # [N m/rad]
+            moment *= min(1.0, 6.0 / max(float(np.linalg.norm(moment)), 1e-9))  # [N m] that a wrist turns with
+            data.qfrc_applied += self._angular.T @ (moment - 0.5 * (self._angular @ data.qvel))  # [N m s/rad]
 
 
 @final
@@ -125,7 +104,7 @@ class TeachingArm:
         hand: The person's hand.
         period: Between two readings [s].
         joint_names: In the robot's order.
-        held: Number of the handle that the gripper holds, or None.
+        held: True while the gripper holds the handle.
     """
 
     simulated = True
@@ -134,28 +113,21 @@ class TeachingArm:
         self,
         scene: TeachingScene,
         rng: np.random.Generator,
-        *,
         in_real_time: bool = True,
-        shown: Callable[[], object] | None = None,
+        shown: Callable[[], object] = bool,
     ):
         self._mujoco: Any = physics()
         self.scene, self.period, self.joint_names = scene, PERIOD, scene.robot.joint_names
-        self._shown, self._waits = shown or (lambda: None), in_real_time
+        self._shown, self._waits = shown, in_real_time
         model: Any = scene_model(scene)
         self.hand = _Hand(model)
-        self._arm = MuJoCoDriver(
-            model, self.joint_names, scene.start, period=PERIOD, hand=self.hand, noise=_NOISE, rng=rng
-        )
+        noise = {"noise": 1e-4, "rng": rng}  # [rad or m] of the encoders: 16 bits a turn
+        self._arm = MuJoCoDriver(model, self.joint_names, scene.start, period=PERIOD, hand=self.hand, **noise)
         self.model, self.data = model, self._arm.data
         self._tip = model.site("tip").id
-        self._grips = [model.equality(f"grip_{k}").id for k in range(len(scene.handles))]
-        self._sites = [model.site(f"handle_{k}").id for k in range(len(scene.handles))]
-        self._bodies = [model.body(f"handle_{k}").id for k in range(len(scene.handles))]
-        self._ways = [int(model.joint(f"handle_{k}_x").qposadr[0]) for k in range(len(scene.handles))]
-        self.held: int | None = None
-        self._closed, self._opened = 0.0, None
-        self._due, self._each = time.perf_counter(), PERIOD
-        self._before = self._due
+        self._handle = model.body("handle") if scene.handles else None
+        self.held, self._closed, self._opened = False, 0.0, False  # when it closed [s]; True where it was opened last
+        self._due = time.perf_counter()
         self.release()
 
     # ---- as a driver ----------------------------------------------------------------------------------------------
@@ -183,28 +155,26 @@ class TeachingArm:
         """Hold the arm where it is."""
         self._arm.hold()
 
+    def gripper(self, word: Literal["close", "open"]) -> None:
+        """Close or open the gripper, as a motion says."""
+        self.grip(word == "close")
+
     def _pass(self) -> None:
         """After a period of physics: the gripper, the picture, the clock."""
-        now = time.perf_counter()
-        if self.hand.pull is not None and now - self.hand.pull.heard > LOST:
+        # pages repeat a pull every 0.2 s: one that nobody has repeated for 0.6 s is over
+        if self.hand.pull is not None and time.perf_counter() - self.hand.pull.heard > 0.6:
             self.hand.take(None, self.data)
-        self._work()
+        if self.held:  # a grip grows firm in the 0.4 s in which the gripper closes
+            share = min(1.0, (self.time - self._closed) / 0.4)
+            self.model.equality("grip").solref[0] = SOFT * (STIFF / SOFT) ** share
         self._shown()
         if not self._waits:
             return
         self._due += self.period
         if (left := self._due - time.perf_counter()) > 0.0:
             time.sleep(left)
-        elif -left > _SLOWEST:
+        elif left < -0.25:  # [s] late: a computer that slept does not catch up
             self._due = time.perf_counter()
-        now = time.perf_counter()
-        self._each += LATELY * (now - self._before - self._each)
-        self._before = now
-
-    @property
-    def rate(self) -> float:
-        """Steps of the physics per second, lately."""
-        return PERIOD / TIMESTEP / self._each
 
     # ---- what a hand does -----------------------------------------------------------------------------------------
 
@@ -228,29 +198,30 @@ class TeachingArm:
         """Where the tip is, in the base [m]."""
         return self.data.site_xpos[self._tip].copy()
 
-    def handle_pose(self, number: int) -> list[float]:
-        """Place and quaternion (real part first) of a handle's body [m]."""
-        body = self._bodies[number]
-        return [*self.data.xpos[body].tolist(), *self.data.xquat[body].tolist()]
+    @property
+    def handle_pose(self) -> list[float]:
+        """Place and quaternion (real part first) of the handle's body [m]; empty without one."""
+        return [] if self._handle is None else [*self.handle_place.tolist(), *self.data.xquat[self._handle.id].tolist()]
 
-    def handle_place(self, number: int) -> Float[np.ndarray, " 3"]:
-        """Where a handle is [m]."""
-        return self.data.site_xpos[self._sites[number]].copy()
+    @property
+    def handle_place(self) -> Float[np.ndarray, " 3"]:
+        """Where the handle is [m]; infinitely far away without one."""
+        return np.full(3, np.inf) if self._handle is None else self.data.xpos[self._handle.id].copy()
 
     @property
     def touches(self) -> list[list[float]]:
         """Where links of the arm touch the furniture [m]."""
         return [contact.pos.tolist() for contact in self.data.contact[: self.data.ncon] if contact.dist < 0.0]
 
-    def opening(self, number: int) -> float:
-        """How far a handle has been moved [m or rad]; of a plane along its first direction."""
-        return float(self.data.qpos[self._ways[number]])
+    @property
+    def opening(self) -> float:
+        """How far the handle has been moved [m or rad]; of a plane along its first direction."""
+        return float(self.data.joint("handle_x").qpos[0]) if self._handle is not None else 0.0
 
-    def near(self) -> int | None:
-        """The handle within reach of the gripper, or None."""
-        gaps = [float(np.linalg.norm(self.handle_place(k) - self.place)) for k in range(len(self._sites))]
-        nearest = int(np.argmin(gaps)) if gaps else None
-        return nearest if nearest is not None and gaps[nearest] < REACHES else None
+    @property
+    def is_near(self) -> bool:
+        """True if the handle is within reach of the gripper."""
+        return bool(np.linalg.norm(self.handle_place - self.place) < REACHES)
 
     def pull(self, link: str | None, at: Any, to: Any, turn: Any = None) -> None:
         """Take a link of the arm, or the tip, and pull it.
@@ -270,24 +241,23 @@ class TeachingArm:
     def let_go(self) -> None:
         """Let the arm go; the gripper stays as it is."""
         self.hand.take(None, self.data)
-        if self._opened is not None and self.near() != self._opened:
-            self._opened = None
+        self._opened = self._opened and self.is_near
 
     def grip(self, closed: bool) -> bool:
         """Close the gripper on the handle within reach, or open it; whether it holds one now."""
-        if closed and self.held is None and (near := self.near()) is not None:
-            self._place_handle(near)
-            self.held, self._closed = near, self.time
-            self.model.eq_solref[self._grips[near], 0] = SOFT
-            self.data.eq_active[self._grips[near]] = 1
-        elif not closed and self.held is not None:
-            self.data.eq_active[self._grips[self.held]] = 0
-            self._opened, self.held = self.held, None
-        return self.held is not None
+        if closed and not self.held and self.is_near:
+            self._turn_handle()
+            self.held, self._closed = True, self.time
+            self.model.equality("grip").solref[0] = SOFT
+        elif not closed and self.held:
+            self._opened, self.held = True, False
+        if self._handle is not None:
+            self.data.eq_active[self.model.equality("grip").id] = self.held
+        return self.held
 
     def close_again(self) -> None:
         """Let the gripper close by itself once more where it was opened."""
-        self._opened = None
+        self._opened = False
 
     def close_when_near(self) -> bool:
         """Close the gripper on a handle that the hand has come to.
@@ -295,44 +265,22 @@ class TeachingArm:
         Where it was opened it stays open until the person has let the arm go elsewhere, or records again: a hand that
         had pushed a drawer shut comes back by its handle.
         """
-        near = self.near()
-        return self.held is None and near is not None and near != self._opened and self.grip(True)
-
-    def disturb(self, what: Literal["elbow", "hand"], rng: np.random.Generator) -> None:
-        """Push the joint in the middle of the arm, or pull the hand to a side, for a moment."""
-        model, data, torque = self.model, self.data, np.zeros(self.model.nv)
-        if what == "elbow":
-            joint = self._arm._u[len(self._arm._u) // 2]
-            torque[joint] = float(rng.choice([-1.0, 1.0])) * BUMP
-        else:
-            J, side = np.zeros((3, model.nv)), rng.normal(size=3)
-            self._mujoco.mj_jacSite(model, data, J, None, self._tip)
-            torque = J.T @ (STRONGEST * side / np.linalg.norm(side))
-        self.hand.push = torque, self.time + BUMPED
+        return not self.held and self.is_near and not self._opened and self.grip(True)
 
     def shut(self) -> None:
         """Open the gripper, and put what it moved back to where it was at first."""
         self.grip(False)
-        for k in range(len(self._sites)):
-            body = self.model.body(f"handle_{k}")
-            first, number = int(body.jntadr[0]), int(body.jntnum[0])
+        self._opened = False
+        if self._handle is not None:
+            first, number = int(self._handle.jntadr[0]), int(self._handle.jntnum[0])
             self.data.qpos[self.model.jnt_qposadr[first : first + number]] = 0.0
             self.data.qvel[self.model.jnt_dofadr[first : first + number]] = 0.0
-        self._opened = None
 
-    def _work(self) -> None:
-        """A grip grows firm while the gripper closes."""
-        if self.held is not None:
-            share = min(1.0, (self.time - self._closed) / CLOSES)
-            self.model.eq_solref[self._grips[self.held], 0] = SOFT * (STIFF / SOFT) ** share
-
-    def _place_handle(self, number: int) -> None:
+    def _turn_handle(self) -> None:
         """Turn a firm handle's site as the hand is turned, so that closing turns neither."""
-        mujoco, site = self._mujoco, self._sites[number]
-        if not self.scene.handles[number].firm:
-            return
-        self.model.site_sameframe[site] = 0  # else MuJoCo takes the body's frame for the site's without a look
-        back, turn = np.zeros(4), np.zeros(4)
-        mujoco.mju_negQuat(back, self.data.xquat[self._bodies[number]])
-        mujoco.mju_mat2Quat(turn, self.data.site_xmat[self._tip])
-        mujoco.mju_mulQuat(self.model.site_quat[site], back, turn)
+        site, back, turn = self.model.site("handle"), np.zeros(4), np.zeros(4)
+        if self._handle is not None and self.scene.handles[0].firm:
+            self.model.site_sameframe[site.id] = 0  # else MuJoCo takes the body's frame for the site's without a look
+            self._mujoco.mju_negQuat(back, self.data.xquat[self._handle.id])
+            self._mujoco.mju_mat2Quat(turn, self.data.site_xmat[self._tip])
+            self._mujoco.mju_mulQuat(self.model.site_quat[site.id], back, turn)

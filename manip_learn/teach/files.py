@@ -43,7 +43,7 @@ print(again)
 # 3. and in the browser
 ml.replay(robot, {{"as shown": again.rollout}}, html="again.html")
 """
-Taken = list[tuple[str, str, str]]  # name, path, and what it is
+Taken = tuple[str, str, str]  # name, path, and what it is
 
 
 @final
@@ -69,15 +69,13 @@ class Lesson:
 
 
 def _constraint(lesson: Lesson) -> Taken:
-    return [
-        ("constraint.json", str(lesson.file), "what was learnt, for `manip-learn control` and `ml.Constraint.load`")
-    ]
+    return "constraint.json", str(lesson.file), "what was learnt, for `manip-learn control` and `ml.Constraint.load`"
 
 
 def _csv(lesson: Lesson) -> Taken:
     content = _zipped([(Path(f).name, Path(f)) for f in lesson.files])
     path = write_atomically(lesson.out / "recordings_csv.zip", content)
-    return [(path.name, str(path), "the recordings, one CSV file each")]
+    return path.name, str(path), "the recordings, one CSV file each"
 
 
 def _lerobot(lesson: Lesson) -> Taken:
@@ -88,7 +86,7 @@ def _lerobot(lesson: Lesson) -> Taken:
     write_lerobot(folder, [motion_of_trajectory(t, robot) for t in load_demonstrations(list(lesson.files), robot)])
     inside = [(str(p.relative_to(lesson.out)), p) for p in sorted(folder.rglob("*")) if p.is_file()]
     path = write_atomically(lesson.out / "recordings_lerobot.zip", _zipped(inside))
-    return [(path.name, str(path), "the recordings as a LeRobot data set")]
+    return path.name, str(path), "the recordings as a LeRobot data set"
 
 
 def _replay(lesson: Lesson) -> Taken:
@@ -103,7 +101,7 @@ def _replay(lesson: Lesson) -> Taken:
         shown, constraints = {"as shown": repeat(skill, lesson.start).rollout}, None
     html = lesson.out / "replay.html"
     page = replay(robot, shown, html, tip=lesson.tip, constraint=constraints, open_browser=False)
-    return [("replay.html", str(page.html), "the replay, one file that needs no network")]
+    return "replay.html", str(page.html), "the replay, one file that needs no network"
 
 
 def _script(lesson: Lesson) -> Taken:
@@ -121,7 +119,7 @@ def _script(lesson: Lesson) -> Taken:
         run=run,
     )
     path = write_atomically(lesson.out / "taught.py", text)
-    return [("taught.py", str(path), f"the same steps in Python; run it in {lesson.out}")]
+    return "taught.py", str(path), f"the same steps in Python; run it in {lesson.out}"
 
 
 def _zipped(files: Sequence[tuple[str, Path]]) -> bytes:

@@ -9,11 +9,19 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.playback.mechanism_drawing import UPRIGHT
-
+UPRIGHT = 0.98  # cosine of the tilt up to which a chest stands on the floor
 BOARD, STANDOFF = 0.016, 0.045  # thickness of a board, and of the hand in front of it [m]
 _FRONT, BODY, HANDLE = "front", "body", "handle"
-Box = tuple[float, float, float, float, float, float, str]  # centre x, y, z, size x, y, z [m], and what it is
+Board = tuple[float, float, float, float, float, float, str]  # centre x, y, z, size x, y, z [m], and what it is
+
+
+def facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
+    """Return the pose of a handle that moves along a direction, upright unless that is vertical."""
+    up = np.array([0.0, 0.0, 1.0]) if abs(out[2]) < UPRIGHT else np.array([1.0, 0.0, 0.0])
+    right = np.cross(out, up) / np.linalg.norm(np.cross(out, up))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.column_stack([right, out, np.cross(right, out)]), handle
+    return pose
 
 
 def about(
@@ -32,7 +40,7 @@ def about(
     return pose, np.array([-cosine * radius, -sine * radius, 0.0])
 
 
-def drawer_boxes(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+def drawer_boards(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Board, ...], tuple[Board, ...]]:
     """A chest, on the floor if it is upright, and its drawer, deep enough to be pulled so far."""
     width, depth = float(np.clip(1.2 * travel, 0.26, 0.5)), travel + 0.08
     height = 0.42 * width
@@ -49,17 +57,12 @@ def drawer_boxes(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[B
     chest = _case(-0.5 * width, 0.5 * width, -0.5 * height, 0.5 * height, depth + BOARD, face - BOARD)
     below = float(pose[2, 3]) - 0.5 * height - BOARD
     if pose[2, 2] > UPRIGHT and below > 0.05:
-        n = max(1, round(below / height))
-        step = below / n
         back = face - 1.5 * BOARD - 0.5 * depth
         chest += ((0.0, back, -0.5 * height - BOARD - 0.5 * below, width + 2.0 * BOARD, depth + BOARD, below, BODY),)
-        for k in range(n):
-            z = -0.5 * height - BOARD - (k + 0.5) * step
-            chest += ((0.0, face - 0.5 * BOARD, z, width, BOARD, step - 0.6 * BOARD, _FRONT), *_handle(0.36 * width, z))
     return chest, moving
 
 
-def door_boxes(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+def door_boards(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Board, ...], tuple[Board, ...]]:
     """A cupboard and its door, from the axis to a little beyond the handle."""
     left, face = float(pivot[0]), float(pivot[1])
     right, half = -0.18 * left + 0.03, float(np.clip(-0.7 * left, 0.14, 0.4))
@@ -71,7 +74,7 @@ def door_boxes(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Box, ...], tuple[B
     return (*case, hinge), (leaf, (0.0, 0.0, 0.0, 0.014, 0.014, 2.0 * bar, HANDLE), *feet)
 
 
-def _case(left: float, right: float, low: float, high: float, depth: float, front: float) -> tuple[Box, ...]:
+def _case(left: float, right: float, low: float, high: float, depth: float, front: float) -> tuple[Board, ...]:
     """Five boards that are open in front, around an inner box [m]."""
     x, z, y = 0.5 * (left + right), 0.5 * (low + high), front - 0.5 * depth
     wide, tall = right - left + 2.0 * BOARD, high - low
@@ -82,7 +85,7 @@ def _case(left: float, right: float, low: float, high: float, depth: float, fron
     )
 
 
-def _handle(width: float, z: float = 0.0) -> tuple[Box, ...]:
+def _handle(width: float) -> tuple[Board, ...]:
     """A bar across, at which the hand is, and its two feet."""
-    feet = ((x * 0.42 * width, -0.5 * STANDOFF, z, 0.01, STANDOFF, 0.01, HANDLE) for x in (-1.0, 1.0))
-    return ((0.0, 0.0, z, width, 0.014, 0.014, HANDLE), *feet)
+    feet = ((x * 0.42 * width, -0.5 * STANDOFF, 0.0, 0.01, STANDOFF, 0.01, HANDLE) for x in (-1.0, 1.0))
+    return ((0.0, 0.0, 0.0, width, 0.014, 0.014, HANDLE), *feet)

@@ -19,7 +19,7 @@ from manip_learn.playback.live_viewer import live_page
 from manip_learn.playback.page_writer import REPLAY, packed
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import TeachingArm
-from manip_learn.teach.scene import MOVES, TASKS, TITLES, Handle, TeachingScene
+from manip_learn.teach.scene import MOVES, TASKS, TITLES, TeachingScene
 
 WEAK = 0.2  # least over largest singular value of the tip's translation, below which the weak direction is drawn
 AT_LIMIT = 0.01  # [rad or m] from a joint's limit at which the arm feels it
@@ -49,7 +49,7 @@ TEACH = replace(
             _FOLDER / f"{name}.js"
             for name in (
                 *("quality", "link", "pointing", "hand", "furniture", "drawing", "recordings", "answer", "ghosts"),
-                *("take", "panel", "tour", "teach"),
+                *("take", "panel", "teach"),
             )
         ),
     ),
@@ -95,7 +95,7 @@ class TeachingPicture:
             constraint: The learnt one, or None.
             rows: Rows whose manipulability counts, or None for the tip's translation.
         """
-        robot, hand, handles = self._robot, arm.hand, range(len(arm.scene.handles))
+        robot, hand, handles = self._robot, arm.hand, arm.scene.handles
         q, place = arm.q, arm.place
         U, sizes, _ = np.linalg.svd(robot.jacobian(q, self._tip)[:3], full_matrices=False)
         last = min(self._rank, len(sizes)) - 1
@@ -110,17 +110,16 @@ class TeachingPicture:
         return {
             "time": arm.time,
             "values": joint_tracks(robot, self._tree, q[None])[0].tolist(),
-            "furniture": [arm.handle_pose(k) for k in handles],
-            "held": [arm.held == k for k in handles],
-            "near": arm.near(),
+            "furniture": [arm.handle_pose for _ in handles],
+            "held": [arm.held for _ in handles],
+            "near": 0 if arm.is_near else None,
             "hand": None if hand.pull is None else held,
             "weak": {"direction": U[:, last].tolist(), "share": share} if share < WEAK else None,
             "mu": float(np.prod(sizes[: last + 1])) if rows is None else float(manipulability(rows, q)),
             "marks": None if constraint is None else self._marks(constraint, q, place),
             "limit": [name for name, gap in zip(robot.joint_names, gaps, strict=True) if gap < AT_LIMIT],
-            "opening": [arm.opening(k) for k in handles],
+            "opening": [arm.opening for _ in handles],
             "touches": arm.touches[:MOST_TOUCHES],
-            "rate": round(arm.rate),
         }
 
     def _marks(self, constraint: Constraint, q: np.ndarray, place: np.ndarray) -> dict[str, Any] | None:
@@ -145,62 +144,44 @@ def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
         "number": number,
         "kind": scene.kind,
         "title": TITLES[scene.kind],
-        "task": TASKS[scene.kind],
+        "task": TASKS[scene.handles[0].type]
+        if scene.handles
+        else "There is nothing to learn here: move the hand about.",
         "handles": [
-            {
-                "name": handle.name,
-                "unit": "rad" if handle.turns else "m",
-                "at": handle.pose[:3, 3].tolist(),
-                "firm": handle.firm,
-                "move": MOVES[handle.type],
-            }
-            for handle in scene.handles
+            {"name": h.name, "unit": "rad" if h.turns else "m", "at": h.pose[:3, 3].tolist(), "firm": h.firm}
+            | {"move": MOVES[h.type]}
+            for h in scene.handles
         ],
         "furniture": [
-            {
-                "fixed": {"pose": handle.pose.ravel().tolist(), "boxes": [list(box) for box in handle.fixed]},
-                "moving": {"boxes": [list(box) for box in handle.moving]},
-            }
-            for handle in scene.handles
+            {"fixed": {"pose": h.pose.ravel().tolist(), "boxes": h.fixed}, "moving": {"boxes": h.moving}}
+            for h in scene.handles
         ],
         "notes": list(scene.notes),
     }
 
 
 def truth_content(scene: TeachingScene, constraint: Constraint | None) -> dict[str, Any]:
-    """What the physics have, and how far off the learnt mechanism is."""
+    """Return what the physics have, and how far off the learnt mechanism is."""
     if not scene.handles:
         return {"sentence": "In truth nothing holds the hand here.", "errors": [], "lines": []}
-    words = [_in_truth(handle) for handle in scene.handles]
-    known, errors = None if constraint is None else constraint.mechanism, []
+    (handle,), known, errors = scene.handles, None if constraint is None else constraint.mechanism, []
     if known is not None and known.axis is not None:
         axis = np.asarray(known.axis)
-        handle = max(scene.handles, key=lambda one: (one.type == known.type, abs(float(one.axis @ axis))))
-        off = float(np.degrees(np.arccos(min(1.0, abs(float(axis @ handle.axis))))))
-        errors.append(["axis", f"{off:.2g} degrees off"])
+        errors.append(["axis", f"{np.degrees(np.arccos(min(1.0, abs(float(axis @ handle.axis))))):.2g} degrees off"])
         if known.point is not None and handle.turns:
             gap = float(np.linalg.norm(np.cross(handle.axis, np.asarray(known.point) - handle.point)))
             errors.append(["place", f"{1e3 * gap:.2g} mm off"])
         if known.type != handle.type:
             errors.append(["kind", f"taken for a {known.type}, is a {handle.type}"])
-    lines = [
-        packed(np.array([h.point - 0.4 * h.axis, h.point + 0.4 * h.axis]), "<f4")
-        for h in scene.handles
-        if h.type != "plane"
-    ]
-    return {"sentence": "In truth: " + "; ".join(words) + ".", "errors": errors, "lines": lines}
-
-
-def _in_truth(handle: Handle) -> str:
-    axis = "({:.3f}, {:.3f}, {:.3f})".format(*(handle.axis + 0.0))
-    place = "({:.3f}, {:.3f}, {:.3f})".format(*handle.point)
-    how = "firmly held" if handle.firm else "loosely held"
-    along = {
-        "line": f"slides along {axis}",
-        "plane": f"stays across the normal {axis}",
-        "hinge": f"turns about {axis} through {place}",
-    }[handle.type]
-    return f"the {handle.name} {along}, {how}, with {1e3 * handle.play:.1f} mm of play"
+    axis, place = ("({:.3f}, {:.3f}, {:.3f})".format(*(x + 0.0)) for x in (handle.axis, handle.point))
+    moves = {"line": "slides along", "plane": "stays across the normal", "hinge": f"turns, through {place}, about"}
+    how = f"{'firmly' if handle.firm else 'loosely'} held, with {1e3 * handle.play:.1f} mm of play"
+    ends = np.array([handle.point - 0.4 * handle.axis, handle.point + 0.4 * handle.axis])
+    return {
+        "sentence": f"In truth: the {handle.name} {moves[handle.type]} {axis}, {how}.",
+        "errors": errors,
+        "lines": [] if handle.type == "plane" else [packed(ends, "<f4")],
+    }
 
 
 def refusal_content(why: str, recordings: int, handles: bool) -> dict[str, Any]:
@@ -212,7 +193,7 @@ def refusal_content(why: str, recordings: int, handles: bool) -> dict[str, Any]:
         handles: Whether there is something to take hold of.
     """
     few = recordings < ENOUGH
-    another = handles or few
+    drawer = {"say": "Try a drawer", "said": {"do": "scene", "kind": "drawer"}}
     return {
         "sentence": "This was not understood." if few else "Nothing holds the hand, as far as can be seen.",
         "line": "",
@@ -224,29 +205,21 @@ def refusal_content(why: str, recordings: int, handles: bool) -> dict[str, Any]:
         if few
         else "Nothing that you showed holds the hand firmly. Take hold of something, move it as far as it goes and "
         "back, and begin each time from another posture.",
-        "offer": {
-            "say": "Record another one" if another else "Try a drawer",
-            "said": {"do": "record"} if another else {"do": "scene", "kind": "drawer"},
-        },
+        "offer": {"say": "Record another one", "said": {"do": "record"}} if handles or few else drawer,
     }
 
 
 def answer_content(content: Mapping[str, Any]) -> dict[str, Any]:
     """What the page says of what the worker learnt, and what to do next."""
-    uncertain, limit = content["uncertainty"], 1.0  # [degrees] to which a direction is to be known: 9 mm at 0.5 m
-    known = uncertain is not None and uncertain <= limit
-    sure = known and not content["warned"]
-    answer = content["answer"]
-    kind = LINES.get((answer["mechanism"] or {}).get("type", ""))
-    return {
-        **answer,
+    uncertain, answer = content["uncertainty"], content["answer"]
+    known = uncertain is not None and uncertain <= 1.0  # [degrees], which are 9 mm at 0.5 m
+    sure = known and not answer["warnings"]
+    kind, further = LINES.get((answer["mechanism"] or {}).get("type", "")), "Show it once more, from another posture, "
+    then = "let the arm do it." if sure else "read the warnings before you let the arm do it."
+    return answer | {
         "line": answer["sentence"]
         if kind is None
-        else f"{kind}{'.' if uncertain is None else f'; known to {uncertain:.2g}°.'}",
-        "next": "It is known well enough: let the arm do it."
-        if sure
-        else "It is known well enough; read the warnings before you let the arm do it."
-        if known
-        else f"Show it once more, from another posture, until it is known to {limit:g} degree.",
+        else kind + ("." if uncertain is None else f"; known to {uncertain:.2g}°."),
+        "next": f"It is known well enough: {then}" if known else f"{further}until it is known to 1 degree.",
         "offer": None if sure else {"say": "Record another one", "said": {"do": "record"}},
     }

@@ -8,8 +8,8 @@ furniture stops the arm's links, but for the hand; what is moved does not.
 # (the compiled parts of MuJoCo have no complete stubs)
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any, Literal, final
 
@@ -19,15 +19,15 @@ from scipy.spatial.transform import Rotation
 
 from manip_learn.constraint.features.frame_jacobian import pose_error
 from manip_learn.constraint.place import across
-from manip_learn.errors import ConfigurationError, MissingExtraError, counted
+from manip_learn.errors import ConfigurationError, MissingExtraError, counted, few
 from manip_learn.planning.clearance import hand_of, links_of
+from manip_learn.planning.scene import Box, Scene
 from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.mechanism_drawing import facing
-from manip_learn.robot.collision import collision_shapes, known_shapes, obstacles_of
+from manip_learn.robot.collision import collision_shapes, known_shapes
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 from manip_learn.robot.visuals.visual_shapes import Solid
-from manip_learn.teach.furniture import BODY, HANDLE, Box, about, door_boxes, drawer_boxes
+from manip_learn.teach.furniture import BODY, HANDLE, Board, about, door_boards, drawer_boards, facing
 
 Kind = Literal["drawer", "door", "loose-door", "table", "free"]
 TITLES: dict[Kind, str] = {
@@ -37,35 +37,31 @@ TITLES: dict[Kind, str] = {
     "table": "A table to wipe",
     "free": "Nothing at all: free space",
 }
-TASKS: dict[Kind, str] = {
-    "drawer": "Take the hand to the handle, pull the drawer open and push it shut.",
-    "door": "Take the hand to the handle, swing the door open and shut it.",
-    "loose-door": "Take the hand to the handle, swing the door open and shut it.",
-    "table": "Take the hand to the sponge and wipe the table to and fro, in both directions.",
-    "free": "Move the hand about as you like: there is nothing to learn here.",
-}
-# type of a handle -> what to do with it
+# type of a handle -> what to do with it, and with the whole scene
 MOVES = {"line": "Pull it open", "hinge": "Swing it open", "plane": "Wipe to and fro"}
+TASKS = {
+    "line": "Take the hand to the handle, pull the drawer open and push it shut.",
+    "hinge": "Take the hand to the handle, swing the door open and shut it.",
+    "plane": "Take the hand to the sponge and wipe the table to and fro, in both directions.",
+}
+
+FIRST_SEED = 3  # of the first scenes: what stands there stands beside the arm, so that neither hides the other
+# robot and scene -> posture with the hand at the handle of the first scene [rad], from which the law without a
+# null-space policy stops after less than a third of the way, and a plan does all of it. Found among random postures at
+# the handle, clear of the furniture and of the arm's own links, those of the least manipulability first: each was
+# simulated for the recordings of two scripted persons, and the first one taken whose plan follows a recording.
+HARD_STARTS: dict[tuple[str, Kind], tuple[float, ...]] = {
+    ("sawyer", "door"): (-2.021, -1.637, 2.097, 2.281, 2.91, -0.662, -3.783),
+    ("sawyer", "drawer"): (-0.845, 0.408, -0.439, -1.315, -1.141, 2.838, -4.571),
+}
 
 TIMESTEP = 0.002  # [s], 500 steps a second
-STIFF, SOFT = 2.0 * TIMESTEP, 0.12  # [s] in which a grip settles: the firmest that the time step allows, and at first
-CLOSES = 0.4  # [s] in which a gripper closes
+STIFF = 2.0 * TIMESTEP  # [s] in which stops and grips settle: the firmest that the time step allows
 # share of a load that stops and grips take, least and most, over 1 mm: below 1 as MuJoCo demands, and so near that a
 # person's 60 N moves them by less than encoders tell
 STIFF_SOLIMP = (0.9999, 0.99999, 0.001, 0.5, 2.0)
-# damping [N m s/rad], dry friction [N m], rotor inertia [kg m2] of the drives: as guided arms of this size have them
-UPPER, FORE, WRIST = (4.0, 0.5, 0.10), (3.0, 0.3, 0.10), (1.0, 0.1, 0.02)
-SLIDING = (40.0, 4.0, 2.0)  # likewise of a sliding joint [N s/m], [N], [kg]
-LEAST_MASS, LEAST_INERTIA = 0.05, 1e-4  # [kg], [kg m2] where a description has none: lighter links need a shorter step
+LEAST_MASS = 0.05  # [kg] where a description has none: lighter links need a shorter step
 REACHES = 0.03  # [m] from the handle within which the gripper can close: the opening of a common gripper
-_AWAY = 0.16  # [m] from the handle to where the hand begins, so that a recording has a way to it
-ON_PATH = 1e-4  # [m or rad] to which a posture is on the mechanism's path: below what encoders tell
-WEAKEST = 0.075  # least singular value of the tip's rows [m/rad] that counts as away from a singularity
-NEWTON_STEPS, LARGEST_STEP = 12, 0.3  # to a place, and of all joints together [rad]: linearised they are near enough
-NEAR_LIMIT = 0.06  # share of its range that each joint keeps from its limits along the whole motion
-TRIES = 400  # random places for a mechanism: one in three to one in thirty are within reach
-CLEAR = 0.01  # [m] that the links keep from the furniture while the hand moves it: a person's elbow swings by more
-STATIONS = 25  # of a mechanism's motion at which the arm must reach it
 
 
 @final
@@ -95,22 +91,13 @@ class Handle:
     travel: float
     play: float
     friction: float
-    fixed: tuple[Box, ...]
-    moving: tuple[Box, ...]
+    fixed: tuple[Board, ...]
+    moving: tuple[Board, ...]
 
     @property
     def turns(self) -> bool:
         """Whether it turns rather than slides."""
         return self.type == "hinge"
-
-    @property
-    def solids(self) -> Iterator[tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 3"]]]:
-        """Poses in the base and sizes of the boxes that stop an arm [m]."""
-        for x, y, z, *size, what in self.fixed:
-            if what != HANDLE:
-                at = self.pose.copy()
-                at[:3, 3] += at[:3, :3] @ [x, y, z]
-                yield at, np.array(size)
 
     def moved(self, by: float, beside: float = 0.0) -> Float[np.ndarray, "4 4"]:
         """The handle's pose when it has moved by some way [m or rad], and in a plane by another beside that [m]."""
@@ -125,14 +112,12 @@ class Handle:
             pose[:3, 3] += by * self.axis
         return pose
 
-    def stations(self) -> Iterator[Float[np.ndarray, "4 4"]]:
+    def stations(self) -> list[Float[np.ndarray, "4 4"]]:
         """Poses all over its motion, each near the one before."""
         if self.type == "plane":
-            for angle in np.linspace(0.0, 2.0 * np.pi, STATIONS):
-                yield self.moved(self.travel * np.sin(angle), self.travel * np.sin(2.0 * angle))
-        else:
-            for by in np.linspace(0.0, self.travel, STATIONS):
-                yield self.moved(float(by))
+            angles = np.linspace(0.0, 2.0 * np.pi, 25)
+            return [self.moved(self.travel * np.sin(x), self.travel * np.sin(2.0 * x)) for x in angles]
+        return [self.moved(by) for by in np.linspace(0.0, self.travel, 25)]
 
 
 @final
@@ -152,9 +137,36 @@ class TeachingScene:
     kind: Kind
     robot: Robot
     tip: str
-    handles: tuple[Handle, ...]
+    handles: tuple[Handle, ...]  # none, or one
     start: Float[np.ndarray, " nv"]
     notes: tuple[str, ...] = ()
+
+    @property
+    def around(self) -> Scene:
+        """What stands still, and stops an arm; its hand may touch that."""
+        return around(self.handles)
+
+    @property
+    def hard_start(self) -> tuple[float, ...] | None:
+        """Posture at the handle from which only a planned motion does the task [rad]; None where none is known."""
+        start = HARD_STARTS.get((self.robot.name, self.kind))
+        if (
+            start is None or np.linalg.norm(self.robot.position(start, self.tip) - self.handles[0].pose[:3, 3]) > 0.01
+        ):  # [m]
+            return None
+        return start
+
+
+def around(handles: Iterable[Handle]) -> Scene:
+    """Return the boxes that stand still around handles, in the robot's base."""
+    boxes = []
+    for handle in handles:
+        for x, y, z, *size, what in handle.fixed:
+            if what != HANDLE:
+                pose = handle.pose.copy()
+                pose[:3, 3] += pose[:3, :3] @ [x, y, z]
+                boxes.append(Box(tuple(size), pose, f"{handle.name} {len(boxes) + 1}"))
+    return Scene(boxes=boxes, handled=[box.name for box in boxes])
 
 
 def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) -> TeachingScene:
@@ -182,9 +194,9 @@ def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) ->
     if kind == "free":
         start = next(reach.postures(None))
         return TeachingScene(kind, robot, tip, (), start, notes)
-    for _ in range(TRIES):
-        if (found := reach.place(kind)) is not None:
-            return TeachingScene(kind, robot, tip, found[:1], found[1], notes)
+    for _ in range(400):  # random places: one in three to one in thirty are within reach
+        if (placed := reach.place(kind)) is not None:
+            return TeachingScene(kind, robot, tip, placed[:1], placed[1], notes)
     raise ConfigurationError(
         f"no place was found where {robot.name!r} can do this with {tip!r}: {TITLES[kind].lower()}; try another scene, "
         "or another frame with --frame"
@@ -197,16 +209,10 @@ def _assumed(robot: Robot) -> Iterator[str]:
     if known_shapes(robot) == "links":
         yield "no shapes: capsules along the links are stopped by the furniture"
     if light:
-        yield (
-            f"{counted(len(light), 'link')} without mass ({', '.join(light[:3])}{', ...' * (len(light) > 3)}): "
-            f"taken as {LEAST_MASS:g} kg"
-        )
+        yield f"{counted(len(light), 'link')} without mass ({few(light)}): taken as {LEAST_MASS:g} kg"
     unlimited = [n for n, v in zip(robot.joint_names, robot.velocity_limit, strict=True) if not np.isfinite(v)]
     if unlimited:
-        yield (
-            f"{counted(len(unlimited), 'joint')} without a velocity limit ({', '.join(unlimited[:3])}): the arm moves "
-            "by itself at most at what its task asks for"
-        )
+        yield f"{counted(len(unlimited), 'joint')} without a velocity limit ({few(unlimited)}): taken as 1.5 rad/s"
 
 
 @final
@@ -216,18 +222,19 @@ class _Reach:
     def __init__(self, robot: Robot, tip: str, rng: np.random.Generator):
         self._robot, self._tip, self._rng = robot, tip, rng
         self._links, self._hand = links_of(robot)[0], hand_of(robot, robot.frame(tip))
-        drawn = [self._drawn() for _ in range(200)]
-        places = np.array([robot.position(q, tip) for q in drawn])
+        places = np.array([robot.position(self._drawn(), tip) for _ in range(200)])
         self._far = float(np.quantile(np.linalg.norm(places, axis=1), 0.95))
         self._flat = bool(np.ptp(places[:, 2]) < 1e-6)
         self._rank = 2 if self._flat else 6
-        frame = robot.pinocchio_model.frames[robot.frame(tip).index]
-        lever = frame.placement.translation
+        frames = robot.pinocchio_model.frames  # all moving links but the first are to be above the floor
+        self._links_above = [f.name for f in frames if f.parentJoint > 1 and f.name in robot.frame_names]
+        hand = robot.pinocchio_model.frames[robot.frame(tip).index].placement
+        far = float(np.linalg.norm(hand.translation))
         # the way that a hand points: from its last joint to the tip, or along z where the tip is on the joint
-        self._points = lever / np.linalg.norm(lever) if np.linalg.norm(lever) > 0.01 else np.array([0.0, 0.0, 1.0])
-        self._points = frame.placement.rotation.T @ self._points
+        self._points = hand.rotation.T @ (hand.translation / far if far > 0.01 else np.array([0.0, 0.0, 1.0]))
         low, high = robot.position_lower, robot.position_upper
-        self._margin = np.where(np.isfinite(high - low), NEAR_LIMIT * (high - low), 0.0)
+        # room that each joint keeps from its limits along the whole motion
+        self._margin = np.where(np.isfinite(high - low), 0.06 * (high - low), 0.0)
 
     def _drawn(self) -> Float[np.ndarray, " nv"]:
         return self._robot.positions(self._robot.random_configuration(self._rng))
@@ -240,18 +247,14 @@ class _Reach:
             x, points = pose[:3, 3], pose[:3, :3] @ self._points
             if not 0.4 * self._far < np.linalg.norm(x) < 0.85 * self._far or self._margin_of(q) < 0.0:
                 continue
-            if not self._flat and (x[2] < 0.15 * self._far or self._lowest(q) < 0.0):
+            if not self._flat and (
+                x[2] < 0.15 * self._far or min(self._robot.position(q, name)[2] for name in self._links_above) < 0.0
+            ):
                 continue
             flat = np.linalg.norm(x[:2])
             outward = float(points[:2] @ x[:2]) / flat if flat > 1e-6 else 0.0
             if self._flat or toward is None or (outward > 0.6 if toward == "ahead" else points[2] < -0.7):
                 yield q
-
-    def _lowest(self, q: np.ndarray) -> float:
-        """Height of the lowest moving link but the first above the floor [m]."""
-        robot, model = self._robot, self._robot.pinocchio_model
-        names = [f.name for f in model.frames if f.parentJoint > 1 and f.name in robot.frame_names]
-        return min((float(robot.position(q, name)[2]) for name in names), default=0.0)
 
     def _margin_of(self, q: np.ndarray) -> float:
         robot = self._robot
@@ -266,13 +269,14 @@ class _Reach:
         if way is None:
             return None
         begin = pose.copy()
-        begin[:3, 3] += _AWAY * away
+        begin[:3, 3] += 0.16 * away  # [m], so that a recording has a way to the handle
         start = posture_at(self._robot, self._tip, q, begin, False, self._rank)
         if start is None or self._margin_of(start) < 0.0:
             return None
-        solids = [o for at, size in handle.solids for o in obstacles_of("", at, Solid("box", tuple(size)), self._hand)]
-        clear = self._links.with_obstacles(solids, False)
-        return (handle, start) if all(clear.is_clear(x, CLEAR) for x in (*way, start)) else None
+        solids = around([handle]).obstacles(self._robot)
+        clear = self._links.with_obstacles([replace(one, may_touch=self._hand) for one in solids], False)
+        # [m] of room while the hand moves it: a person's elbow swings by more
+        return (handle, start) if all(clear.is_clear(x, 0.01) for x in (*way, start)) else None
 
     def _handle(self, kind: Kind, at: np.ndarray, points: np.ndarray) -> tuple[Handle, Float[np.ndarray, " 3"]]:
         """A mechanism of random size with its handle at a place, in front of a hand; and the way off it."""
@@ -283,8 +287,8 @@ class _Reach:
         if kind == "drawer":
             travel = float(rng.uniform(0.2, 0.32)) * size
             pose = facing(out, at)
-            boxes = drawer_boxes(travel, pose)
-            made = Handle("drawer", "line", pose, out, at, False, travel, play, float(rng.uniform(1.0, 4.0)), *boxes)
+            boards = drawer_boards(travel, pose)
+            made = Handle("drawer", "line", pose, out, at, False, travel, play, float(rng.uniform(1.0, 4.0)), *boards)
             return made, out
         if kind in ("door", "loose-door"):
             axis = float(rng.choice([-1.0, 1.0])) * up
@@ -294,7 +298,7 @@ class _Reach:
             travel, friction = float(rng.uniform(0.6, 1.1)), float(rng.uniform(0.1, 0.5))
             point = pose[:3, :3] @ pivot + at
             firm = kind == "door"
-            made = Handle("door", "hinge", pose, axis, point, firm, travel, play, friction, *door_boxes(pivot))
+            made = Handle("door", "hinge", pose, axis, point, firm, travel, play, friction, *door_boards(pivot))
             return made, out
         normal = -points if self._flat else rotation_matrix(rng.normal(0.0, 0.12, 3)) @ up
         pose = np.eye(4)
@@ -323,7 +327,6 @@ def posture_at(
     wanted: Float[np.ndarray, "4 4"],
     firm: bool,
     rank: int = 6,
-    weakest: float = WEAKEST,
 ) -> Float[np.ndarray, " nv"] | None:
     """The next posture with the tip at a pose, by Newton steps; None where that is singular or out of reach.
 
@@ -334,16 +337,15 @@ def posture_at(
         wanted: Pose of the tip in the base [m].
         firm: Whether the hand is turned as well; else its place alone counts.
         rank: Number of directions in which the tip can move at all: three for an arm in a plane.
-        weakest: Least singular value of the tip's rows that is taken [m/rad].
     """
-    for _ in range(NEWTON_STEPS):
+    for _ in range(12):
         pose, J = robot.pose(q, tip), robot.jacobian(q, tip)
         error = pose_error(pose, wanted, own_axes=False)[: 6 if firm else 3]
-        if np.linalg.norm(error) < ON_PATH:
-            sizes = np.linalg.svd(J[: len(error)], compute_uv=False)
-            return q if sizes[min(len(sizes), len(error), rank) - 1] >= weakest else None
+        if np.linalg.norm(error) < 1e-4:  # [m or rad]: below what encoders tell
+            sizes = np.linalg.svd(J[: len(error)], compute_uv=False)  # [m/rad]; 0.075 is away from a singularity
+            return q if sizes[min(len(sizes), len(error), rank) - 1] >= 0.075 else None
         step = np.linalg.pinv(J[: len(error)], rcond=1e-3) @ error
-        q = q + step * min(1.0, LARGEST_STEP / max(float(np.linalg.norm(step)), 1e-12))
+        q = q + step * min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-12))  # [rad]: linearised they are near enough
     return None
 
 
@@ -365,8 +367,8 @@ def physics() -> ModuleType:
 
 
 def scene_model(scene: TeachingScene) -> object:
-    """The scene as a `mujoco.MjModel`: the arm's joints by their names, then `handle_<i>`, which the equality
-    `grip_<i>` can hold at the site `tip`.
+    """The scene as a `mujoco.MjModel`: the arm's joints by their names, then the body `handle`, which the
+    equality `grip` can hold at the site `tip`.
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
@@ -377,11 +379,11 @@ def scene_model(scene: TeachingScene) -> object:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.tolerance = 1e-10
     _add_arm(mujoco, spec, scene)
-    for number, handle in enumerate(scene.handles):
-        _add_handle(mujoco, spec, handle, number)
-        for at, size in handle.solids:
-            made = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=at[:3, 3], quat=_quaternion(at[:3, :3]))
-            made.size, made.contype, made.conaffinity = 0.5 * size, 0, 1
+    for handle in scene.handles:
+        _add_handle(mujoco, spec, handle)
+    for box in scene.around.boxes:
+        made = _add_geom(mujoco, spec, spec.worldbody, np.asarray(box.pose), box.shape, box.name)
+        made.contype, made.conaffinity = 0, 1
     return spec.compile()
 
 
@@ -399,14 +401,18 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
         inertia = model.inertias[i]
         body.mass, body.ipos, body.explicitinertial = max(inertia.mass, LEAST_MASS), inertia.lever, True
         moments, axes = np.linalg.eigh(inertia.inertia)
-        body.inertia = _possible(np.maximum(moments, LEAST_INERTIA))
+        moments = np.maximum(moments, 1e-4)  # [kg m2]
+        body.inertia = np.minimum(
+            moments, np.sum(np.sort(moments)[:2])
+        )  # none of a body is above the sum of the others
         body.iquat = _quaternion(axes * np.linalg.det(axes))
         kind = mujoco.mjtJoint.mjJNT_HINGE if joint.motion == "revolute" else mujoco.mjtJoint.mjJNT_SLIDE
         made = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
         left = len(chain) - chain.index(i) if i in chain else 1  # joints from here to the tip
-        drive = SLIDING if joint.motion == "prismatic" else WRIST if left <= 3 else FORE if left <= 5 else UPPER
-        _set_damping(made, drive[0])
-        made.frictionloss, made.armature = drive[1:]
+        # damping [N m s/rad], dry friction [N m], rotor inertia [kg m2] as guided arms have; the last ones of a slide
+        revolute = (1.0, 0.1, 0.02) if left <= 3 else (3.0, 0.3, 0.10) if left <= 5 else (4.0, 0.5, 0.10)
+        damping, made.frictionloss, made.armature = (40.0, 4.0, 2.0) if joint.motion == "prismatic" else revolute
+        _set_damping(made, damping)
         low, high = limits.get(joint.name, (-np.inf, np.inf))
         if np.isfinite(low) and np.isfinite(high):
             made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
@@ -414,14 +420,8 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
     hand = hand_of(robot, robot.frame(scene.tip))
     shapes = collision_shapes(robot, known_shapes(robot)) if scene.handles else ()
     for k, shape in enumerate(one for one in shapes if one.joint and one.link not in hand):
-        solid, at = shape.geometry, shape.placement
-        made = bodies[shape.joint].add_geom(pos=at[:3, 3], quat=_quaternion(at[:3, :3]), contype=1, conaffinity=0)
-        if getattr(solid, "points", None) is not None:  # a hull
-            spec.add_mesh(name=f"link_{k}", uservert=np.array(solid.points()).ravel())
-            made.type, made.meshname = mujoco.mjtGeom.mjGEOM_MESH, f"link_{k}"
-            continue
-        made.type = getattr(mujoco.mjtGeom, f"mjGEOM_{type(solid).__name__.upper()}")
-        made.size = getattr(solid, "halfSide", (getattr(solid, "radius", 0.0), getattr(solid, "halfLength", 0.0), 0.0))
+        made = _add_geom(mujoco, spec, bodies[shape.joint], shape.placement, shape.shape, f"link_{k}")
+        made.contype, made.conaffinity = 1, 0
     for mimic in robot.mimics:
         led = spec.add_equality(name=f"{mimic.joint}_follows", type=mujoco.mjtEq.mjEQ_JOINT)
         led.objtype, led.name1, led.name2 = mujoco.mjtObj.mjOBJ_JOINT, mimic.joint, mimic.leader
@@ -431,56 +431,60 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
     )
 
 
-def _add_handle(mujoco: Any, spec: Any, handle: Handle, number: int) -> None:
-    name, axes = f"handle_{number}", handle.pose[:3, :3]
+def _add_handle(mujoco: Any, spec: Any, handle: Handle) -> None:
+    name, axes = "handle", handle.pose[:3, :3]
     body = spec.worldbody.add_body(name=name, pos=handle.pose[:3, 3], quat=_quaternion(axes))
     body.mass, body.inertia, body.explicitinertial, body.gravcomp = 1.5, np.full(3, 0.01), True, 1.0
     slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
     axis, point = axes.T @ handle.axis, axes.T @ (handle.point - handle.pose[:3, 3])
 
-    def joint(kind: Any, along: np.ndarray, label: str, friction: float, reach: float | None) -> None:
+    def joint(kind: Any, along: np.ndarray, label: str, friction: float, reach: tuple[float, float] | None) -> None:
         made = body.add_joint(name=f"{name}_{label}", type=kind, axis=along, pos=point)
         _set_damping(made, 4.0 if kind == slide else 0.2)
         made.frictionloss = friction
         if reach is not None:
-            made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-reach, reach]
+            made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, reach
             made.solref_limit, made.solimp_limit = (STIFF, 1.0), STIFF_SOLIMP
 
-    sides = [axis] if handle.type == "plane" else list(across(axis))
-    for k, side in enumerate(sides):
-        joint(slide, side, f"play_{k}", 0.0, handle.play)
+    for k, side in enumerate([axis] if handle.type == "plane" else across(axis)):
+        joint(slide, side, f"play_{k}", 0.0, (-handle.play, handle.play))
     if handle.type == "plane":
         joint(slide, np.array([1.0, 0.0, 0.0]), "x", handle.friction, None)
         joint(slide, np.array([0.0, 1.0, 0.0]), "y", handle.friction, None)
-    elif handle.type == "line":
-        joint(slide, axis, "x", handle.friction, None)
-        _stops(mujoco, body, handle.travel)
-    else:
-        joint(hinge, axis, "x", handle.friction, None)
-        _stops(mujoco, body, handle.travel)
+    else:  # it stops where it is shut, and a little beyond where it is open
+        joint(hinge if handle.turns else slide, axis, "x", handle.friction, (0.0, 1.1 * handle.travel))
     body.add_site(name=name)
-    grip = spec.add_equality(
-        name=f"grip_{number}", type=mujoco.mjtEq.mjEQ_WELD if handle.firm else mujoco.mjtEq.mjEQ_CONNECT
-    )
+    grip = spec.add_equality(name="grip", type=mujoco.mjtEq.mjEQ_WELD if handle.firm else mujoco.mjtEq.mjEQ_CONNECT)
     grip.objtype, grip.name1, grip.name2, grip.active = mujoco.mjtObj.mjOBJ_SITE, "tip", name, False
     grip.solref, grip.solimp = (STIFF, 1.0), STIFF_SOLIMP
 
 
-def _stops(mujoco: Any, body: Any, travel: float) -> None:
-    """The last joint of a body ends where it is shut, and a little beyond where it is open."""
-    made = body.joints[-1]
-    made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [0.0, 1.1 * travel]
-    made.solref_limit, made.solimp_limit = (STIFF, 1.0), STIFF_SOLIMP
+def _add_geom(mujoco: Any, spec: Any, body: Any, at: Float[np.ndarray, "4 4"], shape: Any, name: str) -> Any:
+    """Add a solid, or the convex hull of a mesh, to a body and return it.
+
+    Args:
+        mujoco: The module.
+        spec: The model that is made.
+        body: Of that model.
+        at: Pose of the shape in the body's frame [m].
+        shape: As `CollisionShape.shape` and `Thing.shape` have it.
+        name: Of its mesh.
+    """
+    made = body.add_geom(pos=at[:3, 3], quat=_quaternion(at[:3, :3]))
+    if not isinstance(shape, Solid):
+        spec.add_mesh(name=name, uservert=np.array(shape.vertices).ravel())
+        made.type, made.meshname = mujoco.mjtGeom.mjGEOM_MESH, name
+        return made
+    made.type = getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}")
+    halves = np.array(shape.size)  # MuJoCo has half lengths, and a whole radius
+    halves[slice(None) if shape.kind == "box" else slice(1, None)] *= 0.5
+    made.size[: len(halves)] = halves
+    return made
 
 
 def _quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 4"]:
     """As MuJoCo writes it, the real part first."""
     return Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
-
-
-def _possible(moments: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    """Principal moments of inertia that a body can have: none above the sum of the others."""
-    return np.minimum(moments, np.sum(np.sort(moments)[:2]))
 
 
 def _set_damping(joint: Any, damping: float) -> None:

@@ -6,9 +6,11 @@ import json
 import queue
 import re
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, cast, final
+from typing import Any, cast, final
 
 import numpy as np
 from jaxtyping import Float
@@ -16,56 +18,80 @@ from jaxtyping import Float
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.skill import Skill
-from manip_learn.control.command import Controller
 from manip_learn.control.contact import STIFFNESS, Contact
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.driver import run
-from manip_learn.control.joint_motion import FollowMotion
-from manip_learn.control.limits import RETURN_SPEED
+from manip_learn.control.joint_motion import JointMotion, LawSequence, every_joint
+from manip_learn.control.limits import Limits
 from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.control.tasks import FreeDirection
+from manip_learn.control.tasks.motion import FreeDirection, motion
 from manip_learn.drivers.record import record
 from manip_learn.errors import ManipLearnError, counted
 from manip_learn.linalg import finite
+from manip_learn.planning.repeat import Repetition
+from manip_learn.playback.live_viewer import LiveProcess
 from manip_learn.playback.palette import COLOURS
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import PERIOD, TeachingArm
-from manip_learn.teach.picture import (
-    ENOUGH,
-    TeachingPicture,
-    answer_content,
-    refusal_content,
-    scene_content,
-    truth_content,
-)
-from manip_learn.teach.scene import MOVES, TITLES, Kind, place_scene
-from manip_learn.teach.way import ARRIVES, TaughtRecording, TaughtWay, handle_near, limits_of
-from manip_learn.teach.worker import TeachingWorker, ghost
+from manip_learn.teach.picture import TeachingPicture, answer_content, refusal_content, scene_content, truth_content
+from manip_learn.teach.scene import MOVES, Kind, place_scene
+from manip_learn.teach.worker import TeachingWorker, distance_in_words, first_way, ghost
 
 LEFT = 30.0  # [s] without a page after which the program ends: who pressed Back by mistake comes back in less
-_SAID = 0.1  # [s] between two looks at the state as a whole
-_FEW = 3  # recordings below which no evidence can be had
-FARTHEST = 100.0  # [m or rad] that a page may ask for: no arm reaches so far, and its square is still a number
-STAYS = 0.3  # [s] at the end of a way before a run counts as done
-YIELDS, GENTLY = 45.0, 2.0  # [N] at the hand on which the arm lets go, and [rad/s2] with which it moves by itself
-SLOWER = 3.0  # times, and seconds, that a run may take beyond what its way needs: a person may push against it
-_NEAR = 0.01  # [rad or m] from a posture at which the arm is there
-THERE, BY_HAND = "there", "stopped by hand"  # why a motion ended
+FEW = 3  # recordings below which no evidence can be had
+BY_HAND = "stopped by hand"  # why a motion ended
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,60}")
+FIRST = "There is nothing to {} yet: record the task first."
 
 
-class Shows(Protocol):
-    """Where messages go, as `LiveProcess` takes them."""
+@final
+@dataclass
+class TaughtRecording:
+    """One recording.
 
-    def put(self, message: Callable[[], str], slot: str) -> None:
-        """The newest message of a slot."""
-        ...
+    Attributes:
+        path: The file.
+        q: shape (T, nv), its postures [rad or m].
+        time: shape (T,) [s].
+        phases: Start [s], end [s] and number of the constraint, -1 for free motion.
+        odd: Why it does not agree with the others.
+    """
 
-    def offer(self, files: Mapping[str, Path]) -> None:
-        """Files that may be fetched by their names."""
-        ...
+    path: Path
+    q: Float[np.ndarray, "T nv"]
+    time: Float[np.ndarray, " T"]
+    phases: list[list[float]] = field(default_factory=list)
+    odd: str = ""
+
+    @staticmethod
+    def load(path: Path, robot: Robot) -> TaughtRecording:
+        """Read a recording.
+
+        Args:
+            path: The file.
+            robot: Whose recording it is.
+
+        Returns:
+            The recording, without phases.
+
+        Raises:
+            ManipLearnError: It is no recording of this robot.
+        """
+        (read,) = load_demonstrations([str(path)], robot)
+        return TaughtRecording(path, read.q, read.time)
+
+    @property
+    def seconds(self) -> float:
+        """Its duration [s]."""
+        return float(np.ptp(self.time)) if len(self.time) else 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the recording for the page, with times from its first sample on."""
+        first = float(self.time[0]) if len(self.time) else 0.0
+        phases = [[start - first, end - first, k] for start, end, k in self.phases]
+        numbers = {"seconds": round(self.seconds, 2), "samples": len(self.time)}
+        return {"name": self.path.stem, **numbers, "odd": self.odd, "phases": phases}
 
 
 @final
@@ -79,7 +105,7 @@ class TeachingSession:
         tip: Its frame that is guided.
         keep: Folder for all that is recorded and learnt.
         kind: First scene.
-        seed: Of places and noise.
+        seed: Of places and noise: the first scene of each kind has this one, the next ones those after it.
         shows: Where pictures and words go.
         in_real_time: Whether the physics wait for the clock.
 
@@ -88,12 +114,11 @@ class TeachingSession:
     """
 
     def __init__(
-        self, robot: Robot, tip: str, keep: Path, kind: Kind, seed: int, shows: Shows, *, in_real_time: bool = True
+        self, robot: Robot, tip: str, keep: Path, kind: Kind, seed: int, shows: LiveProcess, in_real_time: bool = True
     ):
         self.robot, self.tip, self.keep = robot, tip, keep
-        self._limits = limits_of(robot, tip)
         self._shows, self._real = shows, in_real_time
-        self._rng = np.random.default_rng(seed)
+        self._seed, self._placed = seed, Counter[str]()
         self._heard: queue.SimpleQueue[Mapping[str, Any]] = queue.SimpleQueue()
         self._picture = TeachingPicture(robot, tip)
         self._worker = TeachingWorker(robot, tip)
@@ -101,11 +126,29 @@ class TeachingSession:
         self._leader, self._left, self._opened = "", np.inf, False
         self._mode: Callable[[], None] | None = None
         self._doing, self._sentence, self._wrong = "idle", "", False
-        self._ended, self._stop, self._seq, self._number = False, False, 0, 0
-        self._number_of_ghosts = self._files_written = 0
+        self._ended = self._stop = False
+        self._seq = self._number = self._number_of_ghosts = self._files_written = 0
         self._put: dict[str, str] = {}
         self._looked = self._began = 0.0
-        self._acts = self._buttons()
+        self._acts: dict[str, Callable[[Mapping[str, Any]], None]] = {
+            "pull": self._pull,
+            "release": lambda _: self.arm.let_go(),
+            "grip": self._grip,
+            "scene": lambda said: self._begin(lambda kind=str(said["kind"]): self._place(cast(Kind, kind))),
+            "home": lambda _: self._begin(self._home),
+            "record": lambda _: self._start_or_stop(),
+            "rename": self._rename,
+            "delete": self._delete,
+            "replay": self._replay,
+            "ghosts": lambda _: self._show("ghosts", None),
+            "learn": lambda _: self._learn(),
+            "truth": lambda said: setattr(self, "_truth_shown", bool(said["show"])),
+            "run": lambda _: self._begin(self._run),
+            "stop": lambda _: setattr(self, "_stop", True),
+            "compare": lambda _: self._compare(),
+            "take": self._take,
+            "drop": self._drop,
+        }
         try:
             self._place(kind)
         except ManipLearnError:
@@ -134,16 +177,11 @@ class TeachingSession:
 
     @property
     def waits_for_worker(self) -> bool:
-        """Whether the process that learns has a job."""
+        """True if the process that learns has a job."""
         return bool(self._worker.busy)
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Assumptions about the robot."""
-        return self.arm.scene.notes
-
     def run(self) -> None:
-        """Until the last page is closed, or `end`."""
+        """Go on until the last page is closed, or `end`."""
         try:
             while not self._ended:
                 mode, self._mode, self._stop = self._mode, None, False
@@ -162,7 +200,7 @@ class TeachingSession:
             self._worker.close()
 
     def _period(self) -> None:
-        """Between two periods of the physics."""
+        """Hear and show, between two periods of the physics."""
         while not self._heard.empty():
             heard = self._heard.get()
             if "pages" in heard:
@@ -171,7 +209,7 @@ class TeachingSession:
                 self._finish()
             else:
                 self._obey(str(heard.get("page", "")), heard.get("said"))
-        self._touched |= self.arm.held is not None
+        self._touched |= self.arm.held
         if time.monotonic() - self._left > LEFT:
             self._finish()
         for kind, what in self._worker.heard():
@@ -180,7 +218,7 @@ class TeachingSession:
             self._gripped()
         self._show_pose()
         now = time.monotonic()
-        if now - self._looked > _SAID or not self._real:
+        if now - self._looked > 0.1 or not self._real:  # [s] between two states: only a pose is needed more often
             self._looked = now
             self._show_state()
 
@@ -220,31 +258,6 @@ class TeachingSession:
         except (KeyError, TypeError, ValueError, OSError) as error:
             self._say(f"The page asked for {do!r} in a way that is not understood: {error}", wrong=True)
 
-    def _buttons(self) -> dict[str, Callable[[Mapping[str, Any]], None]]:
-        return {
-            "pull": self._pull,
-            "release": lambda _: self.arm.let_go(),
-            "grip": self._grip,
-            "scene": lambda said: self._begin(lambda kind=str(said["kind"]): self._place(cast(Kind, kind))),
-            "home": lambda _: self._begin(self._home),
-            "record": lambda _: self._start_or_stop(),
-            "rename": self._rename,
-            "delete": self._delete,
-            "replay": self._replay,
-            "ghosts": lambda _: self._show("ghosts", None),
-            "learn": lambda _: self._learn(),
-            "truth": lambda said: setattr(self, "_truth_shown", bool(said["show"])),
-            "run": self._start,
-            "way": self._set_way,
-            "target": self._target,
-            "disturb": lambda said: self.arm.disturb("elbow" if said["what"] == "elbow" else "hand", self._rng),
-            "stop": lambda _: setattr(self, "_stop", True),
-            "policies": lambda _: self._ask_for_ghosts("policies"),
-            "compare": lambda _: self._ask_for_ghosts("compare"),
-            "take": self._take,
-            "drop": self._drop,
-        }
-
     def _begin(self, mode: Callable[[], None]) -> None:
         """Stop, and do this next."""
         self._stop, self._mode = True, mode
@@ -257,17 +270,16 @@ class TeachingSession:
         self.arm.pull(link, at, to, turn)
 
     def _grip(self, said: Mapping[str, Any]) -> None:
-        if said["closed"]:
-            if self.arm.grip(True):
-                self._gripped()
-            else:
-                self._say("No handle is within reach of the gripper: take the hand to one first.")
-        else:
+        if not said["closed"]:
             self.arm.grip(False)
             self._say("The gripper is open.")
+        elif self.arm.grip(True):
+            self._gripped()
+        else:
+            self._say("No handle is within reach of the gripper: take the hand to one first.")
 
     def _gripped(self) -> None:
-        handle = self.arm.scene.handles[self.arm.held or 0]
+        handle = self.arm.scene.handles[0]
         self._say(f"Holding the {handle.name}. {MOVES[handle.type]}.")
 
     def _start_or_stop(self) -> None:
@@ -277,10 +289,10 @@ class TeachingSession:
             self._begin(self._record)
 
     def _shown_by(self, name: Any) -> TaughtRecording:
-        found = next((one for one in self._recordings if one.path.stem == name), None)
-        if found is None:
+        result = next((one for one in self._recordings if one.path.stem == name), None)
+        if result is None:
             raise ValueError(f"there is no recording {name!r}")
-        return found
+        return result
 
     def _rename(self, said: Mapping[str, Any]) -> None:
         one, to = self._shown_by(said["name"]), str(said["to"]).strip()
@@ -304,72 +316,71 @@ class TeachingSession:
         self._show_ghosts("replay", [made])
 
     def _drop(self, said: Mapping[str, Any]) -> None:
-        """Take in a recording that was dropped on the page, if it is one of this robot."""
+        """Add a recording that was dropped on the page, if it is one of this robot."""
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", Path(str(said["name"])).stem)[:60].lstrip(".") or "dropped"
-        path = self._free_path(stem)
-        write_atomically(path, str(said["text"]))
-        try:
-            read = load_demonstrations([str(path)], self.robot)[0]
-        except ManipLearnError as refusal:
-            path.unlink()
-            name = self.robot.name
-            self._say(f"{said['name']} is no recording of {name!r}: {refusal}", wrong=True)
-            return
-        self._recordings.append(TaughtRecording(path, read.q, read.time))
-        self._say(f"{path.stem} is taken in: {counted(len(read.time), 'sample')}.")
-
-    def _free_path(self, stem: str) -> Path:
         self.folder.mkdir(parents=True, exist_ok=True)
         path, number = self.folder / f"{stem}.csv", 2
         while path.exists():
             path, number = self.folder / f"{stem}_{number}.csv", number + 1
-        return path
+        write_atomically(path, str(said["text"]))
+        try:
+            one = TaughtRecording.load(path, self.robot)
+        except ManipLearnError as refusal:
+            path.unlink()
+            self._say(f"{said['name']} is no recording of {self.robot.name!r}: {refusal}", wrong=True)
+            return
+        self._recordings.append(one)
+        self._say(f"{path.stem} is added: {counted(len(one.time), 'sample')}.")
 
     # ---- scene ----------------------------------------------------------------------------------------------------
 
     def _place(self, kind: Kind) -> None:
-        """Another scene of a kind; recordings and answers of the one before stay on the disk."""
-        scene = place_scene(kind, self.robot, self.tip, self._rng)
+        """Begin another scene of a kind; recordings and answers of the one before stay on the disk."""
+        rng = np.random.default_rng(self._seed + self._placed[kind])  # the first of each kind is always the same
+        scene = place_scene(kind, self.robot, self.tip, rng)
+        self._placed[kind] += 1
         self._worker.give_up()
-        self.arm = TeachingArm(scene, self._rng, in_real_time=self._real, shown=self._period)
-        self.constraint: Constraint | None = None
-        self._rows: Constraint | None = None
+        self.arm = TeachingArm(scene, rng, in_real_time=self._real, shown=self._period)
         self._recordings: list[TaughtRecording] = []
         self._learnt_from: list[TaughtRecording] = []
+        self._forget()
         self._touched = False
-        self._answer: dict[str, Any] | None = None
-        self._ways: list[TaughtWay] = []
         self._progress: dict[str, Any] | None = None
-        self._outcome: dict[str, Any] | None = None
-        self._planned: dict[str, Any] | None = None
+        self._planned: Repetition | None = None
         self._files: dict[str, tuple[Path, str, int]] = {}
         self._truth_shown = False
-        self._loop: ServoLoop | None = None
         self._number += 1
-        self.folder = self.keep / f"{self._number:02d}_{kind}"
-        while self.folder.exists():
+        while (folder := self.keep / f"{self._number:02d}_{kind}").exists():
             self._number += 1
-            self.folder = self.keep / f"{self._number:02d}_{kind}"
+        self.folder = folder
         self._say("")
         self._show("scene", scene_content(scene, self._number))
         self._show("ghosts", None)
 
+    def _forget(self, answer: dict[str, Any] | None = None) -> None:
+        """Know nothing of the scene but this answer."""
+        self._answer, self._outcome = answer, None
+        self.constraint: Constraint | None = None
+        self._way: Constraint | None = None  # what the arm can do by itself
+        self._rows: Constraint | None = None  # whose manipulability counts then
+
     def _home(self) -> None:
-        """The arm back to where it began, everything shut."""
-        self._doing = "moving"
+        """Take the arm back to where it began, and shut everything."""
+        self._doing, self._outcome = "moving", None
         self.arm.shut()
-        start, away = self.arm.scene.start, np.abs(self.robot.difference(self.arm.q, self.arm.scene.start))
-        seconds = 1.0 + float(np.max(away / (RETURN_SPEED * self.robot.velocity_limit)))
-        self._follow(np.array([0.0, seconds]), np.array([self.arm.q, start]))
-        self._outcome = None
+        limits = Limits(self.robot)
+        task = JointMotion(limits, [self.arm.q, self.arm.scene.start], 0.5)  # of the joints' speeds, beside people
+        law = ResolvedRateController(every_joint(self.robot), task, limits=limits, dt=PERIOD)
+        self._drive(LawSequence(law), task.duration)
         self._say("Everything is as it was at first.")
 
     # ---- show -----------------------------------------------------------------------------------------------------
 
     def _record(self) -> None:
-        """Record until the person stops; the file grows as it goes."""
-        self._doing, self._began, self._touched = "recording", self.arm.time, self.arm.held is not None
-        self.arm.close_again()
+        """Record until the person stops; the file grows as it goes, and begins with everything shut."""
+        if not self.arm.held:
+            self.arm.shut()
+        self._doing, self._began, self._touched = "recording", self.arm.time, self.arm.held
         started = [False]
 
         def key() -> Any:
@@ -385,253 +396,151 @@ class TeachingSession:
         self._ended |= done.ended == "Ctrl-C"
         if not done.files or done.samples < 2:
             self._say("Nothing was recorded.", wrong=True)
-            return
-        if self.arm.scene.handles and not self._touched:
+        elif self.arm.scene.handles and not self._touched:
             done.files[0].unlink()
             self._say("The gripper took hold of nothing, so this was not kept. Record again.", wrong=True)
-            return
-        read = load_demonstrations([str(done.files[0])], self.robot)[0]
-        self._recordings.append(TaughtRecording(done.files[0], read.q, read.time))
-        left = ENOUGH - len(self._recordings)
-        more = "that is enough to learn from." if left <= 0 else f"{left} more would be good."
-        self._say(f"{done.files[0].stem} is kept, {read.time[-1] - read.time[0]:.1f} s; {more}")
+        else:
+            self._recordings.append(one := TaughtRecording.load(done.files[0], self.robot))
+            self._say(f"{one.path.stem} is kept, {one.seconds:.1f} s.")
 
     # ---- learn ----------------------------------------------------------------------------------------------------
 
+    def _ask(self, job: str, step: str, **what: Any) -> None:
+        """Give the worker a job, which takes a while."""
+        self._worker.ask(job, **what)
+        self._progress = {"step": step, "share": 0.0}
+
     def _learn(self) -> None:
         if not self._recordings:
-            self._say("There is nothing to learn from: record the task first.", wrong=True)
-            return
-        if len(self._recordings) < _FEW:
-            self._refused(f"From fewer than {_FEW} recordings what is held cannot be told from how a person moves.")
-            return
-        files, self._learnt_from = [str(one.path) for one in self._recordings], list(self._recordings)
-        self._worker.ask("learn", files=files, handles=self._stations, out=str(self._constraint_file))
-        self._progress = {"step": "reading", "share": 0.0}
-        self._say("Learning from " + counted(len(self._recordings), "recording") + ".")
-
-    @property
-    def _stations(self) -> list[Float[np.ndarray, "n 3"]]:
-        """Places along the way of each handle, from where it is shut [m]."""
-        return [np.array([pose[:3, 3] for pose in handle.stations()]) for handle in self.arm.scene.handles]
+            self._say(FIRST.format("learn from"), wrong=True)
+        elif len(self._recordings) < FEW:
+            self._refused(f"From fewer than {FEW} recordings what is held cannot be told from how a person moves.")
+        else:
+            self._learnt_from = list(self._recordings)
+            self._ask("learn", "reading", files=[str(path) for path in self.files], out=str(self._constraint_file))
+            self._say("Learning from " + counted(len(self._recordings), "recording") + ".")
 
     @property
     def _constraint_file(self) -> Path:
         return self.folder / "constraint.json"
 
     def _answered(self, kind: str, what: Any) -> None:
-        """What the worker says."""
+        """Take what the worker says."""
         if kind == "progress":
             self._progress = {"step": what[0], "share": what[1]}
             return
         job, answer = what
         self._progress = None
-        if kind == "failed":
-            if job == "learn":
-                self._refused(answer)
-            else:
-                self._planned = None
-                self._say(answer, wrong=True)
+        if kind == "failed" and job == "learn":
+            self._refused(answer)
+        elif kind == "failed":
+            self._say(answer, wrong=True)
         elif job == "learn":
             self._learnt(answer)
-        elif job == "plan":
+        elif job == "repeat":
             self._planned = answer
         elif job == "take":
             self._files_written += 1
-            self._files |= {name: (Path(path), says, self._files_written) for name, path, says in answer}
+            name, path, says = answer
+            self._files[name] = Path(path), says, self._files_written
             self._shows.offer({name: path for name, (path, *_) in self._files.items()})
-            self._say("Ready to take home: " + ", ".join(name for name, *_ in answer) + ".")
+            self._say(f"Ready to take home: {name}.")
         else:
             self._show_ghosts(job, answer["rollouts"])
             self._say(answer["sentence"])
 
     def _refused(self, why: str) -> None:
-        self._answer = refusal_content(why, len(self._recordings), bool(self.arm.scene.handles))
-        self.constraint, self._rows, self._ways = None, None, []
-        self._say(self._answer["next"], wrong=True)
+        self._forget(refusal_content(why, len(self._recordings), bool(self.arm.scene.handles)))
+        self._say(cast(Any, self._answer)["next"], wrong=True)
 
     def _learnt(self, content: Mapping[str, Any]) -> None:
-        skill = Skill.load(self._constraint_file, self.robot)
-        self.constraint = skill.constraints[0]
-        names = {one.path.name: one for one in self._recordings}
+        skill, answer = Skill.load(self._constraint_file, self.robot), answer_content(content)
+        self._forget(answer)
+        self.constraint, self._way = skill.constraints[0], first_way(skill)
+        self._rows = None if self._way is None else motion(self._way).constraint
         odd = {name: why for name, why in content["answer"]["odd"]}
         for one in self._recordings:
-            one.phases = [phase[1:] for phase in content["phases"] if names.get(phase[0]) is one]
+            one.phases = [phase[1:] for phase in content["phases"] if phase[0] == one.path.name]
             one.odd = odd.get(one.path.name, "")
-        self._answer = answer_content(content)
-        self._ways = TaughtWay.all_of(skill)
-        self._rows = self._way.task().constraint if self._way is not None else None
-        self._say(self._answer["next"])
+        self._say(answer["next"])
 
     # ---- run ------------------------------------------------------------------------------------------------------
 
-    def _follow(self, times: np.ndarray, postures: np.ndarray, until: Callable[[], str] | None = None) -> str:
-        """Follow a motion of the joints; why it ended."""
-        self.arm.hold()
-        motion = Trajectory(times, postures, joint_names=self.robot.joint_names)
-        loop = self._loop_of(FollowMotion(self.robot, motion, self._limits))
-        goal, rested = postures[-1], [0.0]
-
-        def over() -> str:
-            if self._stop:
-                return BY_HAND
-            near = float(np.max(np.abs(self.robot.difference(self.arm.q, goal)))) < _NEAR
-            rested[0] = rested[0] + PERIOD if near else 0.0
-            return THERE if rested[0] > STAYS else "" if until is None else until()
-
-        ended = run(loop, self.arm, until=over).ended
-        self._ended |= ended.startswith("Ctrl-C")
-        return ended
-
-    def _loop_of(self, controller: Controller) -> ServoLoop:
-        """Return a loop that yields to a person, not to friction or to its own acceleration.
-
-        The servos are those of `MuJoCoDriver`.
-        """
-        contact = Contact(max_lateral_force=YIELDS, max_axial_force=YIELDS, stiffness=STIFFNESS)
-        return ServoLoop(controller, dt=PERIOD, acceleration_limit=GENTLY, contact=contact)
-
-    @property
-    def _way(self) -> TaughtWay | None:
-        """The way that the slider changes: the first one."""
-        return self._ways[0] if self._ways else None
-
-    def _start(self, said: Mapping[str, Any]) -> None:
+    def _run(self) -> None:
+        """Do again what was shown, with everything shut at first, planned as `repeat` does it."""
         if self._way is None:
             self._say("There is no way to do yet: learn from recordings that hold something and move it.", wrong=True)
             return
-        self._way.set(float(said.get("along", said.get("turn", self._way.value))))
-        policy, planned = str(said.get("policy", "manipulability")), bool(said.get("plan"))
-        self._begin(lambda: self._run(policy, planned))
-
-    def _run(self, policy: str, planned: bool) -> None:
-        """Every way in the order shown: take hold where it was shown, and go as far under the learnt constraint."""
-        for way in self._ways:
-            if way.number > 0:
-                self.arm.grip(False)  # what the way before moved
-            if self.arm.held is None and not self._take_hold(way, policy, planned):
-                return
-            if way.shown.is_way and abs(way.value - way.at(self.arm.place)) < ARRIVES[way.unit]:
-                self._say("The hand is there already: move the slider.")
-                return
-            self._doing = "running"
-            self._say(f"The arm does it by itself, with the {policy} policy.")
-            outcome = self._drive(way, policy)
-            self._say(f"Moved {way.in_words(outcome['done'])}: {outcome['ended']}.", wrong=not outcome["ordered"])
-            if not outcome["ordered"] or self._stop:
-                return
-
-    def _take_hold(self, way: TaughtWay, policy: str, planned: bool) -> bool:
-        """Go where the recordings took hold, straight or as a plan says, and close the gripper."""
-        self._doing = "moving"
-        self._say("The hand goes to the handle, as it was shown.")
-        if (handle := handle_near(way.shown.begin, self._stations)) is None:
-            self._say("There is no handle here where the recordings hold something: show this scene.", wrong=True)
-            return False
-        place = self.arm.handle_place(handle)
-        if planned:
-            ended = self._change_posture(way, place)
-        else:
-            task = way.task(place)
-            loop = self._loop_of(self._law(task, policy))
-            there = lambda: BY_HAND if self._stop else THERE if task.way_begins is not None else ""  # noqa: E731
-            self.arm.hold()
-            ended = run(loop, self.arm, duration=SLOWER * (1.0 + task.duration_from(self.arm.q)), until=there).ended
-            self._ended |= ended.startswith("Ctrl-C")
-        if ended != THERE:
-            self._say(f"The hand did not come to the handle: {ended}.", wrong=ended != BY_HAND)
-            return False
-        if not self.arm.grip(True):
-            self._say("The hand did not come to the handle: reset the arm, and try again.", wrong=True)
-            return False
-        closing = self.arm.time + 2.0 * STAYS
-        while self.arm.time < closing and not self._stop:
-            self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
-        return not self._stop
-
-    def _law(self, task: FreeDirection, policy: str) -> ResolvedRateController:
-        from manip_learn.control.tasks.motion import null_policy
-
-        chosen = null_policy(policy, task, task.learnt, self.robot, None, self.arm.scene.start)
-        return ResolvedRateController(task.learnt, task, chosen, dt=PERIOD, limits=self._limits)
-
-    def _change_posture(self, way: TaughtWay, place: Float[np.ndarray, " 3"]) -> str:
-        """To the handle, in the posture from which the whole way can be done; why that ended."""
-        self._doing, self._planned = "planning", None
+        self._doing, self._planned, self._outcome = "planning", None, None
+        self.arm.shut()
         self.arm.hold()
-        self._worker.ask("plan", file=str(self._constraint_file), way=way.asked(), start=self.arm.q, place=place)
+        self._say("Planning the whole motion.")
+        self._ask("repeat", "planning", file=str(self._constraint_file), start=self.arm.q, scene=self.arm.scene.around)
         while self._worker.busy and not self._stop:
             self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
-        if self._stop or self._planned is None:
-            return BY_HAND if self._stop else self._sentence.rstrip(".")
-        self._doing = "moving"
-        self._say(self._planned["sentence"])
-        return self._follow(self._planned["time"], self._planned["q"])
+        again = self._planned
+        if self._stop or again is None:
+            self._worker.give_up()
+            self._progress = None
+            return
+        self._doing = "running"
+        self._say(f"The arm does it by itself: {again.pace}.")
+        why, ordered = self._drive(again.controller, float(again.rollout.time[-1]))
+        outcome = self._outcome or {"done": 0.0, "wanted": 0.0, "unit": "m"}
+        done, wanted = (distance_in_words(outcome[name], outcome["unit"]) for name in ("done", "wanted"))
+        why = why if ordered else f"it was pushed off its path and stopped: {why}"
+        self._outcome = outcome | {"ended": why, "ordered": ordered, "notes": list(again.notes)}
+        self._say(f"Moved {done} of {wanted}: {why}.", wrong=not ordered)
 
-    def _drive(self, way: TaughtWay, policy: str) -> dict[str, Any]:
-        """Run the controller until the way is done, something trips, or the person stops it."""
-        self.arm.hold()
-        task, rested = way.rest(self.arm.q), [0.0]
-        loop = self._loop = self._loop_of(self._law(task, policy))
+    def _drive(self, controller: LawSequence, seconds: float) -> tuple[str, bool]:
+        """Run a controller until its motion is over, something trips, or the person stops it.
 
-        def so_far(ended: str, ordered: bool) -> dict[str, Any]:
-            done = way.at(self.arm.place) if way.shown.is_way else task.progress(self.arm.q)
-            return {"policy": policy, "done": done, "wanted": way.value, "ended": ended, "ordered": ordered}
+        The loop yields to a person, not to friction or to its own acceleration; the servos are those of `MuJoCoDriver`.
+
+        Args:
+            controller: From where the arm is.
+            seconds: Duration of its motion, where nothing slows it down [s].
+
+        Returns:
+            Why it ended, and True if that was in order.
+        """
+        # [N] at the hand on which the arm lets go; [rad/s2] with which it moves by itself
+        contact = Contact(max_lateral_force=45.0, max_axial_force=45.0, stiffness=STIFFNESS)
+        loop, began = ServoLoop(controller, dt=PERIOD, acceleration_limit=2.0, contact=contact), self.arm.time
 
         def over() -> str:
+            laws, task = cast(LawSequence, loop.controller), cast(LawSequence, loop.controller).law.task
+            if isinstance(task, FreeDirection):
+                done, wanted = abs(task.progress(self.arm.q)), abs(task.wanted)
+                self._outcome = {"done": done, "wanted": wanted, "unit": task.unit, "ended": "", "ordered": True}
             if self._stop:
                 return BY_HAND
-            self._outcome = so_far("", True)
-            there = abs(way.value - self._outcome["done"]) < ARRIVES[way.unit]
-            rested[0] = rested[0] + PERIOD if there else 0.0
-            return "all of the way is done" if rested[0] > STAYS else ""
+            if laws.gripper == "close" and not self.arm.held:
+                return "the gripper found no handle: reset the arm, and try again"
+            at_rest = float(np.max(np.abs(loop.state.velocity))) < 1e-3  # [rad/s or m/s]
+            is_last = laws.number == len(laws.laws) - 1
+            return "all of it is done" if is_last and at_rest and self.arm.time - began > seconds else ""
 
-        longest = SLOWER * (1.0 + task.duration_from(self.arm.q))
-        done = run(loop, self.arm, duration=longest, until=over)
+        self.arm.hold()
+        done = run(loop, self.arm, duration=2.0 * seconds + 5.0, until=over)  # a person may push against it
         self._ended |= done.ended.startswith("Ctrl-C")
-        ended = (
-            done.ended
-            if done.ordered
-            else f"it was pushed off its way and stopped, Run goes on from there: {done.ended}"
-        )
-        self._loop, self._outcome = None, so_far(ended, done.ordered)
-        return self._outcome
+        return done.ended, done.ordered
 
-    def _set_way(self, said: Mapping[str, Any]) -> None:
-        way = self._way
-        if way is None:
-            return
-        way.set(float(said["value"]))
-        if self._loop is not None and way.shown.is_way and abs(way.value - way.at(self.arm.place)) > ARRIVES[way.unit]:
-            self._loop.set_task(way.rest(self.arm.q))
-
-    def _target(self, said: Mapping[str, Any]) -> None:
-        """The way that comes nearest to a place that was dragged."""
-        at = _three(said["at"])
-        if self._way is not None:
-            self._set_way({"value": self._way.at(at)})
-
-    def _ask_for_ghosts(self, job: str) -> None:
-        if self._way is None:
-            self._say("There is no way to do yet: learn first.", wrong=True)
-            return
-        self._worker.ask(job, file=str(self._constraint_file), way=self._way.asked(), start=self.arm.scene.start)
-        self._progress = {"step": "simulating", "share": 0.0}
+    def _compare(self) -> None:
+        if self._way is None or (start := self.arm.scene.hard_start) is None:
+            self._say("There is nothing to compare yet: learn first.", wrong=True)
+        else:
+            scene = self.arm.scene.around
+            self._ask("compare", "planning", file=str(self._constraint_file), start=start, scene=scene)
 
     def _take(self, said: Mapping[str, Any]) -> None:
         if not self._recordings:
-            self._say("There is nothing to take home yet: record the task first.", wrong=True)
+            self._say(FIRST.format("take home"), wrong=True)
             return
         learnt = self.constraint is not None and self._constraint_file.exists()
-        self._worker.ask(
-            "take",
-            what=str(said["what"]),
-            files=[str(one.path) for one in self._recordings],
-            file=str(self._constraint_file) if learnt else None,
-            start=None if self._way is None else self.arm.scene.start,
-            out=self.folder,
-        )
-        self._progress = {"step": "writing", "share": 0.0}
+        lesson = {"files": [str(path) for path in self.files], "file": str(self._constraint_file) if learnt else None}
+        start = None if self._way is None else self.arm.scene.start
+        self._ask("take", "writing", what=str(said["what"]), **lesson, start=start, out=self.folder)
 
     # ---- pictures -------------------------------------------------------------------------------------------------
 
@@ -652,26 +561,26 @@ class TeachingSession:
         self._shows.put(lambda: json.dumps(pose, allow_nan=False), "pose")
 
     def _show_state(self) -> None:
-        arm, way = self.arm, self._way
-        recording = None
+        arm, recording = self.arm, None
         if self._doing == "recording":
             recording = {"name": "recording", "seconds": round(arm.time - self._began, 1)}
-        doing = "learning" if self._doing == "idle" and self._worker.busy == "learn" else self._doing
         self._show(
             "state",
             {
                 "leader": self._leader,
-                "doing": doing,
+                "doing": "learning" if self._doing == "idle" and self._worker.busy == "learn" else self._doing,
                 "said": self._sentence,
                 "wrong": self._wrong,
-                "scenes": [{"kind": kind, "title": title} for kind, title in TITLES.items()],
                 "recordings": [one.to_dict() for one in self._recordings],
                 "unlearnt": sum(one not in self._learnt_from for one in self._recordings),
                 "recording": recording,
                 "progress": self._progress,
                 "answer": self._answer,
                 "truth": truth_content(arm.scene, self.constraint) if self._truth_shown else None,
-                "way": None if way is None else way.to_dict(),
+                "can": {
+                    "run": self._way is not None,
+                    "compare": self._way is not None and arm.scene.hard_start is not None,
+                },
                 "run": self._outcome,
                 "files": [{"name": name, "says": says, "number": n} for name, (_, says, n) in self._files.items()],
                 "keep": str(self.folder),
@@ -680,11 +589,12 @@ class TeachingSession:
 
 
 def _three(values: object) -> Float[np.ndarray, " 3"]:
-    """A vector that a page has sent.
+    """Return a vector that a page has sent.
 
     Raises:
-        ValueError: Not three finite numbers, or one that is too large.
+        ValueError: Not three finite numbers, or one above 100 m or rad: no arm reaches so far, and its square is still
+            a number.
     """
-    if (vector := finite(values, 3)) is None or np.max(np.abs(vector)) > FARTHEST:
-        raise ValueError(f"three numbers up to {FARTHEST:g} are needed, not {values!r:.60}")
+    if (vector := finite(values, 3)) is None or np.max(np.abs(vector)) > 100.0:
+        raise ValueError(f"three numbers up to 100 are needed, not {values!r:.60}")
     return vector

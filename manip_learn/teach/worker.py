@@ -6,26 +6,22 @@ import multiprocessing
 import os
 import sys
 import threading
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.shown import Shown
-from manip_learn.errors import ManipLearnError, OutputError, counted
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.skill import Skill
+from manip_learn.errors import ManipLearnError, OutputError
+from manip_learn.playback.live_server import end_with_parent
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
-from manip_learn.teach.scene import posture_at
-from manip_learn.teach.way import STEP, TaughtWay, held_by_handles
 
-PARENT_CHECK_SECONDS = 0.5  # between two looks for the parent
-_STOP_SECONDS = 1.0  # for the process to end by itself
-GENTLE = 10  # steps of niceness: on one core the physics go first
-MOST_KEYS = 400  # key frames of a ghost: 60 a second for seven seconds
-BAD_POSTURES, _TRIED = 400, 24  # at random, a millisecond each; the worst of them are simulated, 0.2 s each
+STEP = 0.01  # [s] of a simulation, as the arm's period
 
 
 @final
@@ -85,7 +81,7 @@ class TeachingWorker:
     def close(self) -> None:
         """End the process, whatever it does."""
         self._process.terminate()
-        self._process.join(_STOP_SECONDS)
+        self._process.join(1.0)  # [s] to end by itself
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
@@ -94,12 +90,15 @@ class TeachingWorker:
 
 def _serve(pipe: Connection, robot: Robot, tip: str, parent: int) -> None:
     """The process: job after job until the pipe closes or the parent is gone."""
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=end_with_parent, args=(parent,), daemon=True).start()
     with open(os.devnull, "w") as nowhere:  # its warnings are part of the answers
         sys.stdout = sys.stderr = nowhere
         if (nice := getattr(os, "nice", None)) is not None:  # Windows has none
-            nice(GENTLE)
+            nice(10)  # on one core the physics go first
         from manip_learn import learning  # noqa: F401  # now, and not when somebody waits
+
+        def said(step: str, share: float) -> None:
+            pipe.send(("progress", (step, float(share))))
 
         while True:
             try:
@@ -107,7 +106,7 @@ def _serve(pipe: Connection, robot: Robot, tip: str, parent: int) -> None:
             except (EOFError, OSError, KeyboardInterrupt):
                 return
             try:
-                pipe.send(("done", (job, JOBS[job](robot, tip, _said(pipe), **what))))
+                pipe.send(("done", (job, JOBS[job](robot, tip, said, **what))))
             except ManipLearnError as error:
                 pipe.send(("failed", (job, str(error))))
             except KeyboardInterrupt:
@@ -116,22 +115,10 @@ def _serve(pipe: Connection, robot: Robot, tip: str, parent: int) -> None:
                 pipe.send(("failed", (job, f"{type(error).__name__}: {error}")))
 
 
-def _end_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(PARENT_CHECK_SECONDS)
-    os._exit(0)
-
-
-def _said(pipe: Connection) -> Progress:
-    return lambda step, share: pipe.send(("progress", (step, float(share))))
-
-
 # ---- jobs ---------------------------------------------------------------------------------------------------------
 
 
-def learn(
-    robot: Robot, tip: str, said: Progress, *, files: list[str], handles: list[np.ndarray], out: str
-) -> dict[str, Any]:
+def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], out: str) -> dict[str, Any]:
     """Learn from recordings; the skill goes to a file.
 
     Returns:
@@ -139,6 +126,7 @@ def learn(
     """
     from manip_learn.constraint.features import FrameJacobian
     from manip_learn.learning import ConstraintLearner
+    from manip_learn.playback.mechanism_drawing import mechanism_drawing
     from manip_learn.playback.phase_bands import phase_kinds
     from manip_learn.playback.replay_page import evidence_of
     from manip_learn.recordings import load_demonstrations
@@ -147,115 +135,113 @@ def learn(
     rows = [FrameJacobian(robot, tip, "xyz", reference) for reference in ("world", "local")]
     learner = ConstraintLearner(rows).fit(demos, progress=said)
     report = learner.report_
-    skill = held_by_handles(learner.skill_, handles)
+    skill = with_gripper(learner.skill_)
     skill.save(out)
     names = [c.mechanism.type if c.mechanism is not None else "" for c in learner.constraints_]
-    evidence = evidence_of(report)
+    evidence, mechanism, shown = evidence_of(report), report.mechanism, skill.constraints[0].shown
+    uncertain = report.uncertainty_deg
+    if uncertain is None and mechanism is not None:
+        uncertain = mechanism.uncertainty.get("axis")
+    drawn = None
+    if mechanism is not None:
+        places = [robot.position(q, tip) for t in demos for q in t.q[::50]] if shown is None else shown.points
+        drawn = mechanism_drawing(mechanism, np.array(places), shown).to_dict()
     answer = {
+        **{name: evidence[name] for name in ("facts", "rows", "warnings", "odd")},
         "sentence": report.sentence,
         "refused": False,
         "evidence": evidence["words"],
-        "facts": evidence["facts"],
-        "rows": evidence["rows"],
-        "warnings": evidence["warnings"],
-        "odd": evidence["odd"],
         "phaseKinds": [vars(kind) for kind in phase_kinds(report.phases, names)] if report.phases else [],
-        "mechanism": None
-        if report.mechanism is None
-        else _drawn(robot, tip, report.mechanism, demos, report.phases, skill.constraints[0].shown),
-        "others": [c.mechanism.sentence for c in learner.constraints_[1:] if c.mechanism is not None],
+        "mechanism": drawn,
     }
-    uncertain = report.uncertainty_deg
-    if uncertain is None and report.mechanism is not None:
-        uncertain = report.mechanism.uncertainty.get("axis")
     phases = [[name, start, end, -1 if k is None else k] for name, start, end, k, *_ in report.phases]
-    return {"answer": answer, "phases": phases, "uncertainty": uncertain, "warned": bool(report.warnings)}
+    return {"answer": answer, "phases": phases, "uncertainty": uncertain}
 
 
-def _drawn(robot: Robot, tip: str, mechanism: Any, demos: Any, phases: Any, shown: Shown | None) -> dict[str, Any]:
-    """Lines and patches of a mechanism, as large as the motion that it held, and what was shown along it."""
-    from manip_learn.playback.mechanism_drawing import mechanism_drawing
-
-    held = [
-        robot.position(t.q[k], tip)
-        for t in demos
-        for name, start, end, number, *_ in phases
-        if name == t.name and number == 0
-        for k in np.flatnonzero((t.time >= start) & (t.time <= end))[::10]
-    ]
-    places = np.array(held or [robot.position(t.q[0], tip) for t in demos])
-    drawing = mechanism_drawing(mechanism, places, shown)
-    return drawing.to_dict()
+def with_gripper(skill: Skill) -> Skill:
+    """Return a skill whose ways begin with a gripper that closes, and end with one that opens, as a person has done."""
+    steps = [replace(step, gripper="close" if step.kind == "way" else None) for step in skill.steps]
+    for k in (k for k in range(1, len(steps)) if steps[k - 1].kind == "way" and steps[k].kind == "reach"):
+        steps[k] = replace(steps[k], gripper="open")
+    return replace(skill, steps=tuple(steps))
 
 
-def policies(
-    robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
-) -> dict[str, Any]:
-    """Three null-space policies from a posture, as ghosts."""
-    names = ("manipulability", "attractor", "zero")  # the recommended one first
-    taught = TaughtWay.asked_for(file, robot, way)
-    ghosts = _simulated(robot, dict(zip(names, names, strict=True)), taught, np.asarray(start))
-    return {"rollouts": ghosts, "sentence": "The three policies start from the same posture."}
+def first_way(skill: Skill) -> Constraint | None:
+    """Return the constraint of the first way of a skill, with what was shown along it; None where none is long enough.
 
+    Args:
+        skill: As learnt.
 
-def _compare(
-    robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
-) -> dict[str, Any]:
-    """With and without the learnt manipulability, as ghosts, from a posture in which doing without fails.
-
-    Of many random postures at the handle the worst ones are tried, by their manipulability; they may be singular.
+    Returns:
+        A way of 2 cm, or of 3 degrees, or more.
     """
-    from manip_learn.constraint.manipulability import manipulability
-
-    taught, place = TaughtWay.asked_for(file, robot, way), np.eye(4)
-    place[:3, :3], place[:3, 3] = taught.shown.orientation, taught.shown.begin
-    rows, rng = taught.task().constraint, np.random.default_rng(0)
-    drawn = (robot.positions(robot.random_configuration(rng)) for _ in range(BAD_POSTURES))
-    found = [q for d in drawn if (q := posture_at(robot, tip, d, place, firm=False, weakest=0.0)) is not None]
-    inside = [q for q in found if np.all((robot.position_lower < q) & (q < robot.position_upper))]
-    bad = sorted([*inside, np.asarray(start, dtype=np.float64)], key=lambda q: manipulability(rows, q))[:_TRIED]
-    with_it, without = {"with": "manipulability"}, {"without": "zero"}
-    for k, q in enumerate(bad):
-        said("looking for a start that matters", k / len(bad))
-        if not _simulated(robot, without, taught, q)[0]["failed"]:
-            continue
-        ghosts = _simulated(robot, with_it | without, taught, q)
-        if not ghosts[0]["failed"]:
-            return {"rollouts": ghosts, "sentence": f"Without the learnt manipulability: {ghosts[1]['ended']}."}
-    none = f"Of the {counted(len(bad), 'worst start')} none was found from which only doing without fails."
-    return {"rollouts": _simulated(robot, with_it | without, taught, bad[0]), "sentence": none}
+    for way in (step.as_shown for step in skill.steps if step.kind == "way"):
+        if way is not None and way.shown is not None and way.shown.extent > {"m": 0.02, "rad": 0.05}[way.shown.unit]:
+            return way
+    return None
 
 
-def _plan(
-    robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike, place: ArrayLike
-) -> dict[str, Any]:
-    """The posture in which to take hold, and the way of the joints to it: times [s] and postures."""
-    from manip_learn.planning.plan import plan as planned
-
-    taught = TaughtWay.asked_for(file, robot, way)
-    task = taught.task(place)
-    found = planned(task.learnt, task, start, limits=taught.limits, progress=said)
-    return {"time": found.approach.time, "q": found.approach.q, "sentence": found.sentence}
+def distance_in_words(distance: float, unit: str) -> str:
+    """Return a distance [m] or an angle [rad] as `"23.4 cm"` or `"41 degrees"`."""
+    return f"{100.0 * distance:.1f} cm" if unit == "m" else f"{np.degrees(distance):.0f} degrees"
 
 
-def _simulated(robot: Robot, named: Mapping[str, str], way: TaughtWay, start: np.ndarray) -> list[dict[str, Any]]:
-    """Rollouts of some policies, as the page plays them."""
+def _limits(robot: Robot, tip: str) -> Any:
+    """Return the limits of what the arm does by itself: at the tip the reduced speed beside people of ISO 10218-1."""
+    from manip_learn.control.limits import Limits
+    from manip_learn.control.tasks.motion import APPROACH_SPEED
+
+    # [rad/s or m/s] of joints whose description has no limit, in units of which a plan counts its margin
+    velocity = np.where(np.isfinite(robot.velocity_limit), robot.velocity_limit, 1.5)
+    return Limits(robot, velocity=velocity, tip_speed=APPROACH_SPEED, frames=tip)
+
+
+def _repeat(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayLike, scene: Any) -> Any:
+    """Return what `repeat` makes of a skill's file.
+
+    Args:
+        robot: The robot.
+        tip: Its frame that is guided.
+        said: As for `repeat`.
+        file: Of the skill.
+        start: shape (nv,), posture of the arm [rad or m].
+        scene: What stands around it.
+    """
+    from manip_learn.planning.repeat import repeat
+
+    return repeat(Skill.load(file, robot), start, scene=scene, limits=_limits(robot, tip), dt=STEP, progress=said)
+
+
+def _compare(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayLike, scene: Any) -> dict[str, Any]:
+    """Return ghosts of the task without and with the learnt manipulability, from one start; and both in a sentence.
+
+    Without: the resolved-rate law whose null-space policy is zero. With: as `repeat` plans the way. In both a hand that
+    slides keeps its orientation, as a gripper does that has closed on a bar. Arguments as for `_repeat`.
+    """
     from manip_learn.control.controller import ResolvedRateController
+    from manip_learn.control.policies import ZeroPolicy
     from manip_learn.control.simulation import simulate_way
-    from manip_learn.control.tasks.motion import null_policy
+    from manip_learn.control.tasks.motion import motion
+    from manip_learn.planning.plan import plan
     from manip_learn.playback.palette import rollout_colours
 
-    ghosts = []
-    colours_of = rollout_colours(["the arm itself", *named], {})[1:]
-    for (name, policy), (_, colour) in zip(named.items(), colours_of, strict=True):
-        task = way.task()
-        chosen = null_policy(policy, task, task.learnt, robot, None, start)
-        controller = ResolvedRateController(task.learnt, task, chosen, dt=STEP, limits=way.limits)
-        rollout, done = simulate_way(robot, controller, start, STEP)
-        ended = way.in_words(done.done) + (f", stopped by {done.stopped_by}" if done.stopped_by else "")
-        made = ghost(robot, name, colour, rollout.time, rollout.q, rollout.manipulability, ended)
-        ghosts.append({**made, "failed": not done.is_done})
-    return ghosts
+    step, limits = next(one for one in Skill.load(file, robot).steps if one.kind == "way"), _limits(robot, tip)
+    way: Any = step.as_shown
+    task = motion(way, keep_orientation=way.shown.unit == "m")
+    law = ResolvedRateController(way, task, ZeroPolicy(robot.nv), dt=STEP, limits=limits)
+    alone, stopped = simulate_way(robot, law, np.asarray(start), STEP)
+    planned = plan(way, task, start, limits=limits, scene=scene, dt=STEP, progress=said, takes=step.takes)
+    ends = {"without": (alone, stopped), "with": (planned.rollout, planned.outcome)}
+    ghosts, words = [], []
+    for (name, (rollout, end)), (_, colour) in zip(
+        ends.items(), rollout_colours(["the arm itself", *ends], {})[1:], strict=True
+    ):
+        far = distance_in_words(abs(end.done), end.unit)
+        words.append(f"all {far}" if end.is_done else f"stops after {far}")
+        why = "" if end.is_done else f": {end.stopped_by}"
+        made = ghost(robot, name, colour, rollout.time, rollout.q, rollout.manipulability, words[-1] + why)
+        ghosts.append(made | {"share": end.done / end.wanted})
+    return {"rollouts": ghosts, "sentence": "Without: {}. With: {}.".format(*words)}
 
 
 def ghost(
@@ -276,7 +262,7 @@ def ghost(
     from manip_learn.playback.page_writer import packed
     from manip_learn.recordings.trajectory import evenly
 
-    kept = evenly(len(time), MOST_KEYS)
+    kept = evenly(len(time), 400)  # 60 a second for seven seconds
     times = np.asarray(time)[kept] - time[0]
     mu = np.zeros(0) if curve is None else np.asarray(curve)[kept]
     return {
@@ -291,8 +277,8 @@ def ghost(
     }
 
 
-def take(robot: Robot, tip: str, said: Progress, *, what: str, **lesson: Any) -> list[tuple[str, str, str]]:
-    """Files to take home: name, path and what each is.
+def take(robot: Robot, tip: str, said: Progress, *, what: str, **lesson: Any) -> tuple[str, str, str]:
+    """Write a file to take home, and return its name, its path and what it is.
 
     Args:
         robot: The robot.
@@ -314,10 +300,4 @@ def take(robot: Robot, tip: str, said: Progress, *, what: str, **lesson: Any) ->
     return HOMES[what](Lesson(robot, tip, **lesson))
 
 
-JOBS: dict[str, Callable[..., Any]] = {
-    "learn": learn,
-    "policies": policies,
-    "compare": _compare,
-    "plan": _plan,
-    "take": take,
-}
+JOBS: dict[str, Callable[..., Any]] = {"learn": learn, "repeat": _repeat, "compare": _compare, "take": take}

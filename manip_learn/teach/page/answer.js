@@ -12,20 +12,18 @@ class Answer {
   }
 
   parts(answer) {
-    const { sentence, mechanism, next, offer, phaseKinds = [] } = answer, parts = [paragraph(sentence, "headline")];
+    const { sentence, mechanism, next, offer, phaseKinds } = answer, parts = [paragraph(sentence, "headline")];
     if (mechanism && mechanism.sentence && mechanism.sentence !== sentence) parts.push(paragraph(mechanism.sentence.charAt(0).toUpperCase() + mechanism.sentence.slice(1)));
     if (mechanism && mechanism.shown) parts.push(paragraph(mechanism.shown));
     if (next) parts.push(paragraph(next, "next"));
     if (offer) parts.push(this.offer(offer));
     if (phaseKinds.length) parts.push(this.legend(phaseKinds));
-    const more = this.more(answer);
-    if (more) parts.push(more);
-    return parts;
+    return [...parts, this.more(answer)];
   }
 
   offer({ say, said }) {
     const button = Object.assign(document.createElement("button"), { type: "button", id: "offer", textContent: say });
-    button.addEventListener("click", () => this.say(typeof said === "string" ? { do: said } : said));
+    button.addEventListener("click", () => this.say(said));
     return button;
   }
 
@@ -40,13 +38,12 @@ class Answer {
     return list;
   }
 
-  more({ evidence, facts = [], rows = [], warnings = [], odd = [] }) {
+  more({ evidence, facts, rows, warnings, odd }) {
     const parts = warnings.map((text) => paragraph(`Take care: ${text}`, "warning"));
     for (const [name, reason] of odd) parts.push(paragraph(`${name} does not agree with the others: ${reason}`, "warning"));
     if (evidence) parts.push(paragraph(evidence));
     if (facts.length) parts.push(factList(facts));
     if (rows.length) parts.push(scrolled(rowTable(rows), "Rows of the test"));
-    if (!parts.length) return null;
     const box = Object.assign(document.createElement("details"), { className: "more" }), summary = document.createElement("summary");
     summary.textContent = warnings.length || odd.length ? `Why to believe it, and ${counted(warnings.length + odd.length, "warning")}` : "Why to believe it";
     box.append(summary, ...parts);
@@ -69,16 +66,6 @@ function fillTruth(element, truth) {
   const said = JSON.stringify(truth && [truth.sentence, truth.errors]);
   if (element.dataset.said === said) return;
   element.dataset.said = said;
-  element.replaceChildren();
-  if (!truth) return;
-  element.append(paragraph(truth.sentence, "headline"));
-  const table = document.createElement("table"), body = table.createTBody();
-  table.createCaption().textContent = "How far what was learnt is from it";
-  for (const [name, value] of truth.errors) {
-    const line = body.insertRow(), head = Object.assign(document.createElement("th"), { textContent: name, scope: "row" });
-    line.append(head);
-    line.insertCell().textContent = value;
-  }
-  if (truth.errors.length) element.append(table);
-  if (truth.lines && truth.lines.length) element.append(paragraph("In the picture the truth is the dashed line.", "note"));
+  element.replaceChildren(...(truth ? [paragraph(truth.sentence, "headline"), ...(truth.errors.length ? [factList(truth.errors.map((one) => [...one, ""]))] : [])] : []));
+  if (truth && truth.lines.length) element.append(paragraph("In the picture the truth is the wide, pale line.", "note"));
 }

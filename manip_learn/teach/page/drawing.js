@@ -1,10 +1,8 @@
-// What is drawn beside the arm: the pull, what is held and free, what is weak, limits, the tip's way, mechanisms, the goal.
+// What is drawn beside the arm: the pull, what is held and free, what is weak, the tip's path, mechanisms.
 
 const SPRING = { thin: 0.0016, thick: 0.0055, full: 80, ball: 0.009 }; // radii relative to the scene; the force [N] of the thickest
 const TRAIL = { apart: 0.004, most: 1500, gap: 70 }; // distance of points relative to the scene, their number, time between redrawings [ms]
 const WEAK_SHARE = 0.2; // from which on the program tells of a weak direction
-const GOAL = { away: 0.1, radius: 0.0095, near: 18, finger: 26 }; // from the tip and radius relative to the scene; where it is hit [px]
-const DASH = 0.014; // of a line that is the truth, relative to the scene
 const LEARNT = "#0072b2"; // patches of a mechanism without a phase of its own
 const ZEROS = { one: "AAAAAAAAAAA=", six: "A".repeat(32) };
 const UNMARKED = { tip: { joint: 0, placement: new THREE.Matrix4().toArray() }, axes: null, target: null, driven: null, times: ZEROS.one, held: ZEROS.six, free: ZEROS.six, heldTurns: ZEROS.six, freeTurns: ZEROS.six, ellipsoid: ZEROS.six };
@@ -117,131 +115,30 @@ class TipTrail {
   }
 }
 
-// Links beyond joints at their limits, tinted.
-class LimitTint {
-  constructor(instance) { Object.assign(this, { instance, names: "", plain: new Map() }); }
-
-  set(names) {
-    if (names.join() === this.names) return;
-    this.names = names.join();
-    const { robot, meshes } = this.instance, at = new Set(names.map((name) => robot.joints.findIndex((joint) => joint.name === name)));
-    for (const [skin, material] of this.plain) skin.material = material;
-    this.plain.clear();
-    for (const { skin } of meshes) {
-      if (!at.has(skin.userData.shape.joint)) continue;
-      this.plain.set(skin, skin.material);
-      skin.material = skin.material.clone();
-      skin.material.color.lerp(linear(pageColour("--weak")), 0.6);
-    }
-  }
-
-  // After the arm has got other colours.
-  again() {
-    const names = this.names ? this.names.split(",") : [];
-    this.plain.clear();
-    this.names = "";
-    this.set(names);
-  }
-
-  at(name) {
-    const joint = this.instance.robot.joints.findIndex((one) => one.name === name);
-    return joint < 0 ? null : new THREE.Vector3().setFromMatrixPosition(this.instance.jointMatrix(joint));
-  }
-}
-
-// Points on a polyline, a dash apart, for lines that are interrupted.
-function dashed(points, step) {
-  const dense = [];
-  for (let i = 0; i + 3 < points.length; i += 3) {
-    const from = new THREE.Vector3().fromArray(points, i), to = new THREE.Vector3().fromArray(points, i + 3), n = Math.max(1, Math.ceil(from.distanceTo(to) / step));
-    for (let k = 0; k < n; k++) dense.push(...from.clone().lerp(to, k / n).toArray());
-  }
-  dense.push(...points.slice(-3));
-  return dense;
-}
-
-// The mechanism that was learnt, solid, and the true one, dashed.
+// The mechanism that was learnt, and the true one, wider and pale around it.
 class Lines {
   constructor(stage) {
-    Object.assign(this, { stage, group: new THREE.Group(), said: {}, ends: {} });
+    Object.assign(this, { stage, group: new THREE.Group(), said: {}, shown: {} });
     this.parts = { learnt: new THREE.Group(), truth: new THREE.Group() };
     this.group.add(...Object.values(this.parts));
-    this.truthInk = new THREE.MeshBasicMaterial({ toneMapped: false });
+    this.truthInk = new THREE.MeshBasicMaterial({ toneMapped: false, transparent: true, opacity: 0.45, depthWrite: false });
     onTheme(() => this.truthInk.color.copy(linear(pageColour("--truth"))));
   }
 
-  set(name, shown, make) {
-    const said = JSON.stringify(shown && [shown.lines, shown.patches]);
+  set(name, what, make) {
+    const said = JSON.stringify(what && [what.lines, what.patches]), part = this.parts[name];
     if (said === this.said[name]) return;
     this.said[name] = said;
-    const part = this.parts[name];
     part.traverse((mesh) => { if (mesh.geometry) mesh.geometry.dispose(); });
     part.clear();
-    const ends = shown ? decode([...shown.lines, ...(shown.patches || [])][0] || "", Float32Array) : [];
-    this.ends[name] = ends.length ? new THREE.Vector3(...ends.slice(-3)) : null;
-    if (shown) part.add(make(shown));
+    for (const mesh of what ? make(what) : []) part.add(mesh);
+    this.shown[name] = Boolean(what && what.lines.length + (what.patches || []).length);
     this.stage.dirty();
   }
 
   setState({ answer, truth }) {
     const { size } = this.stage, mechanism = answer && answer.mechanism, colour = (answer && answer.phaseKinds && answer.phaseKinds[0] && answer.phaseKinds[0].colour) || LEARNT;
-    this.set("learnt", mechanism && { patches: [], ...mechanism }, (one) => mechanismGroup(one, colour, 0.0014 * size));
-    this.set("truth", truth, ({ lines }) => {
-      const group = new THREE.Group();
-      for (const line of lines) group.add(new THREE.Mesh(tubeGeometry(dashed([...decode(line, Float32Array)], DASH * size), 0.0024 * size, 8, (i) => i % 2 === 1), this.truthInk));
-      return group;
-    });
-  }
-}
-
-// Beside the tip, to be dragged to where the tip is wanted.
-class Goal {
-  constructor(teach, marks) {
-    Object.assign(this, { teach, group: new THREE.Group(), offset: new THREE.Vector3(), dragged: null });
-    const { size } = marks, ink = marks.ink("--goal-knob"), r = GOAL.radius * size;
-    this.line = marks.mesh(new THREE.CylinderGeometry(1, 1, 1, 8), marks.ink("--goal-knob", 0.7));
-    this.knob = marks.mesh(new THREE.SphereGeometry(r, 24, 16), ink);
-    this.halo = marks.mesh(new THREE.SphereGeometry(1.7 * r, 24, 16), marks.ink("--goal-knob", 0.25));
-    this.group.add(this.line, this.halo, this.knob);
-    this.group.visible = false;
-    this.size = size;
-  }
-
-  get place() { return this.dragged ? this.dragged.to : this.teach.instance.tipPosition().add(this.offset); }
-
-  // Along what is free, or else above the tip.
-  setPose({ marks }, shown) {
-    this.group.visible = shown;
-    if (!shown) return;
-    if (!this.dragged) {
-      const free = marks && marks.free.length ? new THREE.Vector3(...marks.free[0]).normalize() : AXES.z.clone();
-      if (free.dot(this.offset) < 0) free.negate(); // no jump where the program turns its sign
-      this.offset = free.multiplyScalar(GOAL.away * this.size);
-    }
-    this.draw();
-  }
-
-  draw() {
-    const { place } = this;
-    stretch(this.line, this.teach.instance.tipPosition(), place, 0.0012 * this.size);
-    this.knob.position.copy(place);
-    this.halo.position.copy(place);
-  }
-
-  at(event) {
-    if (!this.group.visible || this.teach.pointing.far(event, this.place) > (event.pointerType === "touch" ? GOAL.finger : GOAL.near)) return null;
-    return { link: null, joint: null, at: null, place: this.place };
-  }
-
-  moveTo(to) {
-    this.dragged ??= { tip: this.teach.instance.tipPosition(), from: this.place, to };
-    this.dragged.to = to;
-    this.teach.sayOften({ do: "target", at: this.dragged.tip.clone().add(to).sub(this.dragged.from).toArray() });
-    this.draw();
-  }
-
-  drop() {
-    this.known = true;
-    this.dragged = null;
+    this.set("learnt", mechanism && { patches: [], ...mechanism }, (one) => [mechanismGroup(one, colour, 0.0014 * size)]);
+    this.set("truth", truth, ({ lines }) => lines.map((line) => new THREE.Mesh(tubeGeometry([...decode(line, Float32Array)], 0.005 * size), this.truthInk)));
   }
 }

@@ -32,8 +32,6 @@ class TeachPiece {
     carcass.matrix.copy(matrixFromRows(fixed.pose));
     for (const box of fixed.boxes) carcass.add(...boardOf(box, inks));
     for (const box of moving.boxes) this.leaf.add(...boardOf(box, inks));
-    const grips = moving.boxes.filter((box) => box[6] === "handle"), places = grips.length ? grips : moving.boxes;
-    this.middle = places.reduce((sum, [x, y, z]) => sum.add(new THREE.Vector3(x, y, z)), new THREE.Vector3()).divideScalar(Math.max(places.length, 1));
     this.corners = (boxes) => boxes.flatMap(([x, y, z, w, d, h]) => [-1, 1].flatMap((i) => [-1, 1].flatMap((j) => [-1, 1].map((k) => new THREE.Vector3(x + (i * w) / 2, y + (j * d) / 2, z + (k * h) / 2)))));
     this.still = this.corners(fixed.boxes).map((p) => p.applyMatrix4(carcass.matrix));
     this.out = new THREE.Vector3().setFromMatrixColumn(carcass.matrix, 1);
@@ -63,10 +61,8 @@ class TeachPiece {
     this.grip.emissiveIntensity = glow;
   }
 
-  // The middle of its handle in the robot's base, now.
-  handleAt() {
-    return this.leaf.visible ? this.middle.clone().applyMatrix4(this.leaf.matrix) : new THREE.Vector3(...this.handle.at);
-  }
+  // Where its handle is in the robot's base, now.
+  handleAt() { return this.leaf.visible ? this.leaf.position.clone() : new THREE.Vector3(...this.handle.at); }
 
   points() { return [...this.still, ...(this.leaf.visible ? this.front.map((p) => p.clone().applyMatrix4(this.leaf.matrix)) : [])]; }
 
@@ -125,10 +121,11 @@ class TeachFurniture {
   }
 
   // How far a handle is moved, and whether it can be gripped.
-  words(i, pose, scene) {
-    const { name, unit } = scene.handles[i], value = pose.opening[i] ?? 0, several = scene.handles.length > 1;
-    const open = Math.abs(value) > LEAST_OPENING[unit] ? `${openingInWords(value, unit)} open` : "";
-    const state = pose.held[i] ? "gripped" : pose.near === i ? "within reach: grip it" : "";
-    return [several && (open || state) ? name : "", state, open].filter(Boolean).join(" · ");
+  words({ opening, held, near }) {
+    return this.pieces.map(({ handle: { name, unit } }, i) => {
+      const open = Math.abs(opening[i] ?? 0) > LEAST_OPENING[unit] && `${openingInWords(opening[i], unit)} open`;
+      const words = [held[i] ? "gripped" : near === i && "within reach: grip it", open].filter(Boolean).join(" · ");
+      return words && `${name}: ${words}`;
+    }).filter(Boolean).join(", ");
   }
 }

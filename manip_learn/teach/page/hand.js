@@ -7,6 +7,7 @@ const MAGNET = 26; // [px] around a handle within which a hand that is drawn ove
 const GLIDE = 0.4; // [m/s] at which a pull goes to a handle by itself: as fast as a person reaches for something near
 const FELT = 0.01; // [m] of a handle's motion that show which way it goes
 const TOLD = 0.25; // [rad] that the view was turned by who may have meant the hand
+const TOUCH = matchMedia("(pointer: coarse)");
 const AT_VIEWER = 0.85; // cosine of the angle between a way and the view from which on a drag can hardly follow it
 
 class Hand {
@@ -33,27 +34,30 @@ class Hand {
       return;
     }
     if (!this.teach.allowed || event.button !== 0 || this.cameraTurns(event)) return;
-    const goal = this.teach.goal.at(event), on = goal || this.pointing.onArm(event) || this.onFurniture(event);
+    const on = this.on(event);
     if (!on) return this.watchView(event);
     stop(event);
     this.letGo();
     this.stage.element.focus({ preventScroll: true });
     this.stage.element.setPointerCapture(event.pointerId);
-    this.take({ ...on, goal: Boolean(goal), pointer: event.pointerId, event, drag: new Drag(this.pointing, event, on.place), started: event.clientX });
+    this.take({ ...on, pointer: event.pointerId, event, drag: new Drag(this.pointing, event, on.place), started: event.clientX });
   }
+
+  on(event) { return this.pointing.onArm(event) || this.onFurniture(event); }
 
   // A finger beside the arm turns the camera, and so does the next one.
   cameraTurns(event) {
     if (event.pointerType !== "touch") return false;
     if (event.isPrimary) this.fingers = new Set();
-    return (this.fingers ??= new Set()).size > 0 || (!this.teach.goal.at(event) && !this.pointing.onArm(event) && !this.onFurniture(event) && Boolean(this.fingers.add(event.pointerId)));
+    return (this.fingers ??= new Set()).size > 0 || (!this.on(event) && Boolean(this.fingers.add(event.pointerId)));
   }
 
   take(held) {
     this.held = { turn: 0, spin: null, toHandle: null, axisOfTurn: this.pointing.toEye(), to: held.place.clone(), ...held };
     this.stage.viewer.controls.enabled = false;
     this.stage.element.classList.add("pulling");
-    if (held.goal) return;
+    this.hasPulled = true;
+    this.hint();
     this.timer = setInterval(() => this.say(), REPEAT);
     this.say();
   }
@@ -75,7 +79,7 @@ class Hand {
   // A second finger turns the hand by its turn about the first.
   second(event) {
     const { held } = this;
-    if (event.pointerType !== "touch" || held.other !== undefined || held.goal) return;
+    if (event.pointerType !== "touch" || held.other !== undefined) return;
     Object.assign(held, { other: event.pointerId, angle: angleFrom(held.event, event) });
   }
 
@@ -89,7 +93,7 @@ class Hand {
       held.turn -= wrapped(angle - held.angle); // the screen's y points down
       held.angle = angle;
     } else if (event.pointerId !== held.pointer) return;
-    else if (event.shiftKey && !held.goal) held.turn -= TURN_PER_PIXEL * (event.clientX - held.event.clientX);
+    else if (event.shiftKey) held.turn -= TURN_PER_PIXEL * (event.clientX - held.event.clientX);
     else {
       if (held.wasTurning) held.drag.anchor(held.event, this.axis);
       held.drag.move(event);
@@ -97,8 +101,7 @@ class Hand {
       if (held.toHandle === null) held.to = held.drag.place.clone();
     }
     if (event.pointerId === held.pointer) Object.assign(held, { wasTurning: event.shiftKey, event });
-    if (held.goal) this.teach.goal.moveTo(held.to);
-    else this.say();
+    this.say();
     this.stage.dirty();
   }
 
@@ -121,8 +124,7 @@ class Hand {
     this.held = null;
     this.stage.viewer.controls.enabled = true;
     this.stage.element.classList.remove("pulling");
-    if (held.goal) this.teach.goal.drop();
-    else this.link.release();
+    this.link.release();
     this.setByKeys(false);
     this.hint();
     this.stage.dirty();
@@ -144,7 +146,7 @@ class Hand {
     const now = performance.now();
     if (event.buttons || event.pointerType === "touch" || now < (this.looked ?? 0) + 60) return; // a ray through many triangles takes a while
     this.looked = now;
-    const over = this.teach.allowed && (this.teach.goal.at(event) || this.pointing.onArm(event) || this.onFurniture(event));
+    const over = this.teach.allowed && this.on(event);
     this.stage.element.classList.toggle("over-arm", Boolean(over));
   }
 
@@ -167,7 +169,7 @@ class Hand {
   // The number of the handle that the pointer is over, if the hand may come to it by itself.
   handleUnder(event) {
     const { held, teach } = this;
-    if (held.goal || held.link !== null || this.axis || teach.isHeld) return null;
+    if (held.link !== null || this.axis || teach.isHeld) return null;
     const gaps = teach.handlePlaces().map((place, i) => (i === this.freed ? Infinity : this.pointing.far(event, place)));
     const nearest = gaps.indexOf(Math.min(...gaps));
     return gaps[nearest] <= MAGNET ? nearest : null;
@@ -226,7 +228,7 @@ class Hand {
 
   // What to do next, beside the hand.
   hint() {
-    const { held, teach } = this, words = !held ? (this.turnedView && !teach.pulled ? "That turned the view. To move the hand, drag the ring; Fit shows everything." : "") : held.goal ? "" : held.toHandle !== null ? "let it come: the gripper closes by itself" : this.freed !== null && teach.pose.near === this.freed ? `${TOUCH.matches ? "Grip" : "G"} closes the gripper again` : this.isFirm() && Math.abs(held.turn) < 1e-9 && !held.spin ? `held firmly: ${TOUCH.matches ? "a second finger" : "shift"} turns the hand with it` : held.drag && !this.axis && this.isHardToSee() ? `it moves towards you or away: turn the view${TOUCH.matches ? "" : ", or hold x, y or z"}` : "";
+    const { held, teach } = this, words = !held ? (this.turnedView && !this.hasPulled ? "That turned the view. To move the hand, drag the ring; Fit shows everything." : "") : held.toHandle !== null ? "let it come: the gripper closes by itself" : this.freed !== null && teach.pose.near === this.freed ? `${TOUCH.matches ? "Grip" : "G"} closes the gripper again` : this.isFirm() && Math.abs(held.turn) < 1e-9 && !held.spin ? `held firmly: ${TOUCH.matches ? "a second finger" : "shift"} turns the hand with it` : held.drag && !this.axis && this.isHardToSee() ? `it moves towards you or away: turn the view${TOUCH.matches ? "" : ", or hold x, y or z"}` : "";
     if (words === this.hinted) return;
     this.hinted = words;
     get("hand-hint").textContent = words;

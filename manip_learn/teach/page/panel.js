@@ -1,14 +1,12 @@
 // The panel: the next step, and the cards from a scene to what is taken home, as the program's state fills them.
 
-const WAY_STEPS = { m: { factor: 100, unit: " cm", digits: 1 }, rad: { factor: 180 / Math.PI, unit: "°", digits: 0 } };
-const DOING = { idle: "ready", recording: "recording", replaying: "replaying", learning: "learning", planning: "planning", running: "running", moving: "moving" };
 const FREE_HANDS = ["idle", "recording"]; // the program does nothing by itself
 const FEW = 3, ENOUGH = 5; // recordings without which nothing can be learnt, and that a person is asked for, as the program has them
 const NO_WAY = "There is no way to go yet: in no recording does the gripper take hold of something and move it by 2 cm, or by 3°. Record one that does, and learn again.";
 
 class Panel {
   constructor(teach) {
-    Object.assign(this, { teach, say: (said) => teach.say(said), state: null, best: 0 });
+    Object.assign(this, { teach, say: (said) => teach.say(said), state: null });
     this.recordings = new RecordingList(get("recordings"), this.say);
     this.answer = new Answer(get("answer"), this.say);
     this.take = new Take(teach);
@@ -19,16 +17,13 @@ class Panel {
     const on = (id, action) => get(id).addEventListener("click", action), { say } = this;
     get("scene-kind").addEventListener("change", (event) => say({ do: "scene", kind: event.target.value }));
     on("another", () => say({ do: "scene", kind: get("scene-kind").value }));
-    for (const id of ["home", "policies", "compare"]) on(id, () => say({ do: id }));
+    for (const id of ["home", "compare"]) on(id, () => say({ do: id }));
     for (const id of ["record", "learn", "run", "grip"]) on(id, () => this[id]());
     on("truth", () => say({ do: "truth", show: !this.state.truth }));
-    for (const button of document.querySelectorAll("[data-disturb]")) button.addEventListener("click", () => say({ do: "disturb", what: button.dataset.disturb }));
     on("no-ghosts", () => say({ do: "ghosts", show: false }));
     on("again", () => this.teach.ghosts && this.teach.ghosts.play());
     on("lead", () => this.teach.link.say({ do: "lead" }));
-    get("way").addEventListener("input", () => { this.sayWay(); this.teach.sayOften({ do: "way", value: Number(get("way").value) }); });
-    // what is typed, and the keys of sliders and boxes, are not those of the page
-    get("teach").addEventListener("keydown", (event) => { if (isText(event.target) || (event.key === " " && event.target.matches("input"))) event.stopPropagation(); });
+    get("teach").addEventListener("keydown", (event) => { if (event.target.matches("input")) event.stopPropagation(); }); // what is typed is not for the page
     for (const kind of ["click", "change"]) document.addEventListener(kind, ({ target }) => { const one = target.closest?.("button, select, summary"); if (one) releaseFocus(one); });
   }
 
@@ -43,10 +38,8 @@ class Panel {
   grip() { if (this.teach.allowed) this.say({ do: "grip", closed: !this.teach.isHeld }); }
 
   run() {
-    if (this.drives) { if (this.teach.allowed) this.say({ do: "stop" }); return; }
-    if (!this.can("run")) return;
-    const { way } = this.state, value = Number(get("way").value);
-    this.say({ do: "run", policy: get("policy").value, [way.unit === "rad" ? "turn" : "along"]: value, plan: get("plan").checked });
+    if (this.drives) this.say({ do: "stop" });
+    else if (this.can("run")) this.say({ do: "run" });
   }
 
   // ---- what the program says ----
@@ -57,25 +50,15 @@ class Panel {
   get drives() { return this.busy && this.state.doing !== "learning"; }
 
   setScene({ kind, title, handles }) {
-    Object.assign(this, { kind, title, handles, best: 0 });
-    this.setKinds();
-  }
-
-  setKinds() {
-    const select = get("scene-kind"), scenes = (this.state && this.state.scenes) || [], said = JSON.stringify(scenes);
-    if (said !== this.scenesSaid) select.replaceChildren(...scenes.map(({ kind, title }) => Object.assign(document.createElement("option"), { value: kind, textContent: title })));
-    if (said !== this.scenesSaid || this.kind !== this.shownKind) select.value = this.kind ?? select.value;
-    Object.assign(this, { scenesSaid: said, shownKind: this.kind });
-    const name = this.handles && this.handles.length === 1 ? this.handles[0].name : "scene";
-    get("another").textContent = `New ${name}`;
+    Object.assign(this, { title, handles });
+    get("scene-kind").value = kind;
+    get("another").textContent = `New ${handles.length ? handles[0].name : "scene"}`;
   }
 
   setState(state) {
-    if (Boolean(state.answer) !== Boolean(this.state && this.state.answer)) this.best = 0; // μ is that of other rows
     this.state = state;
     get("said").textContent = state.said || "";
     get("said").classList.toggle("lost", Boolean(state.wrong));
-    this.setKinds();
     this.showActions(state);
     this.showRecordings(state);
     this.showLearning(state);
@@ -86,21 +69,21 @@ class Panel {
 
   // ---- the next step ----
 
-  nextOf({ doing, recordings, unlearnt, answer, way, run }) {
+  nextOf({ doing, recordings, unlearnt, answer, can, run }) {
     if (this.drives) return "run";
     if (doing === "recording") return "record";
     if (doing === "learning") return "learn";
-    if (way && !unlearnt) return run && run.ended && run.ordered ? "home" : "run";
+    if (can.run && !unlearnt) return run && run.ended && run.ordered ? "home" : "run";
     return unlearnt && recordings.length >= (answer ? FEW : ENOUGH) ? "learn" : "record";
   }
 
   showActions(state) {
-    const { doing, recording, recordings: { length }, unlearnt, way, progress } = state, next = this.nextOf(state), idle = doing === "idle";
+    const { doing, recording, recordings: { length }, unlearnt, can, progress } = state, next = this.nextOf(state), idle = doing === "idle";
     const words = {
-      record: recording ? `Stop (${recording.seconds.toFixed(1)} s)` : next === "record" && length < ENOUGH ? `Record ${length + 1} of ${ENOUGH}` : "Record another one",
-      learn: doing === "learning" ? "Learning …" : `Learn from ${counted(length, "motion")}`, run: this.drives ? "Stop" : "Let the arm do it",
+      record: recording ? `Stop (${recording.seconds.toFixed(1)} s)` : length < ENOUGH ? `Record ${length + 1} of ${ENOUGH}` : "Record another one",
+      learn: doing === "learning" ? "Learning …" : "Learn", run: this.drives ? "Stop" : "Let the arm do it",
     };
-    const seen = { record: recording || idle, learn: doing === "learning" || (idle && length >= FEW && unlearnt > 0), run: this.drives || (idle && way), home: idle };
+    const seen = { record: recording || idle, learn: doing === "learning" || (idle && length >= FEW && unlearnt > 0), run: this.drives || (idle && can.run), home: idle };
     for (const [id, visible] of Object.entries(seen)) {
       const button = get(id);
       button.hidden = !visible;
@@ -119,7 +102,6 @@ class Panel {
   // ---- the cards ----
 
   showRecordings({ recordings, answer, doing }) {
-    get("show-hint").hidden = recordings.length >= ENOUGH;
     this.recordings.set(recordings, answer && answer.phaseKinds, this.busy || doing === "recording");
     for (const id of ["another", "scene-kind"]) get(id).disabled = doing === "recording" || doing === "learning";
   }
@@ -133,56 +115,40 @@ class Panel {
     fillTruth(get("truth-words"), truth);
   }
 
-  showRun({ doing, way }) {
-    for (const id of ["policies", "compare", "no-ghosts"]) get(id).disabled = this.busy;
-    for (const button of document.querySelectorAll("[data-disturb]")) button.disabled = doing !== "running";
-    if (way) this.setWay(way);
-  }
-
-  setWay({ unit, low, high, value }) {
-    const slider = get("way"), said = [unit, low, high].join();
-    if (said !== this.waySaid) Object.assign(slider, { min: low, max: high });
-    const dragged = document.activeElement === slider && this.teach.saidLately("way");
-    if (said !== this.waySaid || (!dragged && value !== this.wayValue)) slider.value = value;
-    Object.assign(this, { waySaid: said, wayValue: value, wayUnit: unit });
-    this.sayWay();
-  }
-
-  sayWay() {
-    const { factor, unit, digits } = WAY_STEPS[this.wayUnit], text = `${(factor * Number(get("way").value)).toFixed(digits)}${unit}`;
-    get("way-value").textContent = text;
-    get("way").setAttribute("aria-valuetext", text);
+  showRun({ can, run }) {
+    for (const id of ["compare", "no-ghosts"]) get(id).disabled = this.busy;
+    get("compare").hidden = !can.compare;
+    const notes = (run && run.notes) || [];
+    if (get("run-notes").children.length !== notes.length) get("run-notes").replaceChildren(...notes.map((text) => paragraph(text, "hint")));
   }
 
   // Each card in a line; the one that is at hand is open, until another one is.
   showSteps(state) {
-    const { doing, recordings, answer, way, run } = state, shown = recordings.length > 0, learnt = Boolean(answer) && !answer.refused;
-    const unit = way ? way.unit : "m", done = run && Number.isFinite(run.wanted) ? `${openingInWords(run.done, unit)} of ${openingInWords(run.wanted, unit)}` : "";
+    const { doing, recordings, answer, can, run } = state, shown = recordings.length > 0, learnt = Boolean(answer) && !answer.refused;
+    const done = run && run.wanted ? `${openingInWords(run.done, run.unit)} of ${openingInWords(run.wanted, run.unit)}` : "";
     const short = {
-      scene: this.title || "", show: shown ? counted(recordings.length, "motion") : "", learn: !answer ? "after five motions" : learnt ? answer.line : "not understood yet",
-      do: way ? done : learnt ? "no way to go yet" : "after learning", take: shown ? "" : "after the first motion",
+      scene: this.title || "", show: "", learn: !answer ? "" : learnt ? answer.line : "not understood yet",
+      do: can.run ? done : learnt ? "no way to go yet" : "after learning", take: shown ? "" : "after the first motion",
     };
-    const next = this.nextOf(state), now = way && (next === "run" || next === "home") ? "do" : answer && next === "record" && doing === "idle" ? "learn" : "show";
+    const next = this.nextOf(state), now = can.run && (next === "run" || next === "home") ? "do" : answer && next === "record" && doing === "idle" ? "learn" : "show";
     for (const [name, words] of Object.entries(short)) {
       const step = get(`step-${name}`);
       step.querySelector(".short").textContent = words;
-      step.inert = { learn: !answer, do: !way, take: !shown }[name] || false;
+      step.inert = { learn: !answer, do: !can.run, take: !shown }[name] || false;
       step.classList.toggle("now", name === now);
       if (step.inert || this.now !== now) step.open = name === now && !step.inert;
     }
     if (this.now !== now) get(`step-${now}`).scrollIntoView({ block: "nearest" });
     this.now = now;
-    get("no-way").textContent = learnt && !way ? NO_WAY : "";
+    get("no-way").textContent = learnt && !can.run ? NO_WAY : "";
   }
 
-  setPose({ near, mu }) {
+  setPose({ near }) {
     const held = this.teach.isHeld, handle = held && this.handles[this.teach.pose.held.indexOf(true)];
     get("grip-words").textContent = held ? "Let go" : "Grip";
     get("grip").hidden = !held && !Number.isFinite(near);
     get("holding").hidden = !held || this.drives; // the arm that drives does the pulling
     const words = handle ? `Holding the ${handle.name}. ${handle.move}. To let go:` : "";
     if (get("holding").textContent !== words) get("holding").textContent = words;
-    this.best = Math.max(this.best, mu || 0);
-    get("room").value = this.best ? mu / this.best : 0;
   }
 }

@@ -73,7 +73,7 @@ class RecordingList {
     if (said === row.bandsSaid) return;
     row.bandsSaid = said;
     row.bands.replaceChildren();
-    row.bands.setAttribute("aria-label", `Phases: ${phases.map(([start, end, k]) => `${(kinds && kinds[k] && kinds[k].label) || (k < 0 ? "free" : k + 1)} until ${end.toFixed(1)} s`).join(", ")}`);
+    row.bands.setAttribute("aria-label", `Phases: ${phases.map(([, end, k]) => `${k < 0 ? "free" : (kinds && kinds[k] && kinds[k].label) || k + 1} until ${end.toFixed(1)} s`).join(", ")}`);
     for (const [start, end, k] of phases)
       svg("rect", { x: (1000 * start) / Math.max(seconds, 1e-9), y: 0, width: Math.max((1000 * (end - start)) / Math.max(seconds, 1e-9), 2), height: 6, style: `fill: ${phaseColour(kinds, k)}` }, row.bands);
   }

@@ -1,10 +1,8 @@
 // An arm that is taken by the hand: poses come from the program, the newest one is drawn; what the person does is posted.
 
-const OFTEN = 100; // [ms] between two values of a slider, or two places of the goal, that are said
-const LATELY = 1000; // [ms] for which a slider is left where the person has put it
 const LIVE_SECONDS = 20; // of manipulability that stay in the chart
 const MARK_SHARE = 0.7; // of the size of the scene, which encloses all that the arm can reach, for which marks are drawn
-const MOST_LABELLED = 3; // handles at a time
+const MOST_LABELLED = 3; // ghosts that are named at a time
 const WORDS_GAP = 200; // [ms] between two readings of the time in the headline
 
 // All of a pose that can be seen, to a hundredth of a millimetre or a thousandth of a degree.
@@ -14,12 +12,11 @@ function inPicture({ values, furniture, held, near, hand, weak, marks, limit, to
 
 class Teach {
   constructor(show, data, software) {
-    Object.assign(this, { show, stage: show.stage, rollout: show.rollouts[0], instance: show.rollouts[0].instance, state: null, scene: null, pose: null, drawnSeq: 0, often: new Map(), notes: data.notes });
+    Object.assign(this, { show, stage: show.stage, rollout: show.rollouts[0], instance: show.rollouts[0].instance, state: null, scene: null, pose: null, drawnSeq: 0, notes: data.notes });
     this.rollout.solid = true;
     this.values = { times: [], mu: [] };
     Object.assign(this.rollout, { curveTimes: this.values.times, curve: this.values.mu });
     this.arrange();
-    this.tour = new Tour(this);
     this.link = new TeachLink(data.events.slice(0, -"events".length), {
       ended: () => { this.ended = true; this.link.close(); }, pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.setGhosts(ghosts),
     }, () => this.allow(), (words) => this.tell(words, true));
@@ -34,7 +31,7 @@ class Teach {
 
   arrange() {
     get("step-do").append(get("panel")); // of what is of interest while the arm does it
-    get("log").title = "Logarithmic scale";
+    get("log").remove();
     get("scene").after(get("hand-bar"), get("drop-here"));
     get("keys").querySelector("dl").replaceChildren(get("teach-keys").content.cloneNode(true));
     get("scene").setAttribute("aria-label", "The arm in three dimensions: drag it, or press H and move its hand by the arrow keys; otherwise arrow keys turn the view, plus and minus zoom");
@@ -47,43 +44,36 @@ class Teach {
     this.furniture = new TeachFurniture(stage, instance);
     this.marks = new LiveMarks(instance, size);
     this.spring = new Spring(this.marks);
-    this.goal = new Goal(this, this.marks);
     this.trail = new TipTrail(instance, size, () => this.rollout.colour);
-    this.limits = new LimitTint(instance);
     this.lines = new Lines(stage);
-    stage.world.add(this.marks.group, this.spring.group, this.goal.group, this.trail.mesh, this.lines.group);
+    stage.world.add(this.marks.group, this.spring.group, this.trail.mesh, this.lines.group);
     this.rings = [0, 1].map(() => Object.assign(document.createElement("div"), { className: "ring" }));
     for (const ring of this.rings) ring.setAttribute("aria-hidden", "true");
     stage.element.append(...this.rings);
     this.key = new SceneKey(stage, this.rows());
-    stage.onRendered = () => { this.key.update(); this.placeRings(); };
+    stage.onRendered = () => this.placeRings();
     this.quality = new Quality(stage, instance, software);
     this.ghosts = new Ghosts(this);
-    this.show.onRecolour = () => { this.quality.plain(instance); this.limits.again(); };
+    this.show.onRecolour = () => this.quality.plain(instance);
     this.hand = new Hand(this);
   }
 
   // What the marks in the picture are, and what the arm feels.
   rows() {
-    const { marks, furniture, lines, goal } = this, now = (say) => () => (this.pose ? say(this.pose) : "");
-    const drawn = (places, turns, moving, turning) => now((pose) => (!pose.marks ? "" : marks.drawn[places].length ? moving : marks.drawn[turns].length ? turning : ""));
-    const limits = ({ limit }) => limit.map((name) => `${name} is at its limit`).join(", ");
-    const handles = Array.from({ length: MOST_LABELLED }, (_, i) => ({ ink: "--scene-ink", form: "ball", say: now((pose) => (furniture.pieces[i] ? furniture.words(i, pose, this.scene) : "")) }));
+    const now = (say) => () => this.pose && say(this.pose), { marks, lines } = this;
     return [
-      { ink: "--weak", say: now(({ weak }) => (weak ? "the hand can hardly move this way" : "")) },
-      { ink: "--free", say: drawn("free", "freeTurns", "free to move", "free to turn") },
-      { ink: "--held-mark", say: drawn("held", "heldTurns", "held", "may not turn") },
-      { ink: "--goal-knob", form: "ball", say: () => (goal.group.visible && !goal.known ? "drag: where the hand should go" : "") },
-      { ink: "--scene-ink", form: "line", say: () => (lines.ends.learnt ? MECHANISM_WORDS[this.state.answer.mechanism.type] || "learnt" : "") },
-      { ink: "--truth", form: "line", say: () => (lines.ends.truth ? "the truth" : "") },
-      { ink: "--weak", form: "ball", say: now(({ touches }) => (touches.length ? "the arm touches this" : "")) },
-      { ink: "--weak", say: now(limits) },
-      ...handles,
+      { ink: "--weak", say: now(({ weak }) => weak && "the hand can hardly move this way") },
+      { ink: "--weak", say: now(({ limit }) => limit.map((name) => `${name} is at its limit`).join(", ")) },
+      { ink: "--weak", form: "ball", say: now(({ touches }) => touches.length && "the arm touches the furniture") },
+      { ink: "--free", say: now((pose) => pose.marks && (marks.drawn.free.length ? "free to move" : marks.drawn.freeTurns.length && "free to turn")) },
+      { ink: "--held-mark", say: now((pose) => pose.marks && (marks.drawn.held.length ? "held" : marks.drawn.heldTurns.length && "may not turn")) },
+      { ink: "--scene-ink", form: "line", say: () => lines.shown.learnt && (MECHANISM_WORDS[this.state.answer.mechanism.type] || "learnt") },
+      { ink: "--truth", form: "line", say: () => lines.shown.truth && "the truth" },
+      { ink: "--scene-ink", form: "ball", say: now((pose) => this.furniture.words(pose)) },
     ];
   }
 
   wire() {
-    get("log").addEventListener("click", () => this.chart.turnLogarithmic());
     wireCamera(this.show);
     const once = (action) => (event) => { if (!event.repeat) action(); };
     wireKeys({
@@ -118,23 +108,6 @@ class Teach {
 
   say(said) { if (this.allowed) this.link.say(said); }
 
-  // The newest of its kind, a few times a second, and the last one always.
-  sayOften(said) {
-    const one = this.often.get(said.do) || { last: -Infinity };
-    this.often.set(said.do, one);
-    one.said = said;
-    if (one.timer) return;
-    one.timer = setTimeout(() => {
-      Object.assign(one, { timer: null, last: performance.now() });
-      this.say(one.said);
-    }, Math.max(0, one.last + OFTEN - performance.now()));
-  }
-
-  saidLately(kind) {
-    const one = this.often.get(kind);
-    return Boolean(one) && (Boolean(one.timer) || performance.now() < one.last + LATELY);
-  }
-
   // What the page itself has to say; refusals are seen as well as heard.
   tell(words, wrong = false) {
     get("alerts").textContent = wrong ? "" : words;
@@ -154,7 +127,6 @@ class Teach {
     this.link.heard(pose.seq);
     this.pose = pose;
     this.isNew = true;
-    if (pose.opening.some((value) => Math.abs(value) > 0.05)) this.moved = true;
     if (pose.mu !== null) this.addValue(pose.time, pose.mu);
     const picture = inPicture(pose);
     if (this.stage && picture !== this.picture) this.stage.dirty(); // an arm that rests need not be drawn again
@@ -168,7 +140,6 @@ class Teach {
     this.setNotes(scene.notes || []);
     if (!this.stage) return;
     this.furniture.setScene(scene);
-    if (isNew) this.moved = false;
     if (isNew) this.trail.clear();
     this.stage.dirty();
   }
@@ -211,7 +182,6 @@ class Teach {
     }
     if (this.pose && this.isNew) this.hasDrawn(this.pose);
     this.drawWords(now);
-    this.tour.frame();
     requestAnimationFrame((next) => this.frame(next));
   }
 
@@ -223,10 +193,7 @@ class Teach {
     this.hand.setPose(pose);
     this.furniture.setPose(pose);
     this.marks.setPose(pose);
-    this.limits.set(pose.limit);
     this.trail.setPose(pose.trail);
-    this.goal.setPose(pose, this.allowed && Boolean(this.state.way));
-    if (this.hand.held && !this.hand.held.goal) this.pulled = true;
   }
 
   hasDrawn(pose) {
@@ -239,7 +206,7 @@ class Teach {
   // The own hand is drawn where the pointer is now, not where the program last heard of it.
   drawSpring() {
     const { held, axis } = this.hand, told = this.pose && this.pose.hand;
-    if (held && !held.goal) this.spring.set(this.hand.heldAt(), held.to, told || {}, held.drag && axis);
+    if (held) this.spring.set(this.hand.heldAt(), held.to, told || {}, held.drag && axis);
     else if (told) this.spring.set(new THREE.Vector3(...told.at), new THREE.Vector3(...told.to), told);
     else this.spring.set(null);
   }
@@ -247,11 +214,12 @@ class Teach {
   drawWords(now) {
     if (now < (this.worded ?? 0) + WORDS_GAP || !this.pose) return;
     this.worded = now;
-    const { weak, limit, touches, rate } = this.pose, doing = this.state && this.state.doing;
-    if (this.link.open) this.head(`${DOING[doing] || "live"}${doing === "running" ? ` · ${Math.round(rate)} steps/s` : ""}`, false);
+    const { weak, limit, touches } = this.pose, doing = this.state && this.state.doing;
+    if (this.link.open) this.head(doing === "idle" ? "ready" : doing || "live", false);
     const words = [weak && "The hand can hardly move this way.", touches.length && "The arm touches the furniture.", ...limit.map((name) => `${name} is at its limit.`)].filter(Boolean).join(" ");
     if (words !== this.warned) this.tell(words);
     this.warned = words;
+    if (this.key) this.key.update();
     if (this.changed && get("step-do").open && !(this.ghosts && this.ghosts.curves)) this.drawChart();
   }
 
@@ -265,10 +233,10 @@ class Teach {
     chart.setTime(curves ? this.ghosts.time : last);
   }
 
-  // Around the tip, and around the handle until something has been moved.
+  // Around the tip, and around the handle until the hand holds it.
   placeRings() {
     const rests = this.allowed && !this.hand.held && !this.isHeld, [piece] = this.furniture.pieces;
-    [rests && this.instance.tipPosition(), rests && this.pulled && !this.moved && piece && piece.handleAt()].forEach((place, i) => {
+    [rests && this.instance.tipPosition(), rests && this.state.doing === "recording" && piece && piece.handleAt()].forEach((place, i) => {
       const at = place && this.stage.onScreen(place);
       this.rings[i].hidden = !at;
       if (at) this.rings[i].style.transform = `translate(${at.x.toFixed(1)}px, ${at.y.toFixed(1)}px)`;
@@ -305,8 +273,7 @@ function startTeaching() {
     // From the scene to the eye, unit vector in the robot's base.
     toEye: () => teach.pointing.toEye().toArray(),
     // What the person pulls: link, place, and the number of a handle that it goes to; null without a pull.
-    get pull() { const held = teach.hand && teach.hand.held; return held && !held.goal ? { link: held.link, to: held.to.toArray(), toHandle: held.toHandle } : null; },
-    goalOnScreen: () => (teach.goal.group.visible ? teach.screenOf(teach.goal.place.toArray()) : null),
+    get pull() { const held = teach.hand && teach.hand.held; return held ? { link: held.link, to: held.to.toArray(), toHandle: held.toHandle } : null; },
     get drawing() { return Boolean(teach.stage); },
     get allowed() { return teach.allowed; },
   };
