@@ -27,29 +27,30 @@ OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help", HEL
 _WORDS: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
 
 
-def parsed_by(options: type, run: Callable[[Any], None]) -> Callable[..., None]:
+def parsed_by(options: type, run: Callable[[Any, bool], None]) -> Callable[..., None]:
     """Return a function for typer that has the fields of some options as its parameters, and runs a command with them.
 
     A field that is itself a dataclass is a set of options: its fields stand in its place, under its docstring.
 
     Args:
         options: A dataclass; the first paragraph of its docstring is the help of the command, the second an example.
-        run: Takes an object of it.
+        run: Takes an object of it, and whether the answer is to be JSON.
     """
     own = _parameters(options)
     sets: dict[str, Any] = {p.name: p.annotation for p in own if dataclasses.is_dataclass(p.annotation)}
     flags = {name: _parameters(kind) for name, kind in sets.items()}
 
     def with_options(**given: Any) -> None:
+        as_json = given.pop("as_json")
         given.pop(HELP_ALL)
         made = {name: sets[name](**{p.name: given.pop(p.name) for p in of}) for name, of in flags.items()}
-        run(options(**given, **made))
+        run(options(**given, **made), as_json)
 
     merged = [q for p in own for q in flags.get(p.name, [p])]
-    merged.append(inspect.Parameter(HELP_ALL, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=HelpAll))
+    merged += [_keyword("as_json", Json, False), _keyword(HELP_ALL, HelpAll, False)]
     with_options.__doc__, example, *_ = f"{inspect.getdoc(options)}\n\n".split("\n\n")
     with_options.__annotations__ = {}
-    first = takewhile(lambda name: name not in sets, (p.name for p in own))
+    first = takewhile(lambda name: name not in sets, [*(p.name for p in own), "as_json"])
     headings = {p.name: (inspect.getdoc(sets[name]) or "").partition(".")[0] for name, of in flags.items() for p in of}
     told = {"headings": headings, "first": {*first, "help", HELP_ALL}, "example": example}
     vars(with_options).update(__signature__=inspect.Signature(merged), **told)
@@ -73,8 +74,12 @@ def _parameters(options: Any) -> list[inspect.Parameter]:
         elif not dataclasses.is_dataclass(kind):
             kind = Annotated[kind, Option("--" + name.replace("_", "-"), help=texts[name])]
         default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
-        parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind))
+        parameters.append(_keyword(name, kind, default))
     return parameters
+
+
+def _keyword(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
 
 def _explain_all(context: Context, asked: bool) -> None:
@@ -85,6 +90,7 @@ def _explain_all(context: Context, asked: bool) -> None:
         context.exit()
 
 
+Json = Annotated[bool, Option("--json", help="Print one JSON document and nothing else.")]
 HelpAll = Annotated[bool, Option("--help-all", is_eager=True, callback=_explain_all, help="Explain all options.")]
 
 

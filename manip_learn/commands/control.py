@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -28,7 +29,7 @@ from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
 
 # curve or surface that the held rows keep the hand on
-_PLACES = {"line": "line", "plane": "plane", "hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
+_CURVES = {"hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
 _WAY = (
     "time: {seconds:.1f} s; off: {millimetres:.1f} mm; fastest: {fastest_joint[share_of_limit]:.0%}; "
     "margin: {margin:.0%}; least mu: {least_manipulability:.3f}"
@@ -198,6 +199,7 @@ def outcome(
         margin: Least share of its own limits that the way left; None without a way.
     """
     r, error, known = rollout, float(rollout.task_error[-1]), constraint.mechanism
+    curve = "" if known is None else f"the {_CURVES.get(known.type, known.type)}"
     done = way is not None and way.is_done
     last = r.status[-max(1, len(r) // 20) :]
     at_rest = last.count(Status.STALLED) + last.count(Status.SINGULAR) > 0.5 * len(last)
@@ -223,8 +225,12 @@ def outcome(
         "final_posture": r.q[-1].tolist(),
     }
     if way is None:
-        content["sentence"] = _arrival(content["reached"], aim, _PLACES.get(known.type, "") if known else "", tolerance)
-        facts = cells(content | {"least": _least(r), "unhindered": r.status.count(Status.OK) / len(r)}, _ROLLOUT)
+        content["sentence"] = _arrival(content["reached"], aim, curve, tolerance)
+        later = r.manipulability[
+            r.time >= min(0.1, r.time[-1])
+        ]  # [s]: a nearly singular start is not due to the policy
+        shares = {"least": float(later.min()), "unhindered": r.status.count(Status.OK) / len(r)}
+        facts = cells(content | shares, _ROLLOUT)
     else:
         verb, content["hold"] = _deed(constraint, r, way)
         digits, unit = (3, "m") if way.unit == "m" else (1, "degrees")
@@ -248,49 +254,36 @@ def outcome(
     )
 
 
-def _least(r: Rollout) -> float:
-    """Return the least manipulability but for the beginning: a nearly singular start is not due to the policy."""
-    return float(r.manipulability[r.time >= min(0.1, r.time[-1])].min())  # [s]
-
-
 def _arrival(reached: bool, aim: Aim | None, curve: str, tolerance: float) -> str:
     """Return in words where the hand ended without a way."""
     if aim is None:
         return "held what is held: --along, --turn or --target names a task"
     if reached:
         return "at the target"
-    where = f"on the {curve}" if curve else "where the held rows are to be"
+    where = f"on {curve}" if curve else "where the held rows are to be"
     if aim.off > tolerance:
-        where = f"{aim.off:.3g} off " + (f"the {curve}" if curve else "along the held rows")
+        where = f"{aim.off:.3g} off {curve or 'along the held rows'}"
     far = f"{aim.error:.3g} from the target" if aim.distance is None else f"{aim.distance:.3g} m from the point"
     return f"{where}, {far}"
 
 
-def _obstacles(content: dict[str, Any], way: WayDone | None, aim: Aim | None) -> list[str]:
-    """Return in sentences what kept a rollout from its goal."""
-    left, tolerance, out = content["final_error"], content["tolerance"], list[str]()
+def _obstacles(content: dict[str, Any], way: WayDone | None, aim: Aim | None) -> Iterator[str]:
+    """Yield in sentences what kept a rollout from its goal."""
+    left, tolerance = content["final_error"], content["tolerance"]
     if way is not None and way.stopped_by is not None:
-        out.append(f"stopped by {way.stopped_by}")
-    if way is not None and way.strays:
-        out.append(
-            f"the hand strayed {1e3 * way.deviation:.1f} mm from what holds it, near a singularity or a limit: what is "
-            "rigid pushes back; start in another posture"
-        )
+        yield f"stopped by {way.stopped_by}"
+    if way is not None and way.strays:  # what is rigid pushes back
+        far = f"the hand strayed {1e3 * way.deviation:.1f} mm from what holds it"
+        yield f"{far}, near a singularity or a limit: start in another posture"
     if aim is not None and aim.crossed > tolerance:
-        out.append(
-            f"the hand moved {aim.crossed:.3g} along what the recordings show to be blocked, to come to the target: a "
-            "hand that holds the thing needs a target on its way, or --along"
-        )
+        far = f"the hand moved {aim.crossed:.3g} along what the recordings show to be blocked"
+        yield f"{far}, to come to the target: a hand that holds the thing needs a target on its way, or --along"
     if aim is not None and aim.ignored and not content["reached"]:
-        out.append(f"--rows held leaves {', '.join(aim.ignored)} of the target free")
+        yield f"--rows held leaves {', '.join(aim.ignored)} of the target free"
     if way is None and content["stalled"]:
-        out.append(
-            f"stalled with {left:.3g} left: limits or a singularity block the rest; the target may be out of reach, or "
-            "try another --start"
-        )
+        yield f"stalled, {left:.3g} left: limits or a singularity block the rest; try a nearer target or --start"
     elif way is None and left > tolerance:
-        out.append(f"{left:.3g} left after {content['duration']:g} s, still moving: try a longer --duration")
-    return out
+        yield f"{left:.3g} left after {content['duration']:g} s, still moving: try a longer --duration"
 
 
 def _deed(constraint: Constraint, rollout: Rollout, way: WayDone) -> tuple[str, list[float] | None]:

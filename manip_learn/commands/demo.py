@@ -126,7 +126,7 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
         report=learner.report_,
         side_by_side=is_pair,
         align="grasp" if is_pair else "start",
-        open_browser=options.browser and not options.as_json,
+        open_browser=options.browser,
     )
     progress("done", 1.0)
     contents = {name: answer.content for name, answer in answers.items()}

@@ -87,7 +87,6 @@ RolloutFile = Annotated[Path | None, Option(help="Rollout file to write: .npz, .
 ReplayFile = Annotated[Path | None, Option(help="Replay to write.")]
 Dask = Annotated[str | None, Option(help="Scheduler address, or local: work on a dask cluster.")]
 Explain = Annotated[bool, Option("--explain", help="Say what the words in the tables mean.")]
-Json = Annotated[bool, Option("--json", help="Print one JSON document and nothing else.")]
 
 
 @final
@@ -219,8 +218,6 @@ class RobotsOptions:
     manip-learn robots
     """
 
-    as_json: Json = False
-
 
 @final
 @dataclass(frozen=True)
@@ -241,7 +238,6 @@ class DemoOptions:
     all_policies: bool = False
     browser: Annotated[bool, Option("--browser/--no-browser")] = True
     explain: Explain = False
-    as_json: Json = False
 
 
 @final
@@ -254,7 +250,6 @@ class InspectOptions:
 
     robot: RobotName
     loading: RobotOptions = RobotOptions()
-    as_json: Json = False
 
 
 @final
@@ -307,7 +302,6 @@ class LearnOptions:
     seed: int = 0
     dask: Dask = None
     explain: Explain = False
-    as_json: Json = False
 
 
 @final
@@ -329,7 +323,6 @@ class AuditOptions:
     reading: ReadingOptions = ReadingOptions()
     dask: Dask = None
     explain: Explain = False
-    as_json: Json = False
 
 
 @final
@@ -384,7 +377,6 @@ class ControlOptions:
     tolerance: float = 0.01
     check: bool = False
     explain: Explain = False
-    as_json: Json = False
 
 
 @final
@@ -412,7 +404,6 @@ class RepeatOptions:
     loading: RobotOptions = RobotOptions()
     scene: SceneFile = None
     seed: int = 0
-    as_json: Json = False
 
 
 @final
@@ -437,7 +428,6 @@ class ReplayOptions:
     loading: RobotOptions = RobotOptions()
     reading: ReadingOptions = ReadingOptions()
     tip: str | None = None
-    as_json: Json = False
 
 
 @final
@@ -462,7 +452,6 @@ class ExportOptions:
     at: str | None = None
     loading: RobotOptions = RobotOptions()
     reading: ReadingOptions = ReadingOptions()
-    as_json: Json = False
 
 
 @final
@@ -496,7 +485,6 @@ class RecordOptions:
     duration: float | None = None
     no_release: bool = False
     no_browser: bool = False
-    as_json: Json = False
 
 
 @final
@@ -522,7 +510,6 @@ class TeachOptions:
     seed: int | None = None
     no_browser: bool = False
     loading: RobotOptions = RobotOptions()
-    as_json: Json = False
 
 
 @final
@@ -545,4 +532,3 @@ class ReproduceOptions:
     seed: int = 0
     out: Path | None = None
     workers: int | None = None
-    as_json: Json = False
