@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
+from manip_learn.commands.loading import load_constraint, scene_of, start_posture
 from manip_learn.commands.options import ControlOptions, RepeatOptions, vector
 from manip_learn.commands.output import Answer, cells, place, silent
 from manip_learn.constraint.constraint import Constraint
@@ -70,8 +70,7 @@ def control(options: ControlOptions, progress: Progress = silent) -> Answer:
     start, target, rest = (vector(f"--{name}", getattr(options, name)) for name in ("start", "target", "rest"))
     named = (options.direction or "").strip()  # a row of the mechanism, by its name
     direction = named if named.isidentifier() else vector("--direction", options.direction)
-    robot = robot_of_constraint(options.robot, options.constraint, options.loading)
-    constraint = Constraint.load(options.constraint, robot)
+    constraint, robot = load_constraint(options.robot, options.constraint, options.loading)
     named_way = options.along is not None or options.turn is not None
     if target is not None and named_way:
         raise TargetError("--target names the point, --along and --turn the way: give one of them")

@@ -120,6 +120,12 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
         ) from error
 
 
+def load_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> tuple[Constraint, Robot]:
+    """Return the constraint in a file, and its robot; errors as of `robot_of_constraint` and `Constraint.load`."""
+    robot = robot_of_constraint(robot_name, constraint_file, loading)
+    return Constraint.load(constraint_file, robot), robot
+
+
 def choose_frame(robot: Robot, frame: str | None) -> str:
     """Return the frame that the hand guided: the one that was named, checked, or the only likely tip.
 
