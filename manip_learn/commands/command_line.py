@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
+import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -51,21 +52,22 @@ def parsed_by(options: type, run: Callable[[Any, bool], None]) -> Callable[..., 
     with_options.__doc__, example, *_ = f"{inspect.getdoc(options)}\n\n".split("\n\n")
     with_options.__annotations__ = {}
     first = takewhile(lambda name: name not in sets, [*(p.name for p in own), "as_json"])
-    headings = {p.name: (inspect.getdoc(sets[name]) or "").partition(".")[0] for name, of in flags.items() for p in of}
+    titles = {name: str(inspect.getdoc(kind)).partition(".")[0] for name, kind in sets.items()}
+    headings = {p.name: titles[name] for name, of in flags.items() for p in of}
     told = {"headings": headings, "first": {*first, "help", HELP_ALL}, "example": example}
     vars(with_options).update(__signature__=inspect.Signature(merged), **told)
     return with_options
 
 
-def described(kind: type) -> dict[str, str]:
-    """Return the names that the docstring of a class describes under `Attributes:`, and what it says of them."""
+def described(kind: object) -> dict[str, str]:
+    """Return the texts under `Attributes:` in the docstring of a class or a module, by their names."""
     entries = re.findall(r"^    (\w[\w ]*): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}
 
 
 def _parameters(options: Any) -> list[inspect.Parameter]:
-    """Return the fields of a dataclass as keywords of a function, with their help from its docstring."""
-    texts = described(options)
+    """Return the fields of a dataclass as keywords, with help from its docstring or the docstring of its module."""
+    texts = described(sys.modules[options.__module__]) | described(options)
     hints, parameters = get_type_hints(options, include_extras=True), list[inspect.Parameter]()
     for field in dataclasses.fields(options):
         name, kind = field.name, hints[field.name]

@@ -29,7 +29,7 @@ from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
 
 # curve or surface that the held rows keep the hand on
-_CURVES = {"hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
+_PLACES = {"line": "line", "plane": "plane", "hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
 _WAY = (
     "time: {seconds:.1f} s; off: {millimetres:.1f} mm; fastest: {fastest_joint[share_of_limit]:.0%}; "
     "margin: {margin:.0%}; least mu: {least_manipulability:.3f}"
@@ -198,7 +198,7 @@ def outcome(
         margin: Least share of its own limits that the way left; None without a way.
     """
     r, error, known = rollout, float(rollout.task_error[-1]), constraint.mechanism
-    curve = "" if known is None else f"the {_CURVES.get(known.type, known.type)}"
+    curve = "" if known is None or known.type not in _PLACES else f"the {_PLACES[known.type]}"
     done = way is not None and way.is_done
     last = r.status[-max(1, len(r) // 20) :]
     at_rest = last.count(Status.STALLED) + last.count(Status.SINGULAR) > 0.5 * len(last)
@@ -225,9 +225,7 @@ def outcome(
     }
     if way is None:
         content["sentence"] = _arrival(content["reached"], aim, curve, tolerance)
-        later = r.manipulability[
-            r.time >= min(0.1, r.time[-1])
-        ]  # [s]: a nearly singular start is not due to the policy
+        later = r.manipulability[r.time >= min(0.1, r.time[-1])]  # [s] a nearly singular start is not due to the policy
         shares = {"least": float(later.min()), "unhindered": r.status.count(Status.OK) / len(r)}
         facts = cells(content | shares, _ROLLOUT)
     else:

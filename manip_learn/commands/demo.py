@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import final
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,9 +23,7 @@ from manip_learn.robot import load_robot
 PAUSE = 0.5  # [s] at the handle, as a gripper takes to close
 
 
-@final
-@dataclass(frozen=True)
-class DemoScene:
+class DemoScene(NamedTuple):
     """One demo: recordings, and a start that is nearly singular for the learnt task.
 
     Attributes:
