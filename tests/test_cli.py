@@ -152,7 +152,9 @@ def test_the_demo_of_the_small_robot(run):
     for more, names in ((), ["without", "with"]), (("--all-policies",), ["manipulability", "attractor", "zero"]):
         code, out, err = run("demo", "--robot", "planar3", "--out", "here", "--no-browser", *more)
         assert code == 0, err
-        assert [line.split()[0] for line in out.splitlines() if line.rstrip().endswith(" %")] == names and "min mu" in out
+        assert [
+            line.split()[0] for line in out.splitlines() if line.rstrip().endswith(" %")
+        ] == names and "min mu" in out
         assert [rollout["name"] for rollout in data_in(Path("here/replay.html"))["rollouts"]] == names
     _, said, _ = run("demo", "--help")
     assert "a plan and the policies manipulability, attractor and zero" in " ".join(said.split())
@@ -255,7 +257,9 @@ def test_inspect_fits_on_a_screen(run, monkeypatch, robot, lines, tip):
     monkeypatch.setenv("COLUMNS", "80")
     code, out, _ = run("inspect", robot)
     said = out.splitlines()
-    assert code == 0 and len(said) + 1 <= lines and all(len(line) <= 80 for line in said if not line.startswith("file: "))
+    assert (
+        code == 0 and len(said) + 1 <= lines and all(len(line) <= 80 for line in said if not line.startswith("file: "))
+    )
     joints = [line.split()[0] for line in said if line.rstrip().endswith(("rad", " m"))]
     code, answer, _ = run("inspect", robot, "--json")
     answer = json.loads(answer)

@@ -8,6 +8,7 @@ import io
 import math
 import re
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,7 +157,7 @@ def test_units_are_printed_with_their_numbers(held: Constraint, rollout: Rollout
     )
     share = 100.0 * r.status.count("ok") / len(r)
     assert f"{expected} peak {abs(r.u).max():.2f}/s unhindered {share:.0f} %" in text
-    values = dict.fromkeys(EpisodeAudit._fields, 0.5)
+    values: dict[str, Any] = dict.fromkeys(EpisodeAudit._fields, 0.5)
     episode = EpisodeAudit(**values | {"episode": "a", "reasons": ("odd",), "limit_margin": float("nan")})
     (row,) = audited(AuditReport((episode,), (), 4.0)).rows
     assert " ".join(row.values()) == "a 0.5 50.0 % - 0.5 0.500 50 % 50 % 0.5 0.5 0.5"

@@ -42,14 +42,14 @@ def described(report: AuditReport, file: Path | None = None) -> Answer:
         report: The audit.
         file: Its table, if it was written.
     """
-    content, n = report.to_dict() | {"csv": file}, len(report.episodes)
+    n = len(report.episodes)
     threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
     return Answer(
-        content,
+        {**report.to_dict(), "csv": file},
         title=f"leave out {len(report.leave_out)} of {counted(n, 'episode')} ({threshold})",
         sentences=[f"{e.episode}: {'; '.join(e.reasons)}" for e in report.leave_out],
         remarks=[f"the {_SHOWN} worst (--csv FILE lists all):" if n > _SHOWN else ""],
-        rows=[{"episode": e["episode"]} | cells(e, _MEASURES) for e in content["episodes"][:_SHOWN]],
+        rows=[{"episode": e.episode} | cells(e._asdict(), _MEASURES) for e in report.episodes[:_SHOWN]],
         notes=report.notes,
         written=[f"written: {file}" if file else ""],
     )

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from manip_learn.commands.loading import load_constraint, scene_of, start_posture
-from manip_learn.commands.options import ControlOptions, RepeatOptions, vector
-from manip_learn.commands.output import Answer, cells, place, silent
+from manip_learn.commands.options import ControlOptions, vector
+from manip_learn.commands.output import Answer, cells, place, silent, with_rollout
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
@@ -82,7 +82,7 @@ def control(options: ControlOptions, progress: Progress = silent) -> Answer:
         raise TargetError("a plan has its own null-space motion: leave --policy, --rest, --duration and --inverse out")
     q0, whence = start_posture(robot, constraint, start, moves or target is not None)
     task = _way(options, constraint, direction) if moves else _reach(options, constraint, q0, target)
-    rollout, answer = run(options, constraint, task, q0, whence, progress)
+    rollout, answer = run(options, constraint, robot, task, q0, whence, progress)
     if options.check and not answer.content["reached"]:
         because = f": stopped by {answer.content['stopped_by']}" if isinstance(task, FreeDirection) else ""
         raise TargetError(f"{answer.title}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
@@ -116,21 +116,10 @@ def _reach(options: ControlOptions, constraint: Constraint, q0: np.ndarray, targ
     return task
 
 
-def with_rollout(
-    answer: Answer, rollout: Rollout, robot: Robot, name: str, options: ControlOptions | RepeatOptions
-) -> Answer:
-    """Write the rollout and its replay where the options say so, and name the files in the answer."""
-    page = None
-    if options.html is not None:
-        from manip_learn.playback import replay
-
-        page = replay(robot, {name: rollout}, options.html, open_browser=False)
-    return answer.with_files(None if options.out is None else rollout.save(options.out), page)
-
-
 def run(
     options: ControlOptions,
     constraint: Constraint,
+    robot: Robot,
     task: Task,
     q0: np.ndarray,
     whence: str = "",
@@ -141,6 +130,7 @@ def run(
     Args:
         options: Plan, or policy, gains, duration and step.
         constraint: What is held.
+        robot: Its robot.
         task: The way or the target.
         q0: Start posture.
         whence: Where that comes from, for people.
@@ -150,7 +140,7 @@ def run(
         TargetError: A plan of a task that is no way; or as `plan` raises it.
         NoPlanError: From no posture can the whole way be done.
     """
-    robot, dt, margin, way, found = constraint.robot, options.dt, None, None, None
+    dt, margin, way, found = options.dt, None, None, None
     if options.planned.plan:
         if not isinstance(task, FreeDirection):
             raise TargetError("only a way is planned: --plan goes with --along or --turn")
@@ -234,7 +224,6 @@ def outcome(
         far, wanted = (f"{abs(content[key]):.{digits}f}" for key in ("done", "wanted"))
         content["sentence"] = f"{verb} {far} of {wanted} {unit}"
         facts = {verb: f"{far} {content['unit']}"} | cells(content | {"millimetres": 1e3 * way.deviation}, _WAY)
-    hold = content["hold"] and f"the hand took hold at {place(content['hold'])}"
     planned = []
     if found is not None:
         planned = [f"plan: {found.sentence}; of {counted(found.candidates, 'posture')} that take hold"]
@@ -243,7 +232,7 @@ def outcome(
     return Answer(
         content,
         title=content["sentence"],
-        sentences=[hold or ""],
+        sentences=[f"the hand took hold at {place(content['hold'])}" if content["hold"] else ""],
         facts=facts,
         remarks=[*planned, steps],
         warnings=[*(() if found is None else found.notes), *_obstacles(content, way, aim)],

@@ -96,6 +96,7 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
     reading = ReadingOptions(velocities=scene.velocities)
     learning = LearnOptions(options.robot, [shipped], scene.frame, scene.axes, file, reading=reading)
     learner, learnt = fit(learning)
+    robot = load_robot(options.robot)
     constraint, rollouts, answers = learner.constraint_, dict[str, Rollout](), dict[str, Answer]()
     best = "manipulability" if scene.target is not None else "plan"
     shown = {"without": "zero", "with": best}
@@ -109,12 +110,12 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
             task = motion(constraint, keep_orientation=True, pause=PAUSE)
         else:
             task = PointAttractor(scene.target)
-        rollouts[name], answer = run(how, constraint, task, np.array(scene.start))
+        rollouts[name], answer = run(how, constraint, robot, task, np.array(scene.start))
         answers[name] = answer.with_files(rollouts[name].save(out / f"{name}.npz"))
     progress("writing the replay", 0.9)
     is_pair = scene.target is None and not options.all_policies  # both reach a target, on much the same way
     page = replay(
-        load_robot(options.robot),
+        robot,
         rollouts,
         out / "replay.html",
         tip=scene.frame,
@@ -134,7 +135,7 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
             scene.story,
             *(f"{n}: {a.remarks[0]}" for n, a in answers.items() if a.content["plan"]),
         ],
-        rows=[{"policy": name} | answer.facts for name, answer in answers.items()],
+        rows=[{"policy": name, **answer.facts} for name, answer in answers.items()],
         warnings=[
             *learnt.warnings,
             *(f"{n}: stopped by {c['stopped_by']}" for n, c in contents.items() if c["stopped_by"]),

@@ -39,7 +39,7 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
         ManipLearnError: Anything that is wrong with the robot or the recordings.
     """
     progress("writing", 0.0)
-    if options.to in TASK_WRITERS:
+    if options.to is not None and options.to in TASK_WRITERS:
         return _export_task(options, TASK_WRITERS[options.to])
     out = options.out
     by_ending = next((name for name, (endings, _) in _FORMATS.items() if out.suffix.lower() in endings), None)

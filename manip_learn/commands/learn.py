@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from manip_learn.commands.command_line import PROGRAM_NAME, typed_command
-from manip_learn.commands.loading import choose_frame, load_for_files
+from manip_learn.commands.guided_frame import choose_frame
+from manip_learn.commands.loading import load_for_files
 from manip_learn.commands.options import LearnOptions
 from manip_learn.commands.output import Answer, silent
 from manip_learn.constraint.constraint import Constraint

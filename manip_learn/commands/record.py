@@ -15,7 +15,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
-from manip_learn.commands.loading import choose_frame, load_for_joints
+from manip_learn.commands.guided_frame import choose_frame
+from manip_learn.commands.loading import load_for_joints
 from manip_learn.commands.options import RecordOptions
 from manip_learn.commands.output import Answer
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian

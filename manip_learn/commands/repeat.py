@@ -8,10 +8,9 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from manip_learn.commands.control import with_rollout
 from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
 from manip_learn.commands.options import RepeatOptions, vector
-from manip_learn.commands.output import Answer, cells, place, silent
+from manip_learn.commands.output import Answer, cells, place, silent, with_rollout
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import TargetError, counted
 from manip_learn.planning.repeat import TipSpeed, repeat

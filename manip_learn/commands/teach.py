@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
-from manip_learn.commands.loading import choose_frame
+from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.options import TeachOptions
 from manip_learn.commands.output import Answer
 from manip_learn.errors import OutputError, counted
