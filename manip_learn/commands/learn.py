@@ -140,11 +140,11 @@ def _following(options: LearnOptions, whole: Constraint, constraint: Constraint,
     if meant is not None and not meant.common:
         flags = ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]
     elif meant is None and not (constraint.shown and _goes(whole, {})):
-        ways = {("--along", "0.1"): {"distance": 0.1}, ("--turn", "10"): {"angle": math.radians(10.0)}}
+        ways = {("along", "0.1"): {"distance": 0.1}, ("turn", "10"): {"angle": math.radians(10.0)}}
         goes = [typed for typed, way in ways.items() if _goes(whole, way)]
         if not goes:
             return ""
-        does, flags = "control", [*goes[0], *flags]
+        does, flags = "control", [f"--{goes[0][0]}", goes[0][1], *flags]
     return shlex.join([PROGRAM_NAME, does, options.robot, str(out), *options.loading.words, *flags])
 
 

@@ -60,9 +60,10 @@ def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
     """Load a robot, check its forward kinematics by another library, and show what one must know before recording."""
     summary = inspect_robot(options.loading.load(options.robot))
     joints, check, tip = summary.joints, summary.cross_check, summary.tips[0] if summary.tips else "NAME"
+    flag = f"--frame {shlex.quote(tip)}"
     still = [j.name for j in joints if summary.moving_tip and j.name not in summary.moving_tip]
     facts = {
-        "likely tips": f"{few(summary.tips)} (--frame {shlex.quote(tip)})",
+        "likely tips": f"{few(summary.tips)} ({flag})",
         f"moving {tip}": f"{few(summary.moving_tip)}; not: {few(still)}" if still else "",
         "without limits": few([j.name for j in joints if not math.isfinite(j.upper - j.lower)]),
         "mimic": few([f"{m.joint} = {m.multiplier:g} {m.leader} + {m.offset:g}" for m in summary.mimics], 3),
@@ -79,5 +80,5 @@ def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
         rows=[{"joint": j.name} | cells(vars(j), _JOINT) for j in joints],
         warnings=[f"warning: {warning}" for warning in summary.warnings],
         written=["" if summary.source is None else f"file: {summary.source}"],
-        following=f"manip-learn learn {words} RECORDINGS --frame {shlex.quote(tip)}",
+        following=f"manip-learn learn {words} RECORDINGS {flag}",
     )
