@@ -42,20 +42,18 @@ def parsed_by(options: type, run: Callable[[Any, bool], None]) -> Callable[..., 
     flags = {name: _parameters(kind) for name, kind in sets.items()}
 
     def with_options(**given: Any) -> None:
-        as_json = given.pop("as_json")
-        given.pop(HELP_ALL)
-        made = {name: sets[name](**{p.name: given.pop(p.name) for p in of}) for name, of in flags.items()}
-        run(options(**given, **made), as_json)
+        made = {name: sets[name](**{p.name: given[p.name] for p in of}) for name, of in flags.items()}
+        run(options(**{p.name: given[p.name] for p in own if p.name not in sets}, **made), given["as_json"])
 
-    merged = [q for p in own for q in flags.get(p.name, [p])]
-    merged += [_keyword("as_json", Json, False), _keyword(HELP_ALL, HelpAll, False)]
+    last = [_keyword("as_json", Json, False), _keyword(HELP_ALL, HelpAll, False)]
+    merged = {q.name: q for p in own for q in flags.get(p.name, [p])} | {p.name: p for p in last}
     with_options.__doc__, example, *_ = f"{inspect.getdoc(options)}\n\n".split("\n\n")
     with_options.__annotations__ = {}
     first = takewhile(lambda name: name not in sets, [*(p.name for p in own), "as_json"])
     titles = {name: str(inspect.getdoc(kind)).partition(".")[0] for name, kind in sets.items()}
     headings = {p.name: titles[name] for name, of in flags.items() for p in of}
     told = {"headings": headings, "first": {*first, "help", HELP_ALL}, "example": example}
-    vars(with_options).update(__signature__=inspect.Signature(merged), **told)
+    vars(with_options).update(__signature__=inspect.Signature(list(merged.values())), **told)
     return with_options
 
 

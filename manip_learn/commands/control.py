@@ -124,6 +124,7 @@ def run(
     q0: np.ndarray,
     whence: str = "",
     progress: Progress = silent,
+    aimed: bool = True,
 ) -> tuple[Rollout, Answer]:
     """Simulate a task, planned or not, and say how far it came.
 
@@ -135,6 +136,7 @@ def run(
         q0: Start posture.
         whence: Where that comes from, for people.
         progress: As for `simulate`.
+        aimed: A target is reached when the tip is there; else, when the rows that are driven are.
 
     Raises:
         TargetError: A plan of a task that is no way; or as `plan` raises it.
@@ -161,7 +163,7 @@ def run(
             enough = max(5.0, math.log(far) / options.task_gain if options.task_gain > 0.0 else 5.0)  # [s]
             length = enough if options.duration is None else options.duration
             rollout = simulate(robot, law, q0, length, dt, progress=progress)
-    aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
+    aim = aim_of(constraint, task, rollout) if aimed and isinstance(task, PointAttractor) else None
     answer = outcome(constraint, rollout, options.tolerance, way, aim, found, margin)
     begins = f"start: {whence} (another: --start)" if whence else ""
     return rollout, replace(answer, sentences=[begins, *answer.sentences])

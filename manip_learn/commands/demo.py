@@ -110,7 +110,7 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
             task = motion(constraint, keep_orientation=True, pause=PAUSE)
         else:
             task = PointAttractor(scene.target)
-        rollouts[name], answer = run(how, constraint, robot, task, np.array(scene.start))
+        rollouts[name], answer = run(how, constraint, robot, task, np.array(scene.start), aimed=False)
         answers[name] = answer.with_files(rollouts[name].save(out / f"{name}.npz"))
     progress("writing the replay", 0.9)
     is_pair = scene.target is None and not options.all_policies  # both reach a target, on much the same way
@@ -123,7 +123,7 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
         report=learner.report_,
         side_by_side=is_pair,
         align="grasp" if is_pair else "start",
-        open_browser=options.browser,
+        open_browser=options.browser and not options.as_json,
     )
     progress("done", 1.0)
     contents = {name: answer.content for name, answer in answers.items()}

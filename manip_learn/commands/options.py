@@ -16,6 +16,7 @@ Attributes:
     html: Replay to write.
     dask: Scheduler address, or local: work on a dask cluster.
     explain: Say what the words in the tables mean.
+    as_json: Print one JSON document; a command that opens or prints more has it, `--json` works with all.
 """
 
 from __future__ import annotations
@@ -234,6 +235,7 @@ class DemoOptions:
     all_policies: bool = False
     browser: Annotated[bool, Option("--browser/--no-browser")] = True
     explain: bool = False
+    as_json: bool = False
 
 
 @final
@@ -481,6 +483,7 @@ class RecordOptions:
     duration: float | None = None
     no_release: bool = False
     no_browser: bool = False
+    as_json: bool = False
 
 
 @final

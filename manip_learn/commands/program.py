@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from typing import Annotated, Any
@@ -48,12 +47,10 @@ def run_command(place: str, given: Any, as_json: bool) -> None:
     Args:
         place: File in `commands` and function: options and progress -> an `Answer`.
         given: The options.
-        as_json: Print one JSON document; nobody looks at a browser then.
+        as_json: Print one JSON document.
     """
     file, function = place.split(".")
     work = getattr(import_module(f"manip_learn.commands.{file}"), function)
-    if as_json and "browser" in vars(given):
-        given = replace(given, browser=False)
     with progress(as_json) as report:
         answer = work(given, report)
     if as_json:

@@ -70,7 +70,7 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
 
             page = LiveViewer(robot, title=options.name, open_browser=not options.no_browser)
             viewer = opened.enter_context(page)
-            if options.no_browser:
+            if options.no_browser and not options.as_json:
                 print(f"live picture: {viewer.url}", file=sys.stderr, flush=True)
         pressed = opened.enter_context(_keys()) if options.by == "key" else None
         done = record(
