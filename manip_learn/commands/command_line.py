@@ -8,11 +8,10 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import takewhile
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_origin, get_type_hints
 
 from typer import Context, Option, echo
 from typer.core import TyperCommand, TyperGroup
@@ -25,7 +24,8 @@ HELP_ALL = "help_all"
 WRITTEN = {"out", "html", "csv"}
 READ = {"robot", "driver", "constraint", "task", "recordings", "rollouts", "files"}  # arguments that may name a file
 OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help", HELP_ALL}
-_WORDS: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
+# words of the command line; empty if the library was called from Python
+TYPED: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
 
 
 def parsed_by(options: type, run: Callable[[Any, bool], None]) -> Callable[..., None]:
@@ -69,8 +69,8 @@ def _parameters(options: Any) -> list[inspect.Parameter]:
     hints, parameters = get_type_hints(options, include_extras=True), list[inspect.Parameter]()
     for field in dataclasses.fields(options):
         name, kind = field.name, hints[field.name]
-        if hasattr(kind, "__metadata__"):
-            kind.__metadata__[0].help = texts.get(name, kind.__metadata__[0].help)
+        if get_origin(kind) is Annotated:
+            kind.__metadata__[0].help = texts[name]
         elif not dataclasses.is_dataclass(kind):
             kind = Annotated[kind, Option("--" + name.replace("_", "-"), help=texts[name])]
         default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
@@ -211,18 +211,3 @@ def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:
     """Flags that the command named in the arguments has; `program` is typer's group of commands."""
     command = next((program.commands[a] for a in arguments if a in program.commands), program)
     return {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}
-
-
-@contextmanager
-def typed(arguments: Sequence[str]) -> Iterator[None]:
-    """Within it, `typed_command` knows the arguments."""
-    token = _WORDS.set((PROGRAM_NAME, *arguments))
-    try:
-        yield
-    finally:
-        _WORDS.reset(token)
-
-
-def typed_command() -> tuple[str, ...]:
-    """Words of the command line; empty if the library was called from Python."""
-    return _WORDS.get()

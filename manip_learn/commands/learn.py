@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from manip_learn.commands.command_line import PROGRAM_NAME, typed_command
+from manip_learn.commands.command_line import PROGRAM_NAME, TYPED
 from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.loading import load_for_files
 from manip_learn.commands.options import LearnOptions
@@ -135,7 +135,7 @@ def _following(options: LearnOptions, whole: Constraint, constraint: Constraint,
     """
     meant = constraint.intention
     if out is None:
-        return shlex.join([*typed_command(), "--out", "task.json"]) if typed_command() else ""
+        return shlex.join([*TYPED.get(), "--out", "task.json"]) if TYPED.get() else ""
     does, flags = "repeat" if meant is None else "control", ["--html", "run.html"]
     if meant is not None and not meant.common:
         flags = ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]

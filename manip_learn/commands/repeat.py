@@ -16,7 +16,10 @@ from manip_learn.errors import TargetError, counted
 from manip_learn.planning.repeat import TipSpeed, repeat
 from manip_learn.recordings.load import Progress
 
-_STEP = "done: {done:.3g} {unit}; of: {wanted:.3g} {unit}; off: {off:.1f} {fine}; fastest: {fastest:.0%}; margin: {margin:.0%}"
+_STEP = (
+    "done: {done:.3g} {unit}; of: {wanted:.3g} {unit}; off: {off:.1f} {fine}; "
+    "fastest: {fastest:.0%}; margin: {margin:.0%}"
+)
 
 
 def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
