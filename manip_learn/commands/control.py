@@ -15,6 +15,7 @@ from manip_learn.commands.output import Answer, cells, place, silent, with_rollo
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
+from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
@@ -189,8 +190,7 @@ def outcome(
         found: The plan that was followed; None without one.
         margin: Least share of its own limits that the way left; None without a way.
     """
-    r, error, known = rollout, float(rollout.task_error[-1]), constraint.mechanism
-    curve = "" if known is None or known.type not in _PLACES else f"the {_PLACES[known.type]}"
+    r, error = rollout, float(rollout.task_error[-1])
     done = way is not None and way.is_done
     last = r.status[-max(1, len(r) // 20) :]
     at_rest = last.count(Status.STALLED) + last.count(Status.SINGULAR) > 0.5 * len(last)
@@ -216,7 +216,7 @@ def outcome(
         "final_posture": r.q[-1].tolist(),
     }
     if way is None:
-        content["sentence"] = _arrival(content["reached"], aim, curve, tolerance)
+        content["sentence"] = _arrival(content["reached"], aim, constraint.mechanism, tolerance)
         later = r.manipulability[r.time >= min(0.1, r.time[-1])]  # [s] a nearly singular start is not due to the policy
         shares = {"least": float(later.min()), "unhindered": r.status.count(Status.OK) / len(r)}
         facts = cells(content | shares, _ROLLOUT)
@@ -226,28 +226,28 @@ def outcome(
         far, wanted = (f"{abs(content[key]):.{digits}f}" for key in ("done", "wanted"))
         content["sentence"] = f"{verb} {far} of {wanted} {unit}"
         facts = {verb: f"{far} {content['unit']}"} | cells(content | {"millimetres": 1e3 * way.deviation}, _WAY)
-    planned = []
+    remarks = [f"steps: {', '.join(f'{status} {n}' for status, n in r.status_counts.items())}"]
     if found is not None:
-        planned = [f"plan: {found.sentence}; of {counted(found.candidates, 'posture')} that take hold"]
-        planned += [f"  clear of: {', '.join(found.around.names)}" if found.around.names else ""]
-    steps = f"steps: {', '.join(f'{status} {n}' for status, n in r.status_counts.items())}"
+        clear = f"; clear of {', '.join(found.around.names)}" if found.around.names else ""
+        remarks.insert(0, f"plan: {found.sentence}; of {counted(found.candidates, 'posture')} that take hold{clear}")
     return Answer(
         content,
         title=content["sentence"],
         sentences=[f"the hand took hold at {place(content['hold'])}" if content["hold"] else ""],
         facts=facts,
-        remarks=[*planned, steps],
+        remarks=remarks,
         warnings=[*(() if found is None else found.notes), *_obstacles(content, way, aim)],
         notes=constraint.notes,
     )
 
 
-def _arrival(reached: bool, aim: Aim | None, curve: str, tolerance: float) -> str:
+def _arrival(reached: bool, aim: Aim | None, known: Mechanism | None, tolerance: float) -> str:
     """Return in words where the hand ended without a way."""
     if aim is None:
         return "held what is held: --along, --turn or --target names a task"
     if reached:
         return "at the target"
+    curve = "" if known is None or known.type not in _PLACES else f"the {_PLACES[known.type]}"
     where = f"on {curve}" if curve else "where the held rows are to be"
     if aim.off > tolerance:
         where = f"{aim.off:.3g} off {curve or 'along the held rows'}"
