@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from manip_learn.commands.options import Locks, RobotOptions
+from manip_learn.commands.options import RobotOptions
 from manip_learn.constraint.constraint import Constraint, locks_in_words, read_constraint_file
 from manip_learn.control.limits import check_inside
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, UnknownNameError, named
@@ -63,31 +63,23 @@ def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
     return None, Path()
 
 
-def load_for_joints(
-    name: str,
-    joints: Sequence[str],
-    loading: RobotOptions,
-    locked: Locks | None = None,
-    objects: Sequence[str] | None = None,
-) -> Robot:
-    """The robot with just these joints moving; its other joints are locked.
+def with_joints(robot: Robot, joints: Sequence[str], name: str, loading: RobotOptions) -> Robot:
+    """Return a robot with just these joints moving, and its other joints locked.
 
     Args:
-        name: Of the robot.
+        robot: As it was loaded.
         joints: Those that move.
-        loading: How it is loaded.
-        locked: Joints that are locked, and where; None: as the options say.
-        objects: Names of objects; None: as the options say.
+        name: Its name or file.
+        loading: How it was loaded.
 
     Raises:
         UnknownNameError: The robot lacks one of the joints.
     """
-    robot = loading.load(name, locked, objects)
     if tuple(robot.joint_names) == tuple(joints):
         return robot
     if lacking := [joint for joint in joints if joint not in robot.joint_names]:
         raise UnknownNameError("joint", lacking[0], robot.joint_names, f"robot {robot.name!r}")
-    others = [j for j in robot.joint_names if j not in joints]
+    others = [joint for joint in robot.joint_names if joint not in joints]
     return loading.load(name, {**robot.locked, **dict.fromkeys(others)}, robot.objects)
 
 
@@ -116,7 +108,7 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
             "leave --lock out, the file knows which joints were locked"
         )
     try:
-        return load_for_joints(robot_name, joints, loading, locked, saved)
+        return with_joints(loading.load(robot_name, locked, saved), joints, robot_name, loading)
     except UnknownNameError as error:
         if error.kind != "joint":
             raise

@@ -33,7 +33,6 @@ COMMANDS: dict[str, tuple[str, type]] = {
 REMOVED_COMMANDS = {"warm-up": "nothing is compiled any more: leave the command out"}
 app = typer.Typer(
     name=PROGRAM_NAME,
-    help="Learn which directions a demonstrated task constrains, and keep the arm away from its singularities.",
     cls=ProgramHelp,
     add_completion=True,
     pretty_exceptions_enable=False,
