@@ -133,7 +133,7 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
         remarks=[
             *learnt.remarks,
             scene.story,
-            *(f"{n}: {a.remarks[0]}" for n, a in answers.items() if a.content["plan"]),
+            *(f"{n}: {a.remarks[0].removeprefix('plan: ')}" for n, a in answers.items() if a.content["plan"]),
         ],
         rows=[{"policy": name, **answer.facts} for name, answer in answers.items()],
         warnings=[

@@ -65,7 +65,7 @@ def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
     facts = {
         "likely tips": f"{few(summary.tips)} ({flag})",
         f"moving {tip}": f"{few(summary.moving_tip)}; not: {few(still)}" if still else "",
-        "without limits": few([j.name for j in joints if not math.isfinite(j.upper - j.lower)]),
+        "no position limits": few([j.name for j in joints if not math.isfinite(j.upper - j.lower)]),
         "mimic": few([f"{m.joint} = {m.multiplier:g} {m.leader} + {m.offset:g}" for m in summary.mimics], 3),
         "locked": few([f"{name} at {position:g}" for name, position in summary.locked.items()]),
         "last frames": f"{few(summary.frames[::-1])} (all: --json)",
