@@ -52,7 +52,9 @@ def _unraisable(lost: Any) -> None:
 
 def _run(arguments: list[str]) -> int:
     global _phase
-    from manip_learn.commands.command_line import PROGRAM_NAME, flags_of, typed
+    from contextvars import copy_context
+
+    from manip_learn.commands.command_line import PROGRAM_NAME, TYPED, flags_of
     from manip_learn.commands.output import refuse
     from manip_learn.commands.program import REMOVED_COMMANDS, program
     from manip_learn.errors import advice_for_command
@@ -69,10 +71,11 @@ def _run(arguments: list[str]) -> int:
     def work() -> Any:
         global _phase
         _phase = "working"
+        TYPED.set((PROGRAM_NAME, *arguments))
         return program.main(arguments, prog_name=PROGRAM_NAME, standalone_mode=False)
 
-    with advice_for_command(flags_of(program, arguments)), typed(arguments):
-        code = _exit_code(work, "--json" in arguments)
+    with advice_for_command(flags_of(program, arguments)):
+        code = copy_context().run(_exit_code, work, "--json" in arguments)
     _phase = "idle"
     return code
 

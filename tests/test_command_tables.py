@@ -8,6 +8,7 @@ import io
 import math
 import re
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from manip_learn.commands.audit import described as audited
 from manip_learn.commands.control import Aim, outcome
 from manip_learn.commands.learn import described, fit
 from manip_learn.commands.options import LearnOptions
-from manip_learn.commands.output import Answer
+from manip_learn.commands.output import Answer, cells
 from manip_learn.commands.tables import Glossary, show, table_of
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
@@ -89,6 +90,13 @@ def test_an_audit_is_readable() -> None:
     assert not set(answer.rows[0]) - {*explained(in_line(200, answer, explain=True)), "episode", "deg", "s"}
 
 
+def test_cells_are_made_of_the_document() -> None:
+    """What does not exist, or is not finite, is a dash with its unit left out; a percentage has a space."""
+    content = {"done": None, "off": math.nan, "top": math.inf, "margin": 0.5, "joint": {"share": 0.25}, "unit": "m"}
+    layout = "a: {done:.1f} m; b: {off:.1f} mm; c: {top:.0f}; d: {margin:.0%}; e f: {joint[share]:.2f} {unit}"
+    assert cells(content, layout) == {"a": "-", "b": "-", "c": "-", "d": "50 %", "e f": "0.25 m"}
+
+
 def test_a_long_name_is_wrapped() -> None:
     """A name that is wider than the terminal leaves room for numbers, and is there to its end."""
     answer = Answer({}, rows=[{"name": "long " * 30 + "end", "a": "0.1"}])
@@ -142,8 +150,8 @@ def test_units_are_printed_with_their_numbers(held: Constraint, rollout: Rollout
     told = outcome(held, rollout, 0.01, way)
     assert told.title == told.content["sentence"] == "moved 0.200 of 0.300 m" and not told.content["reached"]
     text = in_line(80, told)
-    for cells in ("moved 0.200 m", "time 12.3 s", "off 1.5 mm", "fastest 42 %", "margin - ", "least mu 0.123"):
-        assert cells in text
+    for said in ("moved 0.200 m", "time 12.3 s", "off 1.5 mm", "fastest 42 %", "margin - ", "least mu 0.123"):
+        assert said in text
     assert "stopped by a limit" in text and "strayed 1.5" not in text
     turned = dataclasses.replace(way, wanted=-math.pi, done=-math.pi / 2, unit="rad", seconds=None, deviation=0.0035)
     told = outcome(held, rollout, 0.01, turned)
@@ -156,7 +164,7 @@ def test_units_are_printed_with_their_numbers(held: Constraint, rollout: Rollout
     )
     share = 100.0 * r.status.count("ok") / len(r)
     assert f"{expected} peak {abs(r.u).max():.2f}/s unhindered {share:.0f} %" in text
-    values = dict.fromkeys(EpisodeAudit._fields, 0.5)
+    values: dict[str, Any] = dict.fromkeys(EpisodeAudit._fields, 0.5)
     episode = EpisodeAudit(**values | {"episode": "a", "reasons": ("odd",), "limit_margin": float("nan")})
     (row,) = audited(AuditReport((episode,), (), 4.0)).rows
     assert " ".join(row.values()) == "a 0.5 50.0 % - 0.5 0.500 50 % 50 % 0.5 0.5 0.5"

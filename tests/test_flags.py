@@ -16,7 +16,7 @@ from manip_learn.commands.program import program
 from manip_learn.errors import FLAG
 
 COMMANDS = sorted(program.commands)
-FILES = {command.name: command.work.partition(".")[0] for command in DECLARED}
+FILES = {name: place.partition(".")[0] for name, (place, _) in DECLARED.items()}
 SOURCES = {source.name: source for source in library()}
 # flags of other programs: of `ros2 topic pub` and `echo`, of the program that writes the planar arms, and of git
 FOREIGN = {"--once", "--name", "--no-optional-locks", "--always", "--abbrev", "--exclude", "--dirty", "--csv"}

@@ -8,10 +8,9 @@ import math
 from pathlib import Path
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.commands.loading import robot_of_constraint
+from manip_learn.commands.loading import load_constraint
 from manip_learn.commands.options import AuditOptions
 from manip_learn.commands.output import Answer, cells, silent
-from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import counted
 from manip_learn.learning.audit import AuditReport, EpisodeAudit, audit_episodes
 from manip_learn.learning.table import dask_client
@@ -28,8 +27,7 @@ _SHOWN = 20  # episodes on a terminal
 
 def audit(options: AuditOptions, progress: Progress = silent) -> Answer:
     """Measure and rank the episodes in some recordings; write them as CSV if a file is named."""
-    robot = robot_of_constraint(options.robot, options.constraint, options.loading)
-    constraint = Constraint.load(options.constraint, robot)
+    constraint, robot = load_constraint(options.robot, options.constraint, options.loading)
     source = RecordingSource(options.recordings, robot, progress=progress, **options.reading.keywords())
     with dask_client(options.dask) as client:
         report = audit_episodes(constraint, source, client=client, progress=progress)
@@ -44,14 +42,14 @@ def described(report: AuditReport, file: Path | None = None) -> Answer:
         report: The audit.
         file: Its table, if it was written.
     """
-    content, n = report.to_dict() | {"csv": file}, len(report.episodes)
+    n = len(report.episodes)
     threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
     return Answer(
-        content,
+        {**report.to_dict(), "csv": file},
         title=f"leave out {len(report.leave_out)} of {counted(n, 'episode')} ({threshold})",
         sentences=[f"{e.episode}: {'; '.join(e.reasons)}" for e in report.leave_out],
         remarks=[f"the {_SHOWN} worst (--csv FILE lists all):" if n > _SHOWN else ""],
-        rows=[{"episode": e["episode"]} | cells(e, _MEASURES) for e in content["episodes"][:_SHOWN]],
+        rows=[{"episode": e.episode} | cells(e._asdict(), _MEASURES) for e in report.episodes[:_SHOWN]],
         notes=report.notes,
         written=[f"written: {file}" if file else ""],
     )

@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
+import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import takewhile
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_origin, get_type_hints
 
 from typer import Context, Option, echo
 from typer.core import TyperCommand, TyperGroup
@@ -24,57 +24,62 @@ HELP_ALL = "help_all"
 WRITTEN = {"out", "html", "csv"}
 READ = {"robot", "driver", "constraint", "task", "recordings", "rollouts", "files"}  # arguments that may name a file
 OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help", HELP_ALL}
-_WORDS: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
+# words of the command line; empty if the library was called from Python
+TYPED: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
 
 
-def parsed_by(options: type, run: Callable[[Any], None]) -> Callable[..., None]:
+def parsed_by(options: type, run: Callable[[Any, bool], None]) -> Callable[..., None]:
     """Return a function for typer that has the fields of some options as its parameters, and runs a command with them.
 
     A field that is itself a dataclass is a set of options: its fields stand in its place, under its docstring.
 
     Args:
         options: A dataclass; the first paragraph of its docstring is the help of the command, the second an example.
-        run: Takes an object of it.
+        run: Takes an object of it, and whether the answer is to be JSON.
     """
     own = _parameters(options)
     sets: dict[str, Any] = {p.name: p.annotation for p in own if dataclasses.is_dataclass(p.annotation)}
     flags = {name: _parameters(kind) for name, kind in sets.items()}
 
     def with_options(**given: Any) -> None:
-        given.pop(HELP_ALL)
-        made = {name: sets[name](**{p.name: given.pop(p.name) for p in of}) for name, of in flags.items()}
-        run(options(**given, **made))
+        made = {name: sets[name](**{p.name: given[p.name] for p in of}) for name, of in flags.items()}
+        run(options(**{p.name: given[p.name] for p in own if p.name not in sets}, **made), given["as_json"])
 
-    merged = [q for p in own for q in flags.get(p.name, [p])]
-    merged.append(inspect.Parameter(HELP_ALL, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=HelpAll))
+    last = [_keyword("as_json", Json, False), _keyword(HELP_ALL, HelpAll, False)]
+    merged = {q.name: q for p in own for q in flags.get(p.name, [p])} | {p.name: p for p in last}
     with_options.__doc__, example, *_ = f"{inspect.getdoc(options)}\n\n".split("\n\n")
     with_options.__annotations__ = {}
-    first = takewhile(lambda name: name not in sets, (p.name for p in own))
-    headings = {p.name: (inspect.getdoc(sets[name]) or "").partition(".")[0] for name, of in flags.items() for p in of}
+    first = takewhile(lambda name: name not in sets, [*(p.name for p in own), "as_json"])
+    titles = {name: str(inspect.getdoc(kind)).partition(".")[0] for name, kind in sets.items()}
+    headings = {p.name: titles[name] for name, of in flags.items() for p in of}
     told = {"headings": headings, "first": {*first, "help", HELP_ALL}, "example": example}
-    vars(with_options).update(__signature__=inspect.Signature(merged), **told)
+    vars(with_options).update(__signature__=inspect.Signature(list(merged.values())), **told)
     return with_options
 
 
-def described(kind: type) -> dict[str, str]:
-    """Return the names that the docstring of a class describes under `Attributes:`, and what it says of them."""
+def described(kind: object) -> dict[str, str]:
+    """Return the texts under `Attributes:` in the docstring of a class or a module, by their names."""
     entries = re.findall(r"^    (\w[\w ]*): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}
 
 
 def _parameters(options: Any) -> list[inspect.Parameter]:
-    """Return the fields of a dataclass as keywords of a function, with their help from its docstring."""
-    texts = described(options)
+    """Return the fields of a dataclass as keywords, with help from its docstring or the docstring of its module."""
+    texts = described(sys.modules[options.__module__]) | described(options)
     hints, parameters = get_type_hints(options, include_extras=True), list[inspect.Parameter]()
     for field in dataclasses.fields(options):
         name, kind = field.name, hints[field.name]
-        if hasattr(kind, "__metadata__"):
-            kind.__metadata__[0].help = texts.get(name, kind.__metadata__[0].help)
+        if get_origin(kind) is Annotated:
+            kind.__metadata__[0].help = texts[name]
         elif not dataclasses.is_dataclass(kind):
             kind = Annotated[kind, Option("--" + name.replace("_", "-"), help=texts[name])]
         default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
-        parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind))
+        parameters.append(_keyword(name, kind, default))
     return parameters
+
+
+def _keyword(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
 
 def _explain_all(context: Context, asked: bool) -> None:
@@ -85,6 +90,7 @@ def _explain_all(context: Context, asked: bool) -> None:
         context.exit()
 
 
+Json = Annotated[bool, Option("--json", help="Print one JSON document and nothing else.")]
 HelpAll = Annotated[bool, Option("--help-all", is_eager=True, callback=_explain_all, help="Explain all options.")]
 
 
@@ -205,18 +211,3 @@ def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:
     """Flags that the command named in the arguments has; `program` is typer's group of commands."""
     command = next((program.commands[a] for a in arguments if a in program.commands), program)
     return {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}
-
-
-@contextmanager
-def typed(arguments: Sequence[str]) -> Iterator[None]:
-    """Within it, `typed_command` knows the arguments."""
-    token = _WORDS.set((PROGRAM_NAME, *arguments))
-    try:
-        yield
-    finally:
-        _WORDS.reset(token)
-
-
-def typed_command() -> tuple[str, ...]:
-    """Words of the command line; empty if the library was called from Python."""
-    return _WORDS.get()

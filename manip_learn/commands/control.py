@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
-from manip_learn.commands.options import ControlOptions, RepeatOptions, vector
-from manip_learn.commands.output import Answer, cells, place, silent
+from manip_learn.commands.loading import load_constraint, scene_of, start_posture
+from manip_learn.commands.options import ControlOptions, vector
+from manip_learn.commands.output import Answer, cells, place, silent, with_rollout
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
+from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
@@ -69,8 +71,7 @@ def control(options: ControlOptions, progress: Progress = silent) -> Answer:
     start, target, rest = (vector(f"--{name}", getattr(options, name)) for name in ("start", "target", "rest"))
     named = (options.direction or "").strip()  # a row of the mechanism, by its name
     direction = named if named.isidentifier() else vector("--direction", options.direction)
-    robot = robot_of_constraint(options.robot, options.constraint, options.loading)
-    constraint = Constraint.load(options.constraint, robot)
+    constraint, robot = load_constraint(options.robot, options.constraint, options.loading)
     named_way = options.along is not None or options.turn is not None
     if target is not None and named_way:
         raise TargetError("--target names the point, --along and --turn the way: give one of them")
@@ -82,7 +83,7 @@ def control(options: ControlOptions, progress: Progress = silent) -> Answer:
         raise TargetError("a plan has its own null-space motion: leave --policy, --rest, --duration and --inverse out")
     q0, whence = start_posture(robot, constraint, start, moves or target is not None)
     task = _way(options, constraint, direction) if moves else _reach(options, constraint, q0, target)
-    rollout, answer = run(options, constraint, task, q0, whence, progress)
+    rollout, answer = run(options, constraint, robot, task, q0, whence, progress)
     if options.check and not answer.content["reached"]:
         because = f": stopped by {answer.content['stopped_by']}" if isinstance(task, FreeDirection) else ""
         raise TargetError(f"{answer.title}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
@@ -116,41 +117,33 @@ def _reach(options: ControlOptions, constraint: Constraint, q0: np.ndarray, targ
     return task
 
 
-def with_rollout(
-    answer: Answer, rollout: Rollout, robot: Robot, name: str, options: ControlOptions | RepeatOptions
-) -> Answer:
-    """Write the rollout and its replay where the options say so, and name the files in the answer."""
-    page = None
-    if options.html is not None:
-        from manip_learn.playback import replay
-
-        page = replay(robot, {name: rollout}, options.html, open_browser=False, notes=answer.doubts)
-    return answer.with_files(None if options.out is None else rollout.save(options.out), page)
-
-
 def run(
     options: ControlOptions,
     constraint: Constraint,
+    robot: Robot,
     task: Task,
     q0: np.ndarray,
     whence: str = "",
     progress: Progress = silent,
+    aimed: bool = True,
 ) -> tuple[Rollout, Answer]:
     """Simulate a task, planned or not, and say how far it came.
 
     Args:
         options: Plan, or policy, gains, duration and step.
         constraint: What is held.
+        robot: Its robot.
         task: The way or the target.
         q0: Start posture.
         whence: Where that comes from, for people.
         progress: As for `simulate`.
+        aimed: A target is reached when the tip is there; else, when the rows that are driven are.
 
     Raises:
         TargetError: A plan of a task that is no way; or as `plan` raises it.
         NoPlanError: From no posture can the whole way be done.
     """
-    robot, dt, margin, way, found = constraint.robot, options.dt, None, None, None
+    dt, margin, way, found = options.dt, None, None, None
     if options.planned.plan:
         if not isinstance(task, FreeDirection):
             raise TargetError("only a way is planned: --plan goes with --along or --turn")
@@ -171,7 +164,7 @@ def run(
             enough = max(5.0, math.log(far) / options.task_gain if options.task_gain > 0.0 else 5.0)  # [s]
             length = enough if options.duration is None else options.duration
             rollout = simulate(robot, law, q0, length, dt, progress=progress)
-    aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
+    aim = aim_of(constraint, task, rollout) if aimed and isinstance(task, PointAttractor) else None
     answer = outcome(constraint, rollout, options.tolerance, way, aim, found, margin)
     begins = f"start: {whence} (another: --start)" if whence else ""
     return rollout, replace(answer, sentences=[begins, *answer.sentences])
@@ -197,7 +190,7 @@ def outcome(
         found: The plan that was followed; None without one.
         margin: Least share of its own limits that the way left; None without a way.
     """
-    r, error, known = rollout, float(rollout.task_error[-1]), constraint.mechanism
+    r, error = rollout, float(rollout.task_error[-1])
     done = way is not None and way.is_done
     last = r.status[-max(1, len(r) // 20) :]
     at_rest = last.count(Status.STALLED) + last.count(Status.SINGULAR) > 0.5 * len(last)
@@ -223,74 +216,62 @@ def outcome(
         "final_posture": r.q[-1].tolist(),
     }
     if way is None:
-        content["sentence"] = _arrival(content["reached"], aim, _PLACES.get(known.type, "") if known else "", tolerance)
-        facts = cells(content | {"least": _least(r), "unhindered": r.status.count(Status.OK) / len(r)}, _ROLLOUT)
+        content["sentence"] = _arrival(content["reached"], aim, constraint.mechanism, tolerance)
+        later = r.manipulability[r.time >= min(0.1, r.time[-1])]  # [s] a nearly singular start is not due to the policy
+        shares = {"least": float(later.min()), "unhindered": r.status.count(Status.OK) / len(r)}
+        facts = cells(content | shares, _ROLLOUT)
     else:
         verb, content["hold"] = _deed(constraint, r, way)
         digits, unit = (3, "m") if way.unit == "m" else (1, "degrees")
         far, wanted = (f"{abs(content[key]):.{digits}f}" for key in ("done", "wanted"))
         content["sentence"] = f"{verb} {far} of {wanted} {unit}"
         facts = {verb: f"{far} {content['unit']}"} | cells(content | {"millimetres": 1e3 * way.deviation}, _WAY)
-    hold = content["hold"] and f"the hand took hold at {place(content['hold'])}"
-    planned = []
+    remarks = [f"steps: {', '.join(f'{status} {n}' for status, n in r.status_counts.items())}"]
     if found is not None:
-        planned = [f"plan: {found.sentence}; of {counted(found.candidates, 'posture')} that take hold"]
-        planned += [f"  clear of: {', '.join(found.around.names)}" if found.around.names else ""]
-    steps = f"steps: {', '.join(f'{status} {n}' for status, n in r.status_counts.items())}"
+        clear = f"; clear of {', '.join(found.around.names)}" if found.around.names else ""
+        remarks.insert(0, f"plan: {found.sentence}; of {counted(found.candidates, 'posture')} that take hold{clear}")
     return Answer(
         content,
         title=content["sentence"],
-        sentences=[hold or ""],
+        sentences=[f"the hand took hold at {place(content['hold'])}" if content["hold"] else ""],
         facts=facts,
-        remarks=[*planned, steps],
+        remarks=remarks,
         warnings=[*(() if found is None else found.notes), *_obstacles(content, way, aim)],
         notes=constraint.notes,
     )
 
 
-def _least(r: Rollout) -> float:
-    """Return the least manipulability but for the beginning: a nearly singular start is not due to the policy."""
-    return float(r.manipulability[r.time >= min(0.1, r.time[-1])].min())  # [s]
-
-
-def _arrival(reached: bool, aim: Aim | None, curve: str, tolerance: float) -> str:
+def _arrival(reached: bool, aim: Aim | None, known: Mechanism | None, tolerance: float) -> str:
     """Return in words where the hand ended without a way."""
     if aim is None:
         return "held what is held: --along, --turn or --target names a task"
     if reached:
         return "at the target"
-    where = f"on the {curve}" if curve else "where the held rows are to be"
+    curve = "" if known is None or known.type not in _PLACES else f"the {_PLACES[known.type]}"
+    where = f"on {curve}" if curve else "where the held rows are to be"
     if aim.off > tolerance:
-        where = f"{aim.off:.3g} off " + (f"the {curve}" if curve else "along the held rows")
+        where = f"{aim.off:.3g} off {curve or 'along the held rows'}"
     far = f"{aim.error:.3g} from the target" if aim.distance is None else f"{aim.distance:.3g} m from the point"
     return f"{where}, {far}"
 
 
-def _obstacles(content: dict[str, Any], way: WayDone | None, aim: Aim | None) -> list[str]:
-    """Return in sentences what kept a rollout from its goal."""
-    left, tolerance, out = content["final_error"], content["tolerance"], list[str]()
+def _obstacles(content: dict[str, Any], way: WayDone | None, aim: Aim | None) -> Iterator[str]:
+    """Yield in sentences what kept a rollout from its goal."""
+    left, tolerance = content["final_error"], content["tolerance"]
     if way is not None and way.stopped_by is not None:
-        out.append(f"stopped by {way.stopped_by}")
-    if way is not None and way.strays:
-        out.append(
-            f"the hand strayed {1e3 * way.deviation:.1f} mm from what holds it, near a singularity or a limit: what is "
-            "rigid pushes back; start in another posture"
-        )
+        yield f"stopped by {way.stopped_by}"
+    if way is not None and way.strays:  # what is rigid pushes back
+        far = f"the hand strayed {1e3 * way.deviation:.1f} mm from what holds it"
+        yield f"{far}, near a singularity or a limit: start in another posture"
     if aim is not None and aim.crossed > tolerance:
-        out.append(
-            f"the hand moved {aim.crossed:.3g} along what the recordings show to be blocked, to come to the target: a "
-            "hand that holds the thing needs a target on its way, or --along"
-        )
+        far = f"the hand moved {aim.crossed:.3g} along what the recordings show to be blocked"
+        yield f"{far}, to come to the target: a hand that holds the thing needs a target on its way, or --along"
     if aim is not None and aim.ignored and not content["reached"]:
-        out.append(f"--rows held leaves {', '.join(aim.ignored)} of the target free")
+        yield f"--rows held leaves {', '.join(aim.ignored)} of the target free"
     if way is None and content["stalled"]:
-        out.append(
-            f"stalled with {left:.3g} left: limits or a singularity block the rest; the target may be out of reach, or "
-            "try another --start"
-        )
+        yield f"stalled, {left:.3g} left: limits or a singularity block the rest; try a nearer target or --start"
     elif way is None and left > tolerance:
-        out.append(f"{left:.3g} left after {content['duration']:g} s, still moving: try a longer --duration")
-    return out
+        yield f"{left:.3g} left after {content['duration']:g} s, still moving: try a longer --duration"
 
 
 def _deed(constraint: Constraint, rollout: Rollout, way: WayDone) -> tuple[str, list[float] | None]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import final
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,9 +12,8 @@ from manip_learn.commands.control import run
 from manip_learn.commands.learn import fit
 from manip_learn.commands.options import ControlOptions, DemoOptions, LearnOptions, PlanOptions, ReadingOptions
 from manip_learn.commands.output import Answer, silent
-from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
-from manip_learn.control.tasks import PointAttractor, Task, motion
+from manip_learn.control.tasks import PointAttractor, motion
 from manip_learn.errors import UnknownNameError
 from manip_learn.playback import replay
 from manip_learn.recordings.files import shipped_recordings
@@ -24,9 +23,7 @@ from manip_learn.robot import load_robot
 PAUSE = 0.5  # [s] at the handle, as a gripper takes to close
 
 
-@final
-@dataclass(frozen=True)
-class DemoScene:
+class DemoScene(NamedTuple):
     """One demo: recordings, and a start that is nearly singular for the learnt task.
 
     Attributes:
@@ -52,12 +49,6 @@ class DemoScene:
     target: tuple[float, ...] | None = None
     duration: float | None = None
     velocities: str | None = None
-
-    def task(self, constraint: Constraint) -> Task:
-        """What was shown, or its target."""
-        if self.target is not None:
-            return PointAttractor(self.target)
-        return motion(constraint, keep_orientation=True, pause=PAUSE)
 
 
 SCENES = {
@@ -102,8 +93,10 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
     scene, out = SCENES[options.robot], options.out
     progress("learning from the recordings", 0.0)
     shipped, file = str(shipped_recordings() / scene.recordings), out / "constraint.json"
-    asked = LearnOptions(options.robot, [shipped], frame=scene.frame, axes=scene.axes, out=file)
-    learner, learnt = fit(replace(asked, reading=ReadingOptions(velocities=scene.velocities)))
+    reading = ReadingOptions(velocities=scene.velocities)
+    learning = LearnOptions(options.robot, [shipped], scene.frame, scene.axes, file, reading=reading)
+    learner, learnt = fit(learning)
+    robot = load_robot(options.robot)
     constraint, rollouts, answers = learner.constraint_, dict[str, Rollout](), dict[str, Answer]()
     best = "manipulability" if scene.target is not None else "plan"
     shown = {"without": "zero", "with": best}
@@ -113,12 +106,16 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
         progress("planning in which posture to take hold" if policy == "plan" else f"moving {name}", 0.5 + 0.1 * i)
         how = ControlOptions(options.robot, str(file), policy=policy, rest=scene.rest, duration=scene.duration)
         how = replace(how, planned=PlanOptions(policy == "plan"), gain=1.0 if policy == "attractor" else how.gain)
-        rollouts[name], answer = run(how, constraint, scene.task(constraint), np.array(scene.start))
+        if scene.target is None:
+            task = motion(constraint, keep_orientation=True, pause=PAUSE)
+        else:
+            task = PointAttractor(scene.target)
+        rollouts[name], answer = run(how, constraint, robot, task, np.array(scene.start), aimed=False)
         answers[name] = answer.with_files(rollouts[name].save(out / f"{name}.npz"))
     progress("writing the replay", 0.9)
     is_pair = scene.target is None and not options.all_policies  # both reach a target, on much the same way
     page = replay(
-        load_robot(options.robot),
+        robot,
         rollouts,
         out / "replay.html",
         tip=scene.frame,
@@ -137,9 +134,9 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
         remarks=[
             *learnt.remarks,
             scene.story,
-            *(f"{n}: {a.remarks[0]}" for n, a in answers.items() if a.content["plan"]),
+            *(f"{n}: {a.remarks[0].removeprefix('plan: ')}" for n, a in answers.items() if a.content["plan"]),
         ],
-        rows=[{"policy": name} | answer.facts for name, answer in answers.items()],
+        rows=[{"policy": name, **answer.facts} for name, answer in answers.items()],
         warnings=[
             *learnt.warnings,
             *(f"{n}: stopped by {c['stopped_by']}" for n, c in contents.items() if c["stopped_by"]),

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.command_line import refuse_to_replace
-from manip_learn.commands.loading import load_for_files, locks_of_files, robot_of_constraint
+from manip_learn.commands.loading import load_constraint, load_for_files, locks_of_files
 from manip_learn.commands.options import ExportOptions, vector
 from manip_learn.commands.output import Answer
 from manip_learn.constraint.constraint import Constraint, read_constraint_file
@@ -39,22 +39,20 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
         ManipLearnError: Anything that is wrong with the robot or the recordings.
     """
     progress("writing", 0.0)
-    out, keywords = options.out, options.reading.keywords()
     if options.to is not None and options.to in TASK_WRITERS:
         return _export_task(options, TASK_WRITERS[options.to])
-    suffixes = {name: endings for name, (endings, _) in _FORMATS.items()}
-    by_ending = next((name for name, endings in suffixes.items() if out.suffix.lower() in endings), None)
+    out = options.out
+    by_ending = next((name for name, (endings, _) in _FORMATS.items() if out.suffix.lower() in endings), None)
     kind = options.to or by_ending or _LEROBOT
-    if kind not in (*suffixes, _LEROBOT):
-        raise OutputError(f"--to must be one of {', '.join([*suffixes, _LEROBOT, *TASK_WRITERS])}, not {options.to!r}")
-    if (options.to is None and by_ending is None and out.suffix) or (by_ending is not None and kind != by_ending):
+    if kind not in (*_FORMATS, _LEROBOT):
+        raise OutputError(f"--to must be one of {', '.join([*_FORMATS, _LEROBOT, *TASK_WRITERS])}, not {options.to!r}")
+    if (options.to is None and by_ending is None and out.suffix) or by_ending not in (None, kind):
         raise OutputError(
             f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .yaml or .json; "
             "LeRobot data and several files are written to a folder (a name without ending)"
         )
     robot = load_for_files(options.robot, options.files, options.loading)
-    locks = locks_of_files(robot, options.loading)
-    demonstrations = load_demonstrations(options.files, robot, **keywords)
+    demonstrations = load_demonstrations(options.files, robot, **options.reading.keywords())
     motions = [motion_of_trajectory(t, robot) for t in demonstrations]
     if kind == _LEROBOT:
         from manip_learn.recordings.writers.lerobot_writer import write_lerobot
@@ -75,7 +73,8 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
         refuse_to_replace([("--out", name) for name in names], options.files)
         written = [content_of(m) for m in motions]  # nothing is written unless all can be
         files = tuple(map(write_atomically, names, written))
-    return _exported(kind, files, [*locks, *demonstrations.notes], len(motions), sum(map(len, motions)))
+    notes = [*locks_of_files(robot, options.loading), *demonstrations.notes]
+    return _exported(kind, files, notes, len(motions), sum(map(len, motions)))
 
 
 def _exported(kind: str, files: Sequence[Path], notes: list[str], trajectories: int = 0, samples: int = 0) -> Answer:
@@ -89,8 +88,7 @@ def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLik
     """Write a constraint for another controller; it says in words what it holds."""
     if len(options.files) != 1:
         raise OutputError(f"--to {options.to} writes one constraint file, got {', '.join(options.files)}")
-    robot = robot_of_constraint(options.robot, options.files[0], options.loading)
-    constraint = Constraint.load(options.files[0], robot)
+    constraint, robot = load_constraint(options.robot, options.files[0], options.loading)
     shown, at = constraint.provenance.get("postures"), vector("--at", options.at)
     if at is not None:
         q, where = robot.checked_posture(at), ""

@@ -9,8 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from manip_learn.commands.command_line import PROGRAM_NAME, typed_command
-from manip_learn.commands.loading import choose_frame, load_for_files
+from manip_learn.commands.command_line import PROGRAM_NAME, TYPED
+from manip_learn.commands.guided_frame import choose_frame
+from manip_learn.commands.loading import load_for_files
 from manip_learn.commands.options import LearnOptions
 from manip_learn.commands.output import Answer, silent
 from manip_learn.constraint.constraint import Constraint
@@ -133,16 +134,16 @@ def _following(options: LearnOptions, whole: Constraint, constraint: Constraint,
     """
     meant = constraint.intention
     if out is None:
-        return shlex.join([*typed_command(), "--out", "task.json"]) if typed_command() else ""
+        return shlex.join([*TYPED.get(), "--out", "task.json"]) if TYPED.get() else ""
     does, flags = "repeat" if meant is None else "control", ["--html", "run.html"]
     if meant is not None and not meant.common:
         flags = ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]
     elif meant is None and not (constraint.shown and _goes(whole, {})):
-        ways = {("--along", "0.1"): {"distance": 0.1}, ("--turn", "10"): {"angle": math.radians(10.0)}}
+        ways = {("along", "0.1"): {"distance": 0.1}, ("turn", "10"): {"angle": math.radians(10.0)}}
         goes = [typed for typed, way in ways.items() if _goes(whole, way)]
         if not goes:
             return ""
-        does, flags = "control", [*goes[0], *flags]
+        does, flags = "control", [f"--{goes[0][0]}", goes[0][1], *flags]
     return shlex.join([PROGRAM_NAME, does, options.robot, str(out), *options.loading.words, *flags])
 
 

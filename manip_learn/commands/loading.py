@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from manip_learn.commands.options import RobotOptions
 from manip_learn.constraint.constraint import Constraint, locks_in_words, read_constraint_file
 from manip_learn.control.limits import check_inside
-from manip_learn.errors import DAMAGE, ConstraintMismatchError, ManipLearnError, UnknownNameError, named
+from manip_learn.errors import DAMAGE, ConstraintMismatchError, UnknownNameError, named
 from manip_learn.recordings.files import SUFFIXES
 from manip_learn.recordings.guards import natural_order
 from manip_learn.recordings.options import unmoved_joint_names
 from manip_learn.recordings.saved_motion import FileHeader, file_header
 from manip_learn.robot import Robot
-from manip_learn.robot.tips import distance_to_last_joint, likely_tips
 
 if TYPE_CHECKING:
     from manip_learn.planning.plan import Around
@@ -64,24 +63,23 @@ def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
     return None, Path()
 
 
-def load_for_joints(name: str, joints: Sequence[str], loading: RobotOptions, *held: Any) -> Robot:
-    """The robot with just these joints moving; its other joints are locked.
+def with_joints(robot: Robot, joints: Sequence[str], name: str, loading: RobotOptions) -> Robot:
+    """Return a robot with just these joints moving, and its other joints locked.
 
     Args:
-        name: Of the robot.
+        robot: As it was loaded.
         joints: Those that move.
-        loading: How it is loaded.
-        *held: Joints that are locked where, and objects, where they are not as the options say.
+        name: Its name or file.
+        loading: How it was loaded.
 
     Raises:
         UnknownNameError: The robot lacks one of the joints.
     """
-    robot = loading.load(name, *held)
     if tuple(robot.joint_names) == tuple(joints):
         return robot
     if lacking := [joint for joint in joints if joint not in robot.joint_names]:
         raise UnknownNameError("joint", lacking[0], robot.joint_names, f"robot {robot.name!r}")
-    others = [j for j in robot.joint_names if j not in joints]
+    others = [joint for joint in robot.joint_names if joint not in joints]
     return loading.load(name, {**robot.locked, **dict.fromkeys(others)}, robot.objects)
 
 
@@ -110,7 +108,7 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
             "leave --lock out, the file knows which joints were locked"
         )
     try:
-        return load_for_joints(robot_name, joints, loading, locked, saved)
+        return with_joints(loading.load(robot_name, locked, saved), joints, robot_name, loading)
     except UnknownNameError as error:
         if error.kind != "joint":
             raise
@@ -120,26 +118,10 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
         ) from error
 
 
-def choose_frame(robot: Robot, frame: str | None) -> str:
-    """Return the frame that the hand guided: the one that was named, checked, or the only likely tip.
-
-    Raises:
-        UnknownNameError: No such frame.
-        ManipLearnError: None was named and there is more than one candidate.
-    """
-    tips = likely_tips(robot)
-    if frame is None and len(tips) == 1:
-        return tips[0]
-    if frame in robot.frame_names:
-        return robot.frame(frame).name
-    shown = [f"{tip} ({distance_to_last_joint(robot, tip):.3g} m from its last joint)" for tip in tips[:6]]
-    likely = f"likely tips: {', '.join(shown) or 'none'}; `manip-learn inspect` lists all frames"
-    if frame is not None:
-        raise UnknownNameError("frame", frame, robot.frame_names, f"robot {robot.name!r}", f"; {likely}")
-    name = tips[0] if tips else "NAME"
-    raise ManipLearnError(
-        f"which frame of {robot.name!r} was guided? Name it, e.g. --frame {name}; {likely}", code="frame"
-    )
+def load_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> tuple[Constraint, Robot]:
+    """Return the constraint in a file, and its robot; errors as of `robot_of_constraint` and `Constraint.load`."""
+    robot = robot_of_constraint(robot_name, constraint_file, loading)
+    return Constraint.load(constraint_file, robot), robot
 
 
 def start_posture(

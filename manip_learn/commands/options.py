@@ -1,9 +1,22 @@
 """All arguments and options of the command line, each written once: parser, help and the commands read them here.
 
 A command is a frozen dataclass. The second paragraph of its docstring is an example that works. Each field is an
-argument or an option of that name, and its help stands under `Attributes:`, unless several commands share it. A field
-may be a set of options: then the fields of the set stand in its place. `--help` explains the options before the first
-set, which a beginner needs, and `--help-all` all of them. Only what a shell needs for `--help` is imported.
+argument or an option of that name, and its help stands under `Attributes:`. A field may be a set of options: then the
+fields of the set stand in its place. `--help` explains the options before the first set, which a beginner needs, and
+`--help-all` all of them. Only what a shell needs for `--help` is imported.
+
+Attributes:
+    robot: A name (see `robots`) or a URDF file.
+    recordings: Files, a folder of them, or shipped ones such as sawyer_drawer.
+    constraint: Written by `learn --out`.
+    task: Written by `learn --out`.
+    start: Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.
+    scene: What stands around (JSON, URDF, MJCF); none: nothing. Else a floor is assumed.
+    out: Rollout file to write: .npz, .csv or .mcap (for ROS).
+    html: Replay to write.
+    dask: Scheduler address, or local: work on a dask cluster.
+    explain: Say what the words in the tables mean.
+    as_json: Print one JSON document; a command that opens or prints more has it, `--json` works with all.
 """
 
 from __future__ import annotations
@@ -67,27 +80,10 @@ def vector(option: str, text: str | None) -> list[float] | None:
     return numbers
 
 
-# what several commands have
-RobotName = Annotated[
-    str, Argument(metavar="ROBOT", help="A name (see `robots`) or a URDF file.", autocompletion=robot_completions)
-]
-Recordings = Annotated[
-    list[str], Argument(metavar="RECORDING...", help="Files, a folder of them, or shipped ones such as sawyer_drawer.")
-]
-ConstraintFile = Annotated[str, Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")]
-TaskFile = Annotated[str, Argument(metavar="TASK", help="Written by `learn --out`.")]
-Start = Annotated[
-    str | None, Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.")
-]
-SceneFile = Annotated[
-    str | None,
-    Option(metavar="FILE", help="What stands around (JSON, URDF, MJCF); none: nothing. Else a floor is assumed."),
-]
-RolloutFile = Annotated[Path | None, Option(help="Rollout file to write: .npz, .csv or .mcap (for ROS).")]
-ReplayFile = Annotated[Path | None, Option(help="Replay to write.")]
-Dask = Annotated[str | None, Option(help="Scheduler address, or local: work on a dask cluster.")]
-Explain = Annotated[bool, Option("--explain", help="Say what the words in the tables mean.")]
-Json = Annotated[bool, Option("--json", help="Print one JSON document and nothing else.")]
+RobotName = Annotated[str, Argument(metavar="ROBOT", autocompletion=robot_completions)]
+Recordings = Annotated[list[str], Argument(metavar="RECORDING...")]
+ConstraintFile = Annotated[str, Argument(metavar="CONSTRAINT.JSON")]
+SceneFile = Annotated[str | None, Option(metavar="FILE")]
 
 
 @final
@@ -219,8 +215,6 @@ class RobotsOptions:
     manip-learn robots
     """
 
-    as_json: Json = False
-
 
 @final
 @dataclass(frozen=True)
@@ -240,8 +234,8 @@ class DemoOptions:
     out: Path = Path("demo_out")
     all_policies: bool = False
     browser: Annotated[bool, Option("--browser/--no-browser")] = True
-    explain: Explain = False
-    as_json: Json = False
+    explain: bool = False
+    as_json: bool = False
 
 
 @final
@@ -254,7 +248,6 @@ class InspectOptions:
 
     robot: RobotName
     loading: RobotOptions = RobotOptions()
-    as_json: Json = False
 
 
 @final
@@ -305,9 +298,8 @@ class LearnOptions:
     start: Annotated[float | None, Option("--from")] = None
     until: float | None = None
     seed: int = 0
-    dask: Dask = None
-    explain: Explain = False
-    as_json: Json = False
+    dask: str | None = None
+    explain: bool = False
 
 
 @final
@@ -327,9 +319,8 @@ class AuditOptions:
     csv: Path | None = None
     loading: RobotOptions = RobotOptions()
     reading: ReadingOptions = ReadingOptions()
-    dask: Dask = None
-    explain: Explain = False
-    as_json: Json = False
+    dask: str | None = None
+    explain: bool = False
 
 
 @final
@@ -361,12 +352,12 @@ class ControlOptions:
 
     robot: RobotName
     constraint: ConstraintFile
-    start: Start = None
+    start: str | None = None
     along: float | None = None
     turn: float | None = None
     target: str | None = None
-    out: RolloutFile = None
-    html: ReplayFile = None
+    out: Path | None = None
+    html: Path | None = None
     planned: PlanOptions = PlanOptions()
     loading: RobotOptions = RobotOptions()
     direction: str | None = None
@@ -383,8 +374,7 @@ class ControlOptions:
     inverse: str = "damped"
     tolerance: float = 0.01
     check: bool = False
-    explain: Explain = False
-    as_json: Json = False
+    explain: bool = False
 
 
 @final
@@ -402,17 +392,16 @@ class RepeatOptions:
     """
 
     robot: RobotName
-    task: TaskFile
-    start: Start = None
+    task: Annotated[str, Argument(metavar="TASK")]
+    start: str | None = None
     moved: str | None = None
     tip_speed: str = "0.25"
     prefer: str = "shown"
-    out: RolloutFile = None
-    html: ReplayFile = None
+    out: Path | None = None
+    html: Path | None = None
     loading: RobotOptions = RobotOptions()
     scene: SceneFile = None
     seed: int = 0
-    as_json: Json = False
 
 
 @final
@@ -437,7 +426,6 @@ class ReplayOptions:
     loading: RobotOptions = RobotOptions()
     reading: ReadingOptions = ReadingOptions()
     tip: str | None = None
-    as_json: Json = False
 
 
 @final
@@ -462,7 +450,6 @@ class ExportOptions:
     at: str | None = None
     loading: RobotOptions = RobotOptions()
     reading: ReadingOptions = ReadingOptions()
-    as_json: Json = False
 
 
 @final
@@ -496,7 +483,7 @@ class RecordOptions:
     duration: float | None = None
     no_release: bool = False
     no_browser: bool = False
-    as_json: Json = False
+    as_json: bool = False
 
 
 @final
@@ -522,7 +509,6 @@ class TeachOptions:
     seed: int | None = None
     no_browser: bool = False
     loading: RobotOptions = RobotOptions()
-    as_json: Json = False
 
 
 @final
@@ -545,4 +531,3 @@ class ReproduceOptions:
     seed: int = 0
     out: Path | None = None
     workers: int | None = None
-    as_json: Json = False

@@ -17,7 +17,10 @@ from manip_learn.errors import printable
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from manip_learn.commands.options import ControlOptions, RepeatOptions
+    from manip_learn.control.rollout import Rollout
     from manip_learn.playback import ReplayResult
+    from manip_learn.robot.robot import Robot
 
 # keys of sentences, for people; what other keys hold is for programs, which need names and paths as they are
 SENTENCES = {"message", "sentence", "notes", "warnings", "advice", "evidence", "reason", "reasons", "refused"} | {
@@ -25,7 +28,7 @@ SENTENCES = {"message", "sentence", "notes", "warnings", "advice", "evidence", "
 }
 
 
-def for_json(value: object, sentence: bool = False) -> object:
+def for_json(value: object, sentence: bool = False) -> Any:
     """A value for JSON: null in place of NaN, which JSON does not have, names of files, and sentences for printing."""
     if isinstance(value, Path):
         return str(value)
@@ -80,6 +83,18 @@ class Answer:
         """Return the answer with the files that were written."""
         files = {"out": out, "html": None if page is None else page.html}
         return replace(self, content=self.content | files, written=[f"written: {out}" if out else ""], page=page)
+
+
+def with_rollout(
+    answer: Answer, rollout: Rollout, robot: Robot, name: str, options: ControlOptions | RepeatOptions
+) -> Answer:
+    """Write the rollout and its replay where the options say so, and name the files in the answer."""
+    page = None
+    if options.html is not None:
+        from manip_learn.playback import replay
+
+        page = replay(robot, {name: rollout}, options.html, open_browser=False, notes=answer.doubts)
+    return answer.with_files(None if options.out is None else rollout.save(options.out), page)
 
 
 def cells(content: Mapping[str, Any], layout: str) -> dict[str, str]:

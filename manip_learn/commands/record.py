@@ -15,7 +15,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
-from manip_learn.commands.loading import choose_frame, load_for_joints
+from manip_learn.commands.guided_frame import choose_frame
+from manip_learn.commands.loading import with_joints
 from manip_learn.commands.options import RecordOptions
 from manip_learn.commands.output import Answer
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
@@ -46,7 +47,7 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
         robot, names = options.loading.load(options.robot), getattr(driver, "joint_names", None)
         if names is not None:
             moving = [name for name in robot.joint_names if name in names]
-            robot = load_for_joints(options.robot, moving, options.loading)
+            robot = with_joints(robot, moving, options.robot, options.loading)
     told = {"file": "", "since": 0.0, "files": 0, "said": 0.0}
 
     def began(file: Path | None) -> None:

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from manip_learn.commands.control import with_rollout
 from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
 from manip_learn.commands.options import RepeatOptions, vector
-from manip_learn.commands.output import Answer, cells, place, silent
+from manip_learn.commands.output import Answer, cells, place, silent, with_rollout
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import TargetError, counted
 from manip_learn.planning.repeat import TipSpeed, repeat
 from manip_learn.recordings.load import Progress
 
 _STEP = (
-    "done: {done:.3g} {unit}; of: {wanted:.3g} {unit}; off: {off:.1f} mm; fastest: {fastest:.0%}; margin: {margin:.0%}"
+    "done: {done:.3g} {unit}; of: {wanted:.3g} {unit}; off: {off:.1f} {fine}; "
+    "fastest: {fastest:.0%}; margin: {margin:.0%}"
 )
 
 
@@ -61,11 +61,15 @@ def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
         },
         title=f"{ways} done as shown" if done.is_done else "not all of it was done",
         sentences=[f"start: {whence} (another: --start)" if whence else "", done.pace, *ends],
-        rows=[{"step": step["name"]} | cells(step | {"off": 1e3 * step["deviation"]}, _STEP) for step in steps],
+        rows=[{"step": step["name"]} | cells(step | _off(step), _STEP) for step in steps],
         warnings=[f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by],
         notes=done.notes,
     )
     return with_rollout(answer, rollout, robot, "repeat", options)
+
+
+def _off(step: dict[str, Any]) -> dict[str, Any]:
+    return {"off": 1e3 * step["deviation"], "fine": "mm" if step["unit"] == "m" else "mm or mrad"}
 
 
 def _missed(off: float | None) -> str:

@@ -7,10 +7,9 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
-from manip_learn.commands.loading import load_for_files, locks_of_files, robot_of_constraint
+from manip_learn.commands.loading import load_constraint, load_for_files, locks_of_files
 from manip_learn.commands.options import ReplayOptions
 from manip_learn.commands.output import Answer
-from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, RecordingError
 from manip_learn.playback import replay
@@ -43,8 +42,7 @@ def replay_files(options: ReplayOptions, progress: Progress) -> Answer:
         robot = load_for_files(name, files, options.loading)
         notes = locks_of_files(robot, options.loading)
     else:
-        robot = robot_of_constraint(name, str(options.constraint), options.loading)
-        constraint = Constraint.load(options.constraint, robot)
+        constraint, robot = load_constraint(name, str(options.constraint), options.loading)
         learnt, notes = constraint.provenance, list(constraint.notes)
         tip = tip or getattr(constraint.features, "frame", None)
         if not isinstance(found := learnt.get("mechanism") or {}, Mapping):

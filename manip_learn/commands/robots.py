@@ -19,11 +19,8 @@ from manip_learn.robot.robot_summary import inspect_robot
 # origin of a robot -> what is said of it, and how more of them come
 _ORIGINS = {
     "package": ("with the package (and how many joints they have)", ""),
-    "extra": ("with the extra robots, without a net", "robots]' (panda, xarm7, so101, ur5 and 60 more)"),
-    "net": (
-        "with the extra descriptions, fetched from the net when first named",
-        "descriptions]' (xarm6 and more)",
-    ),
+    "extra": ("with the extra robots, without a net", "manip_learn[robots]' (panda, xarm7, so101, ur5 and 60 more)"),
+    "net": ("with the extra descriptions, fetched when first named", "manip_learn[descriptions]' (xarm6 and more)"),
 }
 
 
@@ -33,21 +30,16 @@ def known_robots(options: RobotsOptions, progress: Progress = silent) -> Answer:
     In the document, `origin` is `package`, `extra` (of the extra `robots`) or `net` (of the extra `descriptions`);
     `joints` move on their own, and there are none where a description is refused, or not fetched to be listed.
     """
-    extra = sorted(example_robots())
-    robots = [_described(name, "package") for name in sorted(SHIPPED)]
-    robots += [_described(name, "extra") for name in extra]
+    extra, sentences = sorted(example_robots()), []
+    robots = [_described(name, "package") for name in sorted(SHIPPED)] + [_described(name, "extra") for name in extra]
     net = sorted(fetched_names().difference(SHIPPED, extra))
     robots += [{"name": name, "origin": "net", "joints": (), "refused": None} for name in net]
-    sentences = []
     for origin, (title, more) in _ORIGINS.items():
         known = [robot for robot in robots if robot["origin"] == origin]
-        names = [r["name"] + ("" if origin == "net" else f" ({_size(r)})") for r in known]
-        sentences.append(f"{title}: {', '.join(names)}" if names else f"more with: pip install 'manip_learn[{more}")
+        sizes = [f" ({'refused' if robot['refused'] else len(robot['joints'])})" for robot in known]
+        names = [robot["name"] + (size if origin != "net" else "") for robot, size in zip(known, sizes, strict=True)]
+        sentences.append(f"{title}: {', '.join(names)}" if names else f"more with: pip install '{more}")
     return Answer({"robots": robots, "extra_installed": bool(extra)}, sentences=sentences)
-
-
-def _size(robot: dict[str, Any]) -> str:
-    return "refused" if robot["refused"] else str(len(robot["joints"]))
 
 
 def _described(name: str, origin: str) -> dict[str, Any]:
@@ -68,11 +60,12 @@ def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
     """Load a robot, check its forward kinematics by another library, and show what one must know before recording."""
     summary = inspect_robot(options.loading.load(options.robot))
     joints, check, tip = summary.joints, summary.cross_check, summary.tips[0] if summary.tips else "NAME"
+    flag = f"--frame {shlex.quote(tip)}"
     still = [j.name for j in joints if summary.moving_tip and j.name not in summary.moving_tip]
     facts = {
-        "likely tips": f"{few(summary.tips)} (--frame {shlex.quote(tip)})",
+        "likely tips": f"{few(summary.tips)} ({flag})",
         f"moving {tip}": f"{few(summary.moving_tip)}; not: {few(still)}" if still else "",
-        "without limits": few([j.name for j in joints if not math.isfinite(j.upper - j.lower)]),
+        "no position limits": few([j.name for j in joints if not math.isfinite(j.upper - j.lower)]),
         "mimic": few([f"{m.joint} = {m.multiplier:g} {m.leader} + {m.offset:g}" for m in summary.mimics], 3),
         "locked": few([f"{name} at {position:g}" for name, position in summary.locked.items()]),
         "last frames": f"{few(summary.frames[::-1])} (all: --json)",
@@ -87,5 +80,5 @@ def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
         rows=[{"joint": j.name} | cells(vars(j), _JOINT) for j in joints],
         warnings=[f"warning: {warning}" for warning in summary.warnings],
         written=["" if summary.source is None else f"file: {summary.source}"],
-        following=f"manip-learn learn {words} RECORDINGS --frame {shlex.quote(tip)}",
+        following=f"manip-learn learn {words} RECORDINGS {flag}",
     )

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
-from manip_learn.commands.loading import choose_frame
+from manip_learn.commands.guided_frame import choose_frame
+from manip_learn.commands.loading import with_joints
 from manip_learn.commands.options import TeachOptions
 from manip_learn.commands.output import Answer
 from manip_learn.errors import OutputError, counted
@@ -42,9 +43,8 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
     physics()
     robot = options.loading.load(options.robot)
     tip = choose_frame(robot, options.frame)
-    idle = [name for name in robot.joint_names if not robot.moves(name, tip)]
-    if idle:
-        robot = options.loading.load(options.robot, {**robot.locked, **dict.fromkeys(idle)})
+    moving = [name for name in robot.joint_names if robot.moves(name, tip)]
+    robot = with_joints(robot, moving, options.robot, options.loading)
     if options.out.exists() and not options.out.is_dir():
         raise OutputError(f"--out {options.out} is a file: name a folder")
     name = known_as(robot.source) or robot.name or "robot"
