@@ -60,7 +60,7 @@ REPLAY = PageKind(
     tuple(
         _FOLDER / f"{name}.js"
         for name in (
-            *("scene", "stage", "fit", "phases", "chart", "sheets", "tracks"),
+            *("quality", "scene", "stage", "fit", "phases", "chart", "sheets", "tracks"),
             *("constraint_marks", "handles", "around", "labels", "shown", "evidence"),
             *("keys", "legend", "player", "live", "main"),
         )

@@ -41,7 +41,7 @@ class AroundThing {
 }
 
 // The arm at many moments of an approach or a retreat as one veil: its front skin alone is blended, once.
-function sweptGroup(show, rollout, geometries) {
+function sweptGroup(show, rollout, bodies) {
   const { instance, bands } = rollout, group = new THREE.Group(), moments = [];
   for (const { start, end } of bands.filter(({ kind }) => LEAVES.includes(kind.label.split(": ").pop()))) {
     let before = null;
@@ -53,23 +53,23 @@ function sweptGroup(show, rollout, geometries) {
     }
   }
   const skin = new THREE.MeshStandardMaterial({ color: linear(rollout.colour), transparent: true, opacity: 0.22, depthWrite: false, roughness: 0.8, ...behind(2) });
-  const veil = new THREE.MeshBasicMaterial({ colorWrite: false, transparent: true, ...behind(2) }), shapes = instance.robot.shapes;
-  const made = shapes.map((shape, i) => (shape.joint > 0 ? [veil, skin].map((ink, k) => Object.assign(new THREE.InstancedMesh(geometries[i], ink, moments.length), { renderOrder: 60 + k, frustumCulled: false })) : []));
+  const veil = new THREE.MeshBasicMaterial({ colorWrite: false, transparent: true, ...behind(2) });
+  const made = bodies.map(({ joint, geometry }) => (joint > 0 ? [veil, skin].map((ink, k) => Object.assign(new THREE.InstancedMesh(geometry, ink, moments.length), { renderOrder: 60 + k, frustumCulled: false })) : []));
   moments.forEach((values, n) => {
     instance.setValues(values);
-    shapes.forEach((shape, i) => { for (const mesh of made[i]) mesh.setMatrixAt(n, instance.jointMatrix(shape.joint).multiply(matrixFromRows(shape.pose))); });
+    bodies.forEach(({ joint }, i) => { for (const mesh of made[i]) mesh.setMatrixAt(n, instance.jointMatrix(joint)); });
   });
   if (moments.length) group.add(...made.flat());
   return group;
 }
 
 // Of each rollout that keeps clear of something.
-function addAround(show, geometries) {
+function addAround(show, bodies) {
   for (const rollout of show.rollouts) {
     rollout.things = rollout.around.filter((thing) => !thing.assumed).map((described) => new AroundThing(rollout, described));
     rollout.named = rollout.things.filter((thing, k, all) => thing.top && k === all.findIndex((other) => other.name === thing.name)).slice(0, MOST_NAMES);
     if (!rollout.around.length) continue;
-    rollout.swept = sweptGroup(show, rollout, geometries);
+    rollout.swept = sweptGroup(show, rollout, bodies);
     rollout.instance.root.add(rollout.swept, ...rollout.things.map((thing) => thing.group));
   }
 }

@@ -62,17 +62,17 @@ class Show {
       console.warn("no 3D graphics:", error);
       get("no-webgl").hidden = false;
     }
-    const meshes = data.robot.meshes.map(meshGeometry), geometries = data.robot.shapes.map((s) => shapeGeometry(s, meshes));
+    const bodies = bodiesOf(data.robot);
     const world = this.stage ? this.stage.world : new THREE.Group();
     for (const rollout of this.rollouts) {
-      rollout.instance = new RobotInstance(data.robot, rollout, geometries, !this.panes && this.rollouts.length > 1 && !rollout.hasPhases);
+      rollout.instance = new RobotInstance(data.robot, rollout, bodies, !this.panes && this.rollouts.length > 1 && !rollout.hasPhases);
       rollout.instance.setSolid(rollout.solid);
       world.add(rollout.instance.root);
       const size = this.stage ? this.stage.size : 1;
       if (rollout.path.length >= 6) rollout.trail = new TipPath(rollout, 0.0028 * size, rollout.instance.root);
     }
     for (const rollout of this.rollouts) rollout.pieces = rollout.handles.map((spans) => new Handle(rollout, spans, 0.008 * (this.stage ? this.stage.size : 1)));
-    addAround(this, geometries);
+    addAround(this, bodies);
     this.mechanisms = data.mechanisms;
     if (!this.stage) return;
     this.mechanismGroup = new THREE.Group();

@@ -58,6 +58,37 @@ function shapeGeometry(shape, meshes) {
   return geometry.rotateX(Math.PI / 2); // three.js cylinders stand along y, URDF's along z
 }
 
+// Geometries as one, which takes one draw call.
+function merged(parts) {
+  const geometry = new THREE.BufferGeometry(), joined = (lists) => Float32Array.from(lists.flatMap((list) => [...list]));
+  for (const name of ["position", "normal"]) geometry.setAttribute(name, new THREE.BufferAttribute(joined(parts.map((part) => part.geometry.attributes[name].array)), 3));
+  let first = 0;
+  geometry.setIndex(parts.flatMap((part) => {
+    const from = first;
+    first += part.geometry.attributes.position.count;
+    return Array.from(part.geometry.index.array, (i) => from + i);
+  }));
+  return geometry;
+}
+
+// A colour for each part of a merged geometry.
+function coloursOf(parts) {
+  return new THREE.Float32BufferAttribute(parts.flatMap(({ geometry, colour: { r, g, b } }) => Array(geometry.attributes.position.count).fill([r, g, b]).flat()), 3);
+}
+
+// Shapes of one joint that are equally opaque as one body.
+function bodiesOf({ shapes, meshes }) {
+  const made = meshes.map(meshGeometry), bodies = new Map();
+  for (const shape of shapes) {
+    const { joint, colour, kind } = shape, key = `${joint} ${colour[3]}`, part = { shape, geometry: shapeGeometry(shape, made).clone().applyMatrix4(matrixFromRows(shape.pose)) };
+    if (!bodies.has(key)) bodies.set(key, { joint, opacity: colour[3], side: THREE.FrontSide, parts: [] });
+    bodies.get(key).parts.push(part);
+    if (kind === "mesh") bodies.get(key).side = THREE.DoubleSide; // as many files have triangles that look inwards
+  }
+  for (const body of bodies.values()) body.geometry = merged(body.parts);
+  return [...bodies.values()];
+}
+
 // Radius: one number, or one for each point. A stretch from a point that `isGap` is left out.
 function tubeGeometry(points, radius, sides = 8, isGap = () => false) {
   const n = points.length / 3, positions = new Float32Array(n * sides * 3), normals = new Float32Array(n * sides * 3);
@@ -112,72 +143,61 @@ function behind(index) {
 }
 
 class RobotInstance {
-  constructor(robot, rollout, geometries, tinted) {
-    this.robot = robot;
-    this.rollout = rollout;
-    this.tinted = tinted;
+  constructor(robot, rollout, bodies, tinted) {
+    Object.assign(this, { robot, rollout, bodies, tinted, meshes: [], motion: new THREE.Matrix4() });
     this.root = new THREE.Group();
-    this.bodies = new THREE.Group();
-    this.root.add(this.bodies);
+    this.arm = new THREE.Group();
+    this.root.add(this.arm);
     this.placements = robot.joints.map((j) => matrixFromRows(j.placement));
     this.axes = robot.joints.map((j) => new THREE.Vector3(...j.axis));
     this.groups = robot.joints.map(() => Object.assign(new THREE.Group(), { matrixAutoUpdate: false }));
-    robot.joints.forEach((joint, i) => (i === 0 ? this.bodies : this.groups[joint.parent]).add(this.groups[i]));
+    robot.joints.forEach((joint, i) => (i === 0 ? this.arm : this.groups[joint.parent]).add(this.groups[i]));
     this.linkIndex = new Map(robot.links.map((link, i) => [link.name, i]));
     this.linkPlacements = robot.links.map((link) => matrixFromRows(link.placement));
-    this.meshes = [];
     // a ghost first fills the depth buffer, so that only its front skin is blended and it stays easy to read
     this.veil = new THREE.MeshBasicMaterial({ colorWrite: false, side: THREE.DoubleSide, ...behind(rollout.index) });
-    this.geometries = geometries;
-    if (rollout.hasPhases ? rollout.solid : rollout.index < MAX_GHOSTS) this.addShapes();
-    this.motion = new THREE.Matrix4();
+    if (rollout.hasPhases ? rollout.solid : rollout.index < MAX_GHOSTS) this.addBodies();
   }
 
-  addShapes() {
-    this.robot.shapes.forEach((shape, i) => this.addShape(shape, this.geometries[i]));
-    this.geometries = null;
-  }
-
-  addShape(shape, geometry) {
-    const pose = matrixFromRows(shape.pose);
-    const skin = new THREE.Mesh(geometry), veil = new THREE.Mesh(geometry, this.veil);
-    skin.userData.shape = shape;
-    for (const mesh of [skin, veil]) {
-      mesh.matrixAutoUpdate = false;
-      mesh.matrix.copy(pose);
-      this.groups[shape.joint].add(mesh);
+  addBodies() {
+    for (const body of this.bodies) {
+      const { position, normal } = body.geometry.attributes, geometry = new THREE.BufferGeometry(); // its colours are its own
+      geometry.setAttribute("position", position).setAttribute("normal", normal).setIndex(body.geometry.index);
+      const skin = new THREE.Mesh(geometry), veil = new THREE.Mesh(body.geometry, this.veil);
+      skin.userData.shape = body;
+      this.groups[body.joint].add(skin, veil);
+      this.meshes.push({ skin, veil });
     }
-    this.meshes.push({ skin, veil });
   }
 
   setSolid(solid) {
     this.solid = solid;
-    this.bodies.visible = solid || !this.rollout.hasPhases; // ghosts would hide the paths, whose colours are the point
-    if (solid && this.geometries) this.addShapes();
-    const made = new Map();
+    this.arm.visible = solid || !this.rollout.hasPhases; // ghosts would hide the paths, whose colours are the point
+    if (solid && !this.meshes.length) this.addBodies();
     for (const { skin, veil } of this.meshes) {
-      const shape = skin.userData.shape, key = shape.accent ? "accent" : [shape.joint > 0, shape.kind === "mesh", ...shape.colour].join();
-      if (!made.has(key)) made.set(key, this.material(shape));
-      skin.material = made.get(key);
-      skin.castShadow = solid;
-      skin.receiveShadow = solid;
-      veil.visible = !solid && skin.userData.shape.joint > 0;
-      skin.visible = solid || skin.userData.shape.joint > 0; // what never moves is drawn once
+      const body = skin.userData.shape, moves = body.joint > 0;
+      skin.material = this.material(body);
+      skin.geometry.setAttribute("color", coloursOf(body.parts.map(({ shape, geometry }) => ({ geometry, colour: this.colourOf(shape) }))));
+      skin.castShadow = skin.receiveShadow = solid;
+      veil.visible = !solid && moves;
+      skin.visible = solid || moves; // what never moves is drawn once
     }
   }
 
-  material(shape) {
+  colourOf(shape) {
     const own = shape.colour, hex = this.rollout.colour;
     let colour = new THREE.Color(own[0], own[1], own[2]);
     if (DARK.matches) colour.lerp(new THREE.Color(0xffffff), Math.max(0, 0.25 - 0.5 * Math.max(own[0], own[1], own[2])));
     if (shape.accent) colour = new THREE.Color(hex);
     else if (!this.solid) colour = shaded(hex, [0, 1, 2].map((i) => 0.4 + 0.2 * own[i]));
     else if (this.tinted && shape.joint > 0) colour = shaded(hex, own);
-    const material = new THREE.MeshStandardMaterial({ color: colour.convertSRGBToLinear(), roughness: 0.62, metalness: 0.05 });
-    material.side = shape.kind === "mesh" ? THREE.DoubleSide : THREE.FrontSide;
-    const opacity = this.solid ? own[3] : 0.42;
-    if (opacity < 1) Object.assign(material, { transparent: true, opacity, depthWrite: this.solid });
-    if (!this.solid) Object.assign(material, behind(this.rollout.index));
+    return colour.convertSRGBToLinear();
+  }
+
+  material({ side, opacity }) {
+    const material = new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.62, metalness: 0.05, side });
+    if (!this.solid) Object.assign(material, { transparent: true, opacity: 0.42, depthWrite: false, ...behind(this.rollout.index) });
+    else if (opacity < 1) Object.assign(material, { transparent: true, opacity });
     return material;
   }
 

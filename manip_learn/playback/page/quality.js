@@ -1,0 +1,46 @@
+// Where frames take long, as without a graphics card, simpler ones while something moves, and a full one once it rests.
+
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i; // names of what draws without a graphics card
+const LEVELS = [{ shadows: true, pixels: 2 }, { shadows: false, pixels: 1 }, { shadows: false, pixels: 0.6 }]; // pixels: at most, for one of CSS
+const SLOW = { frame: 45, frames: 8 }; // a frame that takes longer is late [ms]; so many late ones in a row are too slow
+const REST = 600; // [ms] without a change until the full frame
+
+function drawsBySoftware() {
+  const gl = document.createElement("canvas").getContext("webgl"), known = gl && gl.getExtension("WEBGL_debug_renderer_info");
+  if (!gl) return false;
+  const name = String(gl.getParameter(known ? known.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return SOFTWARE.test(name);
+}
+
+// The viewer asks for smooth edges, which take half of the time where there is no graphics card.
+function withoutSmoothing(make) {
+  const { getContext } = HTMLCanvasElement.prototype;
+  HTMLCanvasElement.prototype.getContext = function (kind, options) { return getContext.call(this, kind, options && { ...options, antialias: false }); };
+  try { return make(); } finally { HTMLCanvasElement.prototype.getContext = getContext; }
+}
+
+class Quality {
+  // apply: sets { shadows, pixels }
+  constructor(software, apply) {
+    Object.assign(this, { apply, level: software ? LEVELS.length - 1 : 0, late: 0, changed: 0 });
+    this.set(0);
+  }
+
+  set(level) {
+    if (level !== this.drawn) this.apply(LEVELS[level]);
+    this.drawn = level;
+  }
+
+  // Whether a frame is due; only between two that follow each other it is known how long one takes.
+  isDue(now, changed) {
+    const took = now - (this.last ?? now), isLate = changed && took > SLOW.frame;
+    this.last = changed && !document.hidden ? now : undefined;
+    this.late = isLate ? this.late + 1 : 0;
+    if (this.late >= SLOW.frames && this.level < LEVELS.length - 1) Object.assign(this, { level: this.level + 1, late: 0 });
+    if (changed) this.changed = now;
+    const rests = !changed && this.drawn > 0 && now > this.changed + REST;
+    if (changed || rests) this.set(rests ? 0 : this.level);
+    return changed || rests;
+  }
+}
