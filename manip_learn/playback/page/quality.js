@@ -1,7 +1,6 @@
 // Where frames take long, as without a graphics card, simpler ones while something moves, and a full one once it rests.
 
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i; // names of what draws without a graphics card
-const LEVELS = [{ shadows: true, pixels: 2 }, { shadows: false, pixels: 1 }, { shadows: false, pixels: 0.6 }]; // pixels: at most, for one of CSS
 const SLOW = { frame: 45, frames: 8 }; // a frame that takes longer is late [ms]; so many late ones in a row are too slow
 const REST = 600; // [ms] without a change until the full frame
 
@@ -21,14 +20,16 @@ function withoutSmoothing(make) {
 }
 
 class Quality {
-  // apply: sets { shadows, pixels }
+  // apply: sets { shadows, pixels }, these for one of CSS. Without smooth edges a full frame has twice as many along a side.
   constructor(software, apply) {
-    Object.assign(this, { apply, level: software ? LEVELS.length - 1 : 0, late: 0, changed: 0 });
+    const ratio = window.devicePixelRatio || 1, full = { shadows: true, pixels: software ? 2 : Math.min(ratio, 2) };
+    this.levels = [full, { shadows: false, pixels: Math.min(ratio, 1) }, { shadows: false, pixels: 0.75 }];
+    Object.assign(this, { apply, level: software ? this.levels.length - 1 : 0, late: 0, changed: 0 });
     this.set(0);
   }
 
   set(level) {
-    if (level !== this.drawn) this.apply(LEVELS[level]);
+    if (level !== this.drawn) this.apply(this.levels[level]);
     this.drawn = level;
   }
 
@@ -37,7 +38,7 @@ class Quality {
     const took = now - (this.last ?? now), isLate = changed && took > SLOW.frame;
     this.last = changed && !document.hidden ? now : undefined;
     this.late = isLate ? this.late + 1 : 0;
-    if (this.late >= SLOW.frames && this.level < LEVELS.length - 1) Object.assign(this, { level: this.level + 1, late: 0 });
+    if (this.late >= SLOW.frames && this.level < this.levels.length - 1) Object.assign(this, { level: this.level + 1, late: 0 });
     if (changed) this.changed = now;
     const rests = !changed && this.drawn > 0 && now > this.changed + REST;
     if (changed || rests) this.set(rests ? 0 : this.level);

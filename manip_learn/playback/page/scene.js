@@ -31,12 +31,13 @@ function decode(text, Type) {
 
 // ---- geometry -------------------------------------------------------------------------------------------------------
 
+const ROUND = 28; // corners of what is round
+
 function disc(radius, length) {
   const edge = Math.min(radius, length) * 0.14, half = length / 2;
   const outline = [[0, -half], [radius - edge, -half], [radius, -half + edge], [radius, half - edge], [radius - edge, half], [0, half]];
-  const points = [];
-  for (const p of outline) points.push(new THREE.Vector2(...p), new THREE.Vector2(...p)); // doubled: sharp edges
-  return new THREE.LatheGeometry(points.slice(1, -1), 40);
+  const bands = outline.slice(1).map((to, i) => new THREE.LatheGeometry([outline[i], to].map((p) => new THREE.Vector2(...p)), ROUND));
+  return merged(bands.map((geometry) => ({ geometry }))); // of bands that share no corner: edges stay sharp
 }
 
 function meshGeometry(mesh) {
@@ -45,16 +46,17 @@ function meshGeometry(mesh) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(positions, 3));
   geometry.setIndex(new THREE.BufferAttribute(decode(mesh.triangles, mesh.wide ? Uint32Array : Uint16Array), 1));
-  geometry.computeVertexNormals();
+  if (mesh.normals) geometry.setAttribute("normal", new THREE.BufferAttribute(Float32Array.from(decode(mesh.normals, Int8Array), (x) => x / 127), 3));
+  else geometry.computeVertexNormals();
   return geometry;
 }
 
 function shapeGeometry(shape, meshes) {
   const s = shape.size;
   if (shape.kind === "box") return new THREE.BoxGeometry(s[0], s[1], s[2]);
-  if (shape.kind === "sphere") return new THREE.SphereGeometry(s[0], 36, 24);
+  if (shape.kind === "sphere") return new THREE.SphereGeometry(s[0], ROUND, ROUND / 2);
   if (shape.kind === "mesh") return meshes[shape.mesh];
-  const geometry = shape.kind === "disc" ? disc(s[0], s[1]) : new THREE.CylinderGeometry(s[0], s[0], s[1], 40, 1);
+  const geometry = shape.kind === "disc" ? disc(s[0], s[1]) : new THREE.CylinderGeometry(s[0], s[0], s[1], ROUND);
   return geometry.rotateX(Math.PI / 2); // three.js cylinders stand along y, URDF's along z
 }
 
@@ -265,10 +267,10 @@ function pathForm(rollout, points, times, radius) {
 class TipPath {
   constructor(rollout, radius, parent) {
     const colour = linear(rollout.colour);
-    const { points, times } = spaced(rollout.path, rollout.pathTimes, 0.5 * radius);
+    const { points, times } = spaced(rollout.path, rollout.pathTimes, radius);
     this.times = times;
     this.group = new THREE.Group();
-    this.sides = 8;
+    this.sides = 6;
     const { radii, isGap } = pathForm(rollout, points, times, radius), geometry = tubeGeometry(points, radii, this.sides, isGap), past = geometry.clone();
     const faint = new THREE.MeshBasicMaterial({ color: colour, toneMapped: false, transparent: true, opacity: 0.28, depthWrite: false, ...behind(rollout.index) });
     const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25, ...behind(rollout.index) });
@@ -276,7 +278,7 @@ class TipPath {
     this.plain = { whole: faint, past: strong };
     this.whole = new THREE.Mesh(geometry, faint);
     this.past = new THREE.Mesh(past, strong);
-    this.ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 24, 16), strong.clone());
+    this.ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 16, 12), strong.clone());
     this.group.add(this.whole, this.past, this.ball);
     this.recolour();
     parent.add(this.group);

@@ -67,7 +67,7 @@ class Stage {
     viewer.controls.addEventListener("change", () => this.dirty());
     this.quality = new Quality(software, ({ shadows, pixels }) => {
       this.sun.castShadow = this.shade.visible = shadows;
-      viewer.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, pixels));
+      viewer.renderer.setPixelRatio(pixels);
     });
     this.look(data.view);
     new ResizeObserver(() => this.resize()).observe(element);
