@@ -23,7 +23,7 @@ class Quality {
   // apply: sets { shadows, pixels }, these for one of CSS. Without smooth edges a full frame has twice as many along a side.
   constructor(software, apply) {
     const ratio = window.devicePixelRatio || 1, full = { shadows: true, pixels: software ? 2 : Math.min(ratio, 2) };
-    this.levels = [full, { shadows: false, pixels: Math.min(ratio, 1) }, { shadows: false, pixels: 0.75 }];
+    this.levels = [full, { shadows: false, pixels: Math.min(ratio, 1) }, { shadows: false, pixels: 0.6 }];
     Object.assign(this, { apply, level: software ? this.levels.length - 1 : 0, late: 0, changed: 0 });
     this.set(0);
   }
