@@ -23,7 +23,7 @@ ShapeKind = Literal["box", "sphere", "cylinder", "disc", "mesh"]
 # red, green, blue and opacity
 PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
 DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
-MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
+MAX_TRIANGLES = 50_000  # about 0.8 MB in the page; two such arms and their shadows are drawn at 60 frames a second
 # own shapes that a shell takes the place of: their largest half width in radii that the kinematics gives, and the share
 FATTEST, SLIMMEST = 2.0, 1.0 / 3.0  # of these that a thin one counts as, so that the grid of a shell finds it
 STRAIGHT = 0.9  # cosine between a bone and an axis that runs along it
