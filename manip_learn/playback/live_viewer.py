@@ -20,7 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
-from typing import IO, Any, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,7 +41,7 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
 SERVER = Path(__file__).with_name("live_server.py")
-FRAMES_PER_SECOND = 60.0  # as most screens
+_INTERVAL = 1.0 / 60.0  # [s] between two pictures of most screens
 _STOP_SECONDS = 2.0  # for a thread or process to end by itself
 LOGGED = 200  # [bytes] of a line at which the program failed: a recording that was dropped is megabytes
 _LOGGER = logging.getLogger("manip_learn")
@@ -52,9 +52,9 @@ class LiveProcess:
     """A server process, the thread that writes to it, and the one that reads what it heard.
 
     Messages have slots. The pages get the newest of each, and one that is opened later gets them all at once. `put`
-    never waits: the thread writes the newest ones, each slot as often as a screen shows pictures, and only the thread
-    waits if the server is slow. No message is written after one that was put later. Where a function of the program
-    fails in a thread, the first failure at that place is logged, and the thread goes on.
+    never waits: the thread writes the newest ones as often as a screen shows pictures, and only the thread waits if the
+    server is slow. No message is written after one that was put later. Where a function of the program fails in a
+    thread, the first failure at that place is logged, and the thread goes on.
 
     Args:
         make_page: Token -> the page to serve.
@@ -63,7 +63,6 @@ class LiveProcess:
             a page has posted, and with `{"pages": [ids]}` whenever one comes or goes: the ids of the pages that are
             open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s. None
             for pages that say nothing.
-        frames_per_second: Messages of a slot that are written in a second at most, as many as a screen shows.
 
     Raises:
         OutputError: The server does not start.
@@ -74,13 +73,10 @@ class LiveProcess:
         make_page: Callable[[str], bytes],
         timeout: float,
         heard: Callable[[Mapping[str, Any]], object] | None = None,
-        frames_per_second: float = FRAMES_PER_SECOND,
     ):
-        self._interval = 1.0 / frames_per_second
         token = secrets.token_urlsafe(18)
         self._page = make_page(token)
         self._newest: dict[str, Callable[[], str]] = {}  # by slot, in the order in which they were put
-        self._due: dict[str, float] = {}  # by slot, when the next line may be written
         self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
         self._failed: set[tuple[object, ...]] = set()  # where functions of the program did
         self._wake = threading.Event()
@@ -92,13 +88,14 @@ class LiveProcess:
             self._process = subprocess.Popen([sys.executable, "-I", str(SERVER)], **pipes, start_new_session=True)
         except OSError as error:
             raise OutputError(f"the live view's server cannot be started: {error}") from error
-        stdout: Any = self._process.stdout
+        self._stdin: Any = self._process.stdin
+        self._stdout: Any = self._process.stdout
         header = {"page": len(self._page), "token": token, "hears": heard is not None}
         self._feeder = self._in_thread(self._feed, header)
         try:
             with selectors.DefaultSelector() as selector:
-                selector.register(stdout, selectors.EVENT_READ)
-                port = json.loads(stdout.readline() if selector.select(timeout) else b"")["port"]
+                selector.register(self._stdout, selectors.EVENT_READ)
+                port = json.loads(self._stdout.readline() if selector.select(timeout) else b"")["port"]
         except (ValueError, KeyError) as error:
             self.close()
             raise OutputError(
@@ -160,25 +157,28 @@ class LiveProcess:
         if self._way_in is not None:
             self._way_in.cleanup()
         self._wake.set()
-        for thread, pipe in ((self._feeder, self._process.stdin), (self._listener, self._process.stdout)):
-            if thread is not None and thread is not threading.current_thread():
-                thread.join(_STOP_SECONDS)
-                if thread is self._feeder and thread.is_alive():  # it is blocked in a write
-                    self._process.kill()
-                    thread.join(_STOP_SECONDS)
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()
-            try:
-                self._process.wait(_STOP_SECONDS)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        self._join(self._feeder)
+        if self._feeder.is_alive():  # it is blocked in a write
+            self._process.kill()
+        with contextlib.suppress(OSError):
+            self._stdin.close()
+        try:
+            self._process.wait(_STOP_SECONDS)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._join(self._listener)
+        self._stdout.close()
+
+    def _join(self, thread: threading.Thread | None) -> None:
+        """Wait for a thread to end, but not for this one."""
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(_STOP_SECONDS)
 
     def _listen(self, heard: Callable[[Mapping[str, Any]], object]) -> None:
         """Hand on each line of the server until it ends."""
         with contextlib.suppress(OSError, ValueError):  # the pipe was closed
-            for line in self._process.stdout or ():
+            for line in self._stdout:
                 if self._closed.is_set():
                     return
                 said = json.loads(line)
@@ -187,39 +187,25 @@ class LiveProcess:
 
     def _feed(self, header: Mapping[str, object]) -> None:
         """Write messages as they come, until the process is closed or the server ends."""
-        pipe: Any = self._process.stdin
         try:
-            pipe.write(json.dumps(header).encode() + b"\n" + self._page)
-            pipe.flush()
-            wait: float | None = None
+            self._stdin.write(json.dumps(header).encode() + b"\n" + self._page)
+            self._stdin.flush()
             while not self._closed.is_set():
-                self._wake.wait(wait)
+                self._wake.wait()
                 self._wake.clear()
-                wait = self._write_due(pipe)
+                due = clock.monotonic() + _INTERVAL
+                with self._lock:
+                    newest, self._newest = self._newest, {}
+                for slot, message in newest.items():
+                    line = ""
+                    with self._logged("a message", slot):
+                        line = message()
+                    if line:
+                        self._stdin.write(f"{slot} {line}\n".encode())
+                        self._stdin.flush()
+                self._closed.wait(max(due - clock.monotonic(), 0.0))
         except (OSError, ValueError):  # the server is gone, or the pipe was closed
             self._closed.set()
-
-    def _write_due(self, pipe: IO[bytes]) -> float | None:
-        """Write messages, oldest first, until one is not due; how long that must wait [s], None if none is left."""
-        while not self._closed.is_set():
-            with self._lock:
-                slot = next(iter(self._newest), None)
-                if slot is None:
-                    break
-                now, interval = clock.monotonic(), self._interval
-                due = self._due.get(slot, now)
-                if due > now:
-                    return due - now  # later ones wait, too: a page may rely on their order
-                # the one after a late one may come early, by half at most: else delays would add up
-                self._due[slot] = max(due + interval, now + 0.5 * interval)
-                message = self._newest.pop(slot)
-            line = ""
-            with self._logged("a message", slot):
-                line = message()
-            if line:
-                pipe.write(f"{slot} {line}\n".encode())
-                pipe.flush()
-        return None
 
     @contextlib.contextmanager
     def _logged(self, of: str, text: str) -> Iterator[None]:

@@ -34,7 +34,7 @@ class Live {
   addMarks({ ellipsoidScale }) {
     const [marks] = this.rollout.marks, { stage, mechanisms } = this.show;
     if (!marks || !stage) return;
-    this.marks = new ConstraintMarks(marks, this.rollout.instance, stage.size, ellipsoidScale);
+    this.marks = this.rollout.drawn = new ConstraintMarks(marks, this.rollout.instance, stage.size, ellipsoidScale);
     this.marks.parts.constraint.visible = !mechanisms.length;
     this.marks.parts.ellipsoid.visible = false;
     this.rollout.instance.root.add(this.marks.group);
