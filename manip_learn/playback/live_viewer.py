@@ -41,7 +41,6 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
 SERVER = Path(__file__).with_name("live_server.py")
-_INTERVAL = 1.0 / 60.0  # [s] between two pictures of most screens
 _STOP_SECONDS = 2.0  # for a thread or process to end by itself
 LOGGED = 200  # [bytes] of a line at which the program failed: a recording that was dropped is megabytes
 _LOGGER = logging.getLogger("manip_learn")
@@ -63,6 +62,7 @@ class LiveProcess:
             a page has posted, and with `{"pages": [ids]}` whenever one comes or goes: the ids of the pages that are
             open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s. None
             for pages that say nothing.
+        frames_per_second: How often the newest messages are written at most; as most screens show pictures.
 
     Raises:
         OutputError: The server does not start.
@@ -73,7 +73,9 @@ class LiveProcess:
         make_page: Callable[[str], bytes],
         timeout: float,
         heard: Callable[[Mapping[str, Any]], object] | None = None,
+        frames_per_second: float = 60.0,
     ):
+        self._interval = 1.0 / frames_per_second
         token = secrets.token_urlsafe(18)
         self._page = make_page(token)
         self._newest: dict[str, Callable[[], str]] = {}  # by slot, in the order in which they were put
@@ -193,7 +195,7 @@ class LiveProcess:
             while not self._closed.is_set():
                 self._wake.wait()
                 self._wake.clear()
-                due = clock.monotonic() + _INTERVAL
+                due = clock.monotonic() + self._interval
                 with self._lock:
                     newest, self._newest = self._newest, {}
                 for slot, message in newest.items():
