@@ -154,8 +154,7 @@ class RobotInstance {
     this.axes = robot.joints.map((j) => new THREE.Vector3(...j.axis));
     this.groups = robot.joints.map(() => Object.assign(new THREE.Group(), { matrixAutoUpdate: false }));
     robot.joints.forEach((joint, i) => (i === 0 ? this.arm : this.groups[joint.parent]).add(this.groups[i]));
-    this.linkIndex = new Map(robot.links.map((link, i) => [link.name, i]));
-    this.linkPlacements = robot.links.map((link) => matrixFromRows(link.placement));
+    this.links = new Map(robot.links.map(({ name, joint, placement }) => [name, { joint, placement: matrixFromRows(placement) }]));
     // a ghost first fills the depth buffer, so that only its front skin is blended and it stays easy to read
     this.veil = new THREE.MeshBasicMaterial({ colorWrite: false, side: THREE.DoubleSide, ...behind(rollout.index) });
     if (rollout.hasPhases ? rollout.solid : rollout.index < MAX_GHOSTS) this.addBodies();
@@ -230,9 +229,9 @@ class RobotInstance {
 
   // Pose of a link in the robot's base, from the matrices that are drawn.
   linkMatrix(name) {
-    const index = this.linkIndex.get(name);
-    if (index === undefined) throw new Error(`no link ${name}`);
-    return this.jointMatrix(this.robot.links[index].joint).multiply(this.linkPlacements[index]);
+    const link = this.links.get(name);
+    if (!link) throw new Error(`no link ${name}`);
+    return this.jointMatrix(link.joint).multiply(link.placement);
   }
 
   // Pose of a joint in the robot's base, now.
@@ -263,53 +262,26 @@ function pathForm(rollout, points, times, radius) {
   return { radii: leads.map((thin) => (thin ? LEADING.radius * radius : radius)), isGap: (i) => leads[i] && far[i] % (2 * dash) > dash };
 }
 
-// The tip's way: faint as a whole, strong up to now, and a ball where the tip is.
+// The tip's way: faint as a whole, strong up to now, and a ball where the tip is. Unlit, so that colours are those of the legend.
 class TipPath {
   constructor(rollout, radius, parent) {
-    const colour = linear(rollout.colour);
-    const { points, times } = spaced(rollout.path, rollout.pathTimes, radius);
-    this.times = times;
-    this.group = new THREE.Group();
-    this.sides = 6;
-    const { radii, isGap } = pathForm(rollout, points, times, radius), geometry = tubeGeometry(points, radii, this.sides, isGap), past = geometry.clone();
-    const faint = new THREE.MeshBasicMaterial({ color: colour, toneMapped: false, transparent: true, opacity: 0.28, depthWrite: false, ...behind(rollout.index) });
-    const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25, ...behind(rollout.index) });
-    this.rollout = rollout;
-    this.plain = { whole: faint, past: strong };
-    this.whole = new THREE.Mesh(geometry, faint);
-    this.past = new THREE.Mesh(past, strong);
-    this.ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 16, 12), strong.clone());
+    const { points, times } = spaced(rollout.path, rollout.pathTimes, radius), { radii, isGap } = pathForm(rollout, points, times, radius);
+    Object.assign(this, { rollout, times, sides: 6, group: new THREE.Group() });
+    const geometry = tubeGeometry(points, radii, this.sides, isGap), { attributes, index } = geometry;
+    const ink = (more) => new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, ...more, ...behind(rollout.index) });
+    this.whole = new THREE.Mesh(geometry, ink({ transparent: true, opacity: 0.4, depthWrite: false }));
+    this.past = new THREE.Mesh(Object.assign(new THREE.BufferGeometry(), { attributes, index }), ink({})); // of which a part is drawn
+    this.ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 16, 12), new THREE.MeshStandardMaterial({ roughness: 0.6, emissiveIntensity: 0.25, ...behind(rollout.index) }));
     this.group.add(this.whole, this.past, this.ball);
     this.recolour();
     parent.add(this.group);
   }
 
-  // Unlit where colours change along the path, so that they are those of the legend.
-  recolour() {
-    const varied = hasPhaseColours(this.rollout) || (colouring.mode === "fit" && this.rollout.fit);
-    if (varied) {
-      const colours = pathColours(this.rollout, this.times, this.sides);
-      for (const mesh of [this.whole, this.past]) mesh.geometry.setAttribute("color", colours);
-      this.varied ??= {
-        whole: new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, transparent: true, opacity: 0.5, depthWrite: false, ...behind(this.rollout.index) }),
-        past: new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, ...behind(this.rollout.index) }),
-      };
-    }
-    this.plain.whole.color.copy(linear(this.rollout.colour));
-    this.plain.whole.opacity = DARK.matches ? 0.45 : 0.28;
-    for (const channel of ["color", "emissive"]) this.plain.past[channel].copy(this.plain.whole.color);
-    const materials = varied ? this.varied : this.plain;
-    this.whole.material = materials.whole;
-    this.past.material = materials.past;
-  }
+  recolour() { this.whole.geometry.setAttribute("color", pathColours(this.rollout, this.times, this.sides)); }
 
   setTime(t, tip) {
-    let low = 0, high = this.times.length; // last point not after t
-    while (high - low > 1) { const middle = (low + high) >> 1; if (this.times[middle] <= t) low = middle; else high = middle; }
-    this.past.geometry.setDrawRange(0, low * this.sides * 6);
+    this.past.geometry.setDrawRange(0, indexAt(this.times, t) * this.sides * 6);
     this.ball.position.copy(tip);
-    const colour = linear(colourOfPath(this.rollout, t));
-    this.ball.material.color.copy(colour);
-    this.ball.material.emissive.copy(colour);
+    for (const channel of ["color", "emissive"]) this.ball.material[channel].copy(linear(colourOfPath(this.rollout, t)));
   }
 }

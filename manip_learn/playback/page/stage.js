@@ -49,19 +49,14 @@ class Stage {
     viewer.hide_background();
     for (const path of [["Lights"], ["Grid"], ["Axes"]]) viewer.set_property(path, "visible", false);
     viewer.set_3d_pane_size = () => this.resize();
-    viewer.renderer.outputEncoding = THREE.sRGBEncoding;
-    viewer.renderer.toneMapping = THREE.CustomToneMapping;
-    viewer.renderer.sortObjects = true;
+    Object.assign(viewer.renderer, { outputEncoding: THREE.sRGBEncoding, toneMapping: THREE.CustomToneMapping, sortObjects: true });
     viewer.scene.add(this.world);
     this.addLights();
     this.addFloor(data.floor);
     this.addAxes(0.09 * this.size);
     this.camera = viewer.camera;
-    this.camera.fov = 32;
-    this.camera.near = 0.01 * this.size;
-    this.camera.far = 40 * this.size;
-    viewer.controls.minDistance = 0.15 * this.size;
-    viewer.controls.maxDistance = 12 * this.size;
+    Object.assign(this.camera, { fov: 32, near: 0.01 * this.size, far: 40 * this.size });
+    Object.assign(viewer.controls, { minDistance: 0.15 * this.size, maxDistance: 12 * this.size });
     this.moved = false;
     viewer.controls.addEventListener("start", () => (this.moved = true));
     viewer.controls.addEventListener("change", () => this.dirty());
@@ -84,11 +79,8 @@ class Stage {
     sun.target.position.copy(this.middle);
     this.sun = sun;
     sun.shadow.mapSize.set(2048, 2048);
-    const box = { left: -0.75 * s, right: 0.75 * s, top: 0.75 * s, bottom: -0.75 * s, near: 0.2 * s, far: 4 * s };
-    Object.assign(sun.shadow.camera, box);
-    sun.shadow.bias = -0.0006;
-    sun.shadow.normalBias = 0.004 * s;
-    sun.shadow.radius = 5;
+    Object.assign(sun.shadow.camera, { left: -0.75 * s, right: 0.75 * s, top: 0.75 * s, bottom: -0.75 * s, near: 0.2 * s, far: 4 * s });
+    Object.assign(sun.shadow, { bias: -0.0006, normalBias: 0.004 * s, radius: 5 });
     const fill = new THREE.DirectionalLight(0xdfe9f5, 0.16);
     fill.position.set(this.middle.x - s, this.middle.y - 0.6 * s, this.middle.z + 0.4 * s);
     fill.target.position.copy(this.middle);
@@ -109,8 +101,7 @@ class Stage {
     );
     const shade = (this.shade = new THREE.Mesh(grid.geometry, new THREE.ShadowMaterial({ opacity: 0.17, depthWrite: false })));
     shade.receiveShadow = true;
-    grid.position.z = height;
-    shade.position.z = height;
+    grid.position.z = shade.position.z = height;
     grid.renderOrder = shade.renderOrder = -1;
     this.world.add(grid, shade);
     onTheme(() => {
