@@ -55,7 +55,10 @@ class Live {
     this.show.time = time;
     this.addTail(time);
     if (this.marks) this.marks.setTime(0, true);
-    if (mu !== null) this.addValue(time, mu);
+    if (mu !== null) {
+      addNewest(this.rollout, this.values, time, mu, LIVE_SPAN);
+      this.changed = true;
+    }
     if (this.show.stage) this.show.stage.dirty();
     this.say(`live · ${time.toFixed(2)} s`, false);
   }
@@ -73,11 +76,6 @@ class Live {
     this.tailMesh.geometry.dispose();
     this.tailMesh.geometry = tubeGeometry(this.tail.flatMap((p) => p.slice(1)), 0.0022 * (this.show.stage ? this.show.stage.size : 1));
     this.moved = false;
-  }
-
-  addValue(time, mu) {
-    addNewest(this.rollout, this.values, time, mu, LIVE_SPAN);
-    this.changed = true;
   }
 
   frame() {
