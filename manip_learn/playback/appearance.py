@@ -114,7 +114,8 @@ def shells(
         limb = [b for b in drawn if b.joint == i]
         if len(limb) == 1 and not limb[0].child and i in hands and any(s.joint == i for s in kept):
             limb = [limb[0]._replace(ends=np.array([limb[0].ends[0], hands[i]]))]  # what is kept goes on from there
-        bodies = [rod(b.ends, b.radii) for b in limb]
+        # a little slimmer at its end, where the next link begins: of two surfaces in one place both would be seen
+        bodies = [rod(b.ends, (b.radii[0], 0.98 * b.radii[1])) for b in limb]
         if i:
             hub, rings = _hub(i, joint, float(radius[i]), [b for b in drawn if b.child == i], limb)
             bodies += hub
