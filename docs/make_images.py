@@ -133,7 +133,7 @@ def photograph(browser: Browser, picture: Picture, address: str) -> Image.Image:
     page.wait_for_function("window.manipLearnReady === true")
     for step in picture.steps:
         page.evaluate(step)
-    page.wait_for_timeout(800)
+    page.wait_for_timeout(2_000)  # a full frame follows when nothing moves
     content = page.screenshot()
     context.close()
     return Image.open(io.BytesIO(content))
@@ -151,7 +151,7 @@ def film(browser: Browser, address: str) -> list[Image.Image]:
     frames, zero = [], page.evaluate("JSON.parse(document.getElementById('data').textContent).zero")
     for t in np.concatenate([np.linspace(zero - 3.0, zero - 0.1, 14), np.linspace(zero, zero + 1.6, 26)]).tolist():
         page.evaluate("t => manipLearn.seek(t)", t)
-        page.wait_for_timeout(150)
+        page.wait_for_timeout(1_500)  # a full frame follows when nothing moves
         frames.append(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
     context.close()
     return frames

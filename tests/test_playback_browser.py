@@ -12,13 +12,14 @@ from test_playback import EVIL, evil_robot, waving
 from test_replay_tracks import START, drawer, rollout  # noqa: F401
 
 import manip_learn as ml
+from manip_learn.cli import main as manip_learn
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.constraint.shown import Shown
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.simulation import simulate, simulate_way
 from manip_learn.control.tasks import FreeDirection
-from manip_learn.errors import RecordingError
+from manip_learn.errors import ConstraintMismatchError, RecordingError
 from manip_learn.playback import LiveViewer, replay
 from manip_learn.playback.palette import COLOURS
 from manip_learn.playback.recorded_motion import key_frames
@@ -95,9 +96,15 @@ def links_of(robot):
     return [n for n in robot.frame_names if frames[robot.frame(n).index].type == pin.FrameType.BODY]
 
 
+def wait_for_rest(page):
+    """Wait for the full frame that follows when nothing moves."""
+    wait_for_frames(page)
+    wait_until(page, "manipLearn.fullFrame")
+
+
 def picture(page):
     """The scene alone, as PNG."""
-    wait_for_frames(page)
+    wait_for_rest(page)
     return page.locator("#scene canvas").screenshot(style="#legend, #notes, #scene-key, .sheet { visibility: hidden }")
 
 
@@ -274,6 +281,26 @@ def test_live_view_follows(robot_of, opened):
                 link_pose(page, robot.name, "tip"), robot.pose(q, robot.frame("tip")), atol=POSES
             )
         assert page.evaluate("manipLearn.drawing")
+
+
+def test_live_view_draws_constraint_and_target(robot_of, opened):
+    """The mechanism and the target stand in the robot's base, the floor at its foot; a constraint of another robot is
+    refused.
+    """
+    robot = robot_of("sawyer")
+    constraint, hold = shown_drawer(robot)
+    goal = robot.pose(START, robot.frame("right_gripper_tip"))
+    with LiveViewer(robot, constraint=constraint, target=goal, open_browser=False) as viewer:
+        page = opened(viewer.url)
+        bare = picture(page)
+        viewer.show(START, time=1.0)
+        wait_until(page, "manipLearn.time === 1")
+        data = page.evaluate("JSON.parse(document.getElementById('data').textContent)")
+        np.testing.assert_allclose(data["rollouts"][0]["marks"][0]["target"]["point"], hold, atol=1e-9)
+        assert [m["type"] for m in data["mechanisms"]] == ["line"] and data["floor"] == 0.0
+        assert picture(page) != bare
+    with pytest.raises(ConstraintMismatchError):
+        LiveViewer(robot_of("planar3"), constraint=constraint, open_browser=False)
 
 
 def shown_drawer(robot):
@@ -489,7 +516,7 @@ def test_two_panes_on_one_clock(robot_of, opening, tmp_path, opened):
         assert page.evaluate("manipLearn.time") == pytest.approx(zero + 0.4)
         assert page.locator("#clock").inner_text() == "0.40 s"
         assert page.locator(".panes p").all_inner_texts() == [f"{n}0.15 of 0.15 m" for n in "ab"]
-        wait_for_frames(page)
+        wait_for_rest(page)
         box = page.locator("#scene canvas").bounding_box()
         clip = {"x": box["x"], "y": box["y"], "width": box["width"] / 2, "height": box["height"] - 60}
         halves[name] = [page.screenshot(clip={**clip, "x": clip["x"] + k * clip["width"]}) for k in (0, 1)]
@@ -530,6 +557,86 @@ def test_a_plan_beside_other_rollouts(robot_of, opening, tmp_path, opened):
     np.testing.assert_allclose(page.evaluate("manipLearn.trackValues(2.2).opening.plan['']"), 0.15, atol=4e-3)
     colours = page.locator("#legend .rollout").evaluate_all("all => all.map(e => e.style.getPropertyValue('--colour'))")
     assert len(set(colours)) == 3
+
+
+# ---- what a frame costs ---------------------------------------------------------
+
+# triangles and draw calls of each frame, shadows and all panes included
+COUNTED = """
+window.frames3d = [];
+window.delay = 0;
+let now = [0, 0];
+const count = (mode, corners) => { now[0] += mode === 4 ? corners / 3 : 0; now[1] += 1; };
+for (const P of [WebGLRenderingContext.prototype, WebGL2RenderingContext.prototype]) {
+  const { drawElements, drawArrays } = P;
+  P.drawElements = function (...a) { count(a[0], a[1]); return drawElements.apply(this, a); };
+  P.drawArrays = function (...a) { count(a[0], a[2]); return drawArrays.apply(this, a); };
+}
+const ask = requestAnimationFrame;
+window.requestAnimationFrame = (f) => ask((t) => {
+  now = [0, 0];
+  f(t);
+  if (now[1]) frames3d.push(now);
+  const end = performance.now() + delay;
+  while (performance.now() < end) continue;
+});
+"""
+CARD = """
+for (const P of [WebGLRenderingContext.prototype, WebGL2RenderingContext.prototype]) {
+  const { getParameter } = P;
+  const names = { 7937: "A graphics card", 37446: "A graphics card" };
+  P.getParameter = function (key) { return names[key] ?? getParameter.call(this, key); };
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def demo_page(tmp_path_factory):
+    """The page that `manip-learn demo` writes."""
+    folder = tmp_path_factory.mktemp("demo")
+    assert manip_learn(["demo", "--no-browser", "--out", str(folder)]) == 0
+    return folder / "replay.html"
+
+
+@pytest.mark.parametrize("name", ["demo", "panda", "ur5e"])
+def test_a_frame_is_cheap(name, request, address, opened):
+    """With a graphics card, where all is drawn: two arms side by side of the demo, or a solid one and a ghost."""
+    most = 300_000
+    if name == "demo":
+        page, most = request.getfixturevalue("demo_page"), 150_000
+        assert page.stat().st_size < 2_500_000
+        page = page.as_uri()
+    else:
+        page = address(name, name, lambda robot: {"a": waving(robot), "b": waving(robot, phase=0.8)})
+    page = opened(page, 1280, 800, before=COUNTED + CARD)
+    duration = page.evaluate("manipLearn.duration")
+    for share in (0.0, 0.5, 1.0):
+        page.evaluate("frames3d.length = 0")
+        seek(page, share * duration)
+        wait_until(page, "frames3d.length > 0")
+        triangles, calls = page.evaluate("frames3d[0]")
+        assert 0 < triangles <= most and 0 < calls <= 120
+
+
+def test_without_a_graphics_card_frames_are_simpler_while_something_moves(opening, address, opened):
+    """Fewer pixels and no shadows by the name of the renderer or after slow frames; when it rests, all of it again."""
+    canvas = "document.querySelector('#scene canvas').width / document.querySelector('#scene').clientWidth"
+    of = address("opening", "sawyer", lambda _: opening)
+    for before, full in ((COUNTED, 2.0), (COUNTED + CARD, 1.0)):
+        page = opened(of, 800, 600, before=before)
+        wait_for_rest(page)
+        (shadowed, calls), ratio = page.evaluate("frames3d.at(-1)"), page.evaluate(canvas)
+        assert ratio == pytest.approx(full, abs=0.01)
+        if before != COUNTED:  # frames are late, whatever the renderer says that it is
+            page.evaluate("delay = 60")
+        page.locator("#loop").click()
+        page.evaluate("manipLearn.play()")
+        wait_until(page, f"!manipLearn.fullFrame && {canvas} < 0.62")
+        triangles, fewer = page.evaluate("frames3d.at(-1)")
+        assert triangles < shadowed and fewer < calls
+        page.evaluate("manipLearn.pause()")
+        wait_for_rest(page)
+        assert page.evaluate(canvas) == pytest.approx(full, abs=0.01)
 
 
 # ---- on a phone, and for screen readers ----------------------------------------

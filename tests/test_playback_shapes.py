@@ -84,6 +84,24 @@ def solid_of(looks, joint):
     return mesh.vertices, mesh.faces
 
 
+def test_few_triangles_look_round(robot_of):
+    """A link has under a thousand triangles on average; its normals are those of the round itself, also in the page."""
+    robot = robot_of("sawyer")
+    tree = kinematic_tree(robot)
+    looks = appearance(robot, tree)
+    assert sum(len(m.faces) for m in looks.meshes) < 1000 * len(looks.meshes)
+    motion = recorded_motion(robot, tree, robot.frame("right_hand"), "a", waving(robot))
+    data = scene_data(robot, tree, looks, "right_hand", [motion], [("blue", "#000000")], ())
+    number = next(s.mesh for s in looks.shapes if s.joint == 3 and s.mesh is not None)
+    forearm = looks.meshes[number]
+    sent = unpacked(data["robot"]["meshes"][number]["normals"], "i1").reshape(-1, 3) / 127.0
+    np.testing.assert_allclose(sent, forearm.normals, atol=0.005)
+    middle = np.abs(forearm.vertices[:, 2] - 0.13) < 0.03
+    radial = forearm.vertices[middle] * [1.0, 1.0, 0.0]
+    radial /= np.linalg.norm(radial, axis=1, keepdims=True)
+    assert np.einsum("ij,ij->i", forearm.normals[middle], radial).min() > np.cos(np.deg2rad(3.0))
+
+
 def test_shells_take_the_thickness_of_what_they_stand_for(robot_of):
     """A link of the shipped Sawyer is as thick as its cylinder; head and jaws, which no bone goes through, stay."""
     looks = appearance(robot_of("sawyer"), kinematic_tree(robot_of("sawyer")))

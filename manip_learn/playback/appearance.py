@@ -23,14 +23,10 @@ ShapeKind = Literal["box", "sphere", "cylinder", "disc", "mesh"]
 # red, green, blue and opacity
 PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
 DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
-MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
-# own shapes that a shell takes the place of: their largest half width in radii that the kinematics gives, and the share
-FATTEST, SLIMMEST = 2.0, 1.0 / 3.0  # of these that a thin one counts as, so that the grid of a shell finds it
-STRAIGHT = 0.9  # cosine between a bone and an axis that runs along it
-# of a joint, in radii of its bones: barrel (radius, half length), and what stands out of its ends: a ring, a cap in it
-BARREL, RING, CAP = (1.2, 1.25), (1.08, 1.37), (0.9, 1.45)
-BAND = (1.12, 0.17)  # a ring around a bone, and
-_SEAM = 1.15  # how far it stands from the corner of two bones: beside the one that goes on
+MAX_TRIANGLES = 50_000  # about 0.8 MB in the page; two such arms and their shadows are drawn at 60 frames a second
+SLIMMEST = (
+    1.0 / 3.0
+)  # of the radius that the kinematics gives, which a thin own shape counts as: a shell's grid finds it
 
 
 @final
@@ -58,15 +54,15 @@ class Shape:
     mesh: int | None = None
 
     def half_extent(self) -> Float[np.ndarray, " 3"]:
-        """Half the sides of a box around the shape, in its own frame [m]; zero for meshes, which bring their own."""
-        s = self.size
-        if self.kind == "box":
-            return np.array(s) / 2.0
-        if self.kind == "sphere":
-            return np.full(3, s[0])
-        if self.kind == "mesh":
-            return np.zeros(3)
-        return np.array([s[0], s[0], s[1] / 2.0])
+        """Return half the sides of a box around the shape, in its frame [m]; zero for meshes, which bring theirs."""
+        match self.kind, self.size:
+            case "box", sides:
+                return np.array(sides) / 2.0
+            case "sphere", (radius,):
+                return np.full(3, radius)
+            case _, (radius, length):
+                return np.array([radius, radius, length / 2.0])
+        return np.zeros(3)
 
 
 @final
@@ -105,7 +101,8 @@ def shells(
     radius, colours, kept, hands = usual.copy(), [PLAIN] * len(tree), list(own), dict[int, np.ndarray]()
     for i in range(len(tree)):
         line = [a + within * (b - a) for a, b in (b.ends for b in usually if b.joint == i)]
-        stood_for = [s for s in own if s.joint == i and line and _is_limb(s, np.concatenate(line), FATTEST * usual[i])]
+        # a body of twice the radius is none of a link's
+        stood_for = [s for s in own if s.joint == i and line and _is_limb(s, np.concatenate(line), 2.0 * usual[i])]
         if stood_for:
             radius[i] = max(np.mean([np.sort(s.half_extent())[1] for s in stood_for]), SLIMMEST * usual[i])
             colours[i] = stood_for[0].colour
@@ -117,7 +114,8 @@ def shells(
         limb = [b for b in drawn if b.joint == i]
         if len(limb) == 1 and not limb[0].child and i in hands and any(s.joint == i for s in kept):
             limb = [limb[0]._replace(ends=np.array([limb[0].ends[0], hands[i]]))]  # what is kept goes on from there
-        bodies = [rod(b.ends, b.radii) for b in limb]
+        # a little slimmer at its end, where the next link begins: of two surfaces in one place both would be seen
+        bodies = [rod(b.ends, (b.radii[0], 0.98 * b.radii[1])) for b in limb]
         if i:
             hub, rings = _hub(i, joint, float(radius[i]), [b for b in drawn if b.child == i], limb)
             bodies += hub
@@ -149,18 +147,16 @@ def _hub(
     # how far bones run along the axis on either side: that of the parent below, its own above
     before = joint.placement[:3, :3].T @ np.diff(coming[-1].ends, axis=0)[0] if coming else np.zeros(3)
     after = np.diff(going[0].ends, axis=0)[0] if going else np.zeros(3)
-    below, above = (
-        x if abs(x := float(v @ joint.axis)) > STRAIGHT * np.linalg.norm(v) else 0.0 for v in (before, after)
-    )
+    below, above = (x if abs(x := float(v @ joint.axis)) > 0.9 * np.linalg.norm(v) else 0.0 for v in (before, after))
     if not below and not above:  # bones run across it
-        drum = [
-            Shape(i, "disc", (a * r, 2.0 * b * r), pose, DARK, accent=is_ring)
-            for is_ring, (a, b) in ((True, RING), (False, CAP))
-        ]
-        return [barrel(pose, BARREL[0] * r, BARREL[1] * r)], drum
+        # in radii: a drum, and out of its ends a ring and a cap
+        ends = ((1.08, 1.37, True), (0.9, 1.45, False))
+        drum = [Shape(i, "disc", (a * r, 2.0 * b * r), pose, DARK, accent=is_ring) for a, b, is_ring in ends]
+        return [barrel(pose, 1.2 * r, 1.25 * r)], drum
     along = 0.0 if below and above else above or -below
-    pose[:3, 3] = np.sign(along) * min(_SEAM * r, abs(along)) * joint.axis
-    return [], [Shape(i, "disc", (BAND[0] * r, 2.0 * BAND[1] * r), pose, DARK, accent=True)]
+    # a ring around the bone that goes on, beside the corner
+    pose[:3, 3] = np.sign(along) * min(1.15 * r, abs(along)) * joint.axis
+    return [], [Shape(i, "disc", (1.12 * r, 0.34 * r), pose, DARK, accent=True)]
 
 
 def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = MAX_TRIANGLES) -> Appearance:
@@ -174,10 +170,9 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
     visuals = visual_shapes(robot)
     notes = [] if robot.source is None else list(losses(visuals))
     shapes, meshes, mesh_notes = _own_shapes(visuals, max_triangles)
-    bare = set(bare_links(visuals).values())
     if not meshes:
         shapes, meshes = shells(robot, tree, shapes)
-    elif bare:
+    elif bare := set(bare_links(visuals).values()):
         plain, made = shells(robot, tree, (), bare)
         shapes += [replace(s, mesh=s.mesh + len(meshes)) if s.mesh is not None else s for s in plain]
         meshes += made

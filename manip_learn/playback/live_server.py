@@ -10,6 +10,7 @@ closes or its parent is gone. Each connection has a thread of its own and a limi
 from __future__ import annotations
 
 import json
+import mimetypes
 import os
 import re
 import select
@@ -19,17 +20,13 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from types import MappingProxyType
 from urllib.parse import quote, unquote
 
 HOST = "127.0.0.1"
 _SLOWEST = 5.0  # [s] that a browser may take for an event, the page or a part of its request, before it is dropped
 HEARTBEAT = 2.0  # [s] between signs of life of a stream where nothing moves
-_LOOKS = 0.1  # [s] between two looks whether the browser of a stream has left
-PARENT_CHECK = 1.0  # [s] between two looks for the parent
 MOST_STREAMS = 50  # browsers at a time
 MOST_SAID = 16 * 2**20  # [bytes] of a body: recordings are dropped on the page
-PAGE_ID = re.compile(r"page=([A-Za-z0-9-]{1,64})")
 HEADERS = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
@@ -37,9 +34,6 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-TEXT, HTML = "text/plain; charset=utf-8", "text/html; charset=utf-8"
-_KINDS = {"csv": "text/csv; charset=utf-8", "html": HTML, "json": "application/json", "py": TEXT, "txt": TEXT}
-_KINDS |= {"npz": "application/zip", "zip": "application/zip"}
 
 # what a browser asks in our place, once we are gone; it forgets us when it has said so
 AFTERWARDS = b"""const page = '<!DOCTYPE html><meta charset="utf-8"><title>Ended</title>\
@@ -57,10 +51,6 @@ self.addEventListener("fetch", (event) => {
 class Refusal(Exception):
     """An answer that gives nothing: its code, and why."""
 
-    def __init__(self, code: int, says: str):
-        super().__init__(says)
-        self.code = code
-
 
 class LiveServer(ThreadingHTTPServer):
     """Serves one page, one stream of slots and some files to browsers on this machine; slow readers skip lines."""
@@ -70,7 +60,8 @@ class LiveServer(ThreadingHTTPServer):
 
     def __init__(self, page: bytes, token: str, hears: bool):
         super().__init__((HOST, 0), _Answer)
-        self.page, self.token, self.hears = page, token, hears
+        self.pages = {"": ("html", page), "afterwards.js": ("javascript", AFTERWARDS)}
+        self.token, self.hears = token, hears
         hosts = {f"{HOST}:{self.server_port}", f"localhost:{self.server_port}"}
         # a web site whose name was made to point at this machine sends its own name, another page its own origin
         self.own = {"host": hosts, "origin": {f"http://{host}" for host in hosts}}
@@ -126,18 +117,25 @@ class _Answer(BaseHTTPRequestHandler):
     """The requests of one connection."""
 
     protocol_version, timeout = "HTTP/1.1", _SLOWEST
+    error_message_format, error_content_type = "%(message)s\n", "text/plain; charset=utf-8"
     server: LiveServer
 
     def do_GET(self) -> None:
-        """The page, the stream or a file."""
+        """Answer with the page, the stream or a file."""
         self._answer(self._give)
 
     def do_POST(self) -> None:
-        """What a page says."""
+        """Hear what a page says."""
         self._answer(self._hear)
 
     def log_message(self, format: str, *args: object) -> None:
         """Nobody reads it."""
+
+    def end_headers(self) -> None:
+        """End the head of an answer with what all of them have."""
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        super().end_headers()
 
     def _answer(self, give: Callable[[str, str], None]) -> None:
         """Answer a request if it was made under this machine's own name."""
@@ -148,71 +146,69 @@ class _Answer(BaseHTTPRequestHandler):
                 raise Refusal(403, "this address is served under 127.0.0.1 only")
             give(path, query)
         except Refusal as refusal:
-            self.close_connection = True
-            self._send(refusal.code, f"{refusal}\n".encode())
+            self.send_error(*refusal.args)
 
     def _give(self, path: str, query: str) -> None:
-        room, _, rest = path[1:].partition("/")
-        if room != self.server.token:
-            raise Refusal(404, "not found")
+        rest = path.removeprefix(f"/{self.server.token}/")
         if rest == "events":
             self._stream(self._page(query) if query or self.server.hears else "")
-        elif rest == "afterwards.js":
-            self._send(200, AFTERWARDS, "text/javascript; charset=utf-8")
         elif rest.startswith("files/"):
             self._send_file(unquote(rest.removeprefix("files/")))
-        elif rest == "" and path.endswith("/") and not query:
-            self._send(200, self.server.page, HTML)
+        elif rest in self.server.pages and not query:
+            kind, body = self.server.pages[rest]
+            self._head(f"text/{kind}; charset=utf-8", {"Content-Length": str(len(body))})
+            self.wfile.write(body)
         else:
             raise Refusal(404, "not found")
 
     def _page(self, query: str) -> str:
-        """Id of the page that asks."""
-        found = PAGE_ID.fullmatch(query)
+        """Return the id of the page that asks."""
+        found = re.fullmatch(r"page=([A-Za-z0-9-]{1,64})", query)
         if found is None:
             raise Refusal(400, "which page? page=ID is missing, of at most 64 letters, digits and hyphens")
         return found[1]
 
     def _hear(self, path: str, query: str) -> None:
-        if not self.server.hears:
-            raise Refusal(501, "only GET is served")
-        if self.headers["Origin"] is None:
-            raise Refusal(403, "only a page of this address may say something: Origin is missing")
-        if path != f"/{self.server.token}/said":
-            raise Refusal(404, "not found")
-        if self.headers.get_content_type() != "application/json" or self.headers["Content-Type"] is None:
-            raise Refusal(415, "say it as application/json")
-        page, length = self._page(query), self.headers["Content-Length"] or ""
-        if self.headers["Transfer-Encoding"] is not None or not (length.isascii() and length.isdigit()):
-            raise Refusal(411, "say its length: one Content-Length is needed")
-        if len(length) > len(str(MOST_SAID)) or int(length) > MOST_SAID:
-            raise Refusal(413, f"too long: at most {MOST_SAID} bytes are taken")
+        headers, length = self.headers, self.headers["Content-Length"] or ""
+        has_length = headers["Transfer-Encoding"] is None and re.fullmatch("[0-9]+", length)
+        size = int(length[:20]) if has_length else 0
+        for is_wrong, code, why in (
+            (not self.server.hears, 501, "only GET is served"),
+            (headers["Origin"] is None, 403, "only a page of this address may say something: Origin is missing"),
+            (path != f"/{self.server.token}/said", 404, "not found"),
+            (headers.get_content_type() != "application/json", 415, "say it as application/json"),
+            (not has_length, 411, "say its length: one Content-Length is needed"),
+            (size > MOST_SAID, 413, f"too long: at most {MOST_SAID} bytes are taken"),
+        ):
+            if is_wrong:
+                raise Refusal(code, why)
+        page = self._page(query)
         try:
-            said = json.loads(self.rfile.read(int(length)).decode("utf-8"))
+            said = json.loads(self.rfile.read(size).decode("utf-8"))
+            if not isinstance(said, dict):
+                raise ValueError(said)
             line = json.dumps({"page": page, "said": said}, allow_nan=False).encode()
         except (ValueError, RecursionError) as error:
             raise Refusal(400, "a JSON object of finite numbers is needed") from error
-        if not isinstance(said, dict):
-            raise Refusal(400, "a JSON object of finite numbers is needed")
         self.server.tell(line, _SLOWEST)
-        self._head(204)
+        self.send_response_only(204)
+        self.end_headers()
 
     def _stream(self, page: str) -> None:
-        """The newest of each slot that has changed, with a sign of life where nothing moves, until the browser leaves,
-        which its end of the connection tells.
+        """Send the newest of each slot that has changed, with a sign of life where nothing moves, until the browser
+        leaves, which its end of the connection tells.
         """
         server, seen, alive = self.server, 0, time.monotonic()
         if len(server.streams) >= MOST_STREAMS:
             raise Refusal(503, "too many browsers look at this page")
         server.streams.append(page)
         server.moved.set()
-        self.close_connection = True
         try:
-            self._head(200, "text/event-stream")
+            self._head("text/event-stream", {"Connection": "close"})
             while not select.select([self.connection], [], [], 0.0)[0]:
                 with server.changed:
                     if server.number == seen:
-                        server.changed.wait(_LOOKS)
+                        server.changed.wait(0.1)  # [s] between two looks whether the browser has left
                     news = [event for number, event in server.slots.values() if number > seen]
                     seen = server.number
                 if not news and time.monotonic() > alive + HEARTBEAT:
@@ -225,28 +221,22 @@ class _Answer(BaseHTTPRequestHandler):
             server.moved.set()
 
     def _send_file(self, name: str) -> None:
-        """A file that was offered under this name, to be kept."""
+        """Send a file that was offered under this name, to be kept."""
         path = self.server.files.get(name, "")
         if not os.path.isfile(path):
             raise Refusal(404, "not found")
+        kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
         with open(path, "rb") as file:
             kept = f"attachment; filename*=UTF-8''{quote(name, safe='')}"
-            kind = _KINDS.get(name.rpartition(".")[2].lower(), "application/octet-stream")
-            size = os.fstat(file.fileno()).st_size
-            self._head(200, kind, {"Content-Length": str(size), "Content-Disposition": kept})
+            size = str(os.fstat(file.fileno()).st_size)
+            charset = "; charset=utf-8" if kind.startswith("text/") else ""
+            self._head(kind + charset, {"Content-Length": size, "Content-Disposition": kept})
             shutil.copyfileobj(file, self.wfile)
 
-    def _send(self, code: int, body: bytes, kind: str = TEXT) -> None:
-        """A whole answer."""
-        self._head(code, kind, {"Content-Length": str(len(body))})
-        self.wfile.write(body)
-
-    def _head(self, code: int, kind: str = "", more: Mapping[str, str] = MappingProxyType({})) -> None:
-        """The head of an answer."""
-        self.send_response_only(code)
-        ends = {"Connection": "close"} if self.close_connection else {}
-        kinds = {"Content-Type": kind} if kind else {}
-        for name, value in (kinds | dict(more) | HEADERS | ends).items():
+    def _head(self, kind: str, more: Mapping[str, str]) -> None:
+        """Send the head of an answer that gives something."""
+        self.send_response_only(200)
+        for name, value in {"Content-Type": kind, **more}.items():
             self.send_header(name, value)
         self.end_headers()
 
@@ -254,7 +244,7 @@ class _Answer(BaseHTTPRequestHandler):
 def end_with_parent(parent: int) -> None:
     """End this process when its parent is gone, even if another process keeps our stdin open."""
     while os.getppid() == parent:
-        time.sleep(PARENT_CHECK)
+        time.sleep(1.0)  # [s]
     os._exit(0)
 
 
@@ -263,9 +253,10 @@ def main() -> None:
     header = json.loads(sys.stdin.buffer.readline())
     server = LiveServer(sys.stdin.buffer.read(header["page"]), header["token"], header["hears"])
     server.tell(json.dumps({"port": server.server_port}).encode())
-    works = [(end_with_parent, (os.getppid(),)), (server.serve_forever, ())]
-    for work, given in [*works, *([(server.tell_pages, ())] if header["hears"] else [])]:
-        threading.Thread(target=work, args=given, daemon=True).start()
+    threading.Thread(target=end_with_parent, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    if server.hears:
+        threading.Thread(target=server.tell_pages, daemon=True).start()
     for line in sys.stdin.buffer:
         slot, _, said = line.strip().partition(b" ")
         server.put(slot.decode(), said)

@@ -16,29 +16,31 @@ import traceback
 import weakref
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import TracebackType
-from typing import IO, Any, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance
+from manip_learn.playback.guided_motion import guidance_of
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks, kinematic_tree
+from manip_learn.playback.mechanism_drawing import mechanism_drawing
 from manip_learn.playback.page_writer import LIVE, PageKind, page
 from manip_learn.playback.palette import rollout_colours
-from manip_learn.playback.recorded_motion import RecordedMotion
+from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
 SERVER = Path(__file__).with_name("live_server.py")
-FRAMES_PER_SECOND = 60.0  # as most screens
 _STOP_SECONDS = 2.0  # for a thread or process to end by itself
-POSTURES_FOR_CAMERA = 119  # at random, beside the one at rest
 LOGGED = 200  # [bytes] of a line at which the program failed: a recording that was dropped is megabytes
 _LOGGER = logging.getLogger("manip_learn")
 
@@ -48,9 +50,9 @@ class LiveProcess:
     """A server process, the thread that writes to it, and the one that reads what it heard.
 
     Messages have slots. The pages get the newest of each, and one that is opened later gets them all at once. `put`
-    never waits: the thread writes the newest ones, each slot as often as a screen shows pictures, and only the thread
-    waits if the server is slow. No message is written after one that was put later. Where a function of the program
-    fails in a thread, the first failure at that place is logged, and the thread goes on.
+    never waits: the thread writes the newest ones as often as a screen shows pictures, and only the thread waits if the
+    server is slow. No message is written after one that was put later. Where a function of the program fails in a
+    thread, the first failure at that place is logged, and the thread goes on.
 
     Args:
         make_page: Token -> the page to serve.
@@ -59,7 +61,7 @@ class LiveProcess:
             a page has posted, and with `{"pages": [ids]}` whenever one comes or goes: the ids of the pages that are
             open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s. None
             for pages that say nothing.
-        frames_per_second: Messages of a slot that are written in a second at most, as many as a screen shows.
+        frames_per_second: How often the newest messages are written at most; as most screens show pictures.
 
     Raises:
         OutputError: The server does not start.
@@ -70,34 +72,31 @@ class LiveProcess:
         make_page: Callable[[str], bytes],
         timeout: float,
         heard: Callable[[Mapping[str, Any]], object] | None = None,
-        frames_per_second: float = FRAMES_PER_SECOND,
+        frames_per_second: float = 60.0,
     ):
         self._interval = 1.0 / frames_per_second
         token = secrets.token_urlsafe(18)
         self._page = make_page(token)
         self._newest: dict[str, Callable[[], str]] = {}  # by slot, in the order in which they were put
-        self._due: dict[str, float] = {}  # by slot, when the next line may be written
         self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
         self._failed: set[tuple[object, ...]] = set()  # where functions of the program did
         self._wake = threading.Event()
         self._closed = threading.Event()
         self._way_in: TemporaryDirectory[str] | None = None
+        self._listener: threading.Thread | None = None
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         try:  # in a session of its own: Ctrl-C is for the program, which then closes us
             self._process = subprocess.Popen([sys.executable, "-I", str(SERVER)], **pipes, start_new_session=True)
         except OSError as error:
             raise OutputError(f"the live view's server cannot be started: {error}") from error
-        stdin, stdout = self._process.stdin, self._process.stdout
-        if stdin is None or stdout is None:
-            raise OutputError("the live view's server has no pipe to hear and answer through")
+        self._stdin: Any = self._process.stdin
+        self._stdout: Any = self._process.stdout
         header = {"page": len(self._page), "token": token, "hears": heard is not None}
-        self._feeder = threading.Thread(target=self._feed, args=(stdin, header), name="live view", daemon=True)
-        self._feeder.start()
-        self._listener: threading.Thread | None = None
+        self._feeder = self._in_thread(self._feed, header)
         try:
             with selectors.DefaultSelector() as selector:
-                selector.register(stdout, selectors.EVENT_READ)
-                port = int(json.loads(stdout.readline() if selector.select(timeout) else b"")["port"])
+                selector.register(self._stdout, selectors.EVENT_READ)
+                port = json.loads(self._stdout.readline() if selector.select(timeout) else b"")["port"]
         except (ValueError, KeyError) as error:
             self.close()
             raise OutputError(
@@ -105,9 +104,13 @@ class LiveProcess:
                 "may it listen on 127.0.0.1?"
             ) from error
         self.url = f"http://127.0.0.1:{port}/{token}/"
-        if heard is not None:
-            self._listener = threading.Thread(target=self._listen, args=(heard,), name="live view hears", daemon=True)
-            self._listener.start()
+        self._listener = self._in_thread(self._listen, heard) if heard is not None else None
+
+    def _in_thread(self, work: Callable[[Any], None], given: object) -> threading.Thread:
+        """Start work that ends with the program."""
+        thread = threading.Thread(target=work, args=(given,), name=f"live view: {work.__name__}", daemon=True)
+        thread.start()
+        return thread
 
     @property
     def is_open(self) -> bool:
@@ -155,66 +158,55 @@ class LiveProcess:
         if self._way_in is not None:
             self._way_in.cleanup()
         self._wake.set()
-        here, pipes = threading.current_thread(), (self._process.stdin, self._process.stdout)
-        for thread, pipe in zip((self._feeder, self._listener), pipes, strict=True):
-            if thread is not None and thread is not here:
-                thread.join(_STOP_SECONDS)
-                if thread is self._feeder and thread.is_alive():  # it is blocked in a write
-                    self._process.kill()
-                    thread.join(_STOP_SECONDS)
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()
-            try:
-                self._process.wait(_STOP_SECONDS)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        self._join(self._feeder)
+        if self._feeder.is_alive():  # it is blocked in a write
+            self._process.kill()
+        with contextlib.suppress(OSError):
+            self._stdin.close()
+        try:
+            self._process.wait(_STOP_SECONDS)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._join(self._listener)
+        self._stdout.close()
+
+    def _join(self, thread: threading.Thread | None) -> None:
+        """Wait for a thread to end, but not for this one."""
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(_STOP_SECONDS)
 
     def _listen(self, heard: Callable[[Mapping[str, Any]], object]) -> None:
         """Hand on each line of the server until it ends."""
         with contextlib.suppress(OSError, ValueError):  # the pipe was closed
-            for line in self._process.stdout or ():
+            for line in self._stdout:
                 if self._closed.is_set():
                     return
                 said = json.loads(line)
                 with self._logged("what a page said", line[:LOGGED].decode()):
                     heard(said)
 
-    def _feed(self, pipe: IO[bytes], header: Mapping[str, object]) -> None:
+    def _feed(self, header: Mapping[str, object]) -> None:
         """Write messages as they come, until the process is closed or the server ends."""
         try:
-            pipe.write(json.dumps(header).encode() + b"\n" + self._page)
-            pipe.flush()
-            wait: float | None = None
+            self._stdin.write(json.dumps(header).encode() + b"\n" + self._page)
+            self._stdin.flush()
             while not self._closed.is_set():
-                self._wake.wait(wait)
+                self._wake.wait()
                 self._wake.clear()
-                wait = self._write_due(pipe)
+                due = clock.monotonic() + self._interval
+                with self._lock:
+                    newest, self._newest = self._newest, {}
+                for slot, message in newest.items():
+                    line = ""
+                    with self._logged("a message", slot):
+                        line = message()
+                    if line:
+                        self._stdin.write(f"{slot} {line}\n".encode())
+                        self._stdin.flush()
+                self._closed.wait(max(due - clock.monotonic(), 0.0))
         except (OSError, ValueError):  # the server is gone, or the pipe was closed
             self._closed.set()
-
-    def _write_due(self, pipe: IO[bytes]) -> float | None:
-        """Write messages, oldest first, until one is not due; how long that must wait [s], None if none is left."""
-        while not self._closed.is_set():
-            with self._lock:
-                slot = next(iter(self._newest), None)
-                if slot is None:
-                    break
-                now, interval = clock.monotonic(), self._interval
-                due = self._due.get(slot, now)
-                if due > now:
-                    return due - now  # later ones wait, too: a page may rely on their order
-                # the one after a late one may come early, by half at most: else delays would add up
-                self._due[slot] = max(due + interval, now + 0.5 * interval)
-                message = self._newest.pop(slot)
-            line = ""
-            with self._logged("a message", slot):
-                line = message()
-            if line:
-                pipe.write(f"{slot} {line}\n".encode())
-                pipe.flush()
-        return None
 
     @contextlib.contextmanager
     def _logged(self, of: str, text: str) -> Iterator[None]:
@@ -244,18 +236,24 @@ class LiveViewer:
 
     Args:
         robot: The robot.
+        constraint: A learnt constraint: its mechanism is drawn in the robot's base frame, or what it holds at the tip.
+        target: Where the constraint's task is to arrive, as `Task.goal` gives it.
         title: Name in the legend.
         open_browser: Show the page now; it is at `url` in any case.
         timeout: How long the server may take to start [s].
 
     Raises:
         OutputError: The server does not start.
+        ConstraintMismatchError: A constraint of another robot.
+        TargetError: A target that is not finite numbers.
     """
 
     def __init__(
         self,
         robot: Robot,
         *,
+        constraint: Constraint | None = None,
+        target: ArrayLike | None = None,
         title: str = "",
         open_browser: bool = True,
         timeout: float = 10.0,
@@ -263,7 +261,9 @@ class LiveViewer:
         self._robot = robot
         self._tree = kinematic_tree(robot)
         name = title or known_as(robot.source) or robot.name or "robot"
-        self._process = LiveProcess(lambda token: live_page(robot, self._tree, name, token), timeout)
+        self._process = LiveProcess(
+            lambda token: live_page(robot, self._tree, name, token, constraint=constraint, target=target), timeout
+        )
         self._start = clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
         if open_browser:
@@ -310,9 +310,7 @@ class LiveViewer:
     def __enter__(self) -> LiveViewer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *failure: object) -> None:
         self.close()
 
 
@@ -322,8 +320,10 @@ def live_page(
     name: str,
     token: str,
     kind: PageKind = LIVE,
+    constraint: Constraint | None = None,
+    target: ArrayLike | None = None,
 ) -> bytes:
-    """HTML of a page that follows a robot.
+    """Return the HTML of a page that follows a robot.
 
     Args:
         robot: The robot.
@@ -331,27 +331,24 @@ def live_page(
         name: Headline.
         token: Of the address under which it is served.
         kind: What the page is made of.
+        constraint: What is drawn of a task; None for nothing.
+        target: Where the task is to arrive, as `Task.goal` gives it.
 
     Raises:
         OutputError: Meshcat's viewer is missing.
+        ConstraintMismatchError: A constraint of another robot.
+        TargetError: A target that is not finite numbers.
     """
-    rest, tip = robot.neutral(), default_tip(robot)
-    rng = np.random.default_rng(0)
-    postures = np.array([rest, *(robot.random_configuration(rng) for _ in range(POSTURES_FOR_CAMERA))])
-    none = np.zeros(0)
-    still = RecordedMotion(
-        name=name,
-        key_times=np.zeros(1),
-        tracks=joint_tracks(robot, tree, rest[None]),
-        postures=postures,
-        path_times=np.zeros(1),
-        path=robot.pose(rest, robot.frame(tip))[None, :3, 3],
-        curve_times=none,
-        curve=none,
-        status=(),
-        duration=0.0,
-    )
-    looks = appearance(robot, tree)
-    data = scene_data(robot, tree, looks, tip, [still], rollout_colours([name], {}), looks.notes)
+    rng, rest = np.random.default_rng(0), Trajectory(np.zeros(1), robot.neutral()[None])
+    postures = np.array([*rest.q, *(robot.random_configuration(rng) for _ in range(119))])  # for the camera
+    guidance, twist = guidance_of(robot, name, rest, constraint, target), constraint and constraint.features.twist
+    tip = robot.frame(default_tip(robot)) if twist is None else twist.frame
+    still = replace(recorded_motion(robot, tree, tip, name, rest, guidance=guidance), postures=postures, measures=())
+    drawings = []
+    if constraint is not None and (constraint.mechanism is not None or constraint.shown is not None):
+        path = still.path if constraint.shown is None else constraint.shown.points
+        drawings.append(mechanism_drawing(constraint.mechanism, path, constraint.shown))
+    looks, colours = appearance(robot, tree), rollout_colours([name], {})
+    data = scene_data(robot, tree, looks, tip.name, [still], colours, looks.notes, mechanisms=drawings)
     data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, arms do not
     return page(data, robot=name, subtitle="", kind=kind).encode("utf-8")

@@ -49,7 +49,9 @@ class PageKind:
     markup: Path | None = None
 
 
-_PARTS = "scene stage fit phases chart sheets tracks constraint_marks handles around scene_key shown evidence keys"
+_PARTS = (
+    "quality scene stage fit phases chart sheets tracks constraint_marks handles around scene_key shown evidence keys"
+)
 REPLAY = PageKind(
     "replay",
     (_FOLDER / "style.css", _FOLDER / "tracks.css"),

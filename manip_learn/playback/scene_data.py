@@ -192,6 +192,7 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
         "positions": packed(np.rint((mesh.vertices - origin) / step), "<u2"),
         "triangles": packed(mesh.faces, "<u4" if wide else "<u2"),
         "wide": wide,
+        "normals": None if mesh.normals is None else packed(np.rint(127.0 * mesh.normals), "i1"),
     }
 
 

@@ -15,13 +15,9 @@ from manip_learn.robot.visuals.meshes import Mesh
 
 Points = Float[np.ndarray, "P 3"]
 Distance = Callable[[Points], Float[np.ndarray, " P"]]  # [m], negative inside
-CELLS = 4.0  # of the grid in the slimmest radius: rounds of 25 corners
+CELLS = 2.8  # of the grid in the slimmest radius: rounds of 18 corners, whose light is that of the round itself
 FILLET = 0.6  # reach of the fillets where bodies meet, share of the slimmest radius
-_ROUNDED = 0.35  # radius of the edges of barrels, share of their radius
-MOST_CELLS = 240  # along the longest side, of links that are long and slim
-_BLOCK = 6  # cells along the side of a block that is asked about as a whole
-_STEPS = 3  # of Newton's method, from the middle of a cell, half a cell away, to the surface
-SPREADS = 2  # further ones, before each of which the vertices are spread evenly
+MOST_CELLS = 130  # along the longest side, of links that are long and slim
 
 
 @final
@@ -54,7 +50,7 @@ def rod(ends: Float[np.ndarray, "2 3"], radii: tuple[float, float]) -> Body:
 
 def barrel(pose: Float[np.ndarray, "4 4"], radius: float, half: float) -> Body:
     """A cylinder along the z axis of its pose with rounded edges, of this radius and half length [m]."""
-    edge = _ROUNDED * min(radius, half)
+    edge = 0.35 * min(radius, half)
     reach = np.abs(pose[:3, :3]) @ np.array([radius, radius, half])
 
     def distance(points: Points) -> Float[np.ndarray, " P"]:
@@ -80,14 +76,19 @@ def blended(bodies: Sequence[Body], fillet: float) -> Distance:
 
 
 def shell(bodies: Sequence[Body]) -> Mesh:
-    """The surface around bodies: a vertex in each cell of a grid that the surface goes through (surface nets)."""
+    """Return the surface around bodies: a vertex in each cell of a grid that the surface goes through (surface nets).
+
+    Its normals are those of the surface itself, so that few triangles look round.
+    """
     radius = min(b.radius for b in bodies)
     distance = blended(bodies, FILLET * radius)
     low, high = np.min([b.low for b in bodies], axis=0), np.max([b.high for b in bodies], axis=0)
     cell = max(radius / CELLS, float((high - low).max()) / MOST_CELLS)
     low = low - FILLET * radius - cell
-    inside = _inside(distance, low, cell, np.ceil((high + FILLET * radius + cell - low) / cell).astype(int))
-    n = np.array(inside.shape) - 1
+    count = np.ceil((high + FILLET * radius + cell - low) / cell).astype(int)
+    nodes = np.moveaxis(np.indices(count), 0, -1)
+    inside = (distance(low + cell * nodes.reshape(-1, 3)) < 0.0).reshape(count)
+    n = count - 1
     corners = [inside[x : x + n[0], y : y + n[1], z : z + n[2]] for x, y, z in np.ndindex(2, 2, 2)]
     crossed = np.any(corners, axis=0) & ~np.all(corners, axis=0)
     number = np.full(crossed.shape, -1)
@@ -101,31 +102,25 @@ def shell(bodies: Sequence[Body]) -> Mesh:
         quads = np.where(leaves, np.column_stack([a, b, c, d]), np.column_stack([a, d, c, b]))
         faces += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
     triangles = np.concatenate(faces)
-    vertices, aside = low + cell * (np.argwhere(crossed) + 0.5), 0.05 * cell * np.eye(3)
-    for k in range(_STEPS + SPREADS):  # Newton's method takes them to the surface
-        vertices = vertices if k < _STEPS else _spread(vertices, triangles)
-        slope = np.column_stack([distance(vertices + d) - distance(vertices - d) for d in aside]) / (0.1 * cell)
+    vertices = low + cell * (np.argwhere(crossed) + 0.5)
+    for k in range(5):  # Newton's method takes them to the surface; before its last two steps they are spread evenly
+        vertices = vertices if k < 3 else _spread(vertices, triangles)
+        slope = _slope(distance, vertices, 0.05 * cell)
         step = distance(vertices) / np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)  # 1, and less in an edge
         vertices = vertices - np.clip(step[:, None] * slope, -0.5 * cell, 0.5 * cell)
-    return Mesh(vertices, triangles)
+    normals = _slope(distance, vertices, 0.05 * cell)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    return Mesh(vertices, triangles, normals=normals)
+
+
+def _slope(distance: Distance, points: Points, step: float) -> Points:
+    """Return the gradient of a distance by central differences."""
+    aside = step * np.eye(3)
+    return np.column_stack([distance(points + d) - distance(points - d) for d in aside]) / (2.0 * step)
 
 
 def _spread(vertices: Points, triangles: Int[np.ndarray, "F 3"]) -> Points:
-    """Each vertex in the middle of its neighbours: light on evenly spaced ones shows no pattern."""
+    """Return each vertex moved to the middle of its neighbours: light on evenly spaced ones shows no pattern."""
     start, end = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
     count = np.bincount(start, minlength=len(vertices))[:, None]
     return np.column_stack([np.bincount(start, vertices[end, k], len(vertices)) for k in range(3)]) / count
-
-
-def _inside(distance: Distance, low: Float[np.ndarray, " 3"], cell: float, count: Int[np.ndarray, " 3"]) -> np.ndarray:
-    """Which nodes of a grid are inside; where a whole block of them is far from the surface, all are as its middle."""
-    blocks = -(-count // _BLOCK)
-    middle = low + cell * (_BLOCK * np.argwhere(np.ones(blocks)) + (_BLOCK - 1) / 2.0)
-    far = distance(middle)
-    inside = (far < 0.0).reshape(blocks)
-    for axis in range(3):
-        inside = np.repeat(inside, _BLOCK, axis)
-    near = np.argwhere((np.abs(far) < _BLOCK * cell).reshape(blocks))  # half a block's diagonal is 0.87 of its side
-    nodes = (_BLOCK * near[:, None, :] + np.array(list(np.ndindex(_BLOCK, _BLOCK, _BLOCK)))).reshape(-1, 3)
-    inside[tuple(nodes.T)] = distance(low + cell * nodes) < 0.0
-    return inside

@@ -8,7 +8,6 @@ from jaxtyping import Float, Int
 from manip_learn.robot.visuals.meshes import Mesh, compact
 
 CREASE = np.cos(np.deg2rad(38.0))  # edges that turn by more stay sharp: twelve-sided cylinders look round
-MAX_STEPS = 18  # halvings at most; ten bring the range within 1 per cent
 
 
 def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]:
@@ -25,13 +24,11 @@ def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]
     counts = np.array([len(m.faces) for m in clean], dtype=np.float64)
     before = int(counts.sum())
     if before > triangles:
-        # one cap for all, such that the sum fits
-        low, high = 0.0, float(counts.max())
-        for _ in range(60):
-            cap = 0.5 * (low + high)
-            low, high = (cap, high) if np.minimum(counts, cap).sum() <= triangles else (low, cap)
-        shares = np.minimum(counts, max(low, 12.0))
-        clean = [m if len(m.faces) <= s else _clustered(m, int(s)) for m, s in zip(clean, shares, strict=True)]
+        # one cap for all, such that the sum fits: small ones stay, the others share what these leave
+        ranked = np.sort(counts)
+        shares = (triangles - np.cumsum(ranked) + ranked) / np.arange(len(ranked), 0, -1)
+        cap = int(max(shares[np.argmax(shares <= ranked)], 12.0))
+        clean = [m if len(m.faces) <= cap else _clustered(m, cap) for m in clean]
     after = sum(len(m.faces) for m in clean)
     # vertices split along sharp edges, so that normals averaged at vertices are right on both sides
     for i, mesh in enumerate(clean):
@@ -46,15 +43,13 @@ def _clustered(mesh: Mesh, target: int) -> Mesh:
     span = float(np.ptp(mesh.vertices, axis=0).max())
     low, high = 2.0, 4096.0  # cells along the longest side, coarse enough and too fine
     best = _joined(mesh, span / low)
-    for _ in range(MAX_STEPS):
+    while high / low > 1.01:
         cells = float(np.sqrt(low * high))
         candidate = _joined(mesh, span / cells)
-        if len(candidate.faces) <= target:
-            low, best = cells, candidate
-        else:
+        if len(candidate.faces) > target:
             high = cells
-        if high / low < 1.01:
-            break
+        else:
+            low, best = cells, candidate
     return best
 
 
@@ -72,31 +67,23 @@ def _joined(mesh: Mesh, cell: float) -> Mesh:
 
 
 def _smooth_groups(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, " C"]:
-    """A group for each corner of each triangle: corners at one vertex share it if smooth edges lead from one to the
-    other.
+    """Return a group for each corner of each triangle: corners at one vertex share it if smooth edges lead from one to
+    the other.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    edges = vertices[triangles]
-    normals = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
+    sides = vertices[triangles]
+    normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    n = len(triangles)
-    start, end = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
-    face = np.repeat(np.arange(n), 3)
-    here = np.arange(3 * n)  # corner where the edge starts
-    there = here.reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)  # corner where it ends
-    order = np.lexsort((np.maximum(start, end), np.minimum(start, end)))
-    low, high = np.minimum(start, end)[order], np.maximum(start, end)[order]
-    same = np.flatnonzero((low[1:] == low[:-1]) & (high[1:] == high[:-1]))
-    one, two = order[same], order[same + 1]
-    smooth = np.einsum("ij,ij->i", normals[face[one]], normals[face[two]]) > CREASE
-    one, two = one[smooth], two[smooth]
-    opposite = start[one] == end[two]  # neighbours run along their edge in opposite directions, if both look outward
-    joined = [
-        (here[one], np.where(opposite, there[two], here[two])),
-        (there[one], np.where(opposite, here[two], there[two])),
-    ]
-    rows, columns = np.concatenate([j[0] for j in joined]), np.concatenate([j[1] for j in joined])
-    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(3 * n, 3 * n))
+    vertex, corners = triangles.reshape(-1), np.arange(triangles.size)
+    ends = [corners, np.roll(corners.reshape(-1, 3), -1, axis=1).reshape(-1)]  # corners of each edge
+    edges = np.sort(vertex[np.array(ends)], axis=0)
+    order = np.lexsort(edges)
+    one, two = order[:-1], order[1:]
+    same = (edges[:, one] == edges[:, two]).all(axis=0)
+    smooth = same & (np.einsum("ij,ij->i", normals[one // 3], normals[two // 3]) > CREASE)
+    pairs = np.concatenate([[a[one[smooth]], b[two[smooth]]] for a in ends for b in ends], axis=1)
+    pairs = pairs[:, vertex[pairs[0]] == vertex[pairs[1]]]
+    graph = coo_array((np.ones(pairs.shape[1], dtype=np.int8), tuple(pairs)), shape=(triangles.size, triangles.size))
     return connected_components(graph, directed=False)[1]

@@ -48,7 +48,7 @@ TEACH = replace(
         *(
             _FOLDER / f"{name}.js"
             for name in (
-                *("quality", "link", "pointing", "hand", "furniture", "drawing", "recordings", "answer", "ghosts"),
+                *("link", "pointing", "hand", "furniture", "drawing", "recordings", "answer", "ghosts"),
                 *("take", "panel", "teach"),
             )
         ),

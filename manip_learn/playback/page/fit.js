@@ -20,8 +20,7 @@ function fitColour(share) {
 
 // The curve of the fit, if the recording has one.
 function fitOf(rollout) {
-  const track = rollout.byKind && rollout.byKind.get("fit");
-  return track ? track.curves[0] : null;
+  return rollout.byKind?.get("fit")?.curves[0] ?? null;
 }
 
 function colourOfPath(rollout, t) {

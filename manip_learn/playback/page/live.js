@@ -20,6 +20,7 @@ class Live {
     this.tail = []; // where the tip was: time, x, y, z
     this.tailMesh = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.MeshStandardMaterial({ color: linear(this.rollout.colour), roughness: 0.6 }));
     this.rollout.instance.root.add(this.tailMesh);
+    this.addMarks(data);
     show.setTime(0);
     this.source = new EventSource(data.events);
     this.source.onmessage = (event) => this.receive(JSON.parse(event.data));
@@ -27,6 +28,16 @@ class Live {
     this.source.onerror = () => this.say("no connection to the program", true);
     this.say("waiting for the first pose", false);
     requestAnimationFrame(() => this.frame());
+  }
+
+  // A mechanism is drawn where it is; otherwise the directions at the tip. The ellipsoid is of one posture alone.
+  addMarks({ ellipsoidScale }) {
+    const [marks] = this.rollout.marks, { stage, mechanisms } = this.show;
+    if (!marks || !stage) return;
+    this.marks = this.rollout.drawn = new ConstraintMarks(marks, this.rollout.instance, stage.size, ellipsoidScale);
+    this.marks.parts.constraint.visible = !mechanisms.length;
+    this.marks.parts.ellipsoid.visible = false;
+    this.rollout.instance.root.add(this.marks.group);
   }
 
   get playing() { return true; }
@@ -43,7 +54,11 @@ class Live {
     this.rollout.instance.setValues(values);
     this.show.time = time;
     this.addTail(time);
-    if (mu !== null) this.addValue(time, mu);
+    if (this.marks) this.marks.setTime(0, true);
+    if (mu !== null) {
+      addNewest(this.rollout, this.values, time, mu, LIVE_SPAN);
+      this.changed = true;
+    }
     if (this.show.stage) this.show.stage.dirty();
     this.say(`live · ${time.toFixed(2)} s`, false);
   }
@@ -61,11 +76,6 @@ class Live {
     this.tailMesh.geometry.dispose();
     this.tailMesh.geometry = tubeGeometry(this.tail.flatMap((p) => p.slice(1)), 0.0022 * (this.show.stage ? this.show.stage.size : 1));
     this.moved = false;
-  }
-
-  addValue(time, mu) {
-    addNewest(this.rollout, this.values, time, mu, LIVE_SPAN);
-    this.changed = true;
   }
 
   frame() {

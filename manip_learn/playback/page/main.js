@@ -41,6 +41,8 @@ function start() {
     get playing() { return Boolean(player.playing); },
     // Where the camera stands, in the robot's base [m].
     get eye() { return show.stage.eye().toArray(); },
+    // Whether the last frame had shadows and all pixels: without a graphics card those of a motion have not.
+    get fullFrame() { return !show.stage || show.stage.quality.drawn === 0; },
     get drawing() { return Boolean(show.stage); },
   };
   window.manipLearnReady = true;

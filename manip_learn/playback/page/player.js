@@ -56,10 +56,10 @@ class Show {
       console.warn("no 3D graphics:", error);
       get("no-webgl").hidden = false;
     }
-    const meshes = data.robot.meshes.map(meshGeometry), geometries = data.robot.shapes.map((s) => shapeGeometry(s, meshes));
+    const bodies = bodiesOf(data.robot);
     const world = this.stage ? this.stage.world : new THREE.Group(), size = this.stage ? this.stage.size : 1;
     for (const rollout of this.rollouts) {
-      rollout.instance = new RobotInstance(data.robot, rollout, geometries, !this.panes && this.rollouts.length > 1 && !rollout.hasPhases);
+      rollout.instance = new RobotInstance(data.robot, rollout, bodies, !this.panes && this.rollouts.length > 1 && !rollout.hasPhases);
       rollout.instance.setSolid(rollout.solid);
       world.add(rollout.instance.root);
       if (rollout.path.length >= 6) rollout.trail = new TipPath(rollout, 0.0028 * size, rollout.instance.root);

@@ -31,12 +31,13 @@ function decode(text, Type) {
 
 // ---- geometry -------------------------------------------------------------------------------------------------------
 
+const ROUND = 28; // corners of what is round
+
 function disc(radius, length) {
   const edge = Math.min(radius, length) * 0.14, half = length / 2;
   const outline = [[0, -half], [radius - edge, -half], [radius, -half + edge], [radius, half - edge], [radius - edge, half], [0, half]];
-  const points = [];
-  for (const p of outline) points.push(new THREE.Vector2(...p), new THREE.Vector2(...p)); // doubled: sharp edges
-  return new THREE.LatheGeometry(points.slice(1, -1), 40);
+  const bands = outline.slice(1).map((to, i) => new THREE.LatheGeometry([outline[i], to].map((p) => new THREE.Vector2(...p)), ROUND));
+  return merged(bands.map((geometry) => ({ geometry }))); // of bands that share no corner: edges stay sharp
 }
 
 function meshGeometry(mesh) {
@@ -45,17 +46,49 @@ function meshGeometry(mesh) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(positions, 3));
   geometry.setIndex(new THREE.BufferAttribute(decode(mesh.triangles, mesh.wide ? Uint32Array : Uint16Array), 1));
-  geometry.computeVertexNormals();
+  if (mesh.normals) geometry.setAttribute("normal", new THREE.BufferAttribute(Float32Array.from(decode(mesh.normals, Int8Array), (x) => x / 127), 3));
+  else geometry.computeVertexNormals();
   return geometry;
 }
 
 function shapeGeometry(shape, meshes) {
   const s = shape.size;
   if (shape.kind === "box") return new THREE.BoxGeometry(s[0], s[1], s[2]);
-  if (shape.kind === "sphere") return new THREE.SphereGeometry(s[0], 36, 24);
+  if (shape.kind === "sphere") return new THREE.SphereGeometry(s[0], ROUND, ROUND / 2);
   if (shape.kind === "mesh") return meshes[shape.mesh];
-  const geometry = shape.kind === "disc" ? disc(s[0], s[1]) : new THREE.CylinderGeometry(s[0], s[0], s[1], 40, 1);
+  const geometry = shape.kind === "disc" ? disc(s[0], s[1]) : new THREE.CylinderGeometry(s[0], s[0], s[1], ROUND);
   return geometry.rotateX(Math.PI / 2); // three.js cylinders stand along y, URDF's along z
+}
+
+// Geometries as one, which takes one draw call.
+function merged(parts) {
+  const geometry = new THREE.BufferGeometry(), joined = (lists) => Float32Array.from(lists.flatMap((list) => [...list]));
+  for (const name of ["position", "normal"]) geometry.setAttribute(name, new THREE.BufferAttribute(joined(parts.map((part) => part.geometry.attributes[name].array)), 3));
+  let first = 0;
+  geometry.setIndex(parts.flatMap((part) => {
+    const from = first;
+    first += part.geometry.attributes.position.count;
+    return Array.from(part.geometry.index.array, (i) => from + i);
+  }));
+  return geometry;
+}
+
+// A colour for each part of a merged geometry.
+function coloursOf(parts) {
+  return new THREE.Float32BufferAttribute(parts.flatMap(({ geometry, colour: { r, g, b } }) => Array(geometry.attributes.position.count).fill([r, g, b]).flat()), 3);
+}
+
+// Shapes of one joint that are equally opaque as one body.
+function bodiesOf({ shapes, meshes }) {
+  const made = meshes.map(meshGeometry), bodies = new Map();
+  for (const shape of shapes) {
+    const { joint, colour, kind } = shape, key = `${joint} ${colour[3]}`, part = { shape, geometry: shapeGeometry(shape, made).clone().applyMatrix4(matrixFromRows(shape.pose)) };
+    if (!bodies.has(key)) bodies.set(key, { joint, opacity: colour[3], side: THREE.FrontSide, parts: [] });
+    bodies.get(key).parts.push(part);
+    if (kind === "mesh") bodies.get(key).side = THREE.DoubleSide; // as many files have triangles that look inwards
+  }
+  for (const body of bodies.values()) body.geometry = merged(body.parts);
+  return [...bodies.values()];
 }
 
 // Radius: one number, or one for each point. A stretch from a point that `isGap` is left out.
@@ -112,72 +145,60 @@ function behind(index) {
 }
 
 class RobotInstance {
-  constructor(robot, rollout, geometries, tinted) {
-    this.robot = robot;
-    this.rollout = rollout;
-    this.tinted = tinted;
+  constructor(robot, rollout, bodies, tinted) {
+    Object.assign(this, { robot, rollout, bodies, tinted, meshes: [], motion: new THREE.Matrix4() });
     this.root = new THREE.Group();
-    this.bodies = new THREE.Group();
-    this.root.add(this.bodies);
+    this.arm = new THREE.Group();
+    this.root.add(this.arm);
     this.placements = robot.joints.map((j) => matrixFromRows(j.placement));
     this.axes = robot.joints.map((j) => new THREE.Vector3(...j.axis));
     this.groups = robot.joints.map(() => Object.assign(new THREE.Group(), { matrixAutoUpdate: false }));
-    robot.joints.forEach((joint, i) => (i === 0 ? this.bodies : this.groups[joint.parent]).add(this.groups[i]));
-    this.linkIndex = new Map(robot.links.map((link, i) => [link.name, i]));
-    this.linkPlacements = robot.links.map((link) => matrixFromRows(link.placement));
-    this.meshes = [];
+    robot.joints.forEach((joint, i) => (i === 0 ? this.arm : this.groups[joint.parent]).add(this.groups[i]));
+    this.links = new Map(robot.links.map(({ name, joint, placement }) => [name, { joint, placement: matrixFromRows(placement) }]));
     // a ghost first fills the depth buffer, so that only its front skin is blended and it stays easy to read
     this.veil = new THREE.MeshBasicMaterial({ colorWrite: false, side: THREE.DoubleSide, ...behind(rollout.index) });
-    this.geometries = geometries;
-    if (rollout.hasPhases ? rollout.solid : rollout.index < MAX_GHOSTS) this.addShapes();
-    this.motion = new THREE.Matrix4();
+    if (rollout.hasPhases ? rollout.solid : rollout.index < MAX_GHOSTS) this.addBodies();
   }
 
-  addShapes() {
-    this.robot.shapes.forEach((shape, i) => this.addShape(shape, this.geometries[i]));
-    this.geometries = null;
-  }
-
-  addShape(shape, geometry) {
-    const pose = matrixFromRows(shape.pose);
-    const skin = new THREE.Mesh(geometry), veil = new THREE.Mesh(geometry, this.veil);
-    skin.userData.shape = shape;
-    for (const mesh of [skin, veil]) {
-      mesh.matrixAutoUpdate = false;
-      mesh.matrix.copy(pose);
-      this.groups[shape.joint].add(mesh);
+  addBodies() {
+    for (const body of this.bodies) {
+      const { position, normal } = body.geometry.attributes, geometry = new THREE.BufferGeometry(); // its colours are its own
+      geometry.setAttribute("position", position).setAttribute("normal", normal).setIndex(body.geometry.index);
+      const skin = new THREE.Mesh(geometry), veil = new THREE.Mesh(body.geometry, this.veil);
+      skin.userData.shape = body;
+      this.groups[body.joint].add(skin, veil);
+      this.meshes.push({ skin, veil });
     }
-    this.meshes.push({ skin, veil });
   }
 
   setSolid(solid) {
     this.solid = solid;
-    this.bodies.visible = solid || !this.rollout.hasPhases; // ghosts would hide the paths, whose colours are the point
-    if (solid && this.geometries) this.addShapes();
-    const made = new Map();
+    this.arm.visible = solid || !this.rollout.hasPhases; // ghosts would hide the paths, whose colours are the point
+    if (solid && !this.meshes.length) this.addBodies();
     for (const { skin, veil } of this.meshes) {
-      const shape = skin.userData.shape, key = shape.accent ? "accent" : [shape.joint > 0, shape.kind === "mesh", ...shape.colour].join();
-      if (!made.has(key)) made.set(key, this.material(shape));
-      skin.material = made.get(key);
-      skin.castShadow = solid;
-      skin.receiveShadow = solid;
-      veil.visible = !solid && skin.userData.shape.joint > 0;
-      skin.visible = solid || skin.userData.shape.joint > 0; // what never moves is drawn once
+      const body = skin.userData.shape, moves = body.joint > 0;
+      skin.material = this.material(body);
+      skin.geometry.setAttribute("color", coloursOf(body.parts.map(({ shape, geometry }) => ({ geometry, colour: this.colourOf(shape) }))));
+      skin.castShadow = skin.receiveShadow = solid;
+      veil.visible = !solid && moves;
+      skin.visible = solid || moves; // what never moves is drawn once
     }
   }
 
-  material(shape) {
+  colourOf(shape) {
     const own = shape.colour, hex = this.rollout.colour;
     let colour = new THREE.Color(own[0], own[1], own[2]);
     if (DARK.matches) colour.lerp(new THREE.Color(0xffffff), Math.max(0, 0.25 - 0.5 * Math.max(own[0], own[1], own[2])));
     if (shape.accent) colour = new THREE.Color(hex);
     else if (!this.solid) colour = shaded(hex, [0, 1, 2].map((i) => 0.4 + 0.2 * own[i]));
     else if (this.tinted && shape.joint > 0) colour = shaded(hex, own);
-    const material = new THREE.MeshStandardMaterial({ color: colour.convertSRGBToLinear(), roughness: 0.62, metalness: 0.05 });
-    material.side = shape.kind === "mesh" ? THREE.DoubleSide : THREE.FrontSide;
-    const opacity = this.solid ? own[3] : 0.42;
-    if (opacity < 1) Object.assign(material, { transparent: true, opacity, depthWrite: this.solid });
-    if (!this.solid) Object.assign(material, behind(this.rollout.index));
+    return colour.convertSRGBToLinear();
+  }
+
+  material({ side, opacity }) {
+    const material = new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.62, metalness: 0.05, side });
+    if (!this.solid) Object.assign(material, { transparent: true, opacity: 0.42, depthWrite: false, ...behind(this.rollout.index) });
+    else if (opacity < 1) Object.assign(material, { transparent: true, opacity });
     return material;
   }
 
@@ -208,9 +229,9 @@ class RobotInstance {
 
   // Pose of a link in the robot's base, from the matrices that are drawn.
   linkMatrix(name) {
-    const index = this.linkIndex.get(name);
-    if (index === undefined) throw new Error(`no link ${name}`);
-    return this.jointMatrix(this.robot.links[index].joint).multiply(this.linkPlacements[index]);
+    const link = this.links.get(name);
+    if (!link) throw new Error(`no link ${name}`);
+    return this.jointMatrix(link.joint).multiply(link.placement);
   }
 
   // Pose of a joint in the robot's base, now.
@@ -241,53 +262,26 @@ function pathForm(rollout, points, times, radius) {
   return { radii: leads.map((thin) => (thin ? LEADING.radius * radius : radius)), isGap: (i) => leads[i] && far[i] % (2 * dash) > dash };
 }
 
-// The tip's way: faint as a whole, strong up to now, and a ball where the tip is.
+// The tip's way: faint as a whole, strong up to now, and a ball where the tip is. Unlit, so that colours are those of the legend.
 class TipPath {
   constructor(rollout, radius, parent) {
-    const colour = linear(rollout.colour);
-    const { points, times } = spaced(rollout.path, rollout.pathTimes, 0.5 * radius);
-    this.times = times;
-    this.group = new THREE.Group();
-    this.sides = 8;
-    const { radii, isGap } = pathForm(rollout, points, times, radius), geometry = tubeGeometry(points, radii, this.sides, isGap), past = geometry.clone();
-    const faint = new THREE.MeshBasicMaterial({ color: colour, toneMapped: false, transparent: true, opacity: 0.28, depthWrite: false, ...behind(rollout.index) });
-    const strong = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.6, emissive: colour, emissiveIntensity: 0.25, ...behind(rollout.index) });
-    this.rollout = rollout;
-    this.plain = { whole: faint, past: strong };
-    this.whole = new THREE.Mesh(geometry, faint);
-    this.past = new THREE.Mesh(past, strong);
-    this.ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 24, 16), strong.clone());
+    const { points, times } = spaced(rollout.path, rollout.pathTimes, radius), { radii, isGap } = pathForm(rollout, points, times, radius);
+    Object.assign(this, { rollout, times, sides: 6, group: new THREE.Group() });
+    const geometry = tubeGeometry(points, radii, this.sides, isGap), { attributes, index } = geometry;
+    const ink = (more) => new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, ...more, ...behind(rollout.index) });
+    this.whole = new THREE.Mesh(geometry, ink({ transparent: true, opacity: 0.4, depthWrite: false }));
+    this.past = new THREE.Mesh(Object.assign(new THREE.BufferGeometry(), { attributes, index }), ink({})); // of which a part is drawn
+    this.ball = new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 16, 12), new THREE.MeshStandardMaterial({ roughness: 0.6, emissiveIntensity: 0.25, ...behind(rollout.index) }));
     this.group.add(this.whole, this.past, this.ball);
     this.recolour();
     parent.add(this.group);
   }
 
-  // Unlit where colours change along the path, so that they are those of the legend.
-  recolour() {
-    const varied = hasPhaseColours(this.rollout) || (colouring.mode === "fit" && this.rollout.fit);
-    if (varied) {
-      const colours = pathColours(this.rollout, this.times, this.sides);
-      for (const mesh of [this.whole, this.past]) mesh.geometry.setAttribute("color", colours);
-      this.varied ??= {
-        whole: new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, transparent: true, opacity: 0.5, depthWrite: false, ...behind(this.rollout.index) }),
-        past: new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, ...behind(this.rollout.index) }),
-      };
-    }
-    this.plain.whole.color.copy(linear(this.rollout.colour));
-    this.plain.whole.opacity = DARK.matches ? 0.45 : 0.28;
-    for (const channel of ["color", "emissive"]) this.plain.past[channel].copy(this.plain.whole.color);
-    const materials = varied ? this.varied : this.plain;
-    this.whole.material = materials.whole;
-    this.past.material = materials.past;
-  }
+  recolour() { this.whole.geometry.setAttribute("color", pathColours(this.rollout, this.times, this.sides)); }
 
   setTime(t, tip) {
-    let low = 0, high = this.times.length; // last point not after t
-    while (high - low > 1) { const middle = (low + high) >> 1; if (this.times[middle] <= t) low = middle; else high = middle; }
-    this.past.geometry.setDrawRange(0, low * this.sides * 6);
+    this.past.geometry.setDrawRange(0, indexAt(this.times, t) * this.sides * 6);
     this.ball.position.copy(tip);
-    const colour = linear(colourOfPath(this.rollout, t));
-    this.ball.material.color.copy(colour);
-    this.ball.material.emissive.copy(colour);
+    for (const channel of ["color", "emissive"]) this.ball.material[channel].copy(linear(colourOfPath(this.rollout, t)));
   }
 }

@@ -43,29 +43,27 @@ class Stage {
     this.middle = this.bounds.low.clone().add(this.bounds.high).multiplyScalar(0.5);
     this.size = Math.max(this.bounds.high.distanceTo(this.bounds.low), 1e-3);
     this.world = new THREE.Group();
-    this.viewer = new MeshCat.Viewer(element, false);
-    const viewer = this.viewer;
+    const software = drawsBySoftware(), make = () => new MeshCat.Viewer(element, false), viewer = software ? withoutSmoothing(make) : make();
+    this.viewer = viewer;
     viewer.gui.domElement.remove();
     viewer.hide_background();
     for (const path of [["Lights"], ["Grid"], ["Axes"]]) viewer.set_property(path, "visible", false);
     viewer.set_3d_pane_size = () => this.resize();
-    viewer.renderer.outputEncoding = THREE.sRGBEncoding;
-    viewer.renderer.toneMapping = THREE.CustomToneMapping;
-    viewer.renderer.sortObjects = true;
-    viewer.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+    Object.assign(viewer.renderer, { outputEncoding: THREE.sRGBEncoding, toneMapping: THREE.CustomToneMapping, sortObjects: true });
     viewer.scene.add(this.world);
     this.addLights();
     this.addFloor(data.floor);
     this.addAxes(0.09 * this.size);
     this.camera = viewer.camera;
-    this.camera.fov = 32;
-    this.camera.near = 0.01 * this.size;
-    this.camera.far = 40 * this.size;
-    viewer.controls.minDistance = 0.15 * this.size;
-    viewer.controls.maxDistance = 12 * this.size;
+    Object.assign(this.camera, { fov: 32, near: 0.01 * this.size, far: 40 * this.size });
+    Object.assign(viewer.controls, { minDistance: 0.15 * this.size, maxDistance: 12 * this.size });
     this.moved = false;
     viewer.controls.addEventListener("start", () => (this.moved = true));
     viewer.controls.addEventListener("change", () => this.dirty());
+    this.quality = new Quality(software, ({ shadows, pixels }) => {
+      this.sun.castShadow = this.shade.visible = shadows;
+      viewer.renderer.setPixelRatio(pixels);
+    });
     this.look(data.view);
     new ResizeObserver(() => this.resize()).observe(element);
     this.resize();
@@ -79,13 +77,10 @@ class Stage {
     const s = this.size, sun = new THREE.DirectionalLight(0xffffff, 0.9);
     sun.position.set(this.middle.x + 0.7 * s, this.middle.y - 0.5 * s, this.middle.z + 1.4 * s);
     sun.target.position.copy(this.middle);
-    sun.castShadow = true;
+    this.sun = sun;
     sun.shadow.mapSize.set(2048, 2048);
-    const box = { left: -0.75 * s, right: 0.75 * s, top: 0.75 * s, bottom: -0.75 * s, near: 0.2 * s, far: 4 * s };
-    Object.assign(sun.shadow.camera, box);
-    sun.shadow.bias = -0.0006;
-    sun.shadow.normalBias = 0.004 * s;
-    sun.shadow.radius = 5;
+    Object.assign(sun.shadow.camera, { left: -0.75 * s, right: 0.75 * s, top: 0.75 * s, bottom: -0.75 * s, near: 0.2 * s, far: 4 * s });
+    Object.assign(sun.shadow, { bias: -0.0006, normalBias: 0.004 * s, radius: 5 });
     const fill = new THREE.DirectionalLight(0xdfe9f5, 0.16);
     fill.position.set(this.middle.x - s, this.middle.y - 0.6 * s, this.middle.z + 0.4 * s);
     fill.target.position.copy(this.middle);
@@ -104,10 +99,9 @@ class Stage {
         uniforms: { colour: { value: new THREE.Color() }, cell: { value: cell }, reach: { value: reach }, middle: { value: new THREE.Vector2(this.middle.x, this.middle.y) } },
       }),
     );
-    const shade = new THREE.Mesh(grid.geometry, new THREE.ShadowMaterial({ opacity: 0.17, depthWrite: false }));
+    const shade = (this.shade = new THREE.Mesh(grid.geometry, new THREE.ShadowMaterial({ opacity: 0.17, depthWrite: false })));
     shade.receiveShadow = true;
-    grid.position.z = height;
-    shade.position.z = height;
+    grid.position.z = shade.position.z = height;
     grid.renderOrder = shade.renderOrder = -1;
     this.world.add(grid, shade);
     onTheme(() => {
@@ -118,18 +112,17 @@ class Stage {
   }
 
   addAxes(length) {
-    const radius = 0.035 * length;
-    [[1, 0, 0, "#d55e00", "x"], [0, 1, 0, "#009e73", "y"], [0, 0, 1, "#0072b2", "z"]].forEach(([x, y, z, colour, name]) => {
-      const direction = new THREE.Vector3(x, y, z), arrow = new THREE.Group();
-      const material = new THREE.MeshBasicMaterial({ color: linear(colour), toneMapped: false });
-      const shaft = new THREE.Mesh(new THREE.CylinderGeometry(radius, radius, length, 12).translate(0, length / 2, 0), material);
-      const head = new THREE.Mesh(new THREE.ConeGeometry(2.6 * radius, 0.22 * length, 16).translate(0, 1.1 * length, 0), material);
-      arrow.add(shaft, head);
-      arrow.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), direction);
+    const radius = 0.035 * length, arrows = [];
+    for (const [x, y, z, colour, name] of [[1, 0, 0, "#d55e00", "x"], [0, 1, 0, "#009e73", "y"], [0, 0, 1, "#0072b2", "z"]]) {
+      const direction = new THREE.Vector3(x, y, z), turn = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 1, 0), direction);
+      const shaft = new THREE.CylinderGeometry(radius, radius, length, 12).translate(0, length / 2, 0), head = new THREE.ConeGeometry(2.6 * radius, 0.22 * length, 16).translate(0, 1.1 * length, 0);
+      for (const geometry of [shaft, head]) arrows.push({ geometry: geometry.applyQuaternion(turn), colour: linear(colour) });
       const label = this.label(name, colour, 0.42 * length);
       label.position.copy(direction).multiplyScalar(1.45 * length);
-      this.world.add(arrow, label);
-    });
+      this.world.add(label);
+    }
+    const geometry = merged(arrows).setAttribute("color", coloursOf(arrows));
+    this.world.add(new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false })));
   }
 
   label(text, colour, size) {
@@ -197,6 +190,7 @@ class Stage {
 
   // What is drawn now, as the address of an image.
   picture() {
+    this.quality.set(0);
     this.draw();
     return this.viewer.renderer.domElement.toDataURL("image/png");
   }
@@ -218,7 +212,7 @@ class Stage {
   }
 
   render() {
-    if (!this.viewer.needs_render) return;
+    if (!this.quality.isDue(performance.now(), this.viewer.needs_render)) return;
     this.draw();
     if (this.onRendered) this.onRendered();
   }

@@ -155,11 +155,13 @@ class Mesh(NamedTuple):
         vertices: shape (n, 3) [m], of a file without the scale of the URDF.
         faces: shape (m, 3), counted from 0, counter-clockwise from outside.
         colours: shape (m, 4), red, green, blue and opacity of each triangle, 0 to 1; None where nobody says.
+        normals: shape (n, 3), unit vectors out of the surface at the vertices; None where they follow from the faces.
     """
 
     vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"]
     colours: Float[np.ndarray, "m 4"] | None = None
+    normals: Float[np.ndarray, "n 3"] | None = None
 
 
 def compact(mesh: Mesh) -> Mesh:

@@ -12,7 +12,7 @@ class Ghosts {
   constructor(teach) {
     Object.assign(this, { teach, rollouts: [], rows: [], number: null });
     for (let i = 0; i < MOST_LABELLED; i++) teach.key.add({ ink: "--scene-ink", say: () => this.words(this.rollouts[i]) });
-    DARK.addEventListener("change", () => { for (const { instance } of this.rollouts) { instance.setSolid(false); teach.quality.plain(instance); } });
+    DARK.addEventListener("change", () => { for (const { instance } of this.rollouts) instance.setSolid(false); });
   }
 
   get curves() { return this.rollouts.some(({ curve }) => curve.length); }
@@ -25,12 +25,11 @@ class Ghosts {
     if (number === this.number) return;
     this.number = number;
     for (const { instance } of this.rollouts) this.teach.stage.world.remove(instance.root);
-    const { instance } = this.teach, geometries = instance.meshes.map(({ skin }) => skin.geometry);
+    const { robot, bodies } = this.teach.instance;
     this.rollouts = (data ? data.rollouts : []).map((raw, i) => ghostRollout(raw, i + 1));
     for (const rollout of this.rollouts) {
-      rollout.instance = new RobotInstance(instance.robot, rollout, geometries, false);
+      rollout.instance = new RobotInstance(robot, rollout, bodies, false);
       rollout.instance.setSolid(false);
-      this.teach.quality.plain(rollout.instance);
       this.teach.stage.world.add(rollout.instance.root);
     }
     this.duration = Math.max(0, ...this.rollouts.map((r) => r.duration));

@@ -11,7 +11,7 @@ function inPicture({ values, furniture, held, near, hand, weak, marks, limit, to
 }
 
 class Teach {
-  constructor(show, data, software) {
+  constructor(show, data) {
     Object.assign(this, { show, stage: show.stage, rollout: show.rollouts[0], instance: show.rollouts[0].instance, state: null, scene: null, pose: null, drawnSeq: 0, notes: data.notes });
     this.rollout.solid = true;
     this.values = { times: [], mu: [] };
@@ -21,7 +21,7 @@ class Teach {
       ended: () => { this.ended = true; this.link.close(); }, pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.setGhosts(ghosts),
     }, () => this.allow(), (words) => this.tell(words, true));
     this.panel = new Panel(this);
-    if (this.stage) this.addDrawing(software);
+    if (this.stage) this.addDrawing();
     this.wire();
     this.allow();
     this.head("waiting for the arm", false);
@@ -38,7 +38,7 @@ class Teach {
     this.chart = new Chart(get("chart"), this.show.rollouts, LIVE_SECONDS, null);
   }
 
-  addDrawing(software) {
+  addDrawing() {
     const { stage, instance } = this, size = MARK_SHARE * stage.size;
     this.pointing = new Pointing(stage, instance);
     this.furniture = new TeachFurniture(stage, instance);
@@ -52,9 +52,7 @@ class Teach {
     stage.element.append(...this.rings);
     this.key = new SceneKey(stage, this.rows());
     stage.onRendered = () => this.placeRings();
-    this.quality = new Quality(stage, instance, software);
     this.ghosts = new Ghosts(this);
-    this.show.onRecolour = () => this.quality.plain(instance);
     this.hand = new Hand(this);
   }
 
@@ -177,7 +175,6 @@ class Teach {
       this.drawSpring();
       this.ghosts.frame(now);
       this.trail.draw(now);
-      this.quality.frame(now, this.stage.viewer.needs_render);
       this.stage.render();
     }
     if (this.pose && this.isNew) this.hasDrawn(this.pose);
@@ -252,8 +249,7 @@ class Teach {
 }
 
 function startTeaching() {
-  const data = JSON.parse(get("data").textContent), software = drawsBySoftware();
-  const show = software ? withoutSmoothing(() => new Show(data)) : new Show(data), teach = new Teach(show, data, software);
+  const data = JSON.parse(get("data").textContent), teach = new Teach(new Show(data), data);
   window.manipLearnTeach = {
     id: PAGE_ID,
     get seq() { return teach.link.seq; },
