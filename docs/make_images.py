@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import meshcat
 import numpy as np
 from PIL import Image
 from playwright.sync_api import Browser, sync_playwright
@@ -40,6 +41,7 @@ FILM, FILM_SECONDS, MOST_FILM_BYTES = (960, 600), 8.0, 1_500_000  # [px], [s] of
 # [rad] the hand is at the shut drawer; number 57 of the starts drawn with seed 20000 and brought to within 0.02
 # of a singularity of what is held and driven: of these 57, seven stop within a third of the way without a plan
 PAIR = (0.5374, -0.8046, 0.7743, -2.7548, 1.6547, 3.2939, -2.7873)
+OWN_VIEWER = Path(__file__).parent / "examples" / "your_own_viewer.webp"
 ONLY_FILM = "#views, #save, #keys, .sheet, #transport, #log, #status-key { display: none !important }"
 ONLY_ARM = "header, #panel, #transport, #legend, #notes { display: none !important } #stage { grid-row: 1 / -1 }"
 
@@ -123,6 +125,25 @@ def write_arms(folder: Path) -> dict[str, str]:
     return pages
 
 
+def own_viewer(browser: Browser) -> Image.Image:
+    """Meshcat's page with the arm, the drawer's line and the grasps of its recordings, as example 11 draws them."""
+    viewer = meshcat.Visualizer()
+    robot = ml.load_robot("sawyer")
+    demos = ml.load_demonstrations("sawyer_drawer", robot)
+    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, "right_gripper_tip")).fit(demos)
+    page = browser.new_page(viewport={"width": ARM_WINDOW[0], "height": ARM_WINDOW[1]}, device_scale_factor=2.0)
+    page.goto(viewer.url())
+    viewer.wait()
+    ml.show(robot, viewer, learner.constraint_, demos[0].q[-1])
+    for part in ("/Background", "/Grid", "/Axes"):
+        viewer[part].set_property("visible", False)
+    page.add_style_tag(content=".dg { display: none !important }")  # the controls of the viewer
+    page.wait_for_timeout(3000)
+    image = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    page.close()
+    return image.crop((500, 140, 1140, 660))  # [px] the arm
+
+
 def photograph(browser: Browser, picture: Picture, address: str) -> Image.Image:
     """The window."""
     size, scheme = {"width": picture.width, "height": picture.height}, "dark" if picture.dark else "light"
@@ -176,6 +197,7 @@ def main(folder: Path) -> None:
         first.save(made, save_all=True, append_images=others, duration=times, loop=0, quality=62, method=6)
         if made.stat().st_size > MOST_FILM_BYTES:
             raise SystemExit(f"{made} has {made.stat().st_size:,} bytes, {MOST_FILM_BYTES:,} are allowed")
+        save(own_viewer(browser).resize(ARM_SIZE, Image.Resampling.LANCZOS), OWN_VIEWER, MOST_ARM_BYTES)
         alone = f"document.head.append(Object.assign(document.createElement('style'), {{ textContent: {ONLY_ARM!r} }}))"
         for name, address in write_arms(Path(scratch)).items():
             image = photograph(browser, Picture(name, name, [alone], False, *ARM_WINDOW), address).convert("RGB")
