@@ -135,13 +135,14 @@ def own_viewer(browser: Browser) -> Image.Image:
     page.goto(viewer.url())
     viewer.wait()
     ml.show(robot, viewer, learner.constraint_, demos[0].q[-1])
+    viewer["/Cameras/default/rotated/<object>"].set_property("position", [1.1, 0.9, 0.9])
     for part in ("/Background", "/Grid", "/Axes"):
         viewer[part].set_property("visible", False)
     page.add_style_tag(content=".dg { display: none !important }")  # the controls of the viewer
     page.wait_for_timeout(3000)
     image = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
     page.close()
-    return image.crop((500, 140, 1140, 660))  # [px] the arm
+    return image.crop((500, 100, 1140, 620))  # [px] around the arm
 
 
 def photograph(browser: Browser, picture: Picture, address: str) -> Image.Image:
