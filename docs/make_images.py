@@ -37,12 +37,12 @@ ARMS = {  # [deg] a posture in which the arm can be told
     "xarm7": (25, -20, 0, 70, 0, 90, 0),
     "so101": (20, -35, 35, 35, 0, 20),
 }
-FILM, FILM_SECONDS, MOST_FILM_BYTES = (960, 600), 8.0, 1_500_000  # [px], [s] of a loop
+FILM, FILM_SECONDS, MOST_FILM_BYTES = (960, 720), 8.0, 1_500_000  # [px], [s] of a loop
 # [rad] the hand is at the shut drawer; number 57 of the starts drawn with seed 20000 and brought to within 0.02
 # of a singularity of what is held and driven: of these 57, seven stop within a third of the way without a plan
 PAIR = (0.5374, -0.8046, 0.7743, -2.7548, 1.6547, 3.2939, -2.7873)
 OWN_VIEWER = Path(__file__).parent / "examples" / "your_own_viewer.webp"
-ONLY_FILM = "#views, #save, #keys, .sheet, #transport, #log, #status-key { display: none !important }"
+ONLY_FILM = "header > :not(h1, p), #notes, .sheet, #transport, #log, #status-key { display: none !important }"
 ONLY_ARM = "header, #panel, #transport, #legend, #notes { display: none !important } #stage { grid-row: 1 / -1 }"
 
 
@@ -169,6 +169,8 @@ def film(browser: Browser, address: str) -> list[Image.Image]:
     page.goto(address)
     page.wait_for_function("window.manipLearnReady === true")
     page.add_style_tag(content=ONLY_FILM)
+    page.locator("#scene").press("+")  # nearer
+    page.evaluate("document.activeElement.blur()")
     page.wait_for_timeout(500)
     frames, zero = [], page.evaluate("JSON.parse(document.getElementById('data').textContent).zero")
     for t in np.concatenate([np.linspace(zero - 3.0, zero - 0.1, 14), np.linspace(zero, zero + 1.6, 26)]).tolist():
