@@ -7,7 +7,6 @@ import json
 import logging
 import math
 import secrets
-import selectors
 import subprocess
 import sys
 import threading
@@ -15,7 +14,7 @@ import time as clock
 import traceback
 import weakref
 import webbrowser
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -40,8 +39,6 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
 SERVER = Path(__file__).with_name("live_server.py")
-_STOP_SECONDS = 2.0  # for a thread or process to end by itself
-LOGGED = 200  # [bytes] of a line at which the program failed: a recording that was dropped is megabytes
 _LOGGER = logging.getLogger("manip_learn")
 
 
@@ -59,8 +56,7 @@ class LiveProcess:
         timeout: How long the server may take to start [s].
         heard: Called in a thread of its own, for one line after the other, with `{"page": id, "said": {...}}` for what
             a page has posted, and with `{"pages": [ids]}` whenever one comes or goes: the ids of the pages that are
-            open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s. None
-            for pages that say nothing.
+            open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s.
         frames_per_second: How often the newest messages are written at most; as most screens show pictures.
 
     Raises:
@@ -69,48 +65,45 @@ class LiveProcess:
 
     def __init__(
         self,
-        make_page: Callable[[str], bytes],
+        make_page: Callable[[str], str],
         timeout: float,
-        heard: Callable[[Mapping[str, Any]], object] | None = None,
+        heard: Callable[[Mapping[str, Any]], object] = lambda line: None,
         frames_per_second: float = 60.0,
     ):
-        self._interval = 1.0 / frames_per_second
         token = secrets.token_urlsafe(18)
-        self._page = make_page(token)
+        header = json.dumps({"page": make_page(token), "token": token})
+        self._heard, self._interval = heard, 1.0 / frames_per_second
         self._newest: dict[str, Callable[[], str]] = {}  # by slot, in the order in which they were put
         self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
         self._failed: set[tuple[object, ...]] = set()  # where functions of the program did
-        self._wake = threading.Event()
-        self._closed = threading.Event()
-        self._way_in: TemporaryDirectory[str] | None = None
-        self._listener: threading.Thread | None = None
+        self._wake, self._closed = threading.Event(), threading.Event()
+        self._at_end = contextlib.ExitStack()
+        self._threads = list[threading.Thread]()
+        failure = OutputError(
+            f"the live view's server did not start within {timeout:g} s: is there room for another process, and may it "
+            "listen on 127.0.0.1?"
+        )
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         try:  # in a session of its own: Ctrl-C is for the program, which then closes us
-            self._process = subprocess.Popen([sys.executable, "-I", str(SERVER)], **pipes, start_new_session=True)
+            self._process = subprocess.Popen([sys.executable, "-I", SERVER], **pipes, start_new_session=True)
         except OSError as error:
-            raise OutputError(f"the live view's server cannot be started: {error}") from error
+            raise failure from error
         self._stdin: Any = self._process.stdin
         self._stdout: Any = self._process.stdout
-        header = {"page": len(self._page), "token": token, "hears": heard is not None}
-        self._feeder = self._in_thread(self._feed, header)
+        killer = threading.Timer(timeout, self._process.kill)
+        killer.start()
         try:
-            with selectors.DefaultSelector() as selector:
-                selector.register(self._stdout, selectors.EVENT_READ)
-                port = json.loads(self._stdout.readline() if selector.select(timeout) else b"")["port"]
-        except (ValueError, KeyError) as error:
+            self._write(header)
+            port = int(self._stdout.readline())
+        except (OSError, ValueError) as error:
             self.close()
-            raise OutputError(
-                f"the live view's server did not start within {timeout:g} s: is there room for another process, and "
-                "may it listen on 127.0.0.1?"
-            ) from error
+            raise failure from error
+        finally:
+            killer.cancel()
         self.url = f"http://127.0.0.1:{port}/{token}/"
-        self._listener = self._in_thread(self._listen, heard) if heard is not None else None
-
-    def _in_thread(self, work: Callable[[Any], None], given: object) -> threading.Thread:
-        """Start work that ends with the program."""
-        thread = threading.Thread(target=work, args=(given,), name=f"live view: {work.__name__}", daemon=True)
-        thread.start()
-        return thread
+        for work in (self._feed, self._listen):
+            self._threads.append(threading.Thread(target=work, name=f"live view: {work.__name__}", daemon=True))
+            self._threads[-1].start()
 
     @property
     def is_open(self) -> bool:
@@ -135,7 +128,7 @@ class LiveProcess:
         Args:
             files: By the name under which each is kept. A file that is missing when it is asked for is not found.
         """
-        line = json.dumps({name: str(path.absolute()) for name, path in files.items()})
+        line = json.dumps({f"files/{name}": str(path.absolute()) for name, path in files.items()})
         self.put(lambda: line, "files")
 
     def open_in_browser(self) -> None:
@@ -143,8 +136,7 @@ class LiveProcess:
 
         A browser is given a file that leads to it and that only this user may read: all users see its command line.
         """
-        self._way_in = TemporaryDirectory(prefix="manip_learn_")
-        file = Path(self._way_in.name) / "page.html"
+        file = Path(self._at_end.enter_context(TemporaryDirectory(prefix="manip_learn_"))) / "page.html"
         file.write_text(
             f'<!DOCTYPE html><meta charset="utf-8"><title>manip_learn</title><meta http-equiv="refresh" '
             f'content="0; url={self.url}"><a href="{self.url}">The page</a>',
@@ -155,42 +147,33 @@ class LiveProcess:
     def close(self) -> None:
         """End the server and the threads; calling it twice is allowed."""
         self._closed.set()
-        if self._way_in is not None:
-            self._way_in.cleanup()
         self._wake.set()
-        self._join(self._feeder)
-        if self._feeder.is_alive():  # it is blocked in a write
-            self._process.kill()
-        with contextlib.suppress(OSError):
+        self._process.kill()
+        self._process.wait()
+        self._at_end.close()
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join(2.0)  # [s] for a function of the program to return
+        with contextlib.suppress(OSError):  # what was to be written goes nowhere
             self._stdin.close()
-        try:
-            self._process.wait(_STOP_SECONDS)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._join(self._listener)
         self._stdout.close()
 
-    def _join(self, thread: threading.Thread | None) -> None:
-        """Wait for a thread to end, but not for this one."""
-        if thread is not None and thread is not threading.current_thread():
-            thread.join(_STOP_SECONDS)
+    def _write(self, line: str) -> None:
+        self._stdin.write(line.encode() + b"\n")
+        self._stdin.flush()
 
-    def _listen(self, heard: Callable[[Mapping[str, Any]], object]) -> None:
+    def _listen(self) -> None:
         """Hand on each line of the server until it ends."""
         with contextlib.suppress(OSError, ValueError):  # the pipe was closed
             for line in self._stdout:
                 if self._closed.is_set():
                     return
-                said = json.loads(line)
-                with self._logged("what a page said", line[:LOGGED].decode()):
-                    heard(said)
+                # a recording that was dropped is megabytes
+                self._tried("what a page said", line[:200].decode(), self._heard, json.loads(line))
 
-    def _feed(self, header: Mapping[str, object]) -> None:
+    def _feed(self) -> None:
         """Write messages as they come, until the process is closed or the server ends."""
-        try:
-            self._stdin.write(json.dumps(header).encode() + b"\n" + self._page)
-            self._stdin.flush()
+        with contextlib.suppress(OSError, ValueError):  # the server is gone, or the pipe was closed
             while not self._closed.is_set():
                 self._wake.wait()
                 self._wake.clear()
@@ -198,24 +181,18 @@ class LiveProcess:
                 with self._lock:
                     newest, self._newest = self._newest, {}
                 for slot, message in newest.items():
-                    line = ""
-                    with self._logged("a message", slot):
-                        line = message()
-                    if line:
-                        self._stdin.write(f"{slot} {line}\n".encode())
-                        self._stdin.flush()
+                    if line := self._tried("a message", slot, message):
+                        self._write(f"{slot} {line}")
                 self._closed.wait(max(due - clock.monotonic(), 0.0))
-        except (OSError, ValueError):  # the server is gone, or the pipe was closed
-            self._closed.set()
 
-    @contextlib.contextmanager
-    def _logged(self, of: str, text: str) -> Iterator[None]:
-        """Log a failure of the program in this block, once for each place: 60 a second would hide the first."""
+    def _tried(self, of: str, text: str, work: Callable[..., Any], *given: object) -> Any:
+        """Return what a function of the program returns; None if it fails, which is logged once for each place: 60 a
+        second would hide the first.
+        """
         try:
-            yield
-        except Exception as error:  # whatever a function of the program raises in our thread: nobody would see it
-            *_, (frame, number) = traceback.walk_tb(error.__traceback__)
-            place = (of, type(error), frame.f_code.co_filename, number)
+            return work(*given)
+        except Exception as error:  # whatever it raises in our thread: nobody would see it
+            place = (of, type(error), str(traceback.extract_tb(error.__traceback__)[-1]))
             if place not in self._failed:
                 self._failed.add(place)
                 _LOGGER.exception("live view: the program failed on %s, which is told once: %s", of, text)
@@ -322,7 +299,7 @@ def live_page(
     kind: PageKind = LIVE,
     constraint: Constraint | None = None,
     target: ArrayLike | None = None,
-) -> bytes:
+) -> str:
     """Return the HTML of a page that follows a robot.
 
     Args:
@@ -351,4 +328,4 @@ def live_page(
     looks, colours = appearance(robot, tree), rollout_colours([name], {})
     data = scene_data(robot, tree, looks, tip.name, [still], colours, looks.notes, mechanisms=drawings)
     data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, arms do not
-    return page(data, robot=name, subtitle="", kind=kind).encode("utf-8")
+    return page(data, robot=name, subtitle="", kind=kind)

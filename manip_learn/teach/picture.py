@@ -57,7 +57,7 @@ TEACH = replace(
 )
 
 
-def teaching_page(robot: Robot, name: str, token: str) -> bytes:
+def teaching_page(robot: Robot, name: str, token: str) -> str:
     """HTML of the page for `manip-learn teach`, self-contained; it speaks to the server that it came from alone.
 
     Args:
