@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+
 import numpy as np
-from jaxtyping import Float, Int
 
 from manip_learn.robot.visuals.meshes import Mesh, compact
 
-CREASE = np.cos(np.deg2rad(38.0))  # edges that turn by more stay sharp: twelve-sided cylinders look round
+CREASE = np.deg2rad(38.0)  # edges that turn by more stay sharp: twelve-sided cylinders look round
 
 
 def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]:
@@ -30,27 +31,14 @@ def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]
         cap = int(max(shares[np.argmax(shares <= ranked)], 12.0))
         clean = [m if len(m.faces) <= cap else _clustered(m, cap) for m in clean]
     after = sum(len(m.faces) for m in clean)
-    # vertices split along sharp edges, so that normals averaged at vertices are right on both sides
-    for i, mesh in enumerate(clean):
-        pairs = np.column_stack([mesh.faces.reshape(-1), _smooth_groups(mesh.vertices, mesh.faces)])
-        unique, index = np.unique(pairs, axis=0, return_inverse=True)
-        clean[i] = Mesh(mesh.vertices[unique[:, 0]], index.reshape(-1, 3))
-    return clean, before, after
+    return [_split_at_edges(m) for m in clean], before, after
 
 
 def _clustered(mesh: Mesh, target: int) -> Mesh:
     """Vertices in one cell of a grid become one; the finest grid that meets the target."""
-    span = float(np.ptp(mesh.vertices, axis=0).max())
-    low, high = 2.0, 4096.0  # cells along the longest side, coarse enough and too fine
-    best = _joined(mesh, span / low)
-    while high / low > 1.01:
-        cells = float(np.sqrt(low * high))
-        candidate = _joined(mesh, span / cells)
-        if len(candidate.faces) > target:
-            high = cells
-        else:
-            low, best = cells, candidate
-    return best
+    cells = float(np.ptp(mesh.vertices, axis=0).max()) / np.geomspace(2.0, 4096.0, 767)  # [m] each 1 % finer
+    finer = bisect_right(cells, target, key=lambda cell: len(_joined(mesh, cell).faces))
+    return _joined(mesh, cells[max(finer - 1, 0)])
 
 
 def _joined(mesh: Mesh, cell: float) -> Mesh:
@@ -60,30 +48,24 @@ def _joined(mesh: Mesh, cell: float) -> Mesh:
     index = index.reshape(-1)
     middle = np.column_stack([np.bincount(index, mesh.vertices[:, k], len(count)) / count for k in range(3)])
     faces = index[mesh.faces]
-    corners = np.sort(faces, axis=1)
-    kept = np.flatnonzero((np.diff(corners, axis=1) > 0).all(axis=1))
-    kept = kept[np.sort(np.unique(corners[kept], axis=0, return_index=True)[1])]
-    return compact(Mesh(middle, faces[kept]))
+    corners, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    has_area = (np.diff(corners, axis=1) > 0).all(axis=1)
+    return compact(Mesh(middle, faces[np.sort(first[has_area])]))
 
 
-def _smooth_groups(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, " C"]:
-    """Return a group for each corner of each triangle: corners at one vertex share it if smooth edges lead from one to
-    the other.
+def _split_at_edges(mesh: Mesh) -> Mesh:
+    """Return a mesh with vertices split along sharp edges: normals averaged at vertices are right on both sides.
+
+    Corners of triangles at one vertex share it if smooth edges lead from one to the other.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    from trimesh import Trimesh
+    from trimesh.graph import connected_component_labels
 
-    sides = vertices[triangles]
-    normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    vertex, corners = triangles.reshape(-1), np.arange(triangles.size)
-    ends = [corners, np.roll(corners.reshape(-1, 3), -1, axis=1).reshape(-1)]  # corners of each edge
-    edges = np.sort(vertex[np.array(ends)], axis=0)
-    order = np.lexsort(edges)
-    one, two = order[:-1], order[1:]
-    same = (edges[:, one] == edges[:, two]).all(axis=0)
-    smooth = same & (np.einsum("ij,ij->i", normals[one // 3], normals[two // 3]) > CREASE)
-    pairs = np.concatenate([[a[one[smooth]], b[two[smooth]]] for a in ends for b in ends], axis=1)
-    pairs = pairs[:, vertex[pairs[0]] == vertex[pairs[1]]]
-    graph = coo_array((np.ones(pairs.shape[1], dtype=np.int8), tuple(pairs)), shape=(triangles.size, triangles.size))
-    return connected_components(graph, directed=False)[1]
+    solid = Trimesh(mesh.vertices, mesh.faces, process=False)
+    smooth = solid.face_adjacency_angles < CREASE
+    pairs, ends = solid.face_adjacency[smooth], solid.face_adjacency_edges[smooth]
+    # each end of an edge, as a corner of both its triangles
+    corners = 3 * pairs[:, None] + np.argmax(mesh.faces[pairs][:, None] == ends[:, :, None, None], axis=-1)
+    groups = connected_component_labels(corners.reshape(-1, 2), node_count=mesh.faces.size)
+    _, first, index = np.unique(groups, return_index=True, return_inverse=True)
+    return Mesh(mesh.vertices[mesh.faces.reshape(-1)[first]], index.reshape(-1, 3))
