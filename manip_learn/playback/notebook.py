@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import sys
 from html import escape
 from typing import Any
 
-from manip_learn.playback.page_writer import viewer_script
+from manip_learn.playback.page_writer import script_hash, viewer_script
 
+_MISSING = "The viewer is in this notebook's first replay. If this stays empty, restart the kernel and run all cells."
 # asks the notebook for the viewer until it answers, since a notebook may draw its cells in any order
 _ASK = """addEventListener("message", ({ data }) => {
   if (!data.manipLearnViewer || window.MeshCat) return;
@@ -22,9 +21,9 @@ const asking = setInterval(() => parent.postMessage("manip-learn: viewer", "*"),
 _ANSWER = """<script>(() => {
   const kept = () => (window.manipLearnViewer ??= document.querySelector("script[data-manip-learn]")?.textContent);
   kept();
-  const dark = Number(getComputedStyle(document.body).color.match(/[0-9.]+/)[0]) > 127; // letters are light
-  const frames = document.querySelectorAll("iframe[title=replay]");
-  for (const frame of frames) frame.style.colorScheme = dark ? "dark" : "light";
+  const isDark = Number(getComputedStyle(document.body).color.match(/[0-9.]+/)[0]) > 127; // letters are light
+  const scheme = isDark ? "dark" : "light";
+  for (const frame of document.querySelectorAll("iframe[title=replay]")) frame.style.colorScheme = scheme;
   addEventListener("message", ({ data, source }) => {
     if (data === "manip-learn: viewer" && kept()) source.postMessage({ manipLearnViewer: kept() }, "*");
   });
@@ -41,19 +40,17 @@ def in_cell(page: str) -> str:
     global _cell
     cell, viewer = _running_cell(), viewer_script()
     before, after = page.split(f"<script>{viewer}</script>\n<script>")
-    allowed = base64.b64encode(hashlib.sha256(_ASK.encode()).digest()).decode()
-    missing = (
-        "The viewer is in this notebook's first replay. If this stays empty, restart the kernel and run all cells."
+    inner = before.replace("script-src ", f"script-src {script_hash(_ASK)} ", 1)
+    inner += f'<p id="missing">{_MISSING}</p><script type="text/plain" id="program">{after}<script>{_ASK}</script>'
+    html = (
+        f'<iframe title="replay" srcdoc="{escape(inner)}" style="width:100%;height:640px;border:0" '
+        f'sandbox="allow-scripts"></iframe>{_ANSWER}'
     )
-    inner = before.replace("script-src ", f"script-src 'sha256-{allowed}' ", 1)
-    inner += f'<p id="missing">{missing}</p><script type="text/plain" id="program">{after}<script>{_ASK}</script>'
-    frame = f'<iframe title="replay" srcdoc="{escape(inner)}" style="width:100%;height:640px;border:0" '
-    cell_html = f'{frame}sandbox="allow-scripts"></iframe>{_ANSWER}'
     # run again, the first cell has it again; in Colab each cell is a page of its own
     if _cell is False or (cell is not None and cell == _cell) or "google.colab" in sys.modules:
         _cell = cell
-        return f'<script type="text/plain" data-manip-learn>{viewer}</script>{cell_html}'
-    return cell_html
+        html = f'<script type="text/plain" data-manip-learn>{viewer}</script>{html}'
+    return html
 
 
 def _running_cell() -> str | None:
