@@ -1,7 +1,7 @@
 """The process behind a live view; run as a script with nothing but the standard library, never imported.
 
-It reads from stdin one line of JSON (`{"page": HTML, "token": text}`), and then lines `SLOT JSON`, of which the newest
-of each slot counts. On 127.0.0.1 it serves the page, a stream of the newest slots, and the files of the slot `files`.
+It reads from stdin lines `SLOT JSON`, of which the newest of each slot counts; the first has `{"page": HTML, "token":
+text}`. On 127.0.0.1 it serves the page, a stream of the newest slots, and the files of the slot `files`.
 To stdout it writes its port, and then a line for each thing that a page says (`{"page": its id, "said": {...}}`) and
 `{"pages": [ids]}` whenever one comes or goes. It ends when stdin closes or its parent is gone. Each connection has a
 thread of its own and a limit of time for whatever it does. stderr is read by nobody: the messages of `http.server` end
@@ -166,7 +166,7 @@ def end_with_parent(parent: int) -> None:
 
 def main() -> None:
     """Serve until stdin closes."""
-    server = LiveServer(**json.loads(sys.stdin.buffer.readline()))
+    server = LiveServer(**json.loads(sys.stdin.buffer.readline().partition(b" ")[2]))
     server.tell(server.server_port)
     threading.Thread(target=end_with_parent, args=(os.getppid(),), daemon=True).start()
     threading.Thread(target=server.serve_forever, daemon=True).start()

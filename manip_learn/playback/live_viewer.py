@@ -7,6 +7,7 @@ import json
 import logging
 import math
 import secrets
+import select
 import subprocess
 import sys
 import threading
@@ -73,37 +74,30 @@ class LiveProcess:
         token = secrets.token_urlsafe(18)
         header = json.dumps({"page": make_page(token), "token": token})
         self._heard, self._interval = heard, 1.0 / frames_per_second
-        self._newest: dict[str, Callable[[], str]] = {}  # by slot, in the order in which they were put
+        self._newest = {"begin": lambda: header}  # message of each slot, in the order in which they were put
         self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
         self._failed: set[tuple[object, ...]] = set()  # where functions of the program did
         self._wake, self._closed = threading.Event(), threading.Event()
         self._at_end = contextlib.ExitStack()
-        self._threads = list[threading.Thread]()
-        failure = OutputError(
-            f"the live view's server did not start within {timeout:g} s: is there room for another process, and may it "
-            "listen on 127.0.0.1?"
-        )
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._feed, self._listen)]
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         try:  # in a session of its own: Ctrl-C is for the program, which then closes us
             self._process = subprocess.Popen([sys.executable, "-I", SERVER], **pipes, start_new_session=True)
         except OSError as error:
-            raise failure from error
+            raise OutputError(f"the live view's server cannot be started: {error}") from error
         self._stdin: Any = self._process.stdin
         self._stdout: Any = self._process.stdout
-        killer = threading.Timer(timeout, self._process.kill)
-        killer.start()
-        try:
-            self._write(header)
-            port = int(self._stdout.readline())
-        except (OSError, ValueError) as error:
+        self._wake.set()
+        self._threads[0].start()
+        port = self._stdout.readline().decode().strip() if select.select([self._stdout], [], [], timeout)[0] else ""
+        if not port.isdigit():
             self.close()
-            raise failure from error
-        finally:
-            killer.cancel()
+            raise OutputError(
+                f"the live view's server did not start within {timeout:g} s: is there room for another process, and "
+                "may it listen on 127.0.0.1?"
+            )
+        self._threads[1].start()
         self.url = f"http://127.0.0.1:{port}/{token}/"
-        for work in (self._feed, self._listen):
-            self._threads.append(threading.Thread(target=work, name=f"live view: {work.__name__}", daemon=True))
-            self._threads[-1].start()
 
     @property
     def is_open(self) -> bool:
@@ -137,11 +131,7 @@ class LiveProcess:
         A browser is given a file that leads to it and that only this user may read: all users see its command line.
         """
         file = Path(self._at_end.enter_context(TemporaryDirectory(prefix="manip_learn_"))) / "page.html"
-        file.write_text(
-            f'<!DOCTYPE html><meta charset="utf-8"><title>manip_learn</title><meta http-equiv="refresh" '
-            f'content="0; url={self.url}"><a href="{self.url}">The page</a>',
-            encoding="utf-8",
-        )
+        file.write_text(f'<meta http-equiv="refresh" content="0; url={self.url}">')
         webbrowser.open(file.as_uri())
 
     def close(self) -> None:
@@ -152,15 +142,11 @@ class LiveProcess:
         self._process.wait()
         self._at_end.close()
         for thread in self._threads:
-            if thread is not threading.current_thread():
+            if thread.is_alive() and thread is not threading.current_thread():
                 thread.join(2.0)  # [s] for a function of the program to return
         with contextlib.suppress(OSError):  # what was to be written goes nowhere
             self._stdin.close()
         self._stdout.close()
-
-    def _write(self, line: str) -> None:
-        self._stdin.write(line.encode() + b"\n")
-        self._stdin.flush()
 
     def _listen(self) -> None:
         """Hand on each line of the server until it ends."""
@@ -182,7 +168,8 @@ class LiveProcess:
                     newest, self._newest = self._newest, {}
                 for slot, message in newest.items():
                     if line := self._tried("a message", slot, message):
-                        self._write(f"{slot} {line}")
+                        self._stdin.write(f"{slot} {line}\n".encode())
+                        self._stdin.flush()
                 self._closed.wait(max(due - clock.monotonic(), 0.0))
 
     def _tried(self, of: str, text: str, work: Callable[..., Any], *given: object) -> Any:

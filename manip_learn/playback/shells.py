@@ -10,14 +10,12 @@ from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.lib.stride_tricks import sliding_window_view
 
 from manip_learn.robot.visuals.meshes import Mesh
 
 Points = Float[np.ndarray, "P 3"]
 Distance = Callable[[Points], Float[np.ndarray, " P"]]  # [m], negative inside
-CELLS = 2.8  # of the grid in the slimmest radius: rounds of 18 corners, whose light is that of the round itself
-FILLET = 0.6  # reach of the fillets where bodies meet, share of the slimmest radius
-MOST_CELLS = 130  # along the longest side, of links that are long and slim
 
 
 @final
@@ -61,10 +59,16 @@ def barrel(pose: Float[np.ndarray, "4 4"], radius: float, half: float) -> Body:
     return Body(distance, pose[:3, 3] - reach, pose[:3, 3] + reach, min(radius, half))
 
 
-def blended(bodies: Sequence[Body], fillet: float) -> Distance:
-    """Distance from all of them, rounded where two are equally near."""
+def shell(bodies: Sequence[Body]) -> Mesh:
+    """Return the surface around bodies: a vertex in each cell of a grid that the surface goes through (surface nets).
+
+    Its normals are those of the surface itself, so that few triangles look round.
+    """
+    radius = min(b.radius for b in bodies)
+    fillet = 0.6 * radius  # [m] reach of the fillets where bodies meet
 
     def distance(points: Points) -> Float[np.ndarray, " P"]:
+        """Return how far points are from all bodies, rounded where two are equally near."""
         least = bodies[0].distance(points)
         for body in bodies[1:]:
             other = body.distance(points)
@@ -72,33 +76,22 @@ def blended(bodies: Sequence[Body], fillet: float) -> Distance:
             least = np.minimum(least, other) - near**2 / (4.0 * fillet)
         return least
 
-    return distance
-
-
-def shell(bodies: Sequence[Body]) -> Mesh:
-    """Return the surface around bodies: a vertex in each cell of a grid that the surface goes through (surface nets).
-
-    Its normals are those of the surface itself, so that few triangles look round.
-    """
-    radius = min(b.radius for b in bodies)
-    distance = blended(bodies, FILLET * radius)
     low, high = np.min([b.low for b in bodies], axis=0), np.max([b.high for b in bodies], axis=0)
-    cell = max(radius / CELLS, float((high - low).max()) / MOST_CELLS)
-    low = low - FILLET * radius - cell
-    count = np.ceil((high + FILLET * radius + cell - low) / cell).astype(int)
-    nodes = np.moveaxis(np.indices(count), 0, -1)
-    inside = (distance(low + cell * nodes.reshape(-1, 3)) < 0.0).reshape(count)
-    n = count - 1
-    corners = [inside[x : x + n[0], y : y + n[1], z : z + n[2]] for x, y, z in np.ndindex(2, 2, 2)]
-    crossed = np.any(corners, axis=0) & ~np.all(corners, axis=0)
-    number = np.full(crossed.shape, -1)
-    number[crossed] = np.arange(crossed.sum())
+    # [m] rounds of 18 corners, whose light is that of the round itself; links that are long and slim have 130 cells
+    cell = max(radius / 2.8, float((high - low).max()) / 130.0)
+    low, high = low - fillet - cell, high + fillet + cell
+    nodes = np.moveaxis(np.indices(np.ceil((high - low) / cell).astype(int)), 0, -1)
+    inside = distance((low + cell * nodes).reshape(-1, 3)).reshape(nodes.shape[:3]) < 0.0
+    corners = sliding_window_view(inside, (2, 2, 2)).reshape(*np.subtract(inside.shape, 1), 8)
+    crossed = corners.any(axis=-1) & ~corners.all(axis=-1)
+    number = np.cumsum(crossed).reshape(crossed.shape) - 1
     faces = []
-    for axis in range(3):  # around each edge of the grid that goes through the surface are four cells
-        here, there = (np.take(inside, range(k, n[axis] + k), axis) for k in (0, 1))
-        edges, (e, f) = np.argwhere(here != there), np.eye(3, dtype=int)[[(axis + 1) % 3, (axis + 2) % 3]]
-        a, b, c, d = (number[tuple((edges - back).T)] for back in (e + f, f, 0 * e, e))
+    for axis, (e, f) in enumerate(np.eye(3, dtype=int)[[[1, 2], [2, 0], [0, 1]]]):
+        # around each edge of the grid that goes through the surface are four cells
+        here = np.take(inside, range(inside.shape[axis] - 1), axis)
+        edges = np.argwhere(np.diff(inside, axis=axis))
         leaves = here[tuple(edges.T)][:, None]
+        a, b, c, d = (number[tuple((edges - back).T)] for back in (e + f, f, 0 * e, e))
         quads = np.where(leaves, np.column_stack([a, b, c, d]), np.column_stack([a, d, c, b]))
         faces += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
     triangles = np.concatenate(faces)
@@ -109,8 +102,7 @@ def shell(bodies: Sequence[Body]) -> Mesh:
         step = distance(vertices) / np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)  # 1, and less in an edge
         vertices = vertices - np.clip(step[:, None] * slope, -0.5 * cell, 0.5 * cell)
     normals = _slope(distance, vertices, 0.05 * cell)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    return Mesh(vertices, triangles, normals=normals)
+    return Mesh(vertices, triangles, normals=normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
 
 
 def _slope(distance: Distance, points: Points, step: float) -> Points:
