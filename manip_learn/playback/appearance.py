@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 from typing import Literal, final
 
 import numpy as np
@@ -24,9 +25,6 @@ ShapeKind = Literal["box", "sphere", "cylinder", "disc", "mesh"]
 PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
 DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
 MAX_TRIANGLES = 50_000  # about 0.8 MB in the page; two such arms and their shadows are drawn at 60 frames a second
-SLIMMEST = (
-    1.0 / 3.0
-)  # of the radius that the kinematics gives, which a thin own shape counts as: a shell's grid finds it
 
 
 @final
@@ -55,14 +53,12 @@ class Shape:
 
     def half_extent(self) -> Float[np.ndarray, " 3"]:
         """Return half the sides of a box around the shape, in its frame [m]; zero for meshes, which bring theirs."""
-        match self.kind, self.size:
-            case "box", sides:
-                return np.array(sides) / 2.0
-            case "sphere", (radius,):
+        match self.size:
+            case (radius,):
                 return np.full(3, radius)
-            case _, (radius, length):
+            case (radius, length):
                 return np.array([radius, radius, length / 2.0])
-        return np.zeros(3)
+        return np.array(self.size or (0.0, 0.0, 0.0)) / 2.0
 
 
 @final
@@ -82,9 +78,9 @@ class Appearance:
 
 
 def shells(
-    robot: Robot, tree: tuple[TreeJoint, ...], own: Sequence[Shape], only: set[int] | None = None
-) -> tuple[list[Shape], list[Mesh]]:
-    """Shells around the bones of each link, with rings where it turns, and the own shapes that no shell stands for.
+    robot: Robot, tree: tuple[TreeJoint, ...], own: Sequence[Shape], joints: Collection[int], meshes: list[Mesh]
+) -> list[Shape]:
+    """Return shells around the bones of links, with rings where they turn, and own shapes that no shell stands for.
 
     A shell takes the place of own shapes that a bone goes through, as long as they are no fatter than links are; it
     takes their thickness and their colour.
@@ -93,23 +89,23 @@ def shells(
         robot: The robot.
         tree: Its joints.
         own: Plain shapes of its description.
-        only: Joints whose shapes are made; None for all.
+        joints: Those whose shapes are made.
+        meshes: To which those of the shells are added.
     """
-    model, within = robot.pinocchio_model, np.linspace(0.0, 1.0, 9)[:, None]
-    usual = link_radii(model)
-    usually = bones(model, usual)
+    model, usual = robot.pinocchio_model, link_radii(robot.pinocchio_model)
     radius, colours, kept, hands = usual.copy(), [PLAIN] * len(tree), list(own), dict[int, np.ndarray]()
-    for i in range(len(tree)):
-        line = [a + within * (b - a) for a, b in (b.ends for b in usually if b.joint == i)]
+    for i, limb in groupby(bones(model, usual), key=lambda bone: bone.joint):
+        line = np.concatenate([np.linspace(b.ends[0], b.ends[1], 9) for b in limb])
         # a body of twice the radius is none of a link's
-        stood_for = [s for s in own if s.joint == i and line and _is_limb(s, np.concatenate(line), 2.0 * usual[i])]
+        stood_for = [s for s in own if s.joint == i and _is_limb(s, line, 2.0 * usual[i])]
         if stood_for:
-            radius[i] = max(np.mean([np.sort(s.half_extent())[1] for s in stood_for]), SLIMMEST * usual[i])
+            # a shell's grid finds a thin shape that counts as a third of what the kinematics gives
+            radius[i] = max(np.mean([np.sort(s.half_extent())[1] for s in stood_for]), usual[i] / 3.0)
             colours[i] = stood_for[0].colour
             kept = [s for s in kept if s not in stood_for]
             hands[i] = max((s.pose[:3, 3] for s in stood_for), key=lambda at: float(np.linalg.norm(at)))
     drawn = bones(model, radius)
-    shapes, meshes = list[Shape](), list[Mesh]()
+    shapes = list[Shape]()
     for i, joint in enumerate(tree):
         limb = [b for b in drawn if b.joint == i]
         if len(limb) == 1 and not limb[0].child and i in hands and any(s.joint == i for s in kept):
@@ -122,23 +118,22 @@ def shells(
             shapes += rings
         elif not any(s.joint == 0 for s in kept):
             shapes.append(Shape(0, "disc", (1.7 * radius[0], 0.5 * radius[0]), np.eye(4), DARK))
-        if bodies and (only is None or i in only):
+        if bodies and i in joints:
             shapes.append(Shape(i, "mesh", (), np.eye(4), colours[i], mesh=len(meshes)))
             meshes.append(shell(bodies))
-    return [s for s in (*shapes, *kept) if only is None or s.joint in only], meshes
+    return [s for s in (*shapes, *kept) if s.joint in joints]
 
 
 def _is_limb(shape: Shape, line: Float[np.ndarray, "P 3"], fattest: float) -> bool:
-    """True if a shape is slender enough and some of these points are in the box around it."""
-    half = shape.half_extent()
-    local = (line - shape.pose[:3, 3]) @ shape.pose[:3, :3]
+    """Return whether a shape is slender enough and some of these points are in the box around it."""
+    half, local = shape.half_extent(), (line - shape.pose[:3, 3]) @ shape.pose[:3, :3]
     return bool(np.sort(half)[1] <= fattest and (np.abs(local) <= half).all(axis=1).any())
 
 
 def _hub(
     i: int, joint: TreeJoint, r: float, coming: Sequence[Bone], going: Sequence[Bone]
 ) -> tuple[list[Body], list[Shape]]:
-    """What is drawn where a joint is: bodies of its shell, and other shapes."""
+    """Return what is drawn where a joint is: bodies of its shell, and other shapes."""
     if joint.motion not in ("revolute", "prismatic"):
         return [], [Shape(i, "sphere", (1.3 * r,), np.eye(4), DARK, accent=True)]
     pose = pin.SE3(turn_z_to(joint.axis), np.zeros(3)).homogeneous
@@ -171,11 +166,9 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
     notes = [] if robot.source is None else list(losses(visuals))
     shapes, meshes, mesh_notes = _own_shapes(visuals, max_triangles)
     if not meshes:
-        shapes, meshes = shells(robot, tree, shapes)
+        shapes = shells(robot, tree, shapes, range(len(tree)), meshes)
     elif bare := set(bare_links(visuals).values()):
-        plain, made = shells(robot, tree, (), bare)
-        shapes += [replace(s, mesh=s.mesh + len(meshes)) if s.mesh is not None else s for s in plain]
-        meshes += made
+        shapes += shells(robot, tree, (), bare, meshes)
     return Appearance(tuple(shapes), tuple(meshes), tuple(notes + mesh_notes))
 
 
@@ -190,8 +183,8 @@ def _own_shapes(visuals: Sequence[Visual], max_triangles: int) -> tuple[list[Sha
     for v in visuals:
         match v.shape:
             case Mesh():
-                for k, colour in ((k, colour) for k, (key, colour, _) in enumerate(drawn) if key == id(v.shape)):
-                    shapes.append(Shape(v.joint, "mesh", (), v.placement, colour or v.colour, mesh=k))
+                own = ((k, colour or v.colour) for k, (key, colour, _) in enumerate(drawn) if key == id(v.shape))
+                shapes += [Shape(v.joint, "mesh", (), v.placement, colour, mesh=k) for k, colour in own]
             case ("capsule", (radius, length)):
                 shapes.append(Shape(v.joint, "cylinder", (radius, length), v.placement, v.colour))
                 for z in (-0.5 * length, 0.5 * length):
