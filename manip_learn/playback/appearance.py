@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Literal, final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from numpy.lib.stride_tricks import sliding_window_view
 
 from manip_learn.playback.kinematic_tree import TreeJoint
-from manip_learn.playback.shells import Body, barrel, rod, shell
-from manip_learn.playback.simple_meshes import decimated
 from manip_learn.robot.description.mjcf import turn_z_to
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.figure import Bone, bones, link_radii
-from manip_learn.robot.visuals.meshes import Colour, Mesh, by_colour
+from manip_learn.robot.visuals.meshes import Colour, Mesh, by_colour, compact
 from manip_learn.robot.visuals.visual_shapes import Visual, bare_links, losses, visual_shapes
 
+Points = Float[np.ndarray, "P 3"]
+Distance = Callable[[Points], Float[np.ndarray, " P"]]  # [m], negative inside
 ShapeKind = Literal["box", "sphere", "cylinder", "disc", "mesh"]
 # red, green, blue and opacity
 PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
@@ -194,3 +196,169 @@ def _own_shapes(visuals: Sequence[Visual], max_triangles: int) -> tuple[list[Sha
                 shapes.append(Shape(v.joint, kind, size, v.placement, v.colour))
     note = f"The meshes were simplified from {before:,} to {after:,} triangles to keep the page small."
     return shapes, [mesh for *_, mesh in drawn], [note] if after < before else []
+
+
+# ---- shells: the surface on which a distance is zero, that of all bodies of a link, with fillets where they meet ----
+
+
+@final
+class Body(NamedTuple):
+    """Something round that a shell encloses.
+
+    Attributes:
+        distance: Of points from it.
+        low: shape (3,), and `high`: corners of a box around it [m].
+        radius: Where it is slimmest [m].
+    """
+
+    distance: Distance
+    low: Float[np.ndarray, " 3"]
+    high: Float[np.ndarray, " 3"]
+    radius: float
+
+
+def rod(ends: Float[np.ndarray, "2 3"], radii: tuple[float, float]) -> Body:
+    """A tapered rod with round ends, from one radius to the other [m]."""
+    (start, end), (first, last) = ends, radii
+    along, thick = end - start, np.array([[first], [last]])
+
+    def distance(points: Points) -> Float[np.ndarray, " P"]:
+        share = np.clip((points - start) @ along / max(float(along @ along), 1e-18), 0.0, 1.0)  # a ball has no length
+        return np.linalg.norm(points - start - share[:, None] * along, axis=1) - (first + share * (last - first))
+
+    return Body(distance, (ends - thick).min(axis=0), (ends + thick).max(axis=0), min(radii))
+
+
+def barrel(pose: Float[np.ndarray, "4 4"], radius: float, half: float) -> Body:
+    """A cylinder along the z axis of its pose with rounded edges, of this radius and half length [m]."""
+    edge = 0.35 * min(radius, half)
+    reach = np.abs(pose[:3, :3]) @ np.array([radius, radius, half])
+
+    def distance(points: Points) -> Float[np.ndarray, " P"]:
+        x, y, z = ((points - pose[:3, 3]) @ pose[:3, :3]).T
+        over = np.column_stack([np.hypot(x, y) - radius, np.abs(z) - half]) + edge
+        return np.linalg.norm(np.maximum(over, 0.0), axis=1) + np.minimum(over.max(axis=1), 0.0) - edge
+
+    return Body(distance, pose[:3, 3] - reach, pose[:3, 3] + reach, min(radius, half))
+
+
+def shell(bodies: Sequence[Body]) -> Mesh:
+    """Return the surface around bodies: a vertex in each cell of a grid that the surface goes through (surface nets).
+
+    Its normals are those of the surface itself, so that few triangles look round.
+    """
+    radius = min(b.radius for b in bodies)
+    fillet = 0.6 * radius  # [m] reach of the fillets where bodies meet
+
+    def distance(points: Points) -> Float[np.ndarray, " P"]:
+        """Return how far points are from all bodies, rounded where two are equally near."""
+        least = bodies[0].distance(points)
+        for body in bodies[1:]:
+            other = body.distance(points)
+            near = np.maximum(fillet - np.abs(least - other), 0.0)
+            least = np.minimum(least, other) - near**2 / (4.0 * fillet)
+        return least
+
+    low, high = np.min([b.low for b in bodies], axis=0), np.max([b.high for b in bodies], axis=0)
+    # [m] rounds of 18 corners, whose light is that of the round itself; links that are long and slim have 130 cells
+    cell = max(radius / 2.8, float((high - low).max()) / 130.0)
+    low, high = low - fillet - cell, high + fillet + cell
+    nodes = np.moveaxis(np.indices(np.ceil((high - low) / cell).astype(int)), 0, -1)
+    inside = distance((low + cell * nodes).reshape(-1, 3)).reshape(nodes.shape[:3]) < 0.0
+    corners = sliding_window_view(inside, (2, 2, 2)).reshape(*np.subtract(inside.shape, 1), 8)
+    crossed = corners.any(axis=-1) & ~corners.all(axis=-1)
+    number = np.cumsum(crossed).reshape(crossed.shape) - 1
+    faces = []
+    for axis, (e, f) in enumerate(np.eye(3, dtype=int)[[[1, 2], [2, 0], [0, 1]]]):
+        # around each edge of the grid that goes through the surface are four cells
+        here = np.take(inside, range(inside.shape[axis] - 1), axis)
+        edges = np.argwhere(np.diff(inside, axis=axis))
+        leaves = here[tuple(edges.T)][:, None]
+        a, b, c, d = (number[tuple((edges - back).T)] for back in (e + f, f, 0 * e, e))
+        quads = np.where(leaves, np.column_stack([a, b, c, d]), np.column_stack([a, d, c, b]))
+        faces += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
+    triangles = np.concatenate(faces)
+    vertices = low + cell * (np.argwhere(crossed) + 0.5)
+    for k in range(5):  # Newton's method takes them to the surface; before its last two steps they are spread evenly
+        vertices = vertices if k < 3 else _spread(vertices, triangles)
+        slope = _slope(distance, vertices, 0.05 * cell)
+        step = distance(vertices) / np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)  # 1, and less in an edge
+        vertices = vertices - np.clip(step[:, None] * slope, -0.5 * cell, 0.5 * cell)
+    normals = _slope(distance, vertices, 0.05 * cell)
+    return Mesh(vertices, triangles, normals=normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
+
+
+def _slope(distance: Distance, points: Points, step: float) -> Points:
+    """Return the gradient of a distance by central differences."""
+    aside = step * np.eye(3)
+    return np.column_stack([distance(points + d) - distance(points - d) for d in aside]) / (2.0 * step)
+
+
+def _spread(vertices: Points, triangles: Int[np.ndarray, "F 3"]) -> Points:
+    """Return each vertex moved to the middle of its neighbours: light on evenly spaced ones shows no pattern."""
+    start, end = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
+    count = np.bincount(start, minlength=len(vertices))[:, None]
+    return np.column_stack([np.bincount(start, vertices[end, k], len(vertices)) for k in range(3)]) / count
+
+
+# ---- meshes made small enough for a page, and smooth where the surface is smooth ----------------------------------
+
+
+def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]:
+    """Simplify meshes until all of them together have at most so many triangles.
+
+    Large meshes give up more than small ones, and no mesh becomes so coarse that it cannot be recognised as long as
+    the budget allows it.
+
+    Returns:
+        The meshes, their triangles before and after.
+    """
+    # vertices in one place become one: STL files repeat each of them six times
+    clean = [_joined(m, max(1e-6 * float(np.ptp(m.vertices, axis=0).max()), 1e-12)) for m in meshes]
+    counts = np.array([len(m.faces) for m in clean], dtype=np.float64)
+    before = int(counts.sum())
+    if before > triangles:
+        # one cap for all, such that the sum fits: small ones stay, the others share what these leave
+        ranked = np.sort(counts)
+        shares = (triangles - np.cumsum(ranked) + ranked) / np.arange(len(ranked), 0, -1)
+        cap = int(max(shares[np.argmax(shares <= ranked)], 12.0))
+        clean = [m if len(m.faces) <= cap else _clustered(m, cap) for m in clean]
+    after = sum(len(m.faces) for m in clean)
+    return [_split_at_edges(m) for m in clean], before, after
+
+
+def _clustered(mesh: Mesh, target: int) -> Mesh:
+    """Vertices in one cell of a grid become one; the finest grid that meets the target."""
+    cells = float(np.ptp(mesh.vertices, axis=0).max()) / np.geomspace(2.0, 4096.0, 767)  # [m] each 1 % finer
+    finer = bisect_right(cells, target, key=lambda cell: len(_joined(mesh, cell).faces))
+    return _joined(mesh, cells[max(finer - 1, 0)])
+
+
+def _joined(mesh: Mesh, cell: float) -> Mesh:
+    """Return a mesh whose vertices in one cell of a grid are one; what has no area or occurs twice is left out."""
+    steps = np.rint((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
+    _, index, count = np.unique(steps, axis=0, return_inverse=True, return_counts=True)
+    index = index.reshape(-1)
+    middle = np.column_stack([np.bincount(index, mesh.vertices[:, k], len(count)) / count for k in range(3)])
+    faces = index[mesh.faces]
+    corners, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    has_area = (np.diff(corners, axis=1) > 0).all(axis=1)
+    return compact(Mesh(middle, faces[np.sort(first[has_area])]))
+
+
+def _split_at_edges(mesh: Mesh) -> Mesh:
+    """Return a mesh with vertices split along sharp edges: normals averaged at vertices are right on both sides.
+
+    Corners of triangles at one vertex share it if smooth edges lead from one to the other.
+    """
+    from trimesh import Trimesh
+    from trimesh.graph import connected_component_labels
+
+    solid = Trimesh(mesh.vertices, mesh.faces, process=False)
+    smooth = solid.face_adjacency_angles < np.deg2rad(38.0)  # twelve-sided cylinders look round
+    pairs, ends = solid.face_adjacency[smooth], solid.face_adjacency_edges[smooth]
+    # each end of an edge, as a corner of both its triangles
+    corners = 3 * pairs[:, None] + np.argmax(mesh.faces[pairs][:, None] == ends[:, :, None, None], axis=-1)
+    groups = connected_component_labels(corners.reshape(-1, 2), node_count=mesh.faces.size)
+    _, first, index = np.unique(groups, return_index=True, return_inverse=True)
+    return Mesh(mesh.vertices[mesh.faces.reshape(-1)[first]], index.reshape(-1, 3))
