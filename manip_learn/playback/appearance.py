@@ -355,7 +355,7 @@ def _split_at_edges(mesh: Mesh) -> Mesh:
     from trimesh.graph import connected_component_labels
 
     solid = Trimesh(mesh.vertices, mesh.faces, process=False)
-    smooth = solid.face_adjacency_angles < np.deg2rad(38.0)  # twelve-sided cylinders look round
+    smooth = solid.face_adjacency_angles < np.deg2rad(38.0)  # twelve-sided cylinders look round, others stay sharp
     pairs, ends = solid.face_adjacency[smooth], solid.face_adjacency_edges[smooth]
     # each end of an edge, as a corner of both its triangles
     corners = 3 * pairs[:, None] + np.argmax(mesh.faces[pairs][:, None] == ends[:, :, None, None], axis=-1)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import json
-import logging
-import math
 import secrets
 import select
 import subprocess
 import sys
 import threading
 import time as clock
-import traceback
 import weakref
 import webbrowser
 from collections.abc import Callable, Mapping
@@ -40,7 +37,6 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
 SERVER = Path(__file__).with_name("live_server.py")
-_LOGGER = logging.getLogger("manip_learn")
 
 
 @final
@@ -49,8 +45,8 @@ class LiveProcess:
 
     Messages have slots. The pages get the newest of each, and one that is opened later gets them all at once. `put`
     never waits: the thread writes the newest ones as often as a screen shows pictures, and only the thread waits if the
-    server is slow. No message is written after one that was put later. Where a function of the program fails in a
-    thread, the first failure at that place is logged, and the thread goes on.
+    server is slow. No message is written after one that was put later. Where a function of the program fails, Python
+    reports the failure of the thread, which ends; the program goes on.
 
     Args:
         make_page: Token -> the page to serve.
@@ -76,7 +72,6 @@ class LiveProcess:
         self._heard, self._interval = heard, 1.0 / frames_per_second
         self._newest = {"begin": lambda: header}  # message of each slot, in the order in which they were put
         self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
-        self._failed: set[tuple[object, ...]] = set()  # where functions of the program did
         self._wake, self._closed = threading.Event(), threading.Event()
         self._at_end = contextlib.ExitStack()
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._feed, self._listen)]
@@ -108,7 +103,7 @@ class LiveProcess:
         """Hand over the newest message of a slot.
 
         Args:
-            message: Makes its one line of JSON; it runs in the thread. If it fails, the message is left out.
+            message: Makes its one line of JSON; it runs in the thread.
             slot: A word: the name of the event in the page; `message` is the nameless one.
         """
         with self._lock:
@@ -150,39 +145,25 @@ class LiveProcess:
 
     def _listen(self) -> None:
         """Hand on each line of the server until it ends."""
-        with contextlib.suppress(OSError, ValueError):  # the pipe was closed
-            for line in self._stdout:
-                if self._closed.is_set():
-                    return
-                # a recording that was dropped is megabytes
-                self._tried("what a page said", line[:200].decode(), self._heard, json.loads(line))
+        for line in iter(self._stdout.readline, b""):
+            self._heard(json.loads(line))
+            if self._closed.is_set():
+                return
 
     def _feed(self) -> None:
         """Write messages as they come, until the process is closed or the server ends."""
-        with contextlib.suppress(OSError, ValueError):  # the server is gone, or the pipe was closed
-            while not self._closed.is_set():
-                self._wake.wait()
-                self._wake.clear()
-                due = clock.monotonic() + self._interval
-                with self._lock:
-                    newest, self._newest = self._newest, {}
-                for slot, message in newest.items():
-                    if line := self._tried("a message", slot, message):
-                        self._stdin.write(f"{slot} {line}\n".encode())
-                        self._stdin.flush()
-                self._closed.wait(max(due - clock.monotonic(), 0.0))
-
-    def _tried(self, of: str, text: str, work: Callable[..., Any], *given: object) -> Any:
-        """Return what a function of the program returns; None if it fails, which is logged once for each place: 60 a
-        second would hide the first.
-        """
-        try:
-            return work(*given)
-        except Exception as error:  # whatever it raises in our thread: nobody would see it
-            place = (of, type(error), str(traceback.extract_tb(error.__traceback__)[-1]))
-            if place not in self._failed:
-                self._failed.add(place)
-                _LOGGER.exception("live view: the program failed on %s, which is told once: %s", of, text)
+        while self.is_open:
+            self._wake.wait()
+            self._wake.clear()
+            due = clock.monotonic() + self._interval
+            with self._lock:
+                newest, self._newest = self._newest, {}
+            for slot, message in newest.items():
+                line = f"{slot} {message()}\n".encode()
+                with contextlib.suppress(OSError, ValueError):  # the server is gone, or the pipe was closed
+                    self._stdin.write(line)
+                    self._stdin.flush()
+            self._closed.wait(max(due - clock.monotonic(), 0.0))
 
 
 @final
@@ -257,7 +238,7 @@ class LiveViewer:
         posture = np.array(self._robot.configuration(q))  # a copy: the caller may go on writing to its own
         now = clock.monotonic() - self._start if time is None else float(time)
         mu = None if manipulability is None else float(manipulability)
-        if not math.isfinite(now) or (mu is not None and not math.isfinite(mu)):
+        if not np.isfinite([now, mu or 0.0]).all():
             raise ConfigurationError(f"manipulability {mu} at time {now}: finite numbers are needed")
         robot, tree = self._robot, self._tree
 

@@ -199,9 +199,7 @@ def in_cell(page: str) -> str:
 
 def _running_cell() -> str | None:
     """Return the name of the cell that runs, where the notebook tells it."""
-    ipython = sys.modules.get("IPython")
-    shell: Any = ipython.get_ipython() if ipython is not None else None
     try:
-        return shell.get_parent()["metadata"]["cellId"]
+        return sys.modules["IPython"].get_ipython().get_parent()["metadata"]["cellId"]
     except (AttributeError, KeyError, TypeError):  # no kernel, or a front end that does not name its cells
         return None
