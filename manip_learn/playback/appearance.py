@@ -315,13 +315,12 @@ def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]
     """
     # vertices in one place become one: STL files repeat each of them six times
     clean = [_joined(m, max(1e-6 * float(np.ptp(m.vertices, axis=0).max()), 1e-12)) for m in meshes]
-    counts = np.array([len(m.faces) for m in clean], dtype=np.float64)
-    before = int(counts.sum())
+    counts = [len(m.faces) for m in clean]
+    before = sum(counts)
     if before > triangles:
         # one cap for all, such that the sum fits: small ones stay, the others share what these leave
-        ranked = np.sort(counts)
-        shares = (triangles - np.cumsum(ranked) + ranked) / np.arange(len(ranked), 0, -1)
-        cap = int(max(shares[np.argmax(shares <= ranked)], 12.0))
+        above = bisect_right(range(triangles), triangles, key=lambda cap: np.minimum(counts, cap).sum())
+        cap = max(above - 1, 12)
         clean = [m if len(m.faces) <= cap else _clustered(m, cap) for m in clean]
     after = sum(len(m.faces) for m in clean)
     return [_split_at_edges(m) for m in clean], before, after

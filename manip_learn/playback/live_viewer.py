@@ -72,7 +72,7 @@ class LiveProcess:
         self._heard, self._interval = heard, 1.0 / frames_per_second
         self._newest = {"begin": lambda: header}  # message of each slot, in the order in which they were put
         self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
-        self._wake, self._closed = threading.Event(), threading.Event()
+        self._wake = threading.Event()
         self._at_end = contextlib.ExitStack()
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._feed, self._listen)]
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
@@ -97,7 +97,7 @@ class LiveProcess:
     @property
     def is_open(self) -> bool:
         """True while the server is there to be fed."""
-        return not self._closed.is_set() and self._process.poll() is None
+        return self._process.poll() is None
 
     def put(self, message: Callable[[], str], slot: str = "message") -> None:
         """Hand over the newest message of a slot.
@@ -131,23 +131,20 @@ class LiveProcess:
 
     def close(self) -> None:
         """End the server and the threads; calling it twice is allowed."""
-        self._closed.set()
-        self._wake.set()
         self._process.kill()
         self._process.wait()
+        self._wake.set()
         self._at_end.close()
         for thread in self._threads:
             if thread.is_alive() and thread is not threading.current_thread():
                 thread.join(2.0)  # [s] for a function of the program to return
-        with contextlib.suppress(OSError):  # what was to be written goes nowhere
-            self._stdin.close()
-        self._stdout.close()
+        self._process.communicate()  # closes the pipes
 
     def _listen(self) -> None:
         """Hand on each line of the server until it ends."""
         for line in iter(self._stdout.readline, b""):
             self._heard(json.loads(line))
-            if self._closed.is_set():
+            if not self.is_open:
                 return
 
     def _feed(self) -> None:
@@ -163,7 +160,7 @@ class LiveProcess:
                 with contextlib.suppress(OSError, ValueError):  # the server is gone, or the pipe was closed
                     self._stdin.write(line)
                     self._stdin.flush()
-            self._closed.wait(max(due - clock.monotonic(), 0.0))
+            clock.sleep(max(due - clock.monotonic(), 0.0))
 
 
 @final

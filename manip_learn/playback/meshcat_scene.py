@@ -54,14 +54,12 @@ def show(
     own = getattr(viewer, "viewer", viewer)  # of Pinocchio's, meshcat's own
     if not hasattr(own, "set_object"):
         raise ConfigurationError(
-            f"the viewer is {type(viewer).__name__}; a meshcat.Visualizer, or Pinocchio's MeshcatVisualizer after "
-            "initViewer(), is needed"
+            f"got {type(viewer).__name__}: pass a meshcat.Visualizer, or a MeshcatVisualizer after initViewer()"
         )
     model, posture = robot.pinocchio_model, robot.neutral() if q is None else q
     if own is not viewer and viewer.model.nq != model.nq:
         raise ConfigurationError(
-            f"the viewer shows a model with {viewer.model.nq} numbers, robot {robot.name!r} has {model.nq}: build it "
-            "with robot.pinocchio_model"
+            f"the viewer has nq {viewer.model.nq}, {robot.name!r} has {model.nq}: build it with robot.pinocchio_model"
         )
     scene, data = own["manip_learn"], model.createData()
     scene.delete()

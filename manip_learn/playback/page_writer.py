@@ -50,13 +50,11 @@ class PageKind:
     markup: Path | None = None
 
 
-_PARTS = (
-    "quality scene stage fit phases chart sheets tracks constraint_marks handles around scene_key shown evidence keys"
-)
+_PARTS = "scene stage fit phases chart sheets tracks constraint_marks handles around scene_key shown evidence keys"
 REPLAY = PageKind(
     "replay",
     (_FOLDER / "style.css", _FOLDER / "tracks.css"),
-    tuple(_FOLDER / f"{name}.js" for name in f"{_PARTS} legend player live main".split()),
+    tuple(_FOLDER / f"{name}.js" for name in f"quality {_PARTS} legend player live main".split()),
 )
 LIVE = replace(REPLAY, mode="live")
 
