@@ -22,11 +22,9 @@ from manip_learn.robot.visuals.visual_shapes import Visual, bare_links, losses, 
 
 Points = Float[np.ndarray, "P 3"]
 Distance = Callable[[Points], Float[np.ndarray, " P"]]  # [m], negative inside
-ShapeKind = Literal["box", "sphere", "cylinder", "disc", "mesh"]
 # red, green, blue and opacity
 PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
 DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
-MAX_TRIANGLES = 50_000  # about 0.8 MB in the page; two such arms and their shadows are drawn at 60 frames a second
 
 
 @final
@@ -46,7 +44,7 @@ class Shape:
     """
 
     joint: int
-    kind: ShapeKind
+    kind: Literal["box", "sphere", "cylinder", "disc", "mesh"]
     size: tuple[float, ...]
     pose: Float[np.ndarray, "4 4"]
     colour: Colour = PLAIN
@@ -156,13 +154,14 @@ def _hub(
     return [], [Shape(i, "disc", (1.12 * r, 0.34 * r), pose, DARK, accent=True)]
 
 
-def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = MAX_TRIANGLES) -> Appearance:
+def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = 50_000) -> Appearance:
     """The robot's own meshes, and the shapes beside them; shells where it has none that can be used.
 
     Args:
         robot: The robot.
         tree: Its joints.
-        max_triangles: Meshes are simplified until they have no more than this.
+        max_triangles: Meshes are simplified until they have no more than this; 50,000 are about 0.8 MB in the page, and
+            two such arms and their shadows are drawn at 60 frames a second.
     """
     visuals = visual_shapes(robot)
     notes = [] if robot.source is None else list(losses(visuals))
@@ -271,9 +270,8 @@ def shell(bodies: Sequence[Body]) -> Mesh:
     faces = []
     for axis, (e, f) in enumerate(np.eye(3, dtype=int)[[[1, 2], [2, 0], [0, 1]]]):
         # around each edge of the grid that goes through the surface are four cells
-        here = np.take(inside, range(inside.shape[axis] - 1), axis)
         edges = np.argwhere(np.diff(inside, axis=axis))
-        leaves = here[tuple(edges.T)][:, None]
+        leaves = inside[tuple(edges.T)][:, None]
         a, b, c, d = (number[tuple((edges - back).T)] for back in (e + f, f, 0 * e, e))
         quads = np.where(leaves, np.column_stack([a, b, c, d]), np.column_stack([a, d, c, b]))
         faces += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]

@@ -12,8 +12,6 @@ from jaxtyping import Float
 from manip_learn.robot.joints import joint_motions
 from manip_learn.robot.robot import Robot
 
-_Motion = Literal["fixed", "revolute", "prismatic", "free"]
-
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -32,7 +30,7 @@ class TreeJoint:
     name: str
     parent: int
     placement: Float[np.ndarray, "4 4"]
-    motion: _Motion
+    motion: Literal["fixed", "revolute", "prismatic", "free"]
     axis: Float[np.ndarray, " 3"]
 
 

@@ -29,12 +29,10 @@ HEADERS = {
 }
 
 # what a browser asks in our place, once we are gone; it forgets us when it has said so
-AFTERWARDS = b"""const page = '<!DOCTYPE html><meta charset="utf-8"><title>Ended</title>\
-<p>The program has ended. Start it again, and open its new page.';
-async function ended() {
+AFTERWARDS = b"""const ended = async () => {
   await self.registration.unregister();
-  return new Response(page, { headers: { "Content-Type": "text/html" } });
-}
+  return new Response("The program has ended. Start it again, and open its new page.");
+};
 self.addEventListener("fetch", (event) => {
   if (event.request.mode === "navigate") event.respondWith(fetch(event.request).catch(ended));
 });

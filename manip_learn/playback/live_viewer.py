@@ -25,7 +25,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.guided_motion import guidance_of
-from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks, kinematic_tree
+from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
 from manip_learn.playback.mechanism_drawing import mechanism_drawing
 from manip_learn.playback.page_writer import LIVE, PageKind, page
 from manip_learn.playback.palette import rollout_colours
@@ -204,7 +204,7 @@ class LiveViewer:
         self._tree = kinematic_tree(robot)
         name = title or known_as(robot.source) or robot.name or "robot"
         self._process = LiveProcess(
-            lambda token: live_page(robot, self._tree, name, token, constraint=constraint, target=target), timeout
+            lambda token: live_page(robot, name, token, constraint=constraint, target=target), timeout
         )
         self._start = clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
@@ -258,7 +258,6 @@ class LiveViewer:
 
 def live_page(
     robot: Robot,
-    tree: tuple[TreeJoint, ...],
     name: str,
     token: str,
     kind: PageKind = LIVE,
@@ -269,7 +268,6 @@ def live_page(
 
     Args:
         robot: The robot.
-        tree: Its joints.
         name: Headline.
         token: Of the address under which it is served.
         kind: What the page is made of.
@@ -281,7 +279,7 @@ def live_page(
         ConstraintMismatchError: A constraint of another robot.
         TargetError: A target that is not finite numbers.
     """
-    rng, rest = np.random.default_rng(0), Trajectory(np.zeros(1), robot.neutral()[None])
+    rng, tree, rest = np.random.default_rng(0), kinematic_tree(robot), Trajectory(np.zeros(1), robot.neutral()[None])
     postures = np.array([*rest.q, *(robot.random_configuration(rng) for _ in range(119))])  # for the camera
     guidance, twist = guidance_of(robot, name, rest, constraint, target), constraint and constraint.features.twist
     tip = robot.frame(default_tip(robot)) if twist is None else twist.frame

@@ -68,7 +68,7 @@ def teaching_page(robot: Robot, name: str, token: str) -> str:
     Raises:
         OutputError: Meshcat's viewer is missing.
     """
-    return live_page(robot, kinematic_tree(robot), name, token, TEACH)
+    return live_page(robot, name, token, TEACH)
 
 
 @final
