@@ -52,7 +52,7 @@ def show(
         ...     move(posture)
     """
     own = getattr(viewer, "viewer", viewer)  # of Pinocchio's, meshcat's own
-    if not hasattr(own, "set_object"):
+    if getattr(own, "set_object", None) is None:
         raise ConfigurationError(
             f"got {type(viewer).__name__}: pass a meshcat.Visualizer, or a MeshcatVisualizer after initViewer()"
         )
