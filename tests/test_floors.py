@@ -53,12 +53,11 @@ ROOMS = {
 }
 IMPORTED_AS = {"pin": "pinocchio"}
 # a sentence and exit code 1 for our own failures, never a traceback; an arm in motion brakes, whatever a task of the
-# user's own, or a driver, raises; a live view goes on, and logs, whatever a program's function raises in its thread;
-# parsers of meshes and expressions of xacro files are code of others
+# user's own, or a driver, raises; parsers of meshes and expressions of xacro files are code of others
 LAST_LINES_OF_DEFENCE = (
     *("cli.py", "control/servo_loop.py", "control/driver.py"),
     *("robot/visuals/meshes.py", "robot/description/xacro_expansion.py"),
-    *("drivers/record.py", "commands/record.py", "teach/worker.py", "playback/live_viewer.py"),
+    *("drivers/record.py", "commands/record.py", "teach/worker.py"),
 )
 
 

@@ -26,7 +26,7 @@ def posed(tree, values):
     """Poses of all joints from the numbers of one key frame, as the page's program computes them."""
     poses, k = [np.eye(4)], 0
     for joint in tree[1:]:
-        motion, x = np.eye(4), values[k : k + joint.width]
+        motion, x = np.eye(4), values[k : k + (7 if joint.motion == "free" else 1)]
         if joint.motion == "revolute":
             motion[:3, :3] = pin.AngleAxis(x[0], joint.axis).matrix()
         elif joint.motion == "prismatic":
@@ -34,7 +34,7 @@ def posed(tree, values):
         else:
             motion = pin.XYZQUATToSE3(x).homogeneous
         poses.append(poses[joint.parent] @ joint.placement @ motion)
-        k += joint.width
+        k += len(x)
     assert k == len(values)
     return poses
 

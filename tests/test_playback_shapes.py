@@ -9,11 +9,10 @@ from conftest import URDFS
 from test_meshes import BOUND, painted
 from test_playback import unpacked, waving
 
-from manip_learn.playback.appearance import appearance
+from manip_learn.playback.appearance import appearance, decimated
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
-from manip_learn.playback.simple_meshes import decimated
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.visuals.meshes import Mesh
 from manip_learn.robot.visuals.visual_shapes import visual_shapes

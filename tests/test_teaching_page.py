@@ -53,7 +53,7 @@ class Program:
 
     def __init__(self, robot):
         self.robot, self.tip = robot, robot.frame("tip")
-        self.page = teaching_page(robot, "arm", TOKEN)
+        self.page = teaching_page(robot, "arm", TOKEN).encode()
         self.changed = threading.Condition()
         self.slots, self.heard, self.at_once, self.visits = {}, [], [0, 0], 0
         self.state, self.gone = STATE, False

@@ -12,8 +12,6 @@ from jaxtyping import Float
 from manip_learn.robot.joints import joint_motions
 from manip_learn.robot.robot import Robot
 
-_Motion = Literal["fixed", "revolute", "prismatic", "free"]
-
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -24,21 +22,16 @@ class TreeJoint:
         name: Name in the URDF.
         parent: Index of the parent joint; the world is 0.
         placement: shape (4, 4), from the joint at rest to its parent [m].
-        motion: `"revolute"` and `"prismatic"` move along `axis` by one number; `"free"` is given as a whole pose; only
-            the world is `"fixed"`.
+        motion: `"revolute"` and `"prismatic"` move along `axis` by one number; `"free"` is given as a whole pose of
+            seven (x, y, z, quaternion x, y, z, w); only the world is `"fixed"`.
         axis: shape (3,), unit vector in the joint's own frame; zero for `"free"` and `"fixed"`.
     """
 
     name: str
     parent: int
     placement: Float[np.ndarray, "4 4"]
-    motion: _Motion
+    motion: Literal["fixed", "revolute", "prismatic", "free"]
     axis: Float[np.ndarray, " 3"]
-
-    @property
-    def width(self) -> int:
-        """Numbers per key frame: 1 along the axis, 7 for a free pose (x, y, z, quaternion x, y, z, w)."""
-        return {"fixed": 0, "free": 7}.get(self.motion, 1)
 
 
 def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
@@ -56,29 +49,25 @@ def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
 def joint_tracks(
     robot: Robot, tree: tuple[TreeJoint, ...], postures: Float[np.ndarray, "K n"]
 ) -> Float[np.ndarray, "K w"]:
-    """Postures as the numbers that move the tree, joint after joint (see `TreeJoint.width`).
+    """Postures as the numbers that move the tree, joint after joint (see `TreeJoint.motion`).
 
     Angles of continuous joints are unwrapped, so that a motion between two key frames takes the short way.
 
     Raises:
         ConfigurationError: A posture of the wrong size or with NaN.
     """
-    model = robot.pinocchio_model
+    model, columns = robot.pinocchio_model, [np.zeros((len(postures), 0))]
     full = np.array([robot.pinocchio_configuration(q) for q in postures])
-    columns: list[np.ndarray] = []
-    for i, node in enumerate(tree):
-        joint = model.joints[i]
-        part = full[:, joint.idx_q : joint.idx_q + joint.nq] if i else full[:, :0]
+    for node, joint in list(zip(tree, model.joints, strict=True))[1:]:
+        part = full[:, joint.idx_q : joint.idx_q + joint.nq]
         if node.motion == "free":
-            data, poses, q = joint.createData(), np.empty((len(part), 7)), np.zeros(joint.idx_q + joint.nq)
-            for k, values in enumerate(part):
-                q[joint.idx_q :] = values
+            data, poses = joint.createData(), np.empty((len(full), 7))
+            for k, q in enumerate(full):
                 joint.calc(data, q)
                 poses[k] = pin.SE3ToXYZQUAT(data.M)
                 if k and poses[k, 3:] @ poses[k - 1, 3:] < 0.0:  # q and -q turn alike: keep the signs continuous
                     poses[k, 3:] *= -1.0
             columns.append(poses)
-        elif node.width == 1:
-            angle = part[:, :1] if joint.nq == 1 else np.unwrap(np.arctan2(part[:, 1:2], part[:, 0:1]), axis=0)
-            columns.append(angle)
-    return np.concatenate(columns, axis=1) if columns else np.zeros((len(full), 0))
+        else:
+            columns.append(part if joint.nq == 1 else np.unwrap(np.arctan2(part[:, 1:], part[:, :1]), axis=0))
+    return np.concatenate(columns, axis=1)

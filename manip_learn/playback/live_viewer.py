@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import json
-import logging
-import math
 import secrets
-import selectors
+import select
 import subprocess
 import sys
 import threading
 import time as clock
-import traceback
 import weakref
 import webbrowser
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,7 +25,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.guided_motion import guidance_of
-from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks, kinematic_tree
+from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
 from manip_learn.playback.mechanism_drawing import mechanism_drawing
 from manip_learn.playback.page_writer import LIVE, PageKind, page
 from manip_learn.playback.palette import rollout_colours
@@ -40,9 +37,6 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
 SERVER = Path(__file__).with_name("live_server.py")
-_STOP_SECONDS = 2.0  # for a thread or process to end by itself
-LOGGED = 200  # [bytes] of a line at which the program failed: a recording that was dropped is megabytes
-_LOGGER = logging.getLogger("manip_learn")
 
 
 @final
@@ -51,16 +45,15 @@ class LiveProcess:
 
     Messages have slots. The pages get the newest of each, and one that is opened later gets them all at once. `put`
     never waits: the thread writes the newest ones as often as a screen shows pictures, and only the thread waits if the
-    server is slow. No message is written after one that was put later. Where a function of the program fails in a
-    thread, the first failure at that place is logged, and the thread goes on.
+    server is slow. No message is written after one that was put later. Where a function of the program fails, Python
+    reports the failure of the thread, which ends; the program goes on.
 
     Args:
         make_page: Token -> the page to serve.
         timeout: How long the server may take to start [s].
         heard: Called in a thread of its own, for one line after the other, with `{"page": id, "said": {...}}` for what
             a page has posted, and with `{"pages": [ids]}` whenever one comes or goes: the ids of the pages that are
-            open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s. None
-            for pages that say nothing.
+            open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s.
         frames_per_second: How often the newest messages are written at most; as most screens show pictures.
 
     Raises:
@@ -69,59 +62,48 @@ class LiveProcess:
 
     def __init__(
         self,
-        make_page: Callable[[str], bytes],
+        make_page: Callable[[str], str],
         timeout: float,
-        heard: Callable[[Mapping[str, Any]], object] | None = None,
+        heard: Callable[[Mapping[str, Any]], object] = lambda line: None,
         frames_per_second: float = 60.0,
     ):
-        self._interval = 1.0 / frames_per_second
         token = secrets.token_urlsafe(18)
-        self._page = make_page(token)
-        self._newest: dict[str, Callable[[], str]] = {}  # by slot, in the order in which they were put
+        header = json.dumps({"page": make_page(token), "token": token})
+        self._heard, self._interval = heard, 1.0 / frames_per_second
+        self._newest = {"begin": lambda: header}  # message of each slot, in the order in which they were put
         self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
-        self._failed: set[tuple[object, ...]] = set()  # where functions of the program did
         self._wake = threading.Event()
-        self._closed = threading.Event()
-        self._way_in: TemporaryDirectory[str] | None = None
-        self._listener: threading.Thread | None = None
+        self._at_end = contextlib.ExitStack()
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._feed, self._listen)]
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         try:  # in a session of its own: Ctrl-C is for the program, which then closes us
-            self._process = subprocess.Popen([sys.executable, "-I", str(SERVER)], **pipes, start_new_session=True)
+            self._process = subprocess.Popen([sys.executable, "-I", SERVER], **pipes, start_new_session=True)
         except OSError as error:
             raise OutputError(f"the live view's server cannot be started: {error}") from error
         self._stdin: Any = self._process.stdin
         self._stdout: Any = self._process.stdout
-        header = {"page": len(self._page), "token": token, "hears": heard is not None}
-        self._feeder = self._in_thread(self._feed, header)
-        try:
-            with selectors.DefaultSelector() as selector:
-                selector.register(self._stdout, selectors.EVENT_READ)
-                port = json.loads(self._stdout.readline() if selector.select(timeout) else b"")["port"]
-        except (ValueError, KeyError) as error:
+        self._wake.set()
+        self._threads[0].start()
+        port = self._stdout.readline().decode().strip() if select.select([self._stdout], [], [], timeout)[0] else ""
+        if not port.isdigit():
             self.close()
             raise OutputError(
                 f"the live view's server did not start within {timeout:g} s: is there room for another process, and "
                 "may it listen on 127.0.0.1?"
-            ) from error
+            )
+        self._threads[1].start()
         self.url = f"http://127.0.0.1:{port}/{token}/"
-        self._listener = self._in_thread(self._listen, heard) if heard is not None else None
-
-    def _in_thread(self, work: Callable[[Any], None], given: object) -> threading.Thread:
-        """Start work that ends with the program."""
-        thread = threading.Thread(target=work, args=(given,), name=f"live view: {work.__name__}", daemon=True)
-        thread.start()
-        return thread
 
     @property
     def is_open(self) -> bool:
         """True while the server is there to be fed."""
-        return not self._closed.is_set() and self._process.poll() is None
+        return self._process.poll() is None
 
     def put(self, message: Callable[[], str], slot: str = "message") -> None:
         """Hand over the newest message of a slot.
 
         Args:
-            message: Makes its one line of JSON; it runs in the thread. If it fails, the message is left out.
+            message: Makes its one line of JSON; it runs in the thread.
             slot: A word: the name of the event in the page; `message` is the nameless one.
         """
         with self._lock:
@@ -135,7 +117,7 @@ class LiveProcess:
         Args:
             files: By the name under which each is kept. A file that is missing when it is asked for is not found.
         """
-        line = json.dumps({name: str(path.absolute()) for name, path in files.items()})
+        line = json.dumps({f"files/{name}": str(path.absolute()) for name, path in files.items()})
         self.put(lambda: line, "files")
 
     def open_in_browser(self) -> None:
@@ -143,82 +125,42 @@ class LiveProcess:
 
         A browser is given a file that leads to it and that only this user may read: all users see its command line.
         """
-        self._way_in = TemporaryDirectory(prefix="manip_learn_")
-        file = Path(self._way_in.name) / "page.html"
-        file.write_text(
-            f'<!DOCTYPE html><meta charset="utf-8"><title>manip_learn</title><meta http-equiv="refresh" '
-            f'content="0; url={self.url}"><a href="{self.url}">The page</a>',
-            encoding="utf-8",
-        )
+        file = Path(self._at_end.enter_context(TemporaryDirectory(prefix="manip_learn_"))) / "page.html"
+        file.write_text(f'<meta http-equiv="refresh" content="0; url={self.url}">')
         webbrowser.open(file.as_uri())
 
     def close(self) -> None:
         """End the server and the threads; calling it twice is allowed."""
-        self._closed.set()
-        if self._way_in is not None:
-            self._way_in.cleanup()
+        self._process.kill()
+        self._process.wait()
         self._wake.set()
-        self._join(self._feeder)
-        if self._feeder.is_alive():  # it is blocked in a write
-            self._process.kill()
-        with contextlib.suppress(OSError):
-            self._stdin.close()
-        try:
-            self._process.wait(_STOP_SECONDS)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._join(self._listener)
-        self._stdout.close()
+        self._at_end.close()
+        for thread in self._threads:
+            if thread.is_alive() and thread is not threading.current_thread():
+                thread.join(2.0)  # [s] for a function of the program to return
+        self._process.communicate()  # closes the pipes
 
-    def _join(self, thread: threading.Thread | None) -> None:
-        """Wait for a thread to end, but not for this one."""
-        if thread is not None and thread is not threading.current_thread():
-            thread.join(_STOP_SECONDS)
-
-    def _listen(self, heard: Callable[[Mapping[str, Any]], object]) -> None:
+    def _listen(self) -> None:
         """Hand on each line of the server until it ends."""
-        with contextlib.suppress(OSError, ValueError):  # the pipe was closed
-            for line in self._stdout:
-                if self._closed.is_set():
-                    return
-                said = json.loads(line)
-                with self._logged("what a page said", line[:LOGGED].decode()):
-                    heard(said)
+        for line in iter(self._stdout.readline, b""):
+            self._heard(json.loads(line))
+            if not self.is_open:
+                return
 
-    def _feed(self, header: Mapping[str, object]) -> None:
+    def _feed(self) -> None:
         """Write messages as they come, until the process is closed or the server ends."""
-        try:
-            self._stdin.write(json.dumps(header).encode() + b"\n" + self._page)
-            self._stdin.flush()
-            while not self._closed.is_set():
-                self._wake.wait()
-                self._wake.clear()
-                due = clock.monotonic() + self._interval
-                with self._lock:
-                    newest, self._newest = self._newest, {}
-                for slot, message in newest.items():
-                    line = ""
-                    with self._logged("a message", slot):
-                        line = message()
-                    if line:
-                        self._stdin.write(f"{slot} {line}\n".encode())
-                        self._stdin.flush()
-                self._closed.wait(max(due - clock.monotonic(), 0.0))
-        except (OSError, ValueError):  # the server is gone, or the pipe was closed
-            self._closed.set()
-
-    @contextlib.contextmanager
-    def _logged(self, of: str, text: str) -> Iterator[None]:
-        """Log a failure of the program in this block, once for each place: 60 a second would hide the first."""
-        try:
-            yield
-        except Exception as error:  # whatever a function of the program raises in our thread: nobody would see it
-            *_, (frame, number) = traceback.walk_tb(error.__traceback__)
-            place = (of, type(error), frame.f_code.co_filename, number)
-            if place not in self._failed:
-                self._failed.add(place)
-                _LOGGER.exception("live view: the program failed on %s, which is told once: %s", of, text)
+        while self.is_open:
+            self._wake.wait()
+            self._wake.clear()
+            due = clock.monotonic() + self._interval
+            with self._lock:
+                newest, self._newest = self._newest, {}
+            for slot, message in newest.items():
+                line = f"{slot} {message()}\n".encode()
+                with contextlib.suppress(OSError, ValueError):  # the server is gone, or the pipe was closed
+                    self._stdin.write(line)
+                    self._stdin.flush()
+            clock.sleep(max(due - clock.monotonic(), 0.0))
 
 
 @final
@@ -262,7 +204,7 @@ class LiveViewer:
         self._tree = kinematic_tree(robot)
         name = title or known_as(robot.source) or robot.name or "robot"
         self._process = LiveProcess(
-            lambda token: live_page(robot, self._tree, name, token, constraint=constraint, target=target), timeout
+            lambda token: live_page(robot, name, token, constraint=constraint, target=target), timeout
         )
         self._start = clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
@@ -293,7 +235,7 @@ class LiveViewer:
         posture = np.array(self._robot.configuration(q))  # a copy: the caller may go on writing to its own
         now = clock.monotonic() - self._start if time is None else float(time)
         mu = None if manipulability is None else float(manipulability)
-        if not math.isfinite(now) or (mu is not None and not math.isfinite(mu)):
+        if not np.isfinite([now, mu or 0.0]).all():
             raise ConfigurationError(f"manipulability {mu} at time {now}: finite numbers are needed")
         robot, tree = self._robot, self._tree
 
@@ -316,18 +258,16 @@ class LiveViewer:
 
 def live_page(
     robot: Robot,
-    tree: tuple[TreeJoint, ...],
     name: str,
     token: str,
     kind: PageKind = LIVE,
     constraint: Constraint | None = None,
     target: ArrayLike | None = None,
-) -> bytes:
+) -> str:
     """Return the HTML of a page that follows a robot.
 
     Args:
         robot: The robot.
-        tree: Its joints.
         name: Headline.
         token: Of the address under which it is served.
         kind: What the page is made of.
@@ -339,7 +279,7 @@ def live_page(
         ConstraintMismatchError: A constraint of another robot.
         TargetError: A target that is not finite numbers.
     """
-    rng, rest = np.random.default_rng(0), Trajectory(np.zeros(1), robot.neutral()[None])
+    rng, tree, rest = np.random.default_rng(0), kinematic_tree(robot), Trajectory(np.zeros(1), robot.neutral()[None])
     postures = np.array([*rest.q, *(robot.random_configuration(rng) for _ in range(119))])  # for the camera
     guidance, twist = guidance_of(robot, name, rest, constraint, target), constraint and constraint.features.twist
     tip = robot.frame(default_tip(robot)) if twist is None else twist.frame
@@ -351,4 +291,4 @@ def live_page(
     looks, colours = appearance(robot, tree), rollout_colours([name], {})
     data = scene_data(robot, tree, looks, tip.name, [still], colours, looks.notes, mechanisms=drawings)
     data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, arms do not
-    return page(data, robot=name, subtitle="", kind=kind).encode("utf-8")
+    return page(data, robot=name, subtitle="", kind=kind)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
@@ -19,6 +19,7 @@ from manip_learn.playback.palette import COLOURS, rgb_of
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
+MESH = "TriangularMeshGeometry"
 TUBE = 0.004  # [m] radius of lines: those of WebGL are one pixel wide
 
 
@@ -53,14 +54,12 @@ def show(
     own = getattr(viewer, "viewer", viewer)  # of Pinocchio's, meshcat's own
     if getattr(own, "set_object", None) is None:
         raise ConfigurationError(
-            f"the viewer is {type(viewer).__name__}; a meshcat.Visualizer, or Pinocchio's MeshcatVisualizer after "
-            "initViewer(), is needed"
+            f"got {type(viewer).__name__}: pass a meshcat.Visualizer, or a MeshcatVisualizer after initViewer()"
         )
     model, posture = robot.pinocchio_model, robot.neutral() if q is None else q
     if own is not viewer and viewer.model.nq != model.nq:
         raise ConfigurationError(
-            f"the viewer shows a model with {viewer.model.nq} numbers, robot {robot.name!r} has {model.nq}: build it "
-            "with robot.pinocchio_model"
+            f"the viewer has nq {viewer.model.nq}, {robot.name!r} has {model.nq}: build it with robot.pinocchio_model"
         )
     scene, data = own["manip_learn"], model.createData()
     scene.delete()
@@ -84,72 +83,62 @@ def show(
 
 def _draw_arm(arm: Any, robot: Robot) -> None:
     """Draw the shapes of each link below the joint that carries it."""
-    import meshcat.geometry as g  # here: importing it brings IPython
-
     looks = appearance(robot, kinematic_tree(robot))
     for k, shape in enumerate(looks.shapes):
-        pose, size = shape.pose, shape.size
+        kind, size, pose = shape.kind.title(), shape.size, shape.pose
         if shape.mesh is not None:
-            mesh = looks.meshes[shape.mesh]
-            geometry = g.TriangularMeshGeometry(mesh.vertices, mesh.faces)
-        elif shape.kind == "box":
-            geometry = g.Box(list(size))
-        elif shape.kind == "sphere":
-            geometry = g.Sphere(size[0])
-        else:
-            geometry, upright = g.Cylinder(size[1], size[0]), np.eye(4)
-            upright[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # meshcat's stand along y, ours along z
-            pose = pose @ upright
-        node = arm[str(shape.joint)][str(k)]
-        node.set_object(geometry, _ink(shape.colour[:3], shape.colour[3]))
-        node.set_transform(pose)
+            kind, size = MESH, looks.meshes[shape.mesh][:2]
+        elif kind == "Box":
+            size = (size,)
+        elif kind != "Sphere":  # meshcat's stand along y, ours along z
+            kind, size, pose = "Cylinder", size[::-1], pose[:, [0, 2, 1, 3]] * [1.0, 1.0, -1.0, 1.0]
+        _put(arm[str(shape.joint)][str(k)], kind, size, shape.colour, pose)
 
 
 def _draw_constraint(scene: Any, robot: Robot, constraint: Constraint, q: ArrayLike) -> None:
     """Draw the mechanism of a constraint, the path that was shown along it, where hands began, and its end."""
-    import meshcat.geometry as g
-
-    shown, twist = constraint.shown, constraint.features.twist
-    path = (
-        robot.position(q, default_tip(robot) if twist is None else twist.frame)[None] if shown is None else shown.points
-    )
-    blue, vermilion = (np.array(rgb_of(COLOURS[name])) / 255.0 for name in ("blue", "vermilion"))
-    drawing = mechanism_drawing(constraint.mechanism, path) if constraint.mechanism is not None else None
-    for k, line in enumerate(drawing.lines if drawing is not None else ()):
-        scene["mechanism"][f"line{k}"].set_object(_tube(line), _ink(blue))
-    for k, corners in enumerate(drawing.patches if drawing is not None else ()):
-        surface = g.TriangularMeshGeometry(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-        scene["mechanism"][f"patch{k}"].set_object(surface, _ink(blue, 0.2))
+    shown, twist, mechanism = constraint.shown, constraint.features.twist, scene["mechanism"]
     if shown is None:
-        return
-    scene["path"].set_object(_tube(path, 2.0 * TUBE), _ink(vermilion))
-    for name, places in (("grasps", shown.grasps[:, :3, 3]), ("target", path[-1:])):
-        for k, place in enumerate(places):
-            pose, is_target = np.eye(4), name == "target"
-            pose[:3, 3] = place
-            scene[name][str(k)].set_object(g.Sphere((4.0 if is_target else 2.0) * TUBE), _ink(vermilion, 0.8))
-            scene[name][str(k)].set_transform(pose)
+        path = robot.position(q, default_tip(robot) if twist is None else twist.frame)[None]
+    else:
+        path = shown.points
+    blue, vermilion = (tuple(x / 255.0 for x in rgb_of(COLOURS[name])) for name in ("blue", "vermilion"))
+    if constraint.mechanism is not None:
+        drawing = mechanism_drawing(constraint.mechanism, path)
+        for k, line in enumerate(drawing.lines):
+            _put(mechanism[f"line{k}"], MESH, _tube(line, TUBE), (*blue, 1.0))
+        for k, corners in enumerate(drawing.patches):
+            _put(mechanism[f"patch{k}"], MESH, (corners, np.array([[0, 1, 2], [0, 2, 3]])), (*blue, 0.2))
+    if shown is not None:
+        _put(scene["path"], MESH, _tube(path, 2.0 * TUBE), (*vermilion, 1.0))
+        for name, places, radius in (("grasps", shown.grasps[:, :3, 3], 2.0), ("target", path[-1:], 4.0)):
+            for k, place in enumerate(places):
+                pose = pin.SE3(np.eye(3), place).homogeneous
+                _put(scene[name][str(k)], "Sphere", (radius * TUBE,), (*vermilion, 0.8), pose)
 
 
-def _ink(colour: ArrayLike, opacity: float = 1.0) -> Any:
-    import meshcat.geometry as g
+def _put(
+    node: Any, kind: str, size: tuple[Any, ...], colour: tuple[float, ...], pose: Float[np.ndarray, "4 4"] | None = None
+) -> None:
+    """Draw a geometry of meshcat, made from its arguments, in red, green, blue and opacity."""
+    import meshcat.geometry as g  # here: importing it brings IPython
 
-    r, g_, b = np.rint(255.0 * np.clip(np.asarray(colour, dtype=np.float64), 0.0, 1.0)).astype(int).tolist()
-    return g.MeshPhongMaterial(color=(r << 16) | (g_ << 8) | b, opacity=opacity, transparent=opacity < 1.0)
+    number, opacity = int(np.rint(255.0 * np.array(colour[:3])) @ (1 << 16, 1 << 8, 1)), colour[3]
+    material = g.MeshPhongMaterial(color=number, opacity=opacity, transparent=opacity < 1.0)
+    node.set_object(getattr(g, kind)(*size), material)
+    if pose is not None:
+        node.set_transform(pose)
 
 
-def _tube(points: Float[np.ndarray, "n 3"], radius: float = TUBE, sides: int = 8) -> Any:
-    """A round tube along a polyline."""
-    import meshcat.geometry as g
-
-    along = np.gradient(points, axis=0) if len(points) > 1 else np.array([[0.0, 0.0, 1.0]])
-    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-    first = np.cross(along, np.eye(3)[np.argmin(np.abs(along).max(axis=0))])
-    first = first / np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
-    angles = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)[:, None, None]
-    rings = points + radius * (np.cos(angles) * first + np.sin(angles) * np.cross(along, first))
-    n = len(points)
-    a = (np.arange(sides)[:, None] * n + np.arange(n - 1)).reshape(-1)
-    b = (np.roll(np.arange(sides), -1)[:, None] * n + np.arange(n - 1)).reshape(-1)
-    faces = np.concatenate([np.stack([a, b, a + 1], axis=1), np.stack([b, b + 1, a + 1], axis=1)])
-    return g.TriangularMeshGeometry(rings.reshape(-1, 3), faces)
+def _tube(points: Float[np.ndarray, "n 3"], radius: float) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+    """Return vertices and faces of a round tube along a polyline."""
+    along = np.gradient(points, axis=0)
+    aside = np.cross(along, np.eye(3)[np.argmin(np.ptp(points, axis=0))])
+    across = np.array([aside, np.cross(along, aside)])
+    across *= radius / np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-300)
+    angles = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)[:, None, None]  # its sides
+    rings = points + np.cos(angles) * across[0] + np.sin(angles) * across[1]
+    a = np.arange(8 * len(points)).reshape(8, -1)
+    b = np.roll(a, -1, axis=0)
+    corners = np.array([[a[:, :-1], b[:, :-1], a[:, 1:]], [b[:, :-1], b[:, 1:], a[:, 1:]]])
+    return rings.reshape(-1, 3), np.moveaxis(corners, 1, -1).reshape(-1, 3)

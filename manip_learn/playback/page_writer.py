@@ -8,6 +8,7 @@ import html
 import importlib.util
 import json
 import re
+import sys
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -49,13 +50,11 @@ class PageKind:
     markup: Path | None = None
 
 
-_PARTS = (
-    "quality scene stage fit phases chart sheets tracks constraint_marks handles around scene_key shown evidence keys"
-)
+_PARTS = "scene stage fit phases chart sheets tracks constraint_marks handles around scene_key shown evidence keys"
 REPLAY = PageKind(
     "replay",
     (_FOLDER / "style.css", _FOLDER / "tracks.css"),
-    tuple(_FOLDER / f"{name}.js" for name in f"{_PARTS} legend player live main".split()),
+    tuple(_FOLDER / f"{name}.js" for name in f"quality {_PARTS} legend player live main".split()),
 )
 LIVE = replace(REPLAY, mode="live")
 
@@ -76,15 +75,14 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = RE
     """
     body = "\n".join(map(_content, kind.program))
     viewer, program = viewer_script(), f'"use strict";\n(() => {{\n{body}\n}})();\n'
-    hashed = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in (viewer, program))
-    hashes = " ".join(f"'sha256-{one}'" for one in hashed)
+    server = "'none'" if kind.mode == "replay" else "'self'"
     # meshcat's viewer makes style elements, hence unsafe-inline for styles
-    rules = ["default-src 'none'", f"script-src {hashes}", "style-src 'unsafe-inline'", "img-src data: blob:"]
-    listens = "connect-src 'none'" if kind.mode == "replay" else "connect-src 'self'"
-    rules += ["worker-src 'self'"] if kind.mode == "teach" else []
-    rules += [listens, "base-uri 'none'", "form-action 'none'"]
+    policy = (
+        f"default-src 'none'; script-src {script_hash(viewer)} {script_hash(program)}; style-src 'unsafe-inline'; "
+        f"img-src data: blob:; connect-src {server}; worker-src {server}; base-uri 'none'; form-action 'none'"
+    )
     parts = {
-        "policy": "; ".join(rules),
+        "policy": policy,
         "title": html.escape(f"{robot}: {subtitle}" if subtitle else robot),
         "style": "".join(map(_content, kind.style)),
         "mode": kind.mode,
@@ -105,28 +103,31 @@ def json_in_html(data: object) -> str:
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
+def script_hash(script: str) -> str:
+    """Return the hash under which a policy of a page allows a script."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+
+
 @cache
 def _content(file: Path) -> str:
     return file.read_text(encoding="utf-8")  # which makes one newline of every kind
 
 
-def _meshcat_folder() -> Path:
+def _meshcat(name: str) -> str:
     spec = importlib.util.find_spec("meshcat")  # found, not imported: importing it brings IPython
-    for folder in (spec.submodule_search_locations or ()) if spec else ():
-        if (Path(folder) / "viewer" / "dist" / "main.min.js").is_file():
-            return Path(folder) / "viewer"
-    raise OutputError("meshcat's viewer script main.min.js is missing: install it with pip install 'meshcat>=0.3.2'")
+    if spec is None or spec.origin is None:
+        raise OutputError("meshcat's viewer is missing: install it with pip install 'meshcat>=0.3.2'")
+    return _content(Path(spec.origin).parent / "viewer" / name)
 
 
 @cache
 def viewer_script() -> str:
-    """Meshcat's bundled viewer.
+    """Return meshcat's bundled viewer.
 
     Raises:
         OutputError: It is missing, or it holds what cannot stand inside a page.
     """
-    text = (_meshcat_folder() / "dist" / "main.min.js").read_text(encoding="utf-8").replace("\r\n", "\n")
-    text = text.replace("\r", "\n").replace("\0", "")
+    text = _meshcat("dist/main.min.js").replace("\0", "")
     if "</script" in text.lower() or "<!--" in text:
         raise OutputError("meshcat's viewer script cannot be put into a page: install meshcat 0.3.2")
     return text
@@ -134,17 +135,69 @@ def viewer_script() -> str:
 
 @cache
 def third_party_notices() -> str:
-    """Licences of the viewer and of what is bundled with it (three.js, dat.gui, ...): they go with each copy of it.
+    """Return the licences of the viewer and of what is bundled with it (three.js, dat.gui, ...).
 
-    Every page has them in its source, and the wheel in its folder of licences.
+    They go with each copy of it: every page has them in its source, and the wheel in its folder of licences.
     """
-    folder = _meshcat_folder()
-    notices = [f"meshcat's viewer\n\n{(folder / 'LICENSE').read_text(encoding='utf-8').strip()}"]
-    for part in json.loads((folder / "dist" / "main.min.js.THIRD_PARTY_LICENSES.json").read_text(encoding="utf-8")):
+    notices = [f"meshcat's viewer\n\n{_meshcat('LICENSE').strip()}"]
+    for part in json.loads(_meshcat("dist/main.min.js.THIRD_PARTY_LICENSES.json")):
         text = part["licenseText"] or f"{part['license']} licence, as above; its package has no text of its own"
-        lines = [line.rstrip() for line in text.strip("\n").splitlines()]
-        notices.append(
-            "\n".join([f"{part['name']} {part['version']} by {part['author']}, {part['repository']}", "", *lines])
-        )
+        head = f"{part['name']} {part['version']} by {part['author']}, {part['repository']}"
+        notices.append("\n".join([head, "", *(line.rstrip() for line in text.strip("\n").splitlines())]))
     rule = f"\n\n{72 * '-'}\n\n"
     return f"Parts of the replay page that others wrote, and their licences{rule}{rule.join(notices)}\n"
+
+
+# ---- in the cell of a notebook: the first one has meshcat's viewer, later ones take it from there -----------------
+
+_MISSING = "The viewer is in this notebook's first replay. If this stays empty, restart the kernel and run all cells."
+# asks the notebook for the viewer until it answers, since a notebook may draw its cells in any order
+_ASK = """addEventListener("message", ({ data }) => {
+  if (!data.manipLearnViewer || window.MeshCat) return;
+  clearInterval(asking);
+  document.getElementById("missing").remove();
+  for (const text of [data.manipLearnViewer, document.getElementById("program").textContent])
+    document.body.append(Object.assign(document.createElement("script"), { textContent: text }));
+});
+const asking = setInterval(() => parent.postMessage("manip-learn: viewer", "*"), 300);"""
+_ANSWER = """<script>(() => {
+  const kept = () => (window.manipLearnViewer ??= document.querySelector("script[data-manip-learn]")?.textContent);
+  kept();
+  const isDark = Number(getComputedStyle(document.body).color.match(/[0-9.]+/)[0]) > 127; // letters are light
+  const scheme = isDark ? "dark" : "light";
+  for (const frame of document.querySelectorAll("iframe[title=replay]")) frame.style.colorScheme = scheme;
+  addEventListener("message", ({ data, source }) => {
+    if (data === "manip-learn: viewer" && kept()) source.postMessage({ manipLearnViewer: kept() }, "*");
+  });
+})()</script>"""
+_cell: Any = False  # that has the viewer; False: none has
+
+
+def in_cell(page: str) -> str:
+    """Return a page as the output of a notebook's cell.
+
+    Args:
+        page: As `page` writes it.
+    """
+    global _cell
+    cell, viewer = _running_cell(), viewer_script()
+    before, after = page.split(f"<script>{viewer}</script>\n<script>")
+    inner = before.replace("script-src ", f"script-src {script_hash(_ASK)} ", 1)
+    inner += f'<p id="missing">{_MISSING}</p><script type="text/plain" id="program">{after}<script>{_ASK}</script>'
+    output = (
+        f'<iframe title="replay" srcdoc="{html.escape(inner)}" style="width:100%;height:640px;border:0" '
+        f'sandbox="allow-scripts"></iframe>{_ANSWER}'
+    )
+    # run again, the first cell has it again; in Colab each cell is a page of its own
+    if _cell is False or (cell is not None and cell == _cell) or "google.colab" in sys.modules:
+        _cell = cell
+        output = f'<script type="text/plain" data-manip-learn>{viewer}</script>{output}'
+    return output
+
+
+def _running_cell() -> str | None:
+    """Return the name of the cell that runs, where the notebook tells it."""
+    try:
+        return sys.modules["IPython"].get_ipython().get_parent()["metadata"]["cellId"]
+    except (AttributeError, KeyError, TypeError):  # no kernel, or a front end that does not name its cells
+        return None

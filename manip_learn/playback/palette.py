@@ -42,4 +42,4 @@ def rollout_colours(names: Sequence[str], chosen: Mapping[str, str], neutral: bo
 
 def rgb_of(colour: str) -> list[int]:
     """Red, green and blue of a hexadecimal colour, each 0 to 255."""
-    return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+    return list(bytes.fromhex(colour[1:]))

@@ -25,8 +25,7 @@ from manip_learn.playback.appearance import appearance
 from manip_learn.playback.guided_motion import Guidance, guidance_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import MechanismDrawing, mechanism_drawing
-from manip_learn.playback.notebook import in_cell
-from manip_learn.playback.page_writer import page
+from manip_learn.playback.page_writer import in_cell, page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.phase_bands import WAY, Phase, PhaseKind, phase_bands, phase_kinds, phases_from_json
 from manip_learn.playback.recorded_motion import RecordedMotion, recorded_motion

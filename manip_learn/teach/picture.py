@@ -57,7 +57,7 @@ TEACH = replace(
 )
 
 
-def teaching_page(robot: Robot, name: str, token: str) -> bytes:
+def teaching_page(robot: Robot, name: str, token: str) -> str:
     """HTML of the page for `manip-learn teach`, self-contained; it speaks to the server that it came from alone.
 
     Args:
@@ -68,7 +68,7 @@ def teaching_page(robot: Robot, name: str, token: str) -> bytes:
     Raises:
         OutputError: Meshcat's viewer is missing.
     """
-    return live_page(robot, kinematic_tree(robot), name, token, TEACH)
+    return live_page(robot, name, token, TEACH)
 
 
 @final
