@@ -30,6 +30,11 @@ function short(x) {
   return size >= 1e-3 && size < 1e5 ? String(Number(x.toPrecision(4))) : x.toExponential(1).replace("e+", "e");
 }
 
+function moveAcross(line, x) {
+  for (const end of ["x1", "x2"]) line.setAttribute(end, x);
+  return x;
+}
+
 // A finger that scrolls the page does not move in time: it seeks by dragging sideways, or by a tap, however long.
 function wireSeek(element, seek) {
   let from = null;
@@ -47,8 +52,17 @@ function decades(low, high) {
   return [Math.pow(10, Math.floor(Math.log10(Math.max(low, 1e-12 * high)))), Math.pow(10, Math.ceil(Math.log10(high) + 1e-9))];
 }
 
-// Values between `top` and `bottom` [px], over the range from the lowest to the highest, or over its powers of ten.
+// Values between `top` and `bottom` [px], over the range from the lowest to the highest, or over its powers of ten; time across.
 class ValueAxis {
+  // Lines from the left to the right, and the values beside them.
+  drawGrid(root, values, { left, right }, say = short, limits = []) {
+    for (const v of values) {
+      const y = this.y(v);
+      svg("line", { x1: left, x2: right, y1: y, y2: y, class: limits.includes(v) ? "limit" : "grid" }, root);
+      svg("text", { x: left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = say(v);
+    }
+  }
+
   y(value) {
     const [low, high] = this.range, of = (v) => (this.logarithmic ? Math.log10(Math.max(v, low)) : v);
     return this.bottom - ((of(value) - of(low)) / (of(high) - of(low))) * (this.bottom - this.top);
@@ -142,11 +156,7 @@ class Chart extends ValueAxis {
 
   drawAxes(root, h, below) {
     const bare = !this.curves.length && this.bottom < 10;
-    for (const v of bare ? [] : this.ticks(Math.max(2, (this.bottom - this.top) / 30))) {
-      const y = this.y(v);
-      svg("line", { x1: this.left, x2: this.right, y1: y, y2: y, stroke: "var(--grid)" }, root);
-      svg("text", { x: this.left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = short(v);
-    }
+    if (!bare) this.drawGrid(root, this.ticks(Math.max(2, (this.bottom - this.top) / 30)), this);
     if (this.curves.length && !this.logarithmic && this.range[0] <= 0) {
       const y = this.y(0);
       svg("line", { x1: this.left, x2: this.right, y1: y, y2: y, class: "singular" }, root);
@@ -182,9 +192,7 @@ class Chart extends ValueAxis {
   setTime(t) {
     this.time = t;
     if (!this.cursor) return;
-    const x = this.x(t);
-    this.cursor.setAttribute("x1", x);
-    this.cursor.setAttribute("x2", x);
+    const x = moveAcross(this.cursor, this.x(t));
     this.knob.setAttribute("transform", `translate(${x} ${this.top - 8})`);
     for (const [rollout, dot] of this.dots) {
       dot.setAttribute("cx", this.x(Math.min(t, rollout.duration)));
@@ -200,8 +208,7 @@ class Chart extends ValueAxis {
     this.readout.hidden = t === undefined || !shown.length;
     this.pointer.style.display = this.readout.hidden ? "none" : "";
     if (this.readout.hidden) return;
-    const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), middle = values.reduce((sum, v) => sum + this.y(v), 0) / values.length;
-    for (const end of ["x1", "x2"]) this.pointer.setAttribute(end, x);
+    const x = moveAcross(this.pointer, this.x(t)), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), middle = values.reduce((sum, v) => sum + this.y(v), 0) / values.length;
     const across = 2 * x < this.left + this.right ? `left: ${x + 12}px` : `right: ${this.element.clientWidth - x + 12}px`, top = 2 * middle > this.top + this.bottom;
     this.readout.style = `${across}; ${top ? "top: 2px" : `bottom: ${this.element.clientHeight - this.bottom + 2}px`}`;
     this.readout.replaceChildren(make("p", {}, `${t.toFixed(2)} s`), ...shown.map((r, i) => make("p", { style: `--colour: ${r.colour}` }, make("b", {}, `${readable(values[i])} ${shortName(r.name)}`))));
@@ -238,17 +245,22 @@ function indexAt(times, t) {
   return low;
 }
 
-function curveValue(rollout, t) {
-  const { curveTimes: times, curve } = rollout, i = indexAt(times, t);
-  if (i + 1 >= curve.length || t <= times[i]) return curve[i];
-  return curve[i] + ((t - times[i]) / (times[i + 1] - times[i])) * (curve[i + 1] - curve[i]);
+// Numbers of a table with one row a time, between rows on the line; a table of one row holds always.
+function rowAt(times, table, width, t) {
+  const rows = table.length / width, i = rows === 1 ? 0 : indexAt(times, t), row = (k) => table.slice(k * width, (k + 1) * width), from = row(i);
+  if (i + 1 >= rows || t <= times[i]) return from;
+  const share = (t - times[i]) / (times[i + 1] - times[i]), to = row(i + 1);
+  return Array.from(from, (x, k) => x + share * (to[k] - x));
 }
+
+function curveValue({ curveTimes, curve }, t) { return rowAt(curveTimes, curve, 1, t)[0]; }
 
 // "ok", "slowed" or "stopped"; none of a recording.
 function statusAt({ status }, t) { return status.length ? status[indexAt(status.map(([start]) => start), t)][2] : ""; }
 
 // A further value of a curve that is being made, of which the last seconds stay.
-function addNewest(rollout, { times, mu: curve }, time, mu, seconds) {
+function addNewest(rollout, time, mu, seconds) {
+  const { curveTimes: times, curve } = rollout;
   if (times.length && time < times[times.length - 1]) { times.length = 0; curve.length = 0; }
   times.push(time);
   curve.push(mu);

@@ -56,14 +56,8 @@ function fitKey() {
 
 // A choice between the colours of phases (or of the recordings) and those of the fit.
 function colourChoice(show, hasPhases) {
-  const field = document.createElement("fieldset"), legend = document.createElement("legend");
-  legend.textContent = "Colours of recordings";
-  field.append(legend);
-  for (const [mode, text] of [["phase", hasPhases ? "phases" : "one colour each"], ["fit", "share of the motion that breaks the constraint"]]) {
-    const label = Object.assign(document.createElement("label"), { className: "check" }), input = Object.assign(document.createElement("input"), { type: "radio", name: "colours", value: mode, checked: colouring.mode === mode });
-    input.addEventListener("change", () => { colouring.mode = mode; show.recolour(); });
-    label.append(input, Object.assign(document.createElement("span"), { textContent: text }));
-    field.append(label);
-  }
-  return field;
+  const modes = { phase: hasPhases ? "phases" : "one colour each", fit: "share of the motion that breaks the constraint" };
+  const choose = (mode) => () => { colouring.mode = mode; show.recolour(); };
+  const choices = Object.entries(modes).map(([mode, text]) => checkbox(text, colouring.mode === mode, choose(mode), { type: "radio", name: "colours", value: mode }));
+  return make("fieldset", {}, make("legend", {}, "Colours of recordings"), choices);
 }

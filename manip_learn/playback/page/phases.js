@@ -83,25 +83,17 @@ function drawBands(root, chart, rollout, y, row) {
   }
 }
 
-// The solid recording's bands under the slider; they end where the middle of its thumb can be.
-function drawSliderBands(element, rollout, duration) {
-  const root = svg("svg", { viewBox: "0 0 1000 6", preserveAspectRatio: "none", "aria-hidden": "true" });
-  for (const { start, end, kind } of rollout.bands) {
-    const x = (1000 * start) / Math.max(duration, 1e-9), width = Math.max((1000 * (end - start)) / Math.max(duration, 1e-9), 1);
-    svg("rect", { x, y: 0, width, height: 6, fill: kind.colour, stroke: kind.outline || "none", "vector-effect": "non-scaling-stroke" }, root);
-  }
-  element.replaceChildren(root);
+// Bands in a strip that is stretched to the room that there is.
+function stripOf(bands, duration, more = {}) {
+  const root = svg("svg", { viewBox: "0 0 1000 6", preserveAspectRatio: "none", ...more }), at = (t) => (1000 * t) / Math.max(duration, 1e-9);
+  for (const { start, end, kind: { colour, outline = "none" } } of bands)
+    svg("rect", { x: at(start), y: 0, width: Math.max(at(end) - at(start), 2), height: 6, fill: colour, stroke: outline, "vector-effect": "non-scaling-stroke" }, root);
+  return root;
 }
 
-// One colour a point of the path, as the vertices of its tube need them.
-function pathColours(rollout, times, sides) {
-  const n = times.length, colours = new Float32Array(3 * n * sides), known = new Map();
-  for (let i = 0; i < n; i++) {
-    const hex = colourOfPath(rollout, times[i]);
-    if (!known.has(hex)) known.set(hex, linear(hex));
-    for (let k = 0; k < sides; k++) known.get(hex).toArray(colours, 3 * (i * sides + k));
-  }
-  return new THREE.BufferAttribute(colours, 3);
+// One colour a point of the path, as the corners of its tube need them.
+function pathColours(rollout, times, corners) {
+  return new THREE.Float32BufferAttribute(Array.from(times, (t) => Array(corners).fill(linear(colourOfPath(rollout, t)).toArray())).flat(2), 3);
 }
 
 // What was shown, from where the hands took hold, a ball where all of them did, to the farthest point, with a head.

@@ -183,7 +183,7 @@ class Player {
     this.chart.draw();
   }
 
-  drawSlider() { drawSliderBands(get("scrub-bands"), this.show.solid, this.show.duration); }
+  drawSlider() { get("scrub-bands").replaceChildren(stripOf(this.show.solid.bands, this.show.duration, { "aria-hidden": "true" })); }
 
   fillColourKey() {
     get("status-key").replaceChildren(...this.chart.colourKey().map(({ colour, label, mark = "", ink }) => {

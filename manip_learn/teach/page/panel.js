@@ -8,7 +8,6 @@ class Panel {
   constructor(teach) {
     Object.assign(this, { teach, say: (said) => teach.say(said), state: null });
     this.recordings = new RecordingList(get("recordings"), this.say);
-    this.answer = new Answer(get("answer"), this.say);
     this.take = new Take(teach);
     this.wire();
   }
@@ -107,7 +106,7 @@ class Panel {
   }
 
   showLearning({ answer, truth }) {
-    this.answer.set(answer);
+    fillAnswer(get("answer"), answer, this.say);
     get("headline").textContent = get("headline").title = (answer && (answer.line || answer.sentence)) || (this.teach.scene && this.teach.scene.task) || "";
     get("truth-box").hidden = !answer;
     get("truth").setAttribute("aria-pressed", String(Boolean(truth)));

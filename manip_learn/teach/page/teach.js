@@ -14,8 +14,7 @@ class Teach {
   constructor(show, data) {
     Object.assign(this, { show, stage: show.stage, rollout: show.rollouts[0], instance: show.rollouts[0].instance, state: null, scene: null, pose: null, drawnSeq: 0, notes: data.notes });
     this.rollout.solid = true;
-    this.values = { times: [], mu: [] };
-    Object.assign(this.rollout, { curveTimes: this.values.times, curve: this.values.mu });
+    Object.assign(this.rollout, { curveTimes: [], curve: [] });
     this.arrange();
     this.link = new TeachLink(data.events.slice(0, -"events".length), {
       ended: () => { this.ended = true; this.link.close(); }, pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.setGhosts(ghosts),
@@ -44,11 +43,10 @@ class Teach {
     this.furniture = new TeachFurniture(stage, instance);
     this.marks = new LiveMarks(instance, size);
     this.spring = new Spring(this.marks);
-    this.trail = new TipTrail(instance, size, () => this.rollout.colour);
+    this.trail = new TipTrail(this.rollout, size);
     this.lines = new Lines(stage);
     stage.world.add(this.marks.group, this.spring.group, this.trail.mesh, this.lines.group);
-    this.rings = [0, 1].map(() => Object.assign(document.createElement("div"), { className: "ring" }));
-    for (const ring of this.rings) ring.setAttribute("aria-hidden", "true");
+    this.rings = [0, 1].map(() => make("div", { className: "ring", "aria-hidden": "true" }));
     stage.element.append(...this.rings);
     this.key = new SceneKey(stage, this.rows());
     stage.onRendered = () => this.placeRings();
@@ -135,7 +133,7 @@ class Teach {
     const isNew = !this.scene || this.scene.number !== scene.number;
     this.scene = scene;
     this.panel.setScene(scene);
-    this.setNotes(scene.notes || []);
+    fillNotes([...this.notes, ...scene.notes]);
     if (!this.stage) return;
     this.furniture.setScene(scene);
     if (isNew) this.trail.clear();
@@ -155,15 +153,8 @@ class Teach {
     if (this.ghosts) this.ghosts.set(ghosts);
   }
 
-  setNotes(more) {
-    const notes = [...this.notes, ...more], box = get("notes");
-    box.hidden = !notes.length;
-    box.querySelector("summary").textContent = counted(notes.length, "note");
-    box.querySelector("ul").replaceChildren(...notes.map((textContent) => Object.assign(document.createElement("li"), { textContent })));
-  }
-
   addValue(time, mu) {
-    addNewest(this.rollout, this.values, time, mu, LIVE_SECONDS);
+    addNewest(this.rollout, time, mu, LIVE_SECONDS);
     this.changed = true;
   }
 
@@ -190,7 +181,9 @@ class Teach {
     this.hand.setPose(pose);
     this.furniture.setPose(pose);
     this.marks.setPose(pose);
-    this.trail.setPose(pose.trail);
+    if (pose.trail && !this.wasTrail) this.trail.clear();
+    if (pose.trail) this.trail.add(pose.time);
+    this.wasTrail = pose.trail;
   }
 
   hasDrawn(pose) {
