@@ -40,7 +40,7 @@ FILM, FILM_SECONDS, MOST_FILM_BYTES = (960, 600), 8.0, 1_500_000  # [px], [s] of
 # [rad] the hand is at the shut drawer; number 57 of the starts drawn with seed 20000 and brought to within 0.02
 # of a singularity of what is held and driven: of these 57, seven stop within a third of the way without a plan
 PAIR = (0.5374, -0.8046, 0.7743, -2.7548, 1.6547, 3.2939, -2.7873)
-ONLY_FILM = "#views, #save, #keys, .sheet, #transport, #log, #status-key { display: none !important }"
+ONLY_FILM = "#views, #save, #keys, .sheet, #transport, #status-key { display: none !important }"
 ONLY_ARM = "header, #panel, #transport, #legend, #notes { display: none !important } #stage { grid-row: 1 / -1 }"
 
 

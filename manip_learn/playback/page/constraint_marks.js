@@ -2,13 +2,8 @@
 
 const ARROW = 0.085, THIN = 0.0022; // half length of an arrow and radius of a line, relative to the scene
 const FADED = 0.25;
-const SYMMETRIC = [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]];
 
-function symmetric(numbers, i) {
-  const m = [[0, 0, 0], [0, 0, 0], [0, 0, 0]];
-  SYMMETRIC.forEach(([r, c], k) => (m[r][c] = m[c][r] = numbers[6 * i + k]));
-  return m;
-}
+function symmetric([xx, xy, xz, yy, yz, zz]) { return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]; }
 
 // Eigenvalues, largest first, and unit eigenvectors of a symmetric 3 x 3 matrix, by Jacobi's rotations.
 function eigen(matrix) {
@@ -115,7 +110,7 @@ class ConstraintMarks {
   }
 
   drawDirections(t) {
-    const at = (name) => directionsOf(symmetric(rowAt(this.times, this[name], 6, t), 0));
+    const at = (name) => directionsOf(symmetric(rowAt(this.times, this[name], 6, t)));
     this.drawThese({ held: at("held"), free: at("free"), heldTurns: at("heldTurns"), freeTurns: at("freeTurns") });
   }
 
@@ -150,7 +145,7 @@ class ConstraintMarks {
 
   // Lengths of the semi-axes [m/s] and their directions, longest first, at time t.
   ellipsoidAt(t) {
-    return eigen(symmetric(rowAt(this.times, this.ellipsoid, 6, t), 0)).map(({ value, vector }) => ({ length: Math.sqrt(Math.max(value, 0)), vector }));
+    return eigen(symmetric(rowAt(this.times, this.ellipsoid, 6, t))).map(({ value, vector }) => ({ length: Math.sqrt(Math.max(value, 0)), vector }));
   }
 
   placeEllipsoid(t) {
@@ -175,7 +170,7 @@ class ConstraintMarks {
       this.parts.target.add(this.line(at.clone().sub(d), at.clone().add(d), this.inks.goal, 0.7 * THIN));
     }
     // along what is free every place counts as reached
-    const free = !this.driven && this.free.length === 6 && !this.axes ? directionsOf(symmetric(this.free, 0)) : [];
+    const free = !this.driven && this.free.length === 6 && !this.axes ? directionsOf(symmetric(this.free)) : [];
     if (free.length !== 1) return;
     const d = free[0].multiplyScalar(3 * ARROW * this.size);
     this.reachedAt = at.clone().add(d);

@@ -5,25 +5,24 @@ const TAIL_SPAN = 6; // seconds of the tip's way that stay in the picture
 
 class Live {
   constructor(show, data) {
-    this.show = show;
+    Object.assign(this, { show, playing: true });
     this.rollout = show.rollouts[0];
     this.rollout.solid = true;
     Object.assign(this.rollout, { curveTimes: [], curve: [] });
     this.chart = new Chart(get("chart"), show.rollouts, LIVE_SPAN, null);
     this.legend = new Legend(get("legend"), show.rollouts, { onShow: (r, v) => show.show(r, v), onSolid: () => {} });
     get("panel").hidden = true;
-    get("log").addEventListener("click", () => this.chart.turnLogarithmic());
     wireCamera(show);
-    wireKeys({ ...cameraKeys(show), l: () => this.chart.turnLogarithmic() });
+    wireKeys(cameraKeys(show));
     this.trail = new TipTrail(this.rollout, show.stage ? show.stage.size : 1, TAIL_SPAN);
     this.rollout.instance.root.add(this.trail.mesh);
     this.addMarks(data);
     show.setTime(0);
     this.source = new EventSource(data.events);
     this.source.onmessage = (event) => this.receive(JSON.parse(event.data));
-    this.source.onopen = () => this.say("live", false);
-    this.source.onerror = () => this.say("no connection to the program", true);
-    this.say("waiting for the first pose", false);
+    this.source.onopen = () => sayHead("live", false);
+    this.source.onerror = () => sayHead("no connection to the program", true);
+    sayHead("waiting for the first pose", false);
     requestAnimationFrame(() => this.frame());
   }
 
@@ -37,16 +36,6 @@ class Live {
     this.rollout.instance.root.add(this.marks.group);
   }
 
-  get playing() { return true; }
-  seek() {}
-  play() {}
-  pause() {}
-
-  say(text, lost) {
-    get("subtitle").textContent = text;
-    get("subtitle").classList.toggle("lost", lost);
-  }
-
   receive({ time, values, mu }) {
     this.rollout.instance.setValues(values);
     this.show.time = time;
@@ -57,7 +46,7 @@ class Live {
       this.changed = true;
     }
     if (this.show.stage) this.show.stage.dirty();
-    this.say(`live · ${time.toFixed(2)} s`, false);
+    sayHead(`live · ${time.toFixed(2)} s`, false);
   }
 
   frame() {

@@ -11,9 +11,9 @@ function start() {
     player.arrangePanel();
   }
   window.manipLearn = {
-    seek: (t) => player.seek(t),
-    play: () => player.play(),
-    pause: () => player.pause(),
+    seek: (t) => player.seek?.(t),
+    play: () => player.play?.(),
+    pause: () => player.pause?.(),
     // Row-major 4 x 4 pose of a link in the robot's base, now.
     linkPose: (name, link) => {
       const rollout = show.rollouts.find((r) => r.name === name);

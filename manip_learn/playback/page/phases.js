@@ -36,10 +36,6 @@ function phaseAt(rollout, t) {
   return band ? band.kind : rollout.hasOwnPhases ? null : NO_PHASE;
 }
 
-function ownPhasesInWords(rollout) {
-  return rollout.bands.map(({ kind, end }) => `${kind.label} until ${end.toFixed(2)} s`).join(", ");
-}
-
 // Whether a recording has moments without a phase that are long enough to be seen.
 function hasGaps(rollout) {
   const covered = rollout.bands.reduce((sum, b) => sum + b.end - b.start, 0);
@@ -72,14 +68,18 @@ function drawBands(root, chart, rollout, y, row) {
     name.textContent = shortName(rollout.name, Math.min(MAX_NAME, Math.floor((chart.left - 14) / 8)));
     svg("title", {}, name).textContent = rollout.name;
   }
-  if (colouring.mode === "fit" && rollout.fit) return drawFitRow(group, chart, rollout, y, height);
-  for (const { start, end, kind } of rollout.bands) {
-    const x = chart.x(start), width = Math.max(chart.x(end) - x, 1.2);
-    const bar = svg("rect", { x, y, width, height, rx: Math.min(2, width / 2), fill: kind.colour, stroke: kind.outline || "none" }, group);
-    svg("title", {}, bar).textContent = `${rollout.name}: ${kind.label}, ${start.toFixed(2)} s to ${end.toFixed(2)} s`;
-    const mark = markOn(kind, width), isWord = kind.outline && mark.length > 1, at = isWord ? 6 : kind.outline ? width / 2 : 9;
+  drawBars(group, chart, rollout, colouring.mode === "fit" && rollout.fit ? fitBands(rollout, chart.duration) : rollout.bands, y, height);
+}
+
+// Bars from moment to moment, with words for who points at one; kinds that have marks are rounded, and marked where there is room.
+function drawBars(root, chart, { name }, bands, y, height) {
+  for (const { start, end, kind } of bands) {
+    const x = chart.x(start), isPlain = kind.mark === undefined, width = Math.max(chart.x(end) - x, 1.2), mark = isPlain ? "" : markOn(kind, width);
+    const bar = svg("rect", { x, y, width, height, rx: isPlain ? 0 : Math.min(2, width / 2), fill: kind.colour, stroke: kind.outline || "none" }, root);
+    svg("title", {}, bar).textContent = `${name}: ${kind.label}, ${start.toFixed(2)} s to ${end.toFixed(2)} s`;
+    const isWord = kind.outline && mark.length > 1, at = isWord ? 6 : kind.outline ? width / 2 : 9;
     if (mark && height >= BAND.numbered)
-      svg("text", { x: x + at, y: y + height / 2 + 4, "text-anchor": isWord ? "start" : "middle", class: "mark", style: `fill: ${kind.ink}` }, group).textContent = mark;
+      svg("text", { x: x + at, y: y + height / 2 + 4, "text-anchor": isWord ? "start" : "middle", class: "mark", style: `fill: ${kind.ink}` }, root).textContent = mark;
   }
 }
 

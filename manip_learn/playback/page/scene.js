@@ -16,13 +16,9 @@ function onTheme(apply) {
   DARK.addEventListener("change", apply);
 }
 
-function matrixFromRows(rows) {
-  return new THREE.Matrix4().set(...rows);
-}
+function matrixFromRows(rows) { return new THREE.Matrix4().set(...rows); }
 
-function linear(hex) {
-  return new THREE.Color(hex).convertSRGBToLinear();
-}
+function linear(hex) { return new THREE.Color(hex).convertSRGBToLinear(); }
 
 function decode(text, Type) {
   const raw = atob(text), bytes = new Uint8Array(raw.length);
@@ -232,9 +228,7 @@ class RobotInstance {
     return pose;
   }
 
-  tipPosition() {
-    return new THREE.Vector3().setFromMatrixPosition(this.linkMatrix(this.robot.tip));
-  }
+  tipPosition() { return new THREE.Vector3().setFromMatrixPosition(this.linkMatrix(this.robot.tip)); }
 }
 
 // Points that are some way apart, the first and the last kept: at rest, noise would tangle the tube.

@@ -43,3 +43,9 @@ function fillNotes(notes) {
   box.querySelector("summary").textContent = notes.length === 1 ? "1 note" : `${notes.length} notes`;
   box.querySelector("ul").replaceChildren(...notes.map((note) => make("li", {}, note)));
 }
+
+// The line at the head of a page whose program goes on.
+function sayHead(text, lost) {
+  get("subtitle").textContent = text;
+  get("subtitle").classList.toggle("lost", lost);
+}

@@ -3,11 +3,11 @@
 const TRACKS = {
   opening: { title: "How far it has moved", of: "all", low: 0 },
   turning: { title: "How far it has turned", of: "all", low: 0 },
-  singular: { title: "Singular values of A", of: "one", log: true },
+  singular: { title: "Singular values of A", of: "one" },
   velocity: { title: "Joint velocities over their limits", of: "one", low: -1, high: 1, percent: true, limits: [-1, 1] },
   position: { title: "Joint positions between their limits", of: "one", low: 0, high: 1, percent: true, limits: [0, 1] },
-  "task-error": { title: "Distance to the target, constrained rows", of: "all", low: 0, log: true },
-  "following-error": { title: "Following error", of: "all", low: 0, log: true },
+  "task-error": { title: "Distance to the target, constrained rows", of: "all", low: 0 },
+  "following-error": { title: "Following error", of: "all", low: 0 },
   effort: { title: "Joint efforts over their largest", of: "one", low: -1, high: 1, percent: true },
   fit: { title: "Motion that breaks the constraint", of: "all", low: 0, percent: true, least: 0.1 },
 };
@@ -125,13 +125,10 @@ class TrackRow extends ValueAxis {
     return { style: `stroke: ${colour}`, "stroke-width": own && rollout.solid && this.rollouts.length > 1 ? 3 : 2, "stroke-dasharray": dash };
   }
 
-  get logarithmic() { return this.chart.logarithmic && Boolean(this.form.log); }
-
   findRange() {
     const { form } = this, values = this.curves.flatMap(({ curve }) => Array.from(curve.values)).filter((v) => !Number.isNaN(v));
     if (!values.length) return [0, 1];
     const [least, high] = extent([...values, ...[form.low, form.high, form.least].filter((v) => v !== undefined)]), low = form.low === undefined ? Math.min(least, 0) : least;
-    if (this.logarithmic && high > 0) return decades(extent(values.filter((v) => v > 0))[0], high);
     const room = 0.06 * (high - low || Math.abs(high) || 1);
     return [low < (form.low ?? 0) || form.limits ? low - room : low, high + room];
   }
@@ -143,22 +140,11 @@ class TrackRow extends ValueAxis {
     Object.assign(this, { top: 6, bottom: TRACK_HEIGHT - 8, range: this.findRange() });
     const root = svg("svg", { width: w, height: TRACK_HEIGHT, "aria-hidden": "true" });
     const { limits, percent } = this.form, middle = limits && (limits[0] + limits[1]) / 2;
-    this.drawGrid(root, limits ? [limits[0], middle, limits[1]] : this.ticks(3), { left, right }, percent ? (v) => `${Math.round(100 * v)} %` : short, limits);
+    this.drawGrid(root, limits ? [limits[0], middle, limits[1]] : niceTicks(...this.range, 3), { left, right }, percent ? (v) => `${Math.round(100 * v)} %` : short, limits);
     for (const { curve, rollout, k, own } of this.curves)
-      svg("path", { d: this.path(curve), fill: "none", "stroke-linejoin": "round", ...this.stroke(rollout, k, own) }, root);
+      this.drawLine(root, curve.times, curve.values, (t) => this.chart.x(t), this.stroke(rollout, k, own));
     this.cursor = svg("line", { y1: 0, y2: TRACK_HEIGHT, class: "cursor" }, root);
     this.box.replaceChildren(root);
-  }
-
-  path({ times, values }) {
-    const parts = [];
-    let pen = false;
-    for (let i = 0; i < times.length; i++) {
-      if (Number.isNaN(values[i])) { pen = false; continue; }
-      parts.push(`${pen ? "L" : "M"}${this.chart.x(times[i]).toFixed(1)} ${this.y(values[i]).toFixed(1)}`);
-      pen = true;
-    }
-    return parts.join("");
   }
 
   setTime(t) {

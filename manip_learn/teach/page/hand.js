@@ -201,21 +201,17 @@ class Hand {
 
   // With each pose: a pull that goes to a handle comes nearer, and ends there when the gripper has closed.
   setPose(pose) {
-    this.remember(pose);
-    const { held } = this;
+    const holds = pose.held.indexOf(true), { held } = this;
+    if (this.holds >= 0 && holds < 0) this.freed = this.holds;
+    if (holds >= 0) this.freed = null;
+    if (this.holds !== holds) Object.assign(this, { holds, goes: null, was: null });
+    this.feel(this.teach.handlePlaces()[holds]);
     if (held && held.toHandle !== null) this.glide(pose);
     this.teach.furniture.lit = held ? held.toHandle : null;
     this.hint();
   }
 
-  remember(pose) {
-    const holds = pose.held.indexOf(true);
-    if (this.holds >= 0 && holds < 0) this.freed = this.holds;
-    if (this.holds !== holds) Object.assign(this, { goes: null, was: null });
-    this.holds = holds;
-    this.feel(this.teach.handlePlaces()[holds]);
-    if (holds >= 0) this.freed = null;
-  }
+  get piece() { return this.teach.furniture.pieces[this.holds]; }
 
   glide(pose) {
     const { held } = this, place = this.teach.handlePlaces()[held.toHandle];
@@ -247,18 +243,15 @@ class Hand {
 
   // Which way a handle that is held goes: known of what slides, else seen.
   feel(place) {
-    const piece = this.teach.furniture.pieces[this.holds], { kind } = this.teach.scene || {};
-    if (!place || !piece || kind === "table") return;
+    const { piece } = this;
+    if (!place || !piece || this.teach.scene.kind === "table") return;
     this.was ??= place;
     if (piece.handle.unit === "m") this.goes = piece.out;
     else if (place.distanceTo(this.was) > FELT) Object.assign(this, { goes: place.clone().sub(this.was).normalize(), was: place });
   }
 
   // Whether what is held turns the hand with it.
-  isFirm() {
-    const piece = this.teach.furniture.pieces[this.holds];
-    return Boolean(piece) && piece.handle.firm && piece.handle.unit === "rad";
-  }
+  isFirm() { return this.piece && this.piece.handle.firm && this.piece.handle.unit === "rad"; }
 
   // Whether what is held moves towards the viewer, or away.
   isHardToSee() { return Boolean(this.goes) && Math.abs(this.goes.dot(this.pointing.toEye())) > AT_VIEWER; }

@@ -2,13 +2,12 @@
 
 // [ms]: least time between two pulls, one a frame of the screen; until a line that was lost is tried again
 const PULL_GAP = 1000 / 60, RETRY = 2000;
-const KEPT_LATENCIES = 500;
 const PAGE_ID = [...crypto.getRandomValues(new Uint8Array(12))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 
 class TeachLink {
   // slots: name -> what is done with its newest value; onOpen(true or false) when the line is there or lost.
   constructor(root, slots, onOpen, onRefused) {
-    Object.assign(this, { root, slots, onOpen, onRefused, open: false, seq: 0, hand: [], sent: new Map(), latencies: [], spoken: Promise.resolve() });
+    Object.assign(this, { root, slots, onOpen, onRefused, open: false, seq: 0, hand: [], spoken: Promise.resolve() });
     this.listen();
     if (navigator.serviceWorker) navigator.serviceWorker.register(`${root}afterwards.js`).catch(() => {}); // it says that the program has ended to who comes later
   }
@@ -84,21 +83,9 @@ class TeachLink {
 
   numbered(said) {
     this.pulled = performance.now();
-    this.sent.set(++this.seq, this.pulled);
-    return { ...said, seq: this.seq };
+    return { ...said, seq: ++this.seq };
   }
 
   // A page that was loaded again goes on counting where the one before it ended.
   heard(seq) { if (Number.isFinite(seq)) this.seq = Math.max(this.seq, seq); }
-
-  // The picture shows what followed from all pulls up to this one.
-  drawn(seq) {
-    const now = performance.now();
-    for (const [one, when] of this.sent) {
-      if (one > seq) break;
-      this.sent.delete(one);
-      this.latencies.push(now - when);
-    }
-    if (this.latencies.length > KEPT_LATENCIES) this.latencies.splice(0, this.latencies.length - KEPT_LATENCIES);
-  }
 }

@@ -6,8 +6,8 @@ const MOST_LABELLED = 3; // ghosts that are named at a time
 const WORDS_GAP = 200; // [ms] between two readings of the time in the headline
 
 // All of a pose that can be seen, to a hundredth of a millimetre or a thousandth of a degree.
-function inPicture({ values, furniture, held, near, hand, weak, marks, limit, touches, trail }) {
-  return JSON.stringify([values, furniture, held, near, hand, weak, marks, limit, touches, trail], (_, x) => (typeof x === "number" ? Math.round(1e5 * x) : x));
+function inPicture({ seq, time, mu, ...seen }) {
+  return JSON.stringify(seen, (_, x) => (typeof x === "number" ? Math.round(1e5 * x) : x));
 }
 
 class Teach {
@@ -17,20 +17,19 @@ class Teach {
     Object.assign(this.rollout, { curveTimes: [], curve: [] });
     this.arrange();
     this.link = new TeachLink(data.events.slice(0, -"events".length), {
-      ended: () => { this.ended = true; this.link.close(); }, pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.setGhosts(ghosts),
+      ended: () => { this.ended = true; this.link.close(); }, pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.ghosts && this.ghosts.set(ghosts),
     }, () => this.allow(), (words) => this.tell(words, true));
     this.panel = new Panel(this);
     if (this.stage) this.addDrawing();
     this.wire();
     this.allow();
-    this.head("waiting for the arm", false);
+    sayHead("waiting for the arm", false);
     show.setTime(0);
     requestAnimationFrame((now) => this.frame(now));
   }
 
   arrange() {
     get("step-do").append(get("panel")); // of what is of interest while the arm does it
-    get("log").remove();
     get("scene").after(get("hand-bar"), get("drop-here"));
     get("keys").querySelector("dl").replaceChildren(get("teach-keys").content.cloneNode(true));
     get("scene").setAttribute("aria-label", "The arm in three dimensions: drag it, or press H and move its hand by the arrow keys; otherwise arrow keys turn the view, plus and minus zoom");
@@ -73,7 +72,7 @@ class Teach {
     wireCamera(this.show);
     const once = (action) => (event) => { if (!event.repeat) action(); };
     wireKeys({
-      ...cameraKeys(this.show), r: once(() => this.panel.record()), l: once(() => this.panel.learn()), g: once(() => this.panel.grip()),
+      ...cameraKeys(this.show), r: once(() => this.panel.press("record")), l: once(() => this.panel.press("learn")), g: once(() => this.panel.grip()),
       h: once(() => this.hand && this.hand.turnByKeys()), n: once(() => this.hand && this.hand.toNearest()), " ": once(() => this.panel.run()),
     });
     get("by-keys").addEventListener("click", () => this.hand && this.hand.turnByKeys());
@@ -98,7 +97,7 @@ class Teach {
     const words = this.ended ? "The program has ended. Start it again, and open its new page." : lost ? "The connection to the program is lost. Is it still running? This page comes back by itself." : "Another tab has the arm.";
     if (get("banner").querySelector("p").textContent !== words) get("banner").querySelector("p").textContent = words;
     this.wasOpen ||= !lost;
-    if (lost && this.wasOpen) this.head(this.ended ? "the program has ended" : "no connection to the program", true);
+    if (lost && this.wasOpen) sayHead(this.ended ? "the program has ended" : "no connection to the program", true);
     if (!allowed && this.hand) this.hand.letGo();
   }
 
@@ -112,21 +111,15 @@ class Teach {
     get("said").classList.add("lost");
   }
 
-  head(text, lost) {
-    get("subtitle").textContent = text;
-    get("subtitle").classList.toggle("lost", lost);
-  }
-
   // ---- what the program says ----
 
   receive(pose) {
     this.link.heard(pose.seq);
     this.pose = pose;
     this.isNew = true;
-    if (pose.mu !== null) this.addValue(pose.time, pose.mu);
-    const picture = inPicture(pose);
-    if (this.stage && picture !== this.picture) this.stage.dirty(); // an arm that rests need not be drawn again
-    this.picture = picture;
+    this.changed ||= pose.mu !== null;
+    if (pose.mu !== null) addNewest(this.rollout, pose.time, pose.mu, LIVE_SECONDS);
+    if (isNew(this, inPicture(pose)) && this.stage) this.stage.dirty(); // an arm that rests need not be drawn again
   }
 
   setScene(scene) {
@@ -149,15 +142,6 @@ class Teach {
     this.stage.dirty();
   }
 
-  setGhosts(ghosts) {
-    if (this.ghosts) this.ghosts.set(ghosts);
-  }
-
-  addValue(time, mu) {
-    addNewest(this.rollout, time, mu, LIVE_SECONDS);
-    this.changed = true;
-  }
-
   // ---- what is drawn ----
 
   frame(now) {
@@ -168,7 +152,7 @@ class Teach {
       this.trail.draw(now);
       this.stage.render();
     }
-    if (this.pose && this.isNew) this.hasDrawn(this.pose);
+    if (this.pose) Object.assign(this, { isNew: false, drawnSeq: this.pose.seq });
     this.drawWords(now);
     requestAnimationFrame((next) => this.frame(next));
   }
@@ -186,13 +170,6 @@ class Teach {
     this.wasTrail = pose.trail;
   }
 
-  hasDrawn(pose) {
-    this.isNew = false;
-    if (!Number.isFinite(pose.seq)) return;
-    this.drawnSeq = pose.seq;
-    this.link.drawn(pose.seq);
-  }
-
   // The own hand is drawn where the pointer is now, not where the program last heard of it.
   drawSpring() {
     const { held, axis } = this.hand, told = this.pose && this.pose.hand;
@@ -205,7 +182,7 @@ class Teach {
     if (now < (this.worded ?? 0) + WORDS_GAP || !this.pose) return;
     this.worded = now;
     const { weak, limit, touches } = this.pose, doing = this.state && this.state.doing;
-    if (this.link.open) this.head(doing === "idle" ? "ready" : doing || "live", false);
+    if (this.link.open) sayHead(doing === "idle" ? "ready" : doing || "live", false);
     const words = [weak && "The hand can hardly move this way.", touches.length && "The arm touches the furniture.", ...limit.map((name) => `${name} is at its limit.`)].filter(Boolean).join(" ");
     if (words !== this.warned) this.tell(words);
     this.warned = words;
@@ -217,8 +194,8 @@ class Teach {
   drawChart() {
     this.changed = false;
     const { rollout, chart } = this, curves = this.ghosts && this.ghosts.curves, last = rollout.duration;
-    if (curves) Object.assign(chart, { rollouts: this.ghosts.rollouts, duration: this.ghosts.duration, start: 0 });
-    else Object.assign(chart, { rollouts: this.show.rollouts, duration: LIVE_SECONDS, start: Math.max(0, last - LIVE_SECONDS) });
+    const shown = curves ? this.ghosts : { rollouts: this.show.rollouts, duration: LIVE_SECONDS };
+    Object.assign(chart, { rollouts: shown.rollouts, duration: shown.duration, start: curves ? 0 : Math.max(0, last - LIVE_SECONDS) });
     chart.draw();
     chart.setTime(curves ? this.ghosts.time : last);
   }
@@ -235,8 +212,6 @@ class Teach {
 
   // ---- where things are on the page ----
 
-  screenOf(point) { return this.pointing.onPage(new THREE.Vector3(...point)); }
-
   // Of each handle, in the robot's base.
   handlePlaces() { return this.pose ? this.pose.furniture.map(([x, y, z]) => new THREE.Vector3(x, y, z)) : []; }
 }
@@ -245,25 +220,21 @@ function startTeaching() {
   const data = JSON.parse(get("data").textContent), teach = new Teach(new Show(data), data);
   window.manipLearnTeach = {
     id: PAGE_ID,
-    get seq() { return teach.link.seq; },
     get pose() { return teach.pose; },
     get state() { return teach.state; },
     get scene() { return teach.scene; },
     // Where a place in the robot's base is on the page [px]; null behind the camera.
-    screenOf: (point) => teach.screenOf(point),
-    tipOnScreen: () => teach.screenOf(teach.instance.tipPosition().toArray()),
+    screenOf: (point) => teach.pointing.onPage(new THREE.Vector3(...point)),
+    tipOnScreen: () => teach.pointing.onPage(teach.instance.tipPosition()),
     tip: () => teach.instance.tipPosition().toArray(),
     // Of the newest pose that has been drawn.
     get drawnSeq() { return teach.drawnSeq; },
-    // From a pull's post to the first picture that shows what followed [ms].
-    get latencies() { return [...teach.link.latencies]; },
     // Row-major 4 x 4 pose of a link in the robot's base, as drawn.
     linkPose: (link) => teach.instance.linkMatrix(link).transpose().toArray(),
     // From the scene to the eye, unit vector in the robot's base.
     toEye: () => teach.pointing.toEye().toArray(),
     // What the person pulls: link, place, and the number of a handle that it goes to; null without a pull.
     get pull() { const held = teach.hand && teach.hand.held; return held ? { link: held.link, to: held.to.toArray(), toHandle: held.toHandle } : null; },
-    get drawing() { return Boolean(teach.stage); },
     get allowed() { return teach.allowed; },
   };
   window.manipLearnReady = true;
