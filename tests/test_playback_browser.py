@@ -215,7 +215,8 @@ def test_hostile_names_do_nothing(tmp_path, opened):
     for place in ("#robot-name", "#subtitle", "#legend .name"):
         assert page.locator(place).inner_text() == EVIL
     assert page.locator("#status-key").inner_text() == "slowed"
-    assert page.locator("#chart rect title").all_text_contents() == [f"{EVIL}: slowed ({EVIL})"]
+    span = f"0.00 s to {motion.time[-1]:.2f} s"
+    assert page.locator("#chart rect title").all_text_contents() == [f"{EVIL}: slowed ({EVIL}), {span}"]
     np.testing.assert_allclose(link_pose(page, EVIL, EVIL), robot.pose(motion.q[0], robot.frame(EVIL)), atol=POSES)
     hinge = {"type": "hinge", "axis": [0, 0, 1], "point": [0.5, 0.5, 0.1], "radius": 0.6, "sentence": f"a hinge {EVIL}"}
     recording, phases = {EVIL: motion.trajectory(EVIL)}, [(EVIL, 0.0, 2.0, 0)]

@@ -82,6 +82,20 @@ def test_places_on_the_chart(run):
     assert run("c.x(2)", "c.x(3)", "c.x(6)", "c.y(0)", "c.y(0.5)", "c.y(2)", given=given) == [58, 108, 258, 108, 83, 8]
 
 
+def test_small_values_are_read_as_numbers(run):
+    """A value far below the largest one lies on the line of zero; the numbers in the caption of a
+    track and at the cursor have two digits of it all the same.
+    """
+    given = CHART + "const c = at(58, 258, 8, 108, {}), r = { curveTimes: [0, 1, 2], curve: [2, 1.2e-4, 2] };"
+    given += "c.range = c.findRange([r]);"
+    assert run("c.range[0]", "c.y(curveValue(r, 1)) > c.y(0) - 0.1", "niceTicks(...c.range, 3)[0]", given=given) == [
+        *(0, True, 0)
+    ]
+    assert (
+        run("readable(curveValue(r, 1))", "trackText('singular', '', curveValue(r, 1))", given=given) == ["1.2e-4"] * 2
+    )
+
+
 PHASED = """const kinds = ["first", "second", "free"].map((label) => ({ label }));
     const phased = { hasPhases: true, duration: 4, phases: [[0.5, 1, -1], [1, 3, 0], [3.5, 4, 1]], status: [] };
     phased.bands = bandsOf(phased, kinds);"""

@@ -283,20 +283,17 @@ class _Reach:
         out = -level / np.linalg.norm(level) if np.linalg.norm(level) > 0.3 else -points
         if kind == "drawer":
             travel = float(rng.uniform(0.2, 0.32)) * size
-            pose = facing(out, at)
+            pose, friction = facing(out, at), float(rng.uniform(1.0, 4.0))
             boards = drawer_boards(travel, pose)
-            made = Handle("drawer", "line", pose, out, at, False, travel, play, float(rng.uniform(1.0, 4.0)), *boards)
-            return made, out
+            return Handle("drawer", "line", pose, out, at, False, travel, play, friction, *boards), out
         if kind in ("door", "loose-door"):
             axis = float(rng.choice([-1.0, 1.0])) * up
             right = np.cross(out, axis)
             radius = float(rng.uniform(0.25, 0.4)) * size
             pose, pivot = about(axis, at - radius * right, at, 0.03)
             travel, friction = float(rng.uniform(0.6, 1.1)), float(rng.uniform(0.1, 0.5))
-            point = pose[:3, :3] @ pivot + at
-            firm = kind == "door"
-            made = Handle("door", "hinge", pose, axis, point, firm, travel, play, friction, *door_boards(pivot))
-            return made, out
+            point, boards = pose[:3, :3] @ pivot + at, door_boards(pivot)
+            return Handle("door", "hinge", pose, axis, point, kind == "door", travel, play, friction, *boards), out
         normal = -points if self._flat else rotation_matrix(rng.normal(0.0, 0.12, 3)) @ up
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = np.vstack([across(normal), normal]).T, at

@@ -551,9 +551,8 @@ class TeachingSession:
         self._shows.put(lambda: json.dumps(pose, allow_nan=False), "pose")
 
     def _show_state(self) -> None:
-        arm, recording, can_run = self.arm, None, self._way is not None
-        if self._doing == "recording":
-            recording = {"name": "recording", "seconds": round(arm.time - self._began, 1)}
+        arm, can_run = self.arm, self._way is not None
+        recording = {"name": "recording", "seconds": round(arm.time - self._began, 1)}
         self._show(
             "state",
             {
@@ -563,7 +562,7 @@ class TeachingSession:
                 "wrong": self._wrong,
                 "recordings": [one.to_dict() for one in self._recordings],
                 "unlearnt": sum(one not in self._learnt_from for one in self._recordings),
-                "recording": recording,
+                "recording": recording if self._doing == "recording" else None,
                 "progress": self._progress,
                 "answer": self._answer,
                 "truth": truth_content(arm.scene, self.constraint) if self._truth_shown else None,
