@@ -42,7 +42,7 @@ FILM, FILM_SECONDS, MOST_FILM_BYTES = (960, 720), 8.0, 1_500_000  # [px], [s] of
 # of a singularity of what is held and driven: of these 57, seven stop within a third of the way without a plan
 PAIR = (0.5374, -0.8046, 0.7743, -2.7548, 1.6547, 3.2939, -2.7873)
 OWN_VIEWER = Path(__file__).parent / "examples" / "your_own_viewer.webp"
-ONLY_FILM = "header > :not(h1, p), #notes, .sheet, #transport, #log, #status-key { display: none !important }"
+ONLY_FILM = "header > :not(h1, p), #notes, .sheet, #transport, #status-key { display: none !important }"
 ONLY_ARM = "header, #panel, #transport, #legend, #notes { display: none !important } #stage { grid-row: 1 / -1 }"
 
 

@@ -73,15 +73,27 @@ def test_ticks_and_numbers_are_round(run):
 
 
 CHART = """const at = (left, right, top, bottom, more) => Object.assign(Object.create(Chart.prototype),
-    { left, right, top, bottom, start: 0, logarithmic: false, ...more });"""
+    { left, right, top, bottom, start: 0, ...more });"""
 
 
 def test_places_on_the_chart(run):
-    """Time runs evenly from the left edge to the right one, values from the bottom to the top, by decades if asked."""
+    """Time runs evenly from the left edge to the right one, values from the bottom to the top."""
     given = CHART + "const c = at(58, 258, 8, 108, { duration: 4, start: 2, range: [0, 2] });"
-    given += "const d = at(58, 258, 8, 108, { duration: 4, logarithmic: true, range: [0.01, 100] });"
     assert run("c.x(2)", "c.x(3)", "c.x(6)", "c.y(0)", "c.y(0.5)", "c.y(2)", given=given) == [58, 108, 258, 108, 83, 8]
-    assert run("d.y(0.01)", "d.y(1)", "d.y(100)", "d.y(0)", given=given) == pytest.approx([108, 58, 8, 108])
+
+
+def test_small_values_are_read_as_numbers(run):
+    """A value far below the largest one lies on the line of zero; the numbers in the caption of a
+    track and at the cursor have two digits of it all the same.
+    """
+    given = CHART + "const c = at(58, 258, 8, 108, {}), r = { curveTimes: [0, 1, 2], curve: [2, 1.2e-4, 2] };"
+    given += "c.range = c.findRange([r]);"
+    assert run("c.range[0]", "c.y(curveValue(r, 1)) > c.y(0) - 0.1", "niceTicks(...c.range, 3)[0]", given=given) == [
+        *(0, True, 0)
+    ]
+    assert (
+        run("readable(curveValue(r, 1))", "trackText('singular', '', curveValue(r, 1))", given=given) == ["1.2e-4"] * 2
+    )
 
 
 PHASED = """const kinds = ["first", "second", "free"].map((label) => ({ label }));

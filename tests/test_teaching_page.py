@@ -601,7 +601,7 @@ def test_ghosts_are_played_beside_the_arm(program, page):
         ghost | {"name": "without", "ended": "9.3 of 20.0 cm", "colour": "#d55e00", "colourName": "red"}]})  # fmt: skip
     wait_until(page, "document.querySelectorAll('#ghost-ends button').length === 2")
     assert page.locator("#ghost-ends button").first.inner_text() == HOSTILE
-    wait_until(page, "document.querySelectorAll('#chart polyline').length === 2")
+    wait_until(page, "document.querySelectorAll('#chart .curve').length === 2")
     wait_until(page, "document.getElementById('scene-key').innerText.includes('without: 9.3 of 20.0 cm')")
     assert page.locator("#ghost-ends meter").first.evaluate("bar => bar.value") == pytest.approx(1.0)
     page.locator("#ghost-ends button").last.click()

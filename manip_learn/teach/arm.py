@@ -38,6 +38,11 @@ class Pull(NamedTuple):
     turn: Float[np.ndarray, " 3"] | None
     heard: float
 
+    def held_at(self, data: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return where that point is now, in the base [m], and how the body is turned."""
+        rotation = data.xmat[self.body].reshape(3, 3).copy()
+        return data.xpos[self.body] + rotation @ self.at, rotation
+
 
 @final
 class _Hand:
@@ -60,8 +65,7 @@ class _Hand:
         if pull is None or self.pull is None or pull.body != self.pull.body:
             self._goal = None
         if pull is not None and self._goal is None:
-            rotation = data.xmat[pull.body].reshape(3, 3)
-            self._goal, self._first = data.xpos[pull.body] + rotation @ pull.at, rotation.copy()
+            self._goal, self._first = pull.held_at(data)
         self.pull = pull
         if pull is None:
             self.force, self.limited = np.zeros(3), False
@@ -71,8 +75,7 @@ class _Hand:
         pull = self.pull
         if pull is None or self._goal is None or self._first is None:
             return
-        rotation = data.xmat[pull.body].reshape(3, 3)
-        self.at = data.xpos[pull.body] + rotation @ pull.at
+        self.at, rotation = pull.held_at(data)
         self._mujoco.mj_jac(model, data, self._linear, self._angular, self.at, pull.body)
         # it comes there in 0.02 s: between two pictures of 60 Hz it does not jump; 1 cm off is 9 N
         self._goal = self._goal + (pull.to - self._goal) * (TIMESTEP / 0.02)
@@ -124,6 +127,7 @@ class TeachingArm:
         noise = {"noise": 1e-4, "rng": rng}  # [rad or m] of the encoders: 16 bits a turn
         self._arm = MuJoCoDriver(model, self.joint_names, scene.start, period=PERIOD, hand=self.hand, **noise)
         self.model, self.data = model, self._arm.data
+        self.release, self.hold = self._arm.release, self._arm.hold  # let the arm be guided, or hold it where it is
         self._tip = model.site("tip").id
         self._handle = model.body("handle") if scene.handles else None
         self.held, self._closed, self._opened = False, 0.0, False  # when it closed [s]; True where it was opened last
@@ -146,14 +150,6 @@ class TeachingArm:
         """Let one period pass without a command."""
         self._arm.wait()
         self._pass()
-
-    def release(self) -> None:
-        """Let the arm be guided."""
-        self._arm.release()
-
-    def hold(self) -> None:
-        """Hold the arm where it is."""
-        self._arm.hold()
 
     def gripper(self, word: Literal["close", "open"]) -> None:
         """Close or open the gripper, as a motion says."""
@@ -255,10 +251,6 @@ class TeachingArm:
             self.data.eq_active[self.model.equality("grip").id] = self.held
         return self.held
 
-    def close_again(self) -> None:
-        """Let the gripper close by itself once more where it was opened."""
-        self._opened = False
-
     def close_when_near(self) -> bool:
         """Close the gripper on a handle that the hand has come to.
 
@@ -272,9 +264,8 @@ class TeachingArm:
         self.grip(False)
         self._opened = False
         if self._handle is not None:
-            first, number = int(self._handle.jntadr[0]), int(self._handle.jntnum[0])
-            self.data.qpos[self.model.jnt_qposadr[first : first + number]] = 0.0
-            self.data.qvel[self.model.jnt_dofadr[first : first + number]] = 0.0
+            joints = self._handle.jntadr[0] + np.arange(self._handle.jntnum[0])
+            self.data.qpos[self.model.jnt_qposadr[joints]] = self.data.qvel[self.model.jnt_dofadr[joints]] = 0.0
 
     def _turn_handle(self) -> None:
         """Turn a firm handle's site as the hand is turned, so that closing turns neither."""

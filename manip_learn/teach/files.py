@@ -73,9 +73,7 @@ def _constraint(lesson: Lesson) -> Taken:
 
 
 def _csv(lesson: Lesson) -> Taken:
-    content = _zipped([(Path(f).name, Path(f)) for f in lesson.files])
-    path = write_atomically(lesson.out / "recordings_csv.zip", content)
-    return path.name, str(path), "the recordings, one CSV file each"
+    return _zipped(lesson, "csv", [Path(f) for f in lesson.files], "the recordings, one CSV file each")
 
 
 def _lerobot(lesson: Lesson) -> Taken:
@@ -84,9 +82,8 @@ def _lerobot(lesson: Lesson) -> Taken:
     robot, folder = lesson.robot, lesson.out / "lerobot"
     shutil.rmtree(folder, ignore_errors=True)  # of a press before
     write_lerobot(folder, [motion_of_trajectory(t, robot) for t in load_demonstrations(list(lesson.files), robot)])
-    inside = [(str(p.relative_to(lesson.out)), p) for p in sorted(folder.rglob("*")) if p.is_file()]
-    path = write_atomically(lesson.out / "recordings_lerobot.zip", _zipped(inside))
-    return path.name, str(path), "the recordings as a LeRobot data set"
+    inside = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    return _zipped(lesson, "lerobot", inside, "the recordings as a LeRobot data set")
 
 
 def _replay(lesson: Lesson) -> Taken:
@@ -122,12 +119,14 @@ def _script(lesson: Lesson) -> Taken:
     return "taught.py", str(path), f"the same steps in Python; run it in {lesson.out}"
 
 
-def _zipped(files: Sequence[tuple[str, Path]]) -> bytes:
-    content = io.BytesIO()
+def _zipped(lesson: Lesson, kind: str, files: Sequence[Path], says: str) -> Taken:
+    """Write files into one archive, under their places in the lesson's folder, or else by their names."""
+    content, out = io.BytesIO(), lesson.out
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, path in files:
-            archive.write(path, name)
-    return content.getvalue()
+        for path in files:
+            archive.write(path, path.relative_to(out) if kind == "lerobot" else path.name)
+    path = write_atomically(out / f"recordings_{kind}.zip", content.getvalue())
+    return path.name, str(path), says
 
 
 HOMES: dict[str, Callable[[Lesson], Taken]] = {

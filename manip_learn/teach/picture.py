@@ -36,8 +36,8 @@ LINES = {
     "ball": "The hand turns about a point",
     "curve": "The hand follows a curve",
 }
-
 _FOLDER = Path(__file__).with_name("page")
+_PARTS = "link pointing hand furniture drawing recordings answer ghosts take panel teach"
 NOT_TAUGHT_WITH = ("shown.js", "legend.js", "live.js", "main.js")  # of a replay's program
 TEACH = replace(
     REPLAY,
@@ -45,13 +45,7 @@ TEACH = replace(
     style=(*REPLAY.style, _FOLDER / "teach.css"),
     program=(
         *(file for file in REPLAY.program if file.name not in NOT_TAUGHT_WITH),
-        *(
-            _FOLDER / f"{name}.js"
-            for name in (
-                *("link", "pointing", "hand", "furniture", "drawing", "recordings", "answer", "ghosts"),
-                *("take", "panel", "teach"),
-            )
-        ),
+        *(_FOLDER / f"{name}.js" for name in _PARTS.split()),
     ),
     markup=_FOLDER / "teach.html",
 )
@@ -100,9 +94,9 @@ class TeachingPicture:
         U, sizes, _ = np.linalg.svd(robot.jacobian(q, self._tip)[:3], full_matrices=False)
         last = min(self._rank, len(sizes)) - 1
         share = float(sizes[last] / max(sizes[0], 1e-12))
-        held = {
+        held = hand.pull and {
             "at": hand.at.tolist(),
-            "to": None if hand.pull is None else hand.pull.to.tolist(),
+            "to": hand.pull.to.tolist(),
             "force": float(np.linalg.norm(hand.force)),
             "limited": bool(hand.limited),
         }
@@ -113,7 +107,7 @@ class TeachingPicture:
             "furniture": [arm.handle_pose for _ in handles],
             "held": [arm.held for _ in handles],
             "near": 0 if arm.is_near else None,
-            "hand": None if hand.pull is None else held,
+            "hand": held,
             "weak": {"direction": U[:, last].tolist(), "share": share} if share < WEAK else None,
             "mu": float(np.prod(sizes[: last + 1])) if rows is None else float(manipulability(rows, q)),
             "marks": None if constraint is None else self._marks(constraint, q, place),
@@ -144,9 +138,7 @@ def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
         "number": number,
         "kind": scene.kind,
         "title": TITLES[scene.kind],
-        "task": TASKS[scene.handles[0].type]
-        if scene.handles
-        else "There is nothing to learn here: move the hand about.",
+        "task": TASKS[scene.handles[0].type if scene.handles else "free"],
         "handles": [
             {"name": h.name, "unit": "rad" if h.turns else "m", "at": h.pose[:3, 3].tolist(), "firm": h.firm}
             | {"move": MOVES[h.type]}
@@ -214,12 +206,11 @@ def answer_content(content: Mapping[str, Any]) -> dict[str, Any]:
     uncertain, answer = content["uncertainty"], content["answer"]
     known = uncertain is not None and uncertain <= 1.0  # [degrees], which are 9 mm at 0.5 m
     sure = known and not answer["warnings"]
+    told = "" if uncertain is None else f"; known to {uncertain:.2g}°"
     kind, further = LINES.get((answer["mechanism"] or {}).get("type", "")), "Show it once more, from another posture, "
     then = "let the arm do it." if sure else "read the warnings before you let the arm do it."
     return answer | {
-        "line": answer["sentence"]
-        if kind is None
-        else kind + ("." if uncertain is None else f"; known to {uncertain:.2g}°."),
+        "line": answer["sentence"] if kind is None else f"{kind}{told}.",
         "next": f"It is known well enough: {then}" if known else f"{further}until it is known to 1 degree.",
         "offer": None if sure else {"say": "Record another one", "said": {"do": "record"}},
     }

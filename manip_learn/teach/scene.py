@@ -43,6 +43,7 @@ TASKS = {
     "line": "Take the hand to the handle, pull the drawer open and push it shut.",
     "hinge": "Take the hand to the handle, swing the door open and shut it.",
     "plane": "Take the hand to the sponge and wipe the table to and fro, in both directions.",
+    "free": "There is nothing to learn here: move the hand about.",
 }
 
 FIRST_SEED = 3  # of the first scenes: what stands there stands beside the arm, so that neither hides the other
@@ -149,23 +150,20 @@ class TeachingScene:
     @property
     def hard_start(self) -> tuple[float, ...] | None:
         """Posture at the handle from which only a planned motion does the task [rad]; None where none is known."""
-        start = HARD_STARTS.get((self.robot.name, self.kind))
-        if (
-            start is None or np.linalg.norm(self.robot.position(start, self.tip) - self.handles[0].pose[:3, 3]) > 0.01
-        ):  # [m]
+        if (start := HARD_STARTS.get((self.robot.name, self.kind))) is None:
             return None
-        return start
+        gap = self.robot.position(start, self.tip) - self.handles[0].pose[:3, 3]
+        return start if np.linalg.norm(gap) <= 0.01 else None  # [m]
 
 
 def around(handles: Iterable[Handle]) -> Scene:
     """Return the boxes that stand still around handles, in the robot's base."""
     boxes = []
-    for handle in handles:
-        for x, y, z, *size, what in handle.fixed:
-            if what != HANDLE:
-                pose = handle.pose.copy()
-                pose[:3, 3] += pose[:3, :3] @ [x, y, z]
-                boxes.append(Box(tuple(size), pose, f"{handle.name} {len(boxes) + 1}"))
+    for handle, (*at, wide, deep, high, what) in ((h, board) for h in handles for board in h.fixed):
+        if what != HANDLE:
+            pose = handle.pose.copy()
+            pose[:3, 3] += pose[:3, :3] @ at
+            boxes.append(Box((wide, deep, high), pose, f"{handle.name} {len(boxes) + 1}"))
     return Scene(boxes=boxes, handled=[box.name for box in boxes])
 
 
@@ -270,8 +268,7 @@ class _Reach:
             return None
         begin = pose.copy()
         begin[:3, 3] += 0.16 * away  # [m], so that a recording has a way to the handle
-        start = posture_at(self._robot, self._tip, q, begin, False, self._rank)
-        if start is None or self._margin_of(start) < 0.0:
+        if (start := self._posture_at(q, begin, False)) is None:
             return None
         solids = around([handle]).obstacles(self._robot)
         clear = self._links.with_obstacles([replace(one, may_touch=self._hand) for one in solids], False)
@@ -286,20 +283,17 @@ class _Reach:
         out = -level / np.linalg.norm(level) if np.linalg.norm(level) > 0.3 else -points
         if kind == "drawer":
             travel = float(rng.uniform(0.2, 0.32)) * size
-            pose = facing(out, at)
+            pose, friction = facing(out, at), float(rng.uniform(1.0, 4.0))
             boards = drawer_boards(travel, pose)
-            made = Handle("drawer", "line", pose, out, at, False, travel, play, float(rng.uniform(1.0, 4.0)), *boards)
-            return made, out
+            return Handle("drawer", "line", pose, out, at, False, travel, play, friction, *boards), out
         if kind in ("door", "loose-door"):
             axis = float(rng.choice([-1.0, 1.0])) * up
             right = np.cross(out, axis)
             radius = float(rng.uniform(0.25, 0.4)) * size
             pose, pivot = about(axis, at - radius * right, at, 0.03)
             travel, friction = float(rng.uniform(0.6, 1.1)), float(rng.uniform(0.1, 0.5))
-            point = pose[:3, :3] @ pivot + at
-            firm = kind == "door"
-            made = Handle("door", "hinge", pose, axis, point, firm, travel, play, friction, *door_boards(pivot))
-            return made, out
+            point, boards = pose[:3, :3] @ pivot + at, door_boards(pivot)
+            return Handle("door", "hinge", pose, axis, point, kind == "door", travel, play, friction, *boards), out
         normal = -points if self._flat else rotation_matrix(rng.normal(0.0, 0.12, 3)) @ up
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = np.vstack([across(normal), normal]).T, at
@@ -313,11 +307,15 @@ class _Reach:
         out = [q]
         grip = np.linalg.inv(handle.pose) @ hand
         for pose in handle.stations():
-            found = posture_at(self._robot, self._tip, q, pose @ grip, handle.firm, self._rank)
-            if found is None or self._margin_of(found) < 0.0:
+            if (found := self._posture_at(out[-1], pose @ grip, handle.firm)) is None:
                 return None
-            out.append(q := found)
+            out.append(found)
         return out
+
+    def _posture_at(self, q: np.ndarray, wanted: np.ndarray, firm: bool) -> np.ndarray | None:
+        """As the function of this name; None near limits as well."""
+        found = posture_at(self._robot, self._tip, q, wanted, firm, self._rank)
+        return None if found is None or self._margin_of(found) < 0.0 else found
 
 
 def posture_at(
@@ -339,12 +337,10 @@ def posture_at(
         rank: Number of directions in which the tip can move at all: three for an arm in a plane.
     """
     for _ in range(12):
-        pose, J = robot.pose(q, tip), robot.jacobian(q, tip)
-        error = pose_error(pose, wanted, own_axes=False)[: 6 if firm else 3]
+        error = pose_error(robot.pose(q, tip), wanted, own_axes=False)[: 6 if firm else 3]
+        step, _, _, sizes = np.linalg.lstsq(robot.jacobian(q, tip)[: len(error)], error, rcond=1e-3)
         if np.linalg.norm(error) < 1e-4:  # [m or rad]: below what encoders tell
-            sizes = np.linalg.svd(J[: len(error)], compute_uv=False)  # [m/rad]; 0.075 is away from a singularity
-            return q if sizes[min(len(sizes), len(error), rank) - 1] >= 0.075 else None
-        step = np.linalg.pinv(J[: len(error)], rcond=1e-3) @ error
+            return q if sizes[min(len(sizes), rank) - 1] >= 0.075 else None  # [m/rad]: away from a singularity
         q = q + step * min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-12))  # [rad]: linearised they are near enough
     return None
 
@@ -400,11 +396,9 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
         body.quat = _quaternion(joint.placement[:3, :3])
         inertia = model.inertias[i]
         body.mass, body.ipos, body.explicitinertial = max(inertia.mass, LEAST_MASS), inertia.lever, True
-        moments, axes = np.linalg.eigh(inertia.inertia)
+        moments, axes = np.linalg.eigh(inertia.inertia)  # smallest first
         moments = np.maximum(moments, 1e-4)  # [kg m2]
-        body.inertia = np.minimum(
-            moments, np.sum(np.sort(moments)[:2])
-        )  # none of a body is above the sum of the others
+        body.inertia = np.minimum(moments, moments[0] + moments[1])  # none of a body is above the sum of the others
         body.iquat = _quaternion(axes * np.linalg.det(axes))
         kind = mujoco.mjtJoint.mjJNT_HINGE if joint.motion == "revolute" else mujoco.mjtJoint.mjJNT_SLIDE
         made = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
@@ -426,9 +420,8 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
         led = spec.add_equality(name=f"{mimic.joint}_follows", type=mujoco.mjtEq.mjEQ_JOINT)
         led.objtype, led.name1, led.name2 = mujoco.mjtObj.mjOBJ_JOINT, mimic.joint, mimic.leader
         led.data[:5] = [mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]
-    bodies[frame.parentJoint].add_site(
-        name="tip", pos=frame.placement.translation, quat=_quaternion(frame.placement.rotation)
-    )
+    at = frame.placement
+    bodies[frame.parentJoint].add_site(name="tip", pos=at.translation, quat=_quaternion(at.rotation))
 
 
 def _add_handle(mujoco: Any, spec: Any, handle: Handle) -> None:

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any, cast, final
 
@@ -123,11 +124,12 @@ class TeachingSession:
         self._picture = TeachingPicture(robot, tip)
         self._worker = TeachingWorker(robot, tip)
         self._pages: list[str] = []
-        self._leader, self._left, self._opened = "", np.inf, False
+        self._leader, self._left = "", np.inf
         self._mode: Callable[[], None] | None = None
         self._doing, self._sentence, self._wrong = "idle", "", False
         self._ended = self._stop = False
-        self._seq = self._number = self._number_of_ghosts = self._files_written = 0
+        self._seq = self._number = 0
+        self._numbers = count(1)  # of ghosts and files, in their order
         self._put: dict[str, str] = {}
         self._looked = self._began = 0.0
         self._acts: dict[str, Callable[[Mapping[str, Any]], None]] = {
@@ -226,15 +228,13 @@ class TeachingSession:
         self._ended = self._stop = True
 
     def _pages_are(self, pages: list[str]) -> None:
-        self._pages, self._opened = pages, self._opened or bool(pages)
+        if pages or self._pages:
+            self._left = np.inf if pages else time.monotonic()
+        self._pages = pages
         if self._leader not in pages:
             if self._leader and self.arm.hand.pull is not None:
                 self.arm.let_go()
             self._leader = pages[0] if pages else ""
-        if pages:
-            self._left = np.inf
-        elif self._opened:
-            self._left = min(self._left, time.monotonic())
 
     def _say(self, sentence: str, wrong: bool = False) -> None:
         self._sentence, self._wrong = sentence, wrong
@@ -289,10 +289,10 @@ class TeachingSession:
             self._begin(self._record)
 
     def _shown_by(self, name: Any) -> TaughtRecording:
-        result = next((one for one in self._recordings if one.path.stem == name), None)
-        if result is None:
-            raise ValueError(f"there is no recording {name!r}")
-        return result
+        for one in self._recordings:
+            if one.path.stem == name:
+                return one
+        raise ValueError(f"there is no recording {name!r}")
 
     def _rename(self, said: Mapping[str, Any]) -> None:
         one, to = self._shown_by(said["name"]), str(said["to"]).strip()
@@ -312,8 +312,7 @@ class TeachingSession:
 
     def _replay(self, said: Mapping[str, Any]) -> None:
         one = self._shown_by(said["name"])
-        made = ghost(self.robot, one.path.stem, COLOURS["vermilion"], one.time, one.q)
-        self._show_ghosts("replay", [made])
+        self._show_ghosts("replay", [ghost(self.robot, one.path.stem, COLOURS["vermilion"], one.time, one.q)])
 
     def _drop(self, said: Mapping[str, Any]) -> None:
         """Add a recording that was dropped on the page, if it is one of this robot."""
@@ -381,17 +380,12 @@ class TeachingSession:
         if not self.arm.held:
             self.arm.shut()
         self._doing, self._began, self._touched = "recording", self.arm.time, self.arm.held
-        started = [False]
+        self._say("Recording: show the task, then press Stop.")
+        first = iter(["start or stop"])
 
         def key() -> Any:
-            if self._ended:
-                return "end"
-            if not started[0] or self._stop:
-                started[0] = True
-                return "start or stop"
-            return ""
+            return "end" if self._ended else "start or stop" if self._stop else next(first, "")
 
-        self._say("Recording: show the task, then press Stop.")
         done = record(self.arm, self.folder, "shown", by="key", motions=1, key=key)
         self._ended |= done.ended == "Ctrl-C"
         if not done.files or done.samples < 2:
@@ -431,18 +425,15 @@ class TeachingSession:
             return
         job, answer = what
         self._progress = None
-        if kind == "failed" and job == "learn":
-            self._refused(answer)
+        if job == "learn":
+            (self._learnt if kind == "done" else self._refused)(answer)
         elif kind == "failed":
             self._say(answer, wrong=True)
-        elif job == "learn":
-            self._learnt(answer)
         elif job == "repeat":
             self._planned = answer
         elif job == "take":
-            self._files_written += 1
             name, path, says = answer
-            self._files[name] = Path(path), says, self._files_written
+            self._files[name] = Path(path), says, next(self._numbers)
             self._shows.offer({name: path for name, (path, *_) in self._files.items()})
             self._say(f"Ready to take home: {name}.")
         else:
@@ -552,8 +543,7 @@ class TeachingSession:
             self._shows.put(lambda: text, slot)
 
     def _show_ghosts(self, kind: str, rollouts: list[dict[str, Any]]) -> None:
-        self._number_of_ghosts += 1
-        self._show("ghosts", {"number": self._number_of_ghosts, "kind": kind, "rollouts": rollouts})
+        self._show("ghosts", {"number": next(self._numbers), "kind": kind, "rollouts": rollouts})
 
     def _show_pose(self) -> None:
         pose = self._picture.pose(self.arm, self.constraint, self._rows)
@@ -561,9 +551,8 @@ class TeachingSession:
         self._shows.put(lambda: json.dumps(pose, allow_nan=False), "pose")
 
     def _show_state(self) -> None:
-        arm, recording = self.arm, None
-        if self._doing == "recording":
-            recording = {"name": "recording", "seconds": round(arm.time - self._began, 1)}
+        arm, can_run = self.arm, self._way is not None
+        recording = {"name": "recording", "seconds": round(arm.time - self._began, 1)}
         self._show(
             "state",
             {
@@ -573,14 +562,11 @@ class TeachingSession:
                 "wrong": self._wrong,
                 "recordings": [one.to_dict() for one in self._recordings],
                 "unlearnt": sum(one not in self._learnt_from for one in self._recordings),
-                "recording": recording,
+                "recording": recording if self._doing == "recording" else None,
                 "progress": self._progress,
                 "answer": self._answer,
                 "truth": truth_content(arm.scene, self.constraint) if self._truth_shown else None,
-                "can": {
-                    "run": self._way is not None,
-                    "compare": self._way is not None and arm.scene.hard_start is not None,
-                },
+                "can": {"run": can_run, "compare": can_run and arm.scene.hard_start is not None},
                 "run": self._outcome,
                 "files": [{"name": name, "says": says, "number": n} for name, (_, says, n) in self._files.items()],
                 "keep": str(self.folder),

@@ -231,11 +231,10 @@ def _compare(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayL
     law = ResolvedRateController(way, task, ZeroPolicy(robot.nv), dt=STEP, limits=limits)
     alone, stopped = simulate_way(robot, law, np.asarray(start), STEP)
     planned = plan(way, task, start, limits=limits, scene=scene, dt=STEP, progress=said, takes=step.takes)
-    ends = {"without": (alone, stopped), "with": (planned.rollout, planned.outcome)}
+    ends = (alone, stopped), (planned.rollout, planned.outcome)
+    colours = rollout_colours(["the arm itself", "without", "with"], {})[1:]
     ghosts, words = [], []
-    for (name, (rollout, end)), (_, colour) in zip(
-        ends.items(), rollout_colours(["the arm itself", *ends], {})[1:], strict=True
-    ):
+    for name, (rollout, end), (_, colour) in zip(("without", "with"), ends, colours, strict=True):
         far = distance_in_words(abs(end.done), end.unit)
         words.append(f"all {far}" if end.is_done else f"stops after {far}")
         why = "" if end.is_done else f": {end.stopped_by}"

@@ -30,6 +30,11 @@ function short(x) {
   return size >= 1e-3 && size < 1e5 ? String(Number(x.toPrecision(4))) : x.toExponential(1).replace("e+", "e");
 }
 
+function moveAcross(line, x) {
+  for (const end of ["x1", "x2"]) line.setAttribute(end, x);
+  return x;
+}
+
 // A finger that scrolls the page does not move in time: it seeks by dragging sideways, or by a tap, however long.
 function wireSeek(element, seek) {
   let from = null;
@@ -42,23 +47,27 @@ function wireSeek(element, seek) {
 // The lowest and the highest of values, which may be too many for Math.min.
 function extent(values) { return values.reduce(([low, high], v) => [Math.min(low, v), Math.max(high, v)], [Infinity, -Infinity]); }
 
-// Whole powers of ten around values, at most twelve of them.
-function decades(low, high) {
-  return [Math.pow(10, Math.floor(Math.log10(Math.max(low, 1e-12 * high)))), Math.pow(10, Math.ceil(Math.log10(high) + 1e-9))];
-}
-
-// Values between `top` and `bottom` [px], over the range from the lowest to the highest, or over its powers of ten.
+// Values between `top` and `bottom` [px], over the range from the lowest to the highest.
 class ValueAxis {
-  y(value) {
-    const [low, high] = this.range, of = (v) => (this.logarithmic ? Math.log10(Math.max(v, low)) : v);
-    return this.bottom - ((of(value) - of(low)) / (of(high) - of(low))) * (this.bottom - this.top);
+  // Lines from the left to the right, and the values beside them.
+  drawGrid(root, values, { left, right }, say = short, limits = []) {
+    for (const v of values) {
+      const y = this.y(v);
+      svg("line", { x1: left, x2: right, y1: y, y2: y, class: limits.includes(v) ? "limit" : "grid" }, root);
+      svg("text", { x: left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = say(v);
+    }
   }
 
-  ticks(most) {
-    if (!this.logarithmic) return niceTicks(...this.range, most);
-    const [low, high] = this.range.map((v) => Math.round(Math.log10(v))), every = Math.max(1, Math.ceil((high - low) / most)), found = [];
-    for (let k = low; k <= high; k += every) found.push(Math.pow(10, k));
-    return found;
+  y(value) {
+    const [low, high] = this.range;
+    return this.bottom - ((value - low) / (high - low)) * (this.bottom - this.top);
+  }
+
+  // A curve with gaps where it is not a number; x: across, of a time.
+  drawLine(root, times, values, x, style) {
+    const isKnown = (i) => i >= 0 && !Number.isNaN(values[i]);
+    const parts = Array.from(times, (t, i) => (isKnown(i) ? `${isKnown(i - 1) ? "L" : "M"}${x(t).toFixed(1)} ${this.y(values[i]).toFixed(2)}` : ""));
+    svg("path", { d: parts.join(""), class: "curve", fill: "none", "stroke-linejoin": "round", ...style }, root);
   }
 }
 
@@ -66,7 +75,7 @@ class Chart extends ValueAxis {
   // zero: the moment that is called 0 s.
   constructor(element, rollouts, duration, onSeek, zero = 0) {
     super();
-    Object.assign(this, { element, rollouts, duration, onSeek, zero, logarithmic: false, start: 0 });
+    Object.assign(this, { element, rollouts, duration, onSeek, zero, start: 0 });
     this.styles = new Map();
     new ResizeObserver(() => this.draw()).observe(element);
     if (!onSeek) return;
@@ -81,18 +90,11 @@ class Chart extends ValueAxis {
     return this.start + Math.min(Math.max(share, 0), 1) * this.duration;
   }
 
-  turnLogarithmic() {
-    this.logarithmic = !this.logarithmic;
-    get("log").setAttribute("aria-pressed", String(this.logarithmic));
-    this.draw();
-  }
-
   x(t) { return this.left + ((t - this.start) / Math.max(this.duration, 1e-9)) * (this.right - this.left); }
 
   findRange(curves) {
-    const values = curves.flatMap(({ curve }) => Array.from(curve)), [least, high] = extent([...values, 0]);
-    if (high <= 0) return [least, 1];
-    return this.logarithmic ? decades(extent(values.filter((v) => v > 0))[0], high) : [least, 1.06 * high];
+    const [least, high] = extent([0, ...curves.flatMap(({ curve }) => Array.from(curve))]);
+    return high > 0 ? [least, 1.06 * high] : [least, 1];
   }
 
   draw() {
@@ -108,7 +110,8 @@ class Chart extends ValueAxis {
     this.range = this.findRange(curves);
     const root = svg("svg", { width: w, height: h, "aria-hidden": "true" });
     this.drawAxes(root, h, below);
-    curves.forEach((r) => this.drawCurve(root, r));
+    for (const { curveTimes, curve, colour, solid, index } of curves)
+      this.drawLine(root, curveTimes, curve, (t) => this.x(t), { stroke: colour, "stroke-width": solid ? 3 : 2, "stroke-dasharray": DASHES[index % DASHES.length] });
     strips.forEach((r, i) => this.drawStrip(root, r, this.bottom + 9 + row * i, row - 3));
     bands.forEach((r, i) => drawBands(root, this, r, this.bottom + stripsHeight + 8 + bandRow * i, bandRow));
     this.cursor = svg("line", { y1: this.top, y2: this.bottom + below + 2, stroke: "var(--ink)", "stroke-width": 1.5 }, root);
@@ -142,12 +145,8 @@ class Chart extends ValueAxis {
 
   drawAxes(root, h, below) {
     const bare = !this.curves.length && this.bottom < 10;
-    for (const v of bare ? [] : this.ticks(Math.max(2, (this.bottom - this.top) / 30))) {
-      const y = this.y(v);
-      svg("line", { x1: this.left, x2: this.right, y1: y, y2: y, stroke: "var(--grid)" }, root);
-      svg("text", { x: this.left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = short(v);
-    }
-    if (this.curves.length && !this.logarithmic && this.range[0] <= 0) {
+    if (!bare) this.drawGrid(root, niceTicks(...this.range, Math.max(2, (this.bottom - this.top) / 30)), this);
+    if (this.curves.length && this.range[0] <= 0) {
       const y = this.y(0);
       svg("line", { x1: this.left, x2: this.right, y1: y, y2: y, class: "singular" }, root);
       svg("text", { x: this.right, y: y - 4, "text-anchor": "end", class: "singular" }, root).textContent = "singular";
@@ -162,29 +161,17 @@ class Chart extends ValueAxis {
     });
   }
 
-  drawCurve(root, rollout) {
-    const points = [];
-    for (let i = 0; i < rollout.curve.length; i++)
-      points.push(`${this.x(rollout.curveTimes[i]).toFixed(1)},${this.y(rollout.curve[i]).toFixed(2)}`);
-    const style = { fill: "none", stroke: rollout.colour, "stroke-width": rollout.solid ? 3 : 2, "stroke-linejoin": "round" };
-    svg("polyline", { points: points.join(" "), ...style, "stroke-dasharray": DASHES[rollout.index % DASHES.length] }, root);
-  }
-
   drawStrip(root, rollout, y, height) {
     svg("rect", { x: this.left - 14, y, width: 8, height, rx: 2, fill: rollout.colour }, root);
-    rollout.status.forEach(([t, word, state], i) => {
-      const [next] = rollout.status[i + 1] || [rollout.duration], x = this.x(t);
-      const bar = svg("rect", { x, y, width: Math.max(this.x(next) - x, 1.2), height, fill: STATUS[state] }, root);
-      svg("title", {}, bar).textContent = `${rollout.name}: ${state}${word === state ? "" : ` (${word})`}`;
-    });
+    const ends = [...rollout.status.slice(1).map(([start]) => start), rollout.duration];
+    const label = (word, state) => (word === state ? state : `${state} (${word})`);
+    drawBars(root, this, rollout, rollout.status.map(([start, word, state], i) => ({ start, end: ends[i], kind: { label: label(word, state), colour: STATUS[state] } })), y, height);
   }
 
   setTime(t) {
     this.time = t;
     if (!this.cursor) return;
-    const x = this.x(t);
-    this.cursor.setAttribute("x1", x);
-    this.cursor.setAttribute("x2", x);
+    const x = moveAcross(this.cursor, this.x(t));
     this.knob.setAttribute("transform", `translate(${x} ${this.top - 8})`);
     for (const [rollout, dot] of this.dots) {
       dot.setAttribute("cx", this.x(Math.min(t, rollout.duration)));
@@ -200,8 +187,7 @@ class Chart extends ValueAxis {
     this.readout.hidden = t === undefined || !shown.length;
     this.pointer.style.display = this.readout.hidden ? "none" : "";
     if (this.readout.hidden) return;
-    const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), middle = values.reduce((sum, v) => sum + this.y(v), 0) / values.length;
-    for (const end of ["x1", "x2"]) this.pointer.setAttribute(end, x);
+    const x = moveAcross(this.pointer, this.x(t)), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), middle = values.reduce((sum, v) => sum + this.y(v), 0) / values.length;
     const across = 2 * x < this.left + this.right ? `left: ${x + 12}px` : `right: ${this.element.clientWidth - x + 12}px`, top = 2 * middle > this.top + this.bottom;
     this.readout.style = `${across}; ${top ? "top: 2px" : `bottom: ${this.element.clientHeight - this.bottom + 2}px`}`;
     this.readout.replaceChildren(make("p", {}, `${t.toFixed(2)} s`), ...shown.map((r, i) => make("p", { style: `--colour: ${r.colour}` }, make("b", {}, `${readable(values[i])} ${shortName(r.name)}`))));
@@ -225,7 +211,7 @@ function inWords(rollouts) {
     return `${name}: lowest manipulability ${readable(curve[i])} at ${curveTimes[i].toFixed(2)} s`;
   };
   const curves = rollouts.filter((r) => r.curve.length).map(least), bands = rollouts.filter((r) => r.bands.length);
-  return [...curves, ...bands.map((r) => `${r.name}: ${r.hasOwnPhases ? ownPhasesInWords(r) : `${r.bands.length} phases`}`)].join("; ") || "Status over time";
+  return [...curves, ...bands.map((r) => `${r.name}: ${r.hasOwnPhases ? r.bands.map(({ kind, end }) => `${kind.label} until ${end.toFixed(2)} s`).join(", ") : `${r.bands.length} phases`}`)].join("; ") || "Status over time";
 }
 
 // Index of the last time that is not after t.
@@ -238,17 +224,22 @@ function indexAt(times, t) {
   return low;
 }
 
-function curveValue(rollout, t) {
-  const { curveTimes: times, curve } = rollout, i = indexAt(times, t);
-  if (i + 1 >= curve.length || t <= times[i]) return curve[i];
-  return curve[i] + ((t - times[i]) / (times[i + 1] - times[i])) * (curve[i + 1] - curve[i]);
+// Numbers of a table with one row a time, between rows on the line; a table of one row holds always.
+function rowAt(times, table, width, t) {
+  const rows = table.length / width, i = rows === 1 ? 0 : indexAt(times, t), row = (k) => table.slice(k * width, (k + 1) * width), from = row(i);
+  if (i + 1 >= rows || t <= times[i]) return from;
+  const share = (t - times[i]) / (times[i + 1] - times[i]), to = row(i + 1);
+  return Array.from(from, (x, k) => x + share * (to[k] - x));
 }
+
+function curveValue({ curveTimes, curve }, t) { return rowAt(curveTimes, curve, 1, t)[0]; }
 
 // "ok", "slowed" or "stopped"; none of a recording.
 function statusAt({ status }, t) { return status.length ? status[indexAt(status.map(([start]) => start), t)][2] : ""; }
 
 // A further value of a curve that is being made, of which the last seconds stay.
-function addNewest(rollout, { times, mu: curve }, time, mu, seconds) {
+function addNewest(rollout, time, mu, seconds) {
+  const { curveTimes: times, curve } = rollout;
   if (times.length && time < times[times.length - 1]) { times.length = 0; curve.length = 0; }
   times.push(time);
   curve.push(mu);

@@ -2,13 +2,8 @@
 
 const ARROW = 0.085, THIN = 0.0022; // half length of an arrow and radius of a line, relative to the scene
 const FADED = 0.25;
-const SYMMETRIC = [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]];
 
-function symmetric(numbers, i) {
-  const m = [[0, 0, 0], [0, 0, 0], [0, 0, 0]];
-  SYMMETRIC.forEach(([r, c], k) => (m[r][c] = m[c][r] = numbers[6 * i + k]));
-  return m;
-}
+function symmetric([xx, xy, xz, yy, yz, zz]) { return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]; }
 
 // Eigenvalues, largest first, and unit eigenvectors of a symmetric 3 x 3 matrix, by Jacobi's rotations.
 function eigen(matrix) {
@@ -33,18 +28,9 @@ function directionsOf(projector) {
   const kept = eigen(projector).filter((e) => e.value > 0.5).map((e) => new THREE.Vector3(...e.vector));
   if (kept.length !== 2) return kept;
   const normal = kept[0].clone().cross(kept[1]).normalize();
-  const axis = [new THREE.Vector3(1, 0, 0), new THREE.Vector3(0, 1, 0), new THREE.Vector3(0, 0, 1)].sort((x, y) => Math.abs(x.dot(normal)) - Math.abs(y.dot(normal)))[0];
-  const first = axis.addScaledVector(normal, -axis.dot(normal)).normalize();
+  const [axis] = Object.values(AXES).sort((x, y) => Math.abs(x.dot(normal)) - Math.abs(y.dot(normal)));
+  const first = axis.clone().addScaledVector(normal, -axis.dot(normal)).normalize();
   return [first, normal.clone().cross(first)];
-}
-
-// Numbers of a table with one row a time, between rows on the line; a table of one row holds always.
-function rowAt(times, table, width, t) {
-  if (table.length === width) return table;
-  const i = indexAt(times, t), from = table.subarray(i * width, (i + 1) * width);
-  if (i + 1 >= times.length || t <= times[i]) return from;
-  const share = (t - times[i]) / (times[i + 1] - times[i]), to = table.subarray((i + 1) * width, (i + 2) * width);
-  return from.map((x, k) => x + share * (to[k] - x));
 }
 
 class ConstraintMarks {
@@ -77,11 +63,23 @@ class ConstraintMarks {
 
   line(from, to, ink, radius = THIN) { return this.mesh(tubeGeometry([...from.toArray(), ...to.toArray()], radius * this.size), ink); }
 
+  // Its own z axis along a direction.
+  along(direction, geometry, ink, at = new THREE.Vector3()) {
+    const mesh = this.mesh(geometry, ink);
+    mesh.quaternion.setFromUnitVectors(AXES.z, direction);
+    mesh.position.copy(at);
+    return mesh;
+  }
+
   head(at, direction, ink, size = 1) {
-    const r = 3.2 * THIN * this.size * size, cone = this.mesh(new THREE.ConeGeometry(r, 3.2 * r, 20), ink);
-    cone.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), direction);
-    cone.position.copy(at);
-    return cone;
+    const r = 3.2 * THIN * this.size * size;
+    return this.along(direction, new THREE.ConeGeometry(r, 3.2 * r, 20).rotateX(Math.PI / 2), ink, at);
+  }
+
+  // A line to both sides of the tip, relative to the scene, with an end on either side.
+  toBothSides(d, length, ink, endAt, bold = 1) {
+    const end = d.clone().multiplyScalar(length * this.size), back = end.clone().negate();
+    return [this.line(back, end, ink, bold * THIN), endAt(end, d), endAt(back, d.clone().negate())];
   }
 
   poseOf({ joint, placement }) { return this.instance.jointMatrix(joint).multiply(placement); }
@@ -112,7 +110,7 @@ class ConstraintMarks {
   }
 
   drawDirections(t) {
-    const at = (name) => directionsOf(symmetric(rowAt(this.times, this[name], 6, t), 0));
+    const at = (name) => directionsOf(symmetric(rowAt(this.times, this[name], 6, t)));
     this.drawThese({ held: at("held"), free: at("free"), heldTurns: at("heldTurns"), freeTurns: at("freeTurns") });
   }
 
@@ -122,50 +120,20 @@ class ConstraintMarks {
     for (const old of this.parts.constraint.children) old.geometry.dispose();
     this.parts.constraint.clear();
     const { held, free, heldTurns, freeTurns } = this.drawn, add = (...meshes) => this.parts.constraint.add(...meshes);
-    if (held.length && free.length < 3) for (const d of free) add(...this.arrow(d));
-    if (held.length === 1) add(...this.bar(held[0]));
-    if (held.length === 2) add(...this.disc(held[0].clone().cross(held[1]).normalize()));
-    if (held.length === 3) add(this.mesh(new THREE.SphereGeometry(0.3 * ARROW * this.size, 24, 16), this.inks.veil));
-    if (heldTurns.length) for (const d of freeTurns) add(...this.arc(d));
-    for (const d of heldTurns) add(this.ring(d, 0.62, this.inks.held, THIN));
-  }
-
-  arrow(d) {
-    const end = d.clone().multiplyScalar(ARROW * this.size), back = end.clone().negate();
-    return [this.line(back, end, this.inks.free), this.head(end, d, this.inks.free), this.head(back, d.clone().negate(), this.inks.free)];
-  }
-
-  // Blocked on both sides.
-  bar(d) {
-    const end = d.clone().multiplyScalar(0.5 * ARROW * this.size), back = end.clone().negate();
-    return [this.line(back, end, this.inks.held), this.plate(end, d), this.plate(back, d)];
-  }
-
-  plate(at, d) {
-    const mesh = this.mesh(new THREE.CircleGeometry(0.2 * ARROW * this.size, 32), this.inks.held);
-    mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), d);
-    mesh.position.copy(at);
-    return mesh;
-  }
-
-  disc(normal) {
-    const mesh = this.mesh(new THREE.CircleGeometry(0.5 * ARROW * this.size, 48), this.inks.veil);
-    mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), normal);
-    return [mesh, this.ring(normal, 0.5, this.inks.held, THIN)];
-  }
-
-  ring(normal, radius, ink, thickness) {
-    const mesh = this.mesh(new THREE.TorusGeometry(radius * ARROW * this.size, thickness * this.size, 8, 64), ink);
-    mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), normal);
-    return mesh;
-  }
-
-  // Three quarters of a turn about d, with a head.
-  arc(d) {
-    const r = 0.75 * ARROW * this.size, mesh = this.mesh(new THREE.TorusGeometry(r, THIN * this.size, 8, 64, 1.5 * Math.PI), this.inks.free);
-    mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), d);
-    const end = new THREE.Vector3(0, -r, 0).applyQuaternion(mesh.quaternion), along = new THREE.Vector3(1, 0, 0).applyQuaternion(mesh.quaternion);
-    return [mesh, this.head(end, along, this.inks.free)];
+    const { free: open, held: shut, veil } = this.inks, scaled = (share) => share * ARROW * this.size;
+    const ring = (d, share, ink, turn) => this.along(d, new THREE.TorusGeometry(scaled(share), THIN * this.size, 8, 64, turn), ink);
+    if (held.length && free.length < 3) for (const d of free) add(...this.toBothSides(d, ARROW, open, (at, way) => this.head(at, way, open)));
+    if (held.length === 1) add(...this.toBothSides(held[0], 0.5 * ARROW, shut, (at, way) => this.along(way, new THREE.CircleGeometry(scaled(0.2), 32), shut, at)));
+    if (held.length === 2) {
+      const normal = held[0].clone().cross(held[1]).normalize();
+      add(this.along(normal, new THREE.CircleGeometry(scaled(0.5), 48), veil), ring(normal, 0.5, shut));
+    }
+    if (held.length === 3) add(this.mesh(new THREE.SphereGeometry(scaled(0.3), 24, 16), veil));
+    for (const d of heldTurns.length ? freeTurns : []) { // three quarters of a turn, with a head
+      const arc = ring(d, 0.75, open, 1.5 * Math.PI), at = (x, y) => new THREE.Vector3(x, y, 0).applyQuaternion(arc.quaternion);
+      add(arc, this.head(at(0, -scaled(0.75)), at(1, 0), open));
+    }
+    for (const d of heldTurns) add(ring(d, 0.62, shut));
   }
 
   addEllipsoid() {
@@ -177,7 +145,7 @@ class ConstraintMarks {
 
   // Lengths of the semi-axes [m/s] and their directions, longest first, at time t.
   ellipsoidAt(t) {
-    return eigen(symmetric(rowAt(this.times, this.ellipsoid, 6, t), 0)).map(({ value, vector }) => ({ length: Math.sqrt(Math.max(value, 0)), vector }));
+    return eigen(symmetric(rowAt(this.times, this.ellipsoid, 6, t))).map(({ value, vector }) => ({ length: Math.sqrt(Math.max(value, 0)), vector }));
   }
 
   placeEllipsoid(t) {
@@ -197,12 +165,12 @@ class ConstraintMarks {
     const ball = this.mesh(new THREE.SphereGeometry(r, 24, 16), this.inks.goal);
     ball.position.copy(at);
     this.parts.target.add(ball);
-    for (const [x, y, z] of [[1, 0, 0], [0, 1, 0], [0, 0, 1]]) {
-      const d = new THREE.Vector3(x, y, z).multiplyScalar(3 * r);
+    for (const axis of Object.values(AXES)) {
+      const d = axis.clone().multiplyScalar(3 * r);
       this.parts.target.add(this.line(at.clone().sub(d), at.clone().add(d), this.inks.goal, 0.7 * THIN));
     }
     // along what is free every place counts as reached
-    const free = !this.driven && this.free.length === 6 && !this.axes ? directionsOf(symmetric(this.free, 0)) : [];
+    const free = !this.driven && this.free.length === 6 && !this.axes ? directionsOf(symmetric(this.free)) : [];
     if (free.length !== 1) return;
     const d = free[0].multiplyScalar(3 * ARROW * this.size);
     this.reachedAt = at.clone().add(d);

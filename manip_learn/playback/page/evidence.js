@@ -2,15 +2,13 @@
 
 function fillEvidence(evidence) {
   if (!evidence || !(evidence.headline || evidence.facts.length)) return;
-  const card = addSheet("evidence", "Evidence", "What was learnt, and why to believe it");
-  card.append(paragraph(evidence.headline, "headline"), paragraph(evidence.kind));
-  card.append(factList(evidence.facts));
-  card.append(paragraph(evidence.words));
-  if (evidence.rows.length) card.append(rowTable(evidence.rows));
+  const { headline, kind, facts, words, rows } = evidence, card = addSheet("evidence", "Evidence", "What was learnt, and why to believe it");
+  card.append(paragraph(headline, "headline"), paragraph(kind), factList(facts), paragraph(words));
+  if (rows.length) card.append(rowTable(rows));
 }
 
 function factList(facts) {
-  return make("dl", { className: "facts" }, ...facts.flatMap(([label, value, meaning]) => [make("dt", {}, label), make("dd", {}, make("b", {}, value), ` ${meaning}`)]));
+  return make("dl", { className: "facts" }, facts.flatMap(([label, value, meaning]) => [make("dt", {}, label), make("dd", {}, make("b", {}, value), ` ${meaning}`)]));
 }
 
 // Each row of the test: joints exchanged between recordings would use a held row so many times more.

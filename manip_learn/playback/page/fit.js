@@ -19,9 +19,7 @@ function fitColour(share) {
 }
 
 // The curve of the fit, if the recording has one.
-function fitOf(rollout) {
-  return rollout.byKind?.get("fit")?.curves[0] ?? null;
-}
+function fitOf(rollout) { return rollout.byKind?.get("fit")?.curves[0] ?? null; }
 
 function colourOfPath(rollout, t) {
   if (colouring.mode === "fit" && rollout.fit) return onScreen(fitColour(valueAt(rollout.fit, t)));
@@ -39,13 +37,10 @@ function fitBins({ times, values }, duration, bins = FIT_BINS) {
   return worst.map((share, k) => (filled[k] ? share : valueAt({ times, values }, ((k + 0.5) / bins) * duration)));
 }
 
-function drawFitRow(group, chart, rollout, y, height) {
-  const bins = Math.max(8, Math.min(FIT_BINS, Math.round((rollout.duration / Math.max(chart.duration, 1e-9)) * FIT_BINS), rollout.fit.times.length));
-  const step = rollout.duration / bins;
-  fitBins(rollout.fit, rollout.duration, bins).forEach((share, k) => {
-    const x = chart.x(k * step), bar = svg("rect", { x, y, width: Math.max(chart.x((k + 1) * step) - x + 0.3, 0.8), height, fill: fitColour(share) }, group);
-    svg("title", {}, bar).textContent = `${rollout.name}, ${(k * step).toFixed(2)} s: ${Number.isNaN(share) ? "at rest, or not measured" : `${(100 * share).toFixed(1)} % of the motion breaks the constraint`}`;
-  });
+function fitBands({ fit, duration }, whole) {
+  const bins = Math.max(8, Math.min(FIT_BINS, Math.round((duration / Math.max(whole, 1e-9)) * FIT_BINS), fit.times.length)), step = duration / bins;
+  const label = (share) => (Number.isNaN(share) ? "at rest, or not measured" : `${(100 * share).toFixed(1)} % of the motion breaks the constraint`);
+  return fitBins(fit, duration, bins).map((share, k) => ({ start: k * step, end: (k + 1) * step, kind: { label: label(share), colour: fitColour(share) } }));
 }
 
 // The colours of the scale, as entries of the key.
@@ -56,14 +51,8 @@ function fitKey() {
 
 // A choice between the colours of phases (or of the recordings) and those of the fit.
 function colourChoice(show, hasPhases) {
-  const field = document.createElement("fieldset"), legend = document.createElement("legend");
-  legend.textContent = "Colours of recordings";
-  field.append(legend);
-  for (const [mode, text] of [["phase", hasPhases ? "phases" : "one colour each"], ["fit", "share of the motion that breaks the constraint"]]) {
-    const label = Object.assign(document.createElement("label"), { className: "check" }), input = Object.assign(document.createElement("input"), { type: "radio", name: "colours", value: mode, checked: colouring.mode === mode });
-    input.addEventListener("change", () => { colouring.mode = mode; show.recolour(); });
-    label.append(input, Object.assign(document.createElement("span"), { textContent: text }));
-    field.append(label);
-  }
-  return field;
+  const modes = { phase: hasPhases ? "phases" : "one colour each", fit: "share of the motion that breaks the constraint" };
+  const choose = (mode) => () => { colouring.mode = mode; show.recolour(); };
+  const choices = Object.entries(modes).map(([mode, text]) => checkbox(text, colouring.mode === mode, choose(mode), { type: "radio", name: "colours", value: mode }));
+  return make("fieldset", {}, make("legend", {}, "Colours of recordings"), choices);
 }

@@ -5,28 +5,24 @@ const TAIL_SPAN = 6; // seconds of the tip's way that stay in the picture
 
 class Live {
   constructor(show, data) {
-    this.show = show;
+    Object.assign(this, { show, playing: true });
     this.rollout = show.rollouts[0];
     this.rollout.solid = true;
-    this.values = { times: [], mu: [] };
-    this.rollout.curveTimes = this.values.times;
-    this.rollout.curve = this.values.mu;
+    Object.assign(this.rollout, { curveTimes: [], curve: [] });
     this.chart = new Chart(get("chart"), show.rollouts, LIVE_SPAN, null);
     this.legend = new Legend(get("legend"), show.rollouts, { onShow: (r, v) => show.show(r, v), onSolid: () => {} });
     get("panel").hidden = true;
-    get("log").addEventListener("click", () => this.chart.turnLogarithmic());
     wireCamera(show);
-    wireKeys({ ...cameraKeys(show), l: () => this.chart.turnLogarithmic() });
-    this.tail = []; // where the tip was: time, x, y, z
-    this.tailMesh = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.MeshStandardMaterial({ color: linear(this.rollout.colour), roughness: 0.6 }));
-    this.rollout.instance.root.add(this.tailMesh);
+    wireKeys(cameraKeys(show));
+    this.trail = new TipTrail(this.rollout, show.stage ? show.stage.size : 1, TAIL_SPAN);
+    this.rollout.instance.root.add(this.trail.mesh);
     this.addMarks(data);
     show.setTime(0);
     this.source = new EventSource(data.events);
     this.source.onmessage = (event) => this.receive(JSON.parse(event.data));
-    this.source.onopen = () => this.say("live", false);
-    this.source.onerror = () => this.say("no connection to the program", true);
-    this.say("waiting for the first pose", false);
+    this.source.onopen = () => sayHead("live", false);
+    this.source.onerror = () => sayHead("no connection to the program", true);
+    sayHead("waiting for the first pose", false);
     requestAnimationFrame(() => this.frame());
   }
 
@@ -40,47 +36,22 @@ class Live {
     this.rollout.instance.root.add(this.marks.group);
   }
 
-  get playing() { return true; }
-  seek() {}
-  play() {}
-  pause() {}
-
-  say(text, lost) {
-    get("subtitle").textContent = text;
-    get("subtitle").classList.toggle("lost", lost);
-  }
-
   receive({ time, values, mu }) {
     this.rollout.instance.setValues(values);
     this.show.time = time;
-    this.addTail(time);
+    this.trail.add(time);
     if (this.marks) this.marks.setTime(0, true);
     if (mu !== null) {
-      addNewest(this.rollout, this.values, time, mu, LIVE_SPAN);
+      addNewest(this.rollout, time, mu, LIVE_SPAN);
       this.changed = true;
     }
     if (this.show.stage) this.show.stage.dirty();
-    this.say(`live · ${time.toFixed(2)} s`, false);
-  }
-
-  addTail(time) {
-    const last = this.tail[this.tail.length - 1];
-    if (last && time < last[0]) this.tail.length = 0;
-    if (last && time < last[0] + 1 / 30) return;
-    this.tail.push([time, ...this.rollout.instance.tipPosition().toArray()]);
-    while (this.tail[0][0] < time - TAIL_SPAN) this.tail.shift();
-    this.moved = true;
-  }
-
-  drawTail() {
-    this.tailMesh.geometry.dispose();
-    this.tailMesh.geometry = tubeGeometry(this.tail.flatMap((p) => p.slice(1)), 0.0022 * (this.show.stage ? this.show.stage.size : 1));
-    this.moved = false;
+    sayHead(`live · ${time.toFixed(2)} s`, false);
   }
 
   frame() {
     const now = performance.now();
-    if (this.moved && this.tail.length > 1) this.drawTail();
+    this.trail.draw(now);
     if (this.changed && now - (this.drawn ?? 0) > 100) {
       get("panel").hidden = false;
       this.chart.start = Math.max(0, this.rollout.duration - LIVE_SPAN);

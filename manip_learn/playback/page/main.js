@@ -1,12 +1,5 @@
 // Start: read the data, build the page, say when it is ready.
 
-function fillNotes(notes) {
-  const box = get("notes");
-  box.hidden = notes.length === 0;
-  box.querySelector("summary").textContent = notes.length === 1 ? "1 note" : `${notes.length} notes`;
-  box.querySelector("ul").append(...notes.map((note) => make("li", {}, note)));
-}
-
 function start() {
   const data = JSON.parse(get("data").textContent), show = new Show(data);
   fillNotes(data.notes);
@@ -18,9 +11,9 @@ function start() {
     player.arrangePanel();
   }
   window.manipLearn = {
-    seek: (t) => player.seek(t),
-    play: () => player.play(),
-    pause: () => player.pause(),
+    seek: (t) => player.seek?.(t),
+    play: () => player.play?.(),
+    pause: () => player.pause?.(),
     // Row-major 4 x 4 pose of a link in the robot's base, now.
     linkPose: (name, link) => {
       const rollout = show.rollouts.find((r) => r.name === name);
@@ -39,8 +32,6 @@ function start() {
     get time() { return show.time; },
     get duration() { return show.duration; },
     get playing() { return Boolean(player.playing); },
-    // Where the camera stands, in the robot's base [m].
-    get eye() { return show.stage.eye().toArray(); },
     // Whether the last frame had shadows and all pixels: without a graphics card those of a motion have not.
     get fullFrame() { return !show.stage || show.stage.quality.drawn === 0; },
     get drawing() { return Boolean(show.stage); },

@@ -36,10 +36,6 @@ function phaseAt(rollout, t) {
   return band ? band.kind : rollout.hasOwnPhases ? null : NO_PHASE;
 }
 
-function ownPhasesInWords(rollout) {
-  return rollout.bands.map(({ kind, end }) => `${kind.label} until ${end.toFixed(2)} s`).join(", ");
-}
-
 // Whether a recording has moments without a phase that are long enough to be seen.
 function hasGaps(rollout) {
   const covered = rollout.bands.reduce((sum, b) => sum + b.end - b.start, 0);
@@ -72,36 +68,32 @@ function drawBands(root, chart, rollout, y, row) {
     name.textContent = shortName(rollout.name, Math.min(MAX_NAME, Math.floor((chart.left - 14) / 8)));
     svg("title", {}, name).textContent = rollout.name;
   }
-  if (colouring.mode === "fit" && rollout.fit) return drawFitRow(group, chart, rollout, y, height);
-  for (const { start, end, kind } of rollout.bands) {
-    const x = chart.x(start), width = Math.max(chart.x(end) - x, 1.2);
-    const bar = svg("rect", { x, y, width, height, rx: Math.min(2, width / 2), fill: kind.colour, stroke: kind.outline || "none" }, group);
-    svg("title", {}, bar).textContent = `${rollout.name}: ${kind.label}, ${start.toFixed(2)} s to ${end.toFixed(2)} s`;
-    const mark = markOn(kind, width), isWord = kind.outline && mark.length > 1, at = isWord ? 6 : kind.outline ? width / 2 : 9;
+  drawBars(group, chart, rollout, colouring.mode === "fit" && rollout.fit ? fitBands(rollout, chart.duration) : rollout.bands, y, height);
+}
+
+// Bars from moment to moment, with words for who points at one; kinds that have marks are rounded, and marked where there is room.
+function drawBars(root, chart, { name }, bands, y, height) {
+  for (const { start, end, kind } of bands) {
+    const x = chart.x(start), isPlain = kind.mark === undefined, width = Math.max(chart.x(end) - x, 1.2), mark = isPlain ? "" : markOn(kind, width);
+    const bar = svg("rect", { x, y, width, height, rx: isPlain ? 0 : Math.min(2, width / 2), fill: kind.colour, stroke: kind.outline || "none" }, root);
+    svg("title", {}, bar).textContent = `${name}: ${kind.label}, ${start.toFixed(2)} s to ${end.toFixed(2)} s`;
+    const isWord = kind.outline && mark.length > 1, at = isWord ? 6 : kind.outline ? width / 2 : 9;
     if (mark && height >= BAND.numbered)
-      svg("text", { x: x + at, y: y + height / 2 + 4, "text-anchor": isWord ? "start" : "middle", class: "mark", style: `fill: ${kind.ink}` }, group).textContent = mark;
+      svg("text", { x: x + at, y: y + height / 2 + 4, "text-anchor": isWord ? "start" : "middle", class: "mark", style: `fill: ${kind.ink}` }, root).textContent = mark;
   }
 }
 
-// The solid recording's bands under the slider; they end where the middle of its thumb can be.
-function drawSliderBands(element, rollout, duration) {
-  const root = svg("svg", { viewBox: "0 0 1000 6", preserveAspectRatio: "none", "aria-hidden": "true" });
-  for (const { start, end, kind } of rollout.bands) {
-    const x = (1000 * start) / Math.max(duration, 1e-9), width = Math.max((1000 * (end - start)) / Math.max(duration, 1e-9), 1);
-    svg("rect", { x, y: 0, width, height: 6, fill: kind.colour, stroke: kind.outline || "none", "vector-effect": "non-scaling-stroke" }, root);
-  }
-  element.replaceChildren(root);
+// Bands in a strip that is stretched to the room that there is.
+function stripOf(bands, duration, more = {}) {
+  const root = svg("svg", { viewBox: "0 0 1000 6", preserveAspectRatio: "none", ...more }), at = (t) => (1000 * t) / Math.max(duration, 1e-9);
+  for (const { start, end, kind: { colour, outline = "none" } } of bands)
+    svg("rect", { x: at(start), y: 0, width: Math.max(at(end) - at(start), 2), height: 6, fill: colour, stroke: outline, "vector-effect": "non-scaling-stroke" }, root);
+  return root;
 }
 
-// One colour a point of the path, as the vertices of its tube need them.
-function pathColours(rollout, times, sides) {
-  const n = times.length, colours = new Float32Array(3 * n * sides), known = new Map();
-  for (let i = 0; i < n; i++) {
-    const hex = colourOfPath(rollout, times[i]);
-    if (!known.has(hex)) known.set(hex, linear(hex));
-    for (let k = 0; k < sides; k++) known.get(hex).toArray(colours, 3 * (i * sides + k));
-  }
-  return new THREE.BufferAttribute(colours, 3);
+// One colour a point of the path, as the corners of its tube need them.
+function pathColours(rollout, times, corners) {
+  return new THREE.Float32BufferAttribute(Array.from(times, (t) => Array(corners).fill(linear(colourOfPath(rollout, t)).toArray())).flat(2), 3);
 }
 
 // What was shown, from where the hands took hold, a ball where all of them did, to the farthest point, with a head.

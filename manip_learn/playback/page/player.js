@@ -1,17 +1,5 @@
 // Time: play, pause, scrub; and what all of it is shown in.
 
-const ICONS = {
-  play: "M7 4.5v15l12-7.5z", pause: "M6 4.5h4v15H6zM14 4.5h4v15h-4z", back: "M18 5v14l-9-7zM6 5h2.4v14H6z",
-  forward: "M6 5v14l9-7zM15.6 5H18v14h-2.4z",
-  loop: "M12 5V1.5L7 6l5 4.5V7a5 5 0 1 1-5 5H5a7 7 0 1 0 7-7z",
-};
-
-function icon(button, name) {
-  const image = svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" });
-  svg("path", { d: ICONS[name] }, image);
-  button.replaceChildren(image);
-}
-
 const get = (id) => document.getElementById(id);
 
 // Two digits, and no fewer before the point.
@@ -172,7 +160,6 @@ class Player {
     get("panel").hidden = get("chart").hidden && !this.tracks.chosen.size;
     get("chart").setAttribute("aria-label", inWords(rollouts));
     get("phase").hidden = !rollouts.some((r) => r.bands.length);
-    get("log").hidden = !curves;
     this.title ??= [...title.childNodes];
     if (curves) title.replaceChildren(...this.title, bands ? `, ${below}` : "");
     else title.textContent = bands ? (fit ? "Motion that breaks the constraint" : "Phases") : "Tracks";
@@ -183,7 +170,7 @@ class Player {
     this.chart.draw();
   }
 
-  drawSlider() { drawSliderBands(get("scrub-bands"), this.show.solid, this.show.duration); }
+  drawSlider() { get("scrub-bands").replaceChildren(stripOf(this.show.solid.bands, this.show.duration, { "aria-hidden": "true" })); }
 
   fillColourKey() {
     get("status-key").replaceChildren(...this.chart.colourKey().map(({ colour, label, mark = "", ink }) => {
@@ -195,8 +182,7 @@ class Player {
   }
 
   wireTransport() {
-    for (const name of ["back", "forward", "loop", "play"]) icon(get(name), name);
-    const actions = { play: () => this.toggle(), back: () => this.step(-1), forward: () => this.step(1), loop: () => this.setLoop(!this.loop), log: () => this.chart.turnLogarithmic() };
+    const actions = { play: () => this.toggle(), back: () => this.step(-1), forward: () => this.step(1), loop: () => this.setLoop(!this.loop) };
     for (const [name, action] of Object.entries(actions)) get(name).addEventListener("click", action);
     get("scrub").max = this.show.duration || 1;
     get("scrub").addEventListener("input", (event) => this.seek(Number(event.target.value)));
@@ -219,7 +205,7 @@ class Player {
       " ": () => this.toggle(), ArrowLeft: (e) => (e.shiftKey ? this.seek(this.show.time - 1) : this.step(-1)),
       ArrowRight: (e) => (e.shiftKey ? this.seek(this.show.time + 1) : this.step(1)),
       ArrowUp: () => this.changeSpeed(1), ArrowDown: () => this.changeSpeed(-1), Home: () => this.seek(0), End: () => this.seek(end),
-      ...cameraKeys(this.show), l: () => this.chart.turnLogarithmic(), r: () => this.setLoop(!this.loop),
+      ...cameraKeys(this.show), r: () => this.setLoop(!this.loop),
     };
   }
 
@@ -247,7 +233,6 @@ class Player {
   setPlaying(playing) {
     this.playing = playing && this.show.duration > 0;
     this.last = undefined;
-    icon(get("play"), this.playing ? "pause" : "play");
     get("play").setAttribute("aria-label", this.playing ? "Pause" : "Play");
   }
 

@@ -1,5 +1,6 @@
 // The robot in three dimensions: joints as nested groups, one instance a rollout.
 const THREE = MeshCat.THREE;
+const AXES = { x: new THREE.Vector3(1, 0, 0), y: new THREE.Vector3(0, 1, 0), z: new THREE.Vector3(0, 0, 1) };
 
 // Colours of the page, light or dark, under the names that style.css gives them.
 const DARK = matchMedia("(prefers-color-scheme: dark)");
@@ -15,13 +16,9 @@ function onTheme(apply) {
   DARK.addEventListener("change", apply);
 }
 
-function matrixFromRows(rows) {
-  return new THREE.Matrix4().set(...rows);
-}
+function matrixFromRows(rows) { return new THREE.Matrix4().set(...rows); }
 
-function linear(hex) {
-  return new THREE.Color(hex).convertSRGBToLinear();
-}
+function linear(hex) { return new THREE.Color(hex).convertSRGBToLinear(); }
 
 function decode(text, Type) {
   const raw = atob(text), bytes = new Uint8Array(raw.length);
@@ -91,38 +88,28 @@ function bodiesOf({ shapes, meshes }) {
   return [...bodies.values()];
 }
 
-// Radius: one number, or one for each point. A stretch from a point that `isGap` is left out.
-function tubeGeometry(points, radius, sides = 8, isGap = () => false) {
-  const n = points.length / 3, positions = new Float32Array(n * sides * 3), normals = new Float32Array(n * sides * 3);
-  const at = (i) => new THREE.Vector3(points[3 * i], points[3 * i + 1], points[3 * i + 2]);
-  let side = new THREE.Vector3(0, 0, 1), along = new THREE.Vector3(1, 0, 0);
-  for (let i = 0; i < n; i++) {
-    const direction = at(Math.min(i + 1, n - 1)).sub(at(Math.max(i - 1, 0)));
-    if (direction.lengthSq() > 1e-24) along = direction.normalize();
-    side.addScaledVector(along, -side.dot(along)); // carried along without twist
-    if (side.lengthSq() < 1e-8) side.set(along.y, along.z, along.x).addScaledVector(along, -(along.x * along.y + along.y * along.z + along.z * along.x));
-    side.normalize();
-    const other = new THREE.Vector3().crossVectors(along, side);
-    for (let k = 0; k < sides; k++) {
-      const a = (2 * Math.PI * k) / sides, j = 3 * (i * sides + k), c = Math.cos(a), s = Math.sin(a);
-      for (const [m, axis] of ["x", "y", "z"].entries()) {
-        normals[j + m] = c * side[axis] + s * other[axis];
-        positions[j + m] = points[3 * i + m] + (radius[i] ?? radius) * normals[j + m];
-      }
-    }
+// Straight from point to point; where points coincide, on as before.
+class Polyline extends THREE.Curve {
+  constructor(points) {
+    super();
+    this.places = Array.from({ length: points.length / 3 }, (_, i) => new THREE.Vector3().fromArray(points, 3 * i));
+    this.last = this.places.length - 1;
+    let along = AXES.x;
+    this.ways = this.places.map((_, i) => {
+      const step = this.places[Math.min(i + 1, this.last)].clone().sub(this.places[Math.max(i - 1, 0)]);
+      if (step.lengthSq() > 1e-24) along = step.normalize();
+      return along;
+    });
   }
-  const index = [];
-  for (let i = 0; i + 1 < n; i++)
-    for (let k = 0; k < sides; k++) {
-      const a = i * sides + k, b = i * sides + ((k + 1) % sides);
-      if (isGap(i)) index.push(a, a, a, a, a, a); // nothing, in as many numbers
-      else index.push(a, a + sides, b, b, a + sides, b + sides);
-    }
-  const geometry = new THREE.BufferGeometry();
-  geometry.setAttribute("position", new THREE.BufferAttribute(positions, 3));
-  geometry.setAttribute("normal", new THREE.BufferAttribute(normals, 3));
-  geometry.setIndex(index);
-  return geometry;
+
+  getPointAt(share) { return this.places[Math.round(share * this.last)]; }
+
+  getTangentAt(share) { return this.ways[Math.round(share * this.last)].clone(); }
+}
+
+// A ring for each point, of one corner more than sides: the first one again.
+function tubeGeometry(points, radius, sides = 8) {
+  return new THREE.TubeGeometry(new Polyline(points), Math.max(points.length / 3 - 1, 1), radius, sides);
 }
 
 // Rollouts beyond these are drawn by their tip's way alone, until they are made solid.
@@ -241,9 +228,7 @@ class RobotInstance {
     return pose;
   }
 
-  tipPosition() {
-    return new THREE.Vector3().setFromMatrixPosition(this.linkMatrix(this.robot.tip));
-  }
+  tipPosition() { return new THREE.Vector3().setFromMatrixPosition(this.linkMatrix(this.robot.tip)); }
 }
 
 // Points that are some way apart, the first and the last kept: at rest, noise would tangle the tube.
@@ -254,20 +239,25 @@ function spaced(path, times, distance) {
   return { points: Float32Array.from(kept.flatMap((i) => [...path.subarray(3 * i, 3 * i + 3)])), times: Float32Array.from(kept, (i) => times[i]) };
 }
 
-// Radii of the path, and where it is interrupted: thin and dashed in the phases that lead to a rollout's way.
-function pathForm(rollout, points, times, radius) {
-  if (!rollout.hasOwnPhases) return { radii: radius };
-  const leads = Array.from(times, (t) => (phaseAt(rollout, t) || { strength: 1 }).strength < 1), far = [0], dash = LEADING.dash * radius;
-  for (let i = 1; i < times.length; i++) far.push(far[i - 1] + Math.hypot(...[0, 1, 2].map((m) => points[3 * i + m] - points[3 * i - 3 + m])));
-  return { radii: leads.map((thin) => (thin ? LEADING.radius * radius : radius)), isGap: (i) => leads[i] && far[i] % (2 * dash) > dash };
+// In the phases that lead to a rollout's way the path is thin and dashed.
+function thinLeading({ attributes: { position, normal }, index }, rollout, points, times, radius, sides) {
+  const dash = LEADING.dash * radius, ring = 3 * (sides + 1), places = new Polyline(points).places;
+  let far = 0;
+  places.forEach((place, i) => {
+    if (i) far += place.distanceTo(places[i - 1]);
+    if ((phaseAt(rollout, times[i]) || { strength: 1 }).strength >= 1) return;
+    for (let j = ring * i; j < ring * (i + 1); j++) position.array[j] -= (1 - LEADING.radius) * radius * normal.array[j];
+    if (far % (2 * dash) > dash) index.array.fill(0, 6 * sides * i, 6 * sides * (i + 1));
+  });
 }
 
 // The tip's way: faint as a whole, strong up to now, and a ball where the tip is. Unlit, so that colours are those of the legend.
 class TipPath {
   constructor(rollout, radius, parent) {
-    const { points, times } = spaced(rollout.path, rollout.pathTimes, radius), { radii, isGap } = pathForm(rollout, points, times, radius);
+    const { points, times } = spaced(rollout.path, rollout.pathTimes, radius);
     Object.assign(this, { rollout, times, sides: 6, group: new THREE.Group() });
-    const geometry = tubeGeometry(points, radii, this.sides, isGap), { attributes, index } = geometry;
+    const geometry = tubeGeometry(points, radius, this.sides), { attributes, index } = geometry;
+    if (rollout.hasOwnPhases) thinLeading(geometry, rollout, points, times, radius, this.sides);
     const ink = (more) => new THREE.MeshBasicMaterial({ vertexColors: true, toneMapped: false, ...more, ...behind(rollout.index) });
     this.whole = new THREE.Mesh(geometry, ink({ transparent: true, opacity: 0.4, depthWrite: false }));
     this.past = new THREE.Mesh(Object.assign(new THREE.BufferGeometry(), { attributes, index }), ink({})); // of which a part is drawn
@@ -277,11 +267,43 @@ class TipPath {
     parent.add(this.group);
   }
 
-  recolour() { this.whole.geometry.setAttribute("color", pathColours(this.rollout, this.times, this.sides)); }
+  recolour() { this.whole.geometry.setAttribute("color", pathColours(this.rollout, this.times, this.sides + 1)); }
 
   setTime(t, tip) {
     this.past.geometry.setDrawRange(0, indexAt(this.times, t) * this.sides * 6);
     this.ball.position.copy(tip);
     for (const channel of ["color", "emissive"]) this.ball.material[channel].copy(linear(colourOfPath(this.rollout, t)));
+  }
+}
+
+// Where the tip was lately, in a motion that is going on.
+const TRAIL = { apart: 0.004, radius: 0.0022, most: 1500, gap: 70 }; // distance of points and radius relative to the scene, their number, time between redrawings [ms]
+
+class TipTrail {
+  constructor(rollout, size, seconds = Infinity) {
+    Object.assign(this, { rollout, size, seconds, points: [], drawn: 0, changed: false });
+    const ink = new THREE.MeshBasicMaterial({ toneMapped: false });
+    onTheme(() => ink.color.copy(linear(rollout.colour)));
+    this.mesh = new THREE.Mesh(new THREE.BufferGeometry(), ink);
+  }
+
+  clear() { Object.assign(this, { points: [], changed: true }); }
+
+  add(time) {
+    const tip = this.rollout.instance.tipPosition(), last = this.points[this.points.length - 1];
+    if (last && time < last.time) this.clear();
+    const isFar = !this.points.length || last.distanceTo(tip) >= TRAIL.apart * this.size;
+    if (isFar) this.points.push(Object.assign(tip, { time }));
+    if (this.points.length > TRAIL.most) this.points = this.points.filter((_, i) => i % 2 === 0);
+    const { length } = this.points;
+    this.points = this.points.filter((point) => point.time >= time - this.seconds);
+    this.changed ||= isFar || this.points.length < length;
+  }
+
+  draw(now) {
+    if (!this.changed || now < this.drawn + TRAIL.gap) return;
+    Object.assign(this, { changed: false, drawn: now });
+    this.mesh.geometry.dispose();
+    this.mesh.geometry = this.points.length > 1 ? tubeGeometry(this.points.flatMap((p) => p.toArray()), TRAIL.radius * this.size) : new THREE.BufferGeometry();
   }
 }

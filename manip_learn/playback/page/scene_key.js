@@ -4,17 +4,15 @@ const MECHANISM_WORDS = { line: "line that was learnt", hinge: "axis that was le
 
 class SceneKey {
   constructor(stage, rows) {
-    this.list = Object.assign(document.createElement("ul"), { id: "scene-key" });
-    this.list.setAttribute("aria-label", "What is drawn");
-    stage.element.after(this.list);
+    this.list = make("ul", { id: "scene-key", "aria-label": "What is drawn" });
     this.rows = [];
+    stage.element.after(this.list);
     for (const row of rows) this.add(row);
   }
 
   // ink: a colour of style.css; say: its words, none while nothing of the kind is drawn; form: "line" or "ball" for its swatch.
   add({ ink, say, form = "" }) {
-    const element = Object.assign(document.createElement("li"), { className: form, hidden: true });
-    element.style.setProperty("--colour", `var(${ink})`);
+    const element = make("li", { className: form, hidden: true, style: `--colour: var(${ink})` });
     this.list.append(element);
     this.rows.push({ element, say });
   }

@@ -1,10 +1,10 @@
 // Elements of the page; and cards that open below its head: one button each, one open at a time.
 
-// Properties with a dash, and the role, are attributes.
+// Properties with a dash, and the role, are attributes; what is null or false of the content is left out.
 function make(tag, properties = {}, ...content) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(properties)) if (name === "role" || name.includes("-")) element.setAttribute(name, value); else element[name] = value;
-  element.append(...content);
+  element.append(...content.flat().filter(Boolean));
   return element;
 }
 
@@ -22,9 +22,8 @@ function addSheet(id, label, title) {
   return card;
 }
 
-function checkbox(label, checked, onChange, data = {}) {
-  const box = make("input", { type: "checkbox", checked });
-  Object.assign(box.dataset, data);
+function checkbox(label, checked, onChange, more = {}) {
+  const box = make("input", { type: "checkbox", ...more, checked });
   box.addEventListener("change", () => onChange(box.checked));
   return make("label", { className: "check" }, box, make("span", {}, label));
 }
@@ -36,4 +35,17 @@ function tableOf(caption, heads, rows) {
   head.append(...heads.map((text) => make("th", { scope: "col" }, text)));
   for (const cells of rows) body.insertRow().append(...cells.map((text) => make("td", {}, text)));
   return table;
+}
+
+function fillNotes(notes) {
+  const box = get("notes");
+  box.hidden = notes.length === 0;
+  box.querySelector("summary").textContent = notes.length === 1 ? "1 note" : `${notes.length} notes`;
+  box.querySelector("ul").replaceChildren(...notes.map((note) => make("li", {}, note)));
+}
+
+// The line at the head of a page whose program goes on.
+function sayHead(text, lost) {
+  get("subtitle").textContent = text;
+  get("subtitle").classList.toggle("lost", lost);
 }

@@ -29,7 +29,7 @@ class Shown {
     const names = Object.keys(SHOWN).filter((name) => this.show.rollouts.some((r) => SHOWN[name].has(r, this.show))), fits = this.show.rollouts.some((r) => r.fit);
     if (names.length < 2 && !fits) return;
     const card = addSheet("shown", "Show", "What is drawn in the scene");
-    for (const name of names) card.append(checkbox(SHOWN[name].say, this.on[name], (on) => { this.on[name] = on; this.apply(); }, { shown: name }));
+    for (const name of names) card.append(checkbox(SHOWN[name].say, this.on[name], (on) => { this.on[name] = on; this.apply(); }, { "data-shown": name }));
     if (fits) card.append(colourChoice(this.show, data.phaseKinds.length > 0));
   }
 

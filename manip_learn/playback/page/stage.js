@@ -113,8 +113,8 @@ class Stage {
 
   addAxes(length) {
     const radius = 0.035 * length, arrows = [];
-    for (const [x, y, z, colour, name] of [[1, 0, 0, "#d55e00", "x"], [0, 1, 0, "#009e73", "y"], [0, 0, 1, "#0072b2", "z"]]) {
-      const direction = new THREE.Vector3(x, y, z), turn = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 1, 0), direction);
+    for (const [name, colour] of [["x", "#d55e00"], ["y", "#009e73"], ["z", "#0072b2"]]) {
+      const direction = AXES[name], turn = new THREE.Quaternion().setFromUnitVectors(AXES.y, direction);
       const shaft = new THREE.CylinderGeometry(radius, radius, length, 12).translate(0, length / 2, 0), head = new THREE.ConeGeometry(2.6 * radius, 0.22 * length, 16).translate(0, 1.1 * length, 0);
       for (const geometry of [shaft, head]) arrows.push({ geometry: geometry.applyQuaternion(turn), colour: linear(colour) });
       const label = this.label(name, colour, 0.42 * length);

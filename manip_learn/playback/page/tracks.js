@@ -3,11 +3,11 @@
 const TRACKS = {
   opening: { title: "How far it has moved", of: "all", low: 0 },
   turning: { title: "How far it has turned", of: "all", low: 0 },
-  singular: { title: "Singular values of A", of: "one", log: true },
+  singular: { title: "Singular values of A", of: "one" },
   velocity: { title: "Joint velocities over their limits", of: "one", low: -1, high: 1, percent: true, limits: [-1, 1] },
   position: { title: "Joint positions between their limits", of: "one", low: 0, high: 1, percent: true, limits: [0, 1] },
-  "task-error": { title: "Distance to the target, constrained rows", of: "all", low: 0, log: true },
-  "following-error": { title: "Following error", of: "all", low: 0, log: true },
+  "task-error": { title: "Distance to the target, constrained rows", of: "all", low: 0 },
+  "following-error": { title: "Following error", of: "all", low: 0 },
   effort: { title: "Joint efforts over their largest", of: "one", low: -1, high: 1, percent: true },
   fit: { title: "Motion that breaks the constraint", of: "all", low: 0, percent: true, least: 0.1 },
 };
@@ -25,12 +25,8 @@ function tracksByKind(measures) {
 
 // Value of a curve at time t: on the line that is drawn; NaN before its first and after its last sample, and in gaps.
 function valueAt({ times, values }, t) {
-  const last = times.length - 1;
-  if (last < 0 || t < times[0] - 1e-6 || t > times[last] + 1e-6) return NaN;
-  const i = indexAt(times, t);
-  if (i >= last || t <= times[i]) return values[i];
-  const share = (t - times[i]) / (times[i + 1] - times[i]);
-  return share === 0 ? values[i] : values[i] + share * (values[i + 1] - values[i]);
+  const isOutside = !times.length || t < times[0] - 1e-6 || t > times[times.length - 1] + 1e-6;
+  return isOutside ? NaN : rowAt(times, values, 1, t)[0];
 }
 
 function trackText(kind, unit, value) {
@@ -58,12 +54,12 @@ class Tracks {
   offerChoice() {
     const box = addSheet("track-choice", "Tracks", "What is drawn over time"), { rollouts } = this.show;
     const first = [rollouts.some((r) => r.curve.length) && "Manipulability", rollouts.some((r) => r.status.length) && "status", rollouts.some((r) => r.bands.length) && "phases"].filter(Boolean).join(", ");
-    if (first) box.append(checkbox(first[0].toUpperCase() + first.slice(1), true, (on) => this.showFirst(on), { track: "first" }));
+    if (first) box.append(checkbox(first[0].toUpperCase() + first.slice(1), true, (on) => this.showFirst(on), { "data-track": "first" }));
     for (const kind of this.kinds)
       box.append(checkbox(TRACKS[kind].title, this.chosen.has(kind), (on) => {
         if (on) this.chosen.add(kind); else this.chosen.delete(kind);
         this.arrange();
-      }, { track: kind }));
+      }, { "data-track": kind }));
   }
 
   showFirst(on) {
@@ -129,13 +125,10 @@ class TrackRow extends ValueAxis {
     return { style: `stroke: ${colour}`, "stroke-width": own && rollout.solid && this.rollouts.length > 1 ? 3 : 2, "stroke-dasharray": dash };
   }
 
-  get logarithmic() { return this.chart.logarithmic && Boolean(this.form.log); }
-
   findRange() {
     const { form } = this, values = this.curves.flatMap(({ curve }) => Array.from(curve.values)).filter((v) => !Number.isNaN(v));
     if (!values.length) return [0, 1];
     const [least, high] = extent([...values, ...[form.low, form.high, form.least].filter((v) => v !== undefined)]), low = form.low === undefined ? Math.min(least, 0) : least;
-    if (this.logarithmic && high > 0) return decades(extent(values.filter((v) => v > 0))[0], high);
     const room = 0.06 * (high - low || Math.abs(high) || 1);
     return [low < (form.low ?? 0) || form.limits ? low - room : low, high + room];
   }
@@ -146,33 +139,16 @@ class TrackRow extends ValueAxis {
     const { left, right } = this.chart.edges(w);
     Object.assign(this, { top: 6, bottom: TRACK_HEIGHT - 8, range: this.findRange() });
     const root = svg("svg", { width: w, height: TRACK_HEIGHT, "aria-hidden": "true" });
-    for (const v of this.form.limits ? (this.form.limits[0] < 0 ? [-1, 0, 1] : [0, 0.5, 1]) : this.ticks(3)) {
-      const y = this.y(v), limit = (this.form.limits || []).includes(v);
-      svg("line", { x1: left, x2: right, y1: y, y2: y, class: limit ? "limit" : "grid" }, root);
-      svg("text", { x: left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = this.form.percent ? `${Math.round(100 * v)} %` : short(v);
-    }
+    const { limits, percent } = this.form, middle = limits && (limits[0] + limits[1]) / 2;
+    this.drawGrid(root, limits ? [limits[0], middle, limits[1]] : niceTicks(...this.range, 3), { left, right }, percent ? (v) => `${Math.round(100 * v)} %` : short, limits);
     for (const { curve, rollout, k, own } of this.curves)
-      svg("path", { d: this.path(curve), fill: "none", "stroke-linejoin": "round", ...this.stroke(rollout, k, own) }, root);
+      this.drawLine(root, curve.times, curve.values, (t) => this.chart.x(t), this.stroke(rollout, k, own));
     this.cursor = svg("line", { y1: 0, y2: TRACK_HEIGHT, class: "cursor" }, root);
     this.box.replaceChildren(root);
   }
 
-  path({ times, values }) {
-    const parts = [];
-    let pen = false;
-    for (let i = 0; i < times.length; i++) {
-      if (Number.isNaN(values[i])) { pen = false; continue; }
-      parts.push(`${pen ? "L" : "M"}${this.chart.x(times[i]).toFixed(1)} ${this.y(values[i]).toFixed(1)}`);
-      pen = true;
-    }
-    return parts.join("");
-  }
-
   setTime(t) {
     this.curves.forEach(({ curve, rollout }, i) => (this.values[i].textContent = trackText(this.kind, this.unit, valueAt(curve, Math.min(t, rollout.duration)))));
-    if (!this.cursor) return;
-    const x = this.chart.x(t);
-    this.cursor.setAttribute("x1", x);
-    this.cursor.setAttribute("x2", x);
+    if (this.cursor) moveAcross(this.cursor, this.chart.x(t));
   }
 }

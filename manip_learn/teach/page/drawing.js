@@ -1,7 +1,6 @@
 // What is drawn beside the arm: the pull, what is held and free, what is weak, the tip's path, mechanisms.
 
 const SPRING = { thin: 0.0016, thick: 0.0055, full: 80, ball: 0.009 }; // radii relative to the scene; the force [N] of the thickest
-const TRAIL = { apart: 0.004, most: 1500, gap: 70 }; // distance of points relative to the scene, their number, time between redrawings [ms]
 const WEAK_SHARE = 0.2; // from which on the program tells of a weak direction
 const LEARNT = "#0072b2"; // patches of a mechanism without a phase of its own
 const ZEROS = { one: "AAAAAAAAAAA=", six: "A".repeat(32) };
@@ -22,8 +21,7 @@ class LiveMarks extends ConstraintMarks {
     this.parts.ellipsoid.visible = this.parts.target.visible = this.parts.constraint.visible = false;
     this.inks.weak = this.ink("--weak");
     this.weak = new THREE.Group();
-    const end = new THREE.Vector3(0, 0, 1.15 * ARROW * size), up = AXES.z, down = up.clone().negate();
-    this.weak.add(this.line(end.clone().negate(), end, this.inks.weak, 1.5 * THIN), this.head(end, up, this.inks.weak, 1.5), this.head(end.clone().negate(), down, this.inks.weak, 1.5));
+    this.weak.add(...this.toBothSides(AXES.z, 1.15 * ARROW, this.inks.weak, (at, way) => this.head(at, way, this.inks.weak, 1.5), 1.5));
     this.weak.visible = false;
     this.group.add(this.weak);
     this.drawn = { held: [], free: [], heldTurns: [], freeTurns: [] };
@@ -44,9 +42,7 @@ class LiveMarks extends ConstraintMarks {
   }
 
   setMarks({ free, held, turns, fixed }) {
-    const said = [free, held, turns, fixed].map((set) => set.map((d) => d.map((x) => x.toFixed(2)))).join(";");
-    if (said === this.said) return;
-    this.said = said;
+    if (!isNew(this, [free, held, turns, fixed].map((set) => set.map((d) => d.map((x) => x.toFixed(2)))))) return;
     const of = (set) => set.map((d) => new THREE.Vector3(...d).normalize());
     this.drawThese({ free: of(free), held: of(held), freeTurns: of(turns), heldTurns: of(fixed) });
   }
@@ -82,43 +78,10 @@ class Spring {
   }
 }
 
-// Where the tip was since the recording began.
-class TipTrail {
-  constructor(instance, size, colour) {
-    Object.assign(this, { instance, size, points: [], on: false, drawn: 0, changed: false });
-    const material = new THREE.MeshBasicMaterial({ toneMapped: false });
-    onTheme(() => material.color.copy(linear(colour())));
-    this.mesh = new THREE.Mesh(new THREE.BufferGeometry(), material);
-  }
-
-  clear() {
-    this.points = [];
-    this.changed = true;
-  }
-
-  setPose(on) {
-    if (on && !this.on) this.clear();
-    this.on = on;
-    if (!on) return;
-    const tip = this.instance.tipPosition(), last = this.points[this.points.length - 1];
-    if (last && last.distanceTo(tip) < TRAIL.apart * this.size) return;
-    this.points.push(tip);
-    if (this.points.length > TRAIL.most) this.points = this.points.filter((_, i) => i % 2 === 0);
-    this.changed = true;
-  }
-
-  draw(now) {
-    if (!this.changed || now < this.drawn + TRAIL.gap) return;
-    Object.assign(this, { changed: false, drawn: now });
-    this.mesh.geometry.dispose();
-    this.mesh.geometry = this.points.length > 1 ? tubeGeometry(this.points.flatMap((p) => p.toArray()), 0.0022 * this.size) : new THREE.BufferGeometry();
-  }
-}
-
 // The mechanism that was learnt, and the true one, wider and pale around it.
 class Lines {
   constructor(stage) {
-    Object.assign(this, { stage, group: new THREE.Group(), said: {}, shown: {} });
+    Object.assign(this, { stage, group: new THREE.Group(), shown: {} });
     this.parts = { learnt: new THREE.Group(), truth: new THREE.Group() };
     this.group.add(...Object.values(this.parts));
     this.truthInk = new THREE.MeshBasicMaterial({ toneMapped: false, transparent: true, opacity: 0.45, depthWrite: false });
@@ -126,9 +89,8 @@ class Lines {
   }
 
   set(name, what, make) {
-    const said = JSON.stringify(what && [what.lines, what.patches]), part = this.parts[name];
-    if (said === this.said[name]) return;
-    this.said[name] = said;
+    const part = this.parts[name];
+    if (!isNew(part, what && [what.lines, what.patches])) return;
     part.traverse((mesh) => { if (mesh.geometry) mesh.geometry.dispose(); });
     part.clear();
     for (const mesh of what ? make(what) : []) part.add(mesh);

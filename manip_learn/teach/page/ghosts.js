@@ -1,12 +1,7 @@
 // Motions that are played beside the live arm; at their end they stay, with how far they came.
 
-function ghostRollout(raw, index) {
-  const keyTimes = decode(raw.keyTimes, Float64Array);
-  return {
-    ...raw, index, visible: true, solid: false, keyTimes, tracks: decode(raw.tracks, Float64Array), curve: decode(raw.curve, Float64Array), curveTimes: decode(raw.curveTimes, Float64Array),
-    status: [], bands: [], kinds: [], furniture: [], pieces: [], things: [], around: [], byKind: new Map(), get colour() { return onScreen(raw.colour); },
-  };
-}
+// What a rollout has that a ghost has not.
+const NONE = { status: [], phases: [], pieces: [], things: [], measures: { clocks: [], tracks: [] }, path: "", pathTimes: "" };
 
 class Ghosts {
   constructor(teach) {
@@ -26,7 +21,7 @@ class Ghosts {
     this.number = number;
     for (const { instance } of this.rollouts) this.teach.stage.world.remove(instance.root);
     const { robot, bodies } = this.teach.instance;
-    this.rollouts = (data ? data.rollouts : []).map((raw, i) => ghostRollout(raw, i + 1));
+    this.rollouts = (data ? data.rollouts : []).map((raw, i) => prepare({ ...NONE, ...raw }, i + 1, []));
     for (const rollout of this.rollouts) {
       rollout.instance = new RobotInstance(robot, rollout, bodies, false);
       rollout.instance.setSolid(false);
@@ -43,18 +38,14 @@ class Ghosts {
 
   // A button that hides it, how it ended, and the room that it has left now.
   row(rollout) {
-    const item = document.createElement("li"), button = Object.assign(document.createElement("button"), { type: "button", textContent: rollout.name, title: "Show or hide it" });
-    const room = Object.assign(document.createElement("meter"), { max: 1, low: 0.2 });
-    item.style.setProperty("--colour", rollout.colour);
-    button.setAttribute("aria-pressed", "true");
-    room.setAttribute("aria-label", `Room left to ${rollout.name}`);
-    room.hidden = !rollout.curve.length;
-    item.append(button, room, Object.assign(document.createElement("span"), { textContent: rollout.ended }));
-    button.addEventListener("click", () => {
+    const turn = () => {
       rollout.visible = rollout.instance.root.visible = !rollout.visible;
       button.setAttribute("aria-pressed", String(rollout.visible));
       this.setTime(this.time);
-    });
+    };
+    const button = make("button", { type: "button", title: "Show or hide it", "aria-pressed": "true", onclick: turn }, rollout.name);
+    const room = make("meter", { max: 1, low: 0.2, "aria-label": `Room left to ${rollout.name}`, hidden: !rollout.curve.length });
+    const item = make("li", { style: `--colour: ${rollout.colour}` }, button, room, make("span", {}, rollout.ended));
     return { item, room, rollout };
   }
 

@@ -3,6 +3,7 @@
 const REPEAT = 200; // [ms] after which a pull that is held is said again
 const TURN_PER_PIXEL = Math.PI / 360; // [rad] of the hand for a pixel to the side, with shift
 const STEP = 0.01, TURN_STEP = Math.PI / 60; // [m] of the pull and [rad] of the hand for a key
+const KEYED = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [1, 1], ArrowDown: [1, -1], PageUp: [2, 1], PageDown: [2, -1] }; // axis and sign
 const MAGNET = 26; // [px] around a handle within which a hand that is drawn over it also comes to its depth
 const GLIDE = 0.4; // [m/s] at which a pull goes to a handle by itself: as fast as a person reaches for something near
 const FELT = 0.01; // [m] of a handle's motion that show which way it goes
@@ -53,7 +54,7 @@ class Hand {
   }
 
   take(held) {
-    this.held = { turn: 0, spin: null, toHandle: null, axisOfTurn: this.pointing.toEye(), to: held.place.clone(), ...held };
+    this.held = { spin: null, toHandle: null, axisOfTurn: this.pointing.toEye(), to: held.place.clone(), ...held };
     this.stage.viewer.controls.enabled = false;
     this.stage.element.classList.add("pulling");
     this.hasPulled = true;
@@ -90,10 +91,10 @@ class Hand {
     const { held } = this;
     if (event.pointerId === held.other) {
       const angle = angleFrom(held.event, event);
-      held.turn -= wrapped(angle - held.angle); // the screen's y points down
+      this.turn(held.axisOfTurn, held.angle - angle); // the screen's y points down
       held.angle = angle;
     } else if (event.pointerId !== held.pointer) return;
-    else if (event.shiftKey) held.turn -= TURN_PER_PIXEL * (event.clientX - held.event.clientX);
+    else if (event.shiftKey) this.turn(held.axisOfTurn, TURN_PER_PIXEL * (held.event.clientX - event.clientX));
     else {
       if (held.wasTurning) held.drag.anchor(held.event, this.axis);
       held.drag.move(event);
@@ -101,8 +102,7 @@ class Hand {
       if (held.toHandle === null) held.to = held.drag.place.clone();
     }
     if (event.pointerId === held.pointer) Object.assign(held, { wasTurning: event.shiftKey, event });
-    this.say();
-    this.stage.dirty();
+    this.changed();
   }
 
   up(event) {
@@ -131,9 +131,18 @@ class Hand {
   }
 
   say() {
-    const { link, at, to, turn, axisOfTurn, spin } = this.held;
-    const vector = spin ? rotationVector(spin).toArray() : Math.abs(turn) > 1e-9 ? axisOfTurn.clone().multiplyScalar(turn).toArray() : null;
-    this.link.pull({ do: "pull", link, at: at && at.toArray(), to: to.toArray(), turn: vector });
+    const { link, at, to, spin } = this.held;
+    this.link.pull({ do: "pull", link, at: at && at.toArray(), to: to.toArray(), turn: spin && rotationVector(spin).toArray() });
+  }
+
+  changed() {
+    this.say();
+    this.stage.dirty();
+  }
+
+  turn(axis, angle) {
+    const { held } = this, turn = new THREE.Quaternion().setFromAxisAngle(axis, angle);
+    held.spin = turn.multiply(held.spin || new THREE.Quaternion());
   }
 
   // Where the hand holds the arm as it is drawn now.
@@ -192,21 +201,17 @@ class Hand {
 
   // With each pose: a pull that goes to a handle comes nearer, and ends there when the gripper has closed.
   setPose(pose) {
-    this.remember(pose);
-    const { held } = this;
+    const holds = pose.held.indexOf(true), { held } = this;
+    if (this.holds >= 0 && holds < 0) this.freed = this.holds;
+    if (holds >= 0) this.freed = null;
+    if (this.holds !== holds) Object.assign(this, { holds, goes: null, was: null });
+    this.feel(this.teach.handlePlaces()[holds]);
     if (held && held.toHandle !== null) this.glide(pose);
     this.teach.furniture.lit = held ? held.toHandle : null;
     this.hint();
   }
 
-  remember(pose) {
-    const holds = pose.held.indexOf(true);
-    if (this.holds >= 0 && holds < 0) this.freed = this.holds;
-    if (this.holds !== holds) Object.assign(this, { goes: null, was: null });
-    this.holds = holds;
-    this.feel(this.teach.handlePlaces()[holds]);
-    if (holds >= 0) this.freed = null;
-  }
+  get piece() { return this.teach.furniture.pieces[this.holds]; }
 
   glide(pose) {
     const { held } = this, place = this.teach.handlePlaces()[held.toHandle];
@@ -228,7 +233,7 @@ class Hand {
 
   // What to do next, beside the hand.
   hint() {
-    const { held, teach } = this, words = !held ? (this.turnedView && !this.hasPulled ? "That turned the view. To move the hand, drag the ring; Fit shows everything." : "") : held.toHandle !== null ? "let it come: the gripper closes by itself" : this.freed !== null && teach.pose.near === this.freed ? `${TOUCH.matches ? "Grip" : "G"} closes the gripper again` : this.isFirm() && Math.abs(held.turn) < 1e-9 && !held.spin ? `held firmly: ${TOUCH.matches ? "a second finger" : "shift"} turns the hand with it` : held.drag && !this.axis && this.isHardToSee() ? `it moves towards you or away: turn the view${TOUCH.matches ? "" : ", or hold x, y or z"}` : "";
+    const { held, teach } = this, words = !held ? (this.turnedView && !this.hasPulled ? "That turned the view. To move the hand, drag the ring; Fit shows everything." : "") : held.toHandle !== null ? "let it come: the gripper closes by itself" : this.freed !== null && teach.pose.near === this.freed ? `${TOUCH.matches ? "Grip" : "G"} closes the gripper again` : this.isFirm() && !held.spin ? `held firmly: ${TOUCH.matches ? "a second finger" : "shift"} turns the hand with it` : held.drag && !this.axis && this.isHardToSee() ? `it moves towards you or away: turn the view${TOUCH.matches ? "" : ", or hold x, y or z"}` : "";
     if (words === this.hinted) return;
     this.hinted = words;
     get("hand-hint").textContent = words;
@@ -238,18 +243,15 @@ class Hand {
 
   // Which way a handle that is held goes: known of what slides, else seen.
   feel(place) {
-    const piece = this.teach.furniture.pieces[this.holds], { kind } = this.teach.scene || {};
-    if (!place || !piece || kind === "table") return;
+    const { piece } = this;
+    if (!place || !piece || this.teach.scene.kind === "table") return;
     this.was ??= place;
     if (piece.handle.unit === "m") this.goes = piece.out;
     else if (place.distanceTo(this.was) > FELT) Object.assign(this, { goes: place.clone().sub(this.was).normalize(), was: place });
   }
 
   // Whether what is held turns the hand with it.
-  isFirm() {
-    const piece = this.teach.furniture.pieces[this.holds];
-    return Boolean(piece) && piece.handle.firm && piece.handle.unit === "rad";
-  }
+  isFirm() { return this.piece && this.piece.handle.firm && this.piece.handle.unit === "rad"; }
 
   // Whether what is held moves towards the viewer, or away.
   isHardToSee() { return Boolean(this.goes) && Math.abs(this.goes.dot(this.pointing.toEye())) > AT_VIEWER; }
@@ -283,29 +285,17 @@ class Hand {
     this.teach.tell(on ? "The keys move the hand: arrows, page up and page down; with shift they turn it. N goes to the nearest handle, G grips, escape lets go." : "The arm is let go.");
   }
 
+  // To the right, upwards and away; with shift about the picture's axes that point up, to the left and to the eye.
   moveByKey(event) {
-    const { key } = event;
-    if (!this.byKeys || event.ctrlKey || event.metaKey || event.altKey) return;
-    const right = this.pointing.toRight(), away = new THREE.Vector3(0, 0, 1).cross(right);
-    if (event.shiftKey) return this.turnByKey(event, right);
-    const by = { ArrowLeft: right.clone().negate(), ArrowRight: right, ArrowUp: AXES.z.clone(), ArrowDown: AXES.z.clone().negate(), PageUp: away, PageDown: away.clone().negate() }[key];
-    if (!by) return;
+    const [k, sign] = KEYED[event.key] || [], right = this.pointing.toRight(), eye = this.pointing.toEye();
+    if (!this.byKeys || !sign || event.ctrlKey || event.metaKey || event.altKey) return;
     stop(event);
-    this.held.toHandle = null;
-    this.held.to.addScaledVector(by, STEP);
-    this.say();
-    this.stage.dirty();
-  }
-
-  // About what points to the right, upwards and to the eye in the picture.
-  turnByKey(event, right) {
-    const eye = this.pointing.toEye(), up = eye.clone().cross(right), { held } = this;
-    const [axis, sign] = { ArrowLeft: [up, -1], ArrowRight: [up, 1], ArrowUp: [right, -1], ArrowDown: [right, 1], PageUp: [eye, 1], PageDown: [eye, -1] }[event.key] || [];
-    if (!axis) return;
-    stop(event);
-    held.spin = new THREE.Quaternion().setFromAxisAngle(axis, sign * TURN_STEP).multiply(held.spin || new THREE.Quaternion());
-    this.say();
-    this.stage.dirty();
+    if (event.shiftKey) this.turn([eye.clone().cross(right), right.clone().negate(), eye][k], sign * TURN_STEP);
+    else {
+      this.held.toHandle = null;
+      this.held.to.addScaledVector([right, AXES.z, AXES.z.clone().cross(right)][k], sign * STEP);
+    }
+    this.changed();
   }
 }
 

@@ -2,7 +2,6 @@
 
 // [ms]: least time between two pulls, one a frame of the screen; until a line that was lost is tried again
 const PULL_GAP = 1000 / 60, RETRY = 2000;
-const KEPT_LATENCIES = 500;
 const PAGE_ID = [...crypto.getRandomValues(new Uint8Array(12))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 
 class TeachLink {
@@ -42,7 +41,7 @@ class TeachLink {
   // In the order in which it was said.
   say(said) {
     this.spoken = this.spoken.then(() => this.post(said)).then(
-      (answer) => { if (!answer.ok) this.onRefused(answer.status === 413 ? "That is too much at once: at most 16 MB." : `The program did not accept that (${answer.status}).`); },
+      (answer) => { if (!answer.ok) this.onRefused(`The program did not accept that (${answer.status}).`); },
       () => this.onRefused("The program did not hear that: is it still running?"),
     );
     return this.spoken;
@@ -91,14 +90,9 @@ class TeachLink {
   // A page that was loaded again goes on counting where the one before it ended.
   heard(seq) { if (Number.isFinite(seq)) this.seq = Math.max(this.seq, seq); }
 
-  // The picture shows what followed from all pulls up to this one.
+  // The picture shows what followed from all pulls up to this one: how long that took [ms].
   drawn(seq) {
-    const now = performance.now();
-    for (const [one, when] of this.sent) {
-      if (one > seq) break;
-      this.sent.delete(one);
-      this.latencies.push(now - when);
-    }
-    if (this.latencies.length > KEPT_LATENCIES) this.latencies.splice(0, this.latencies.length - KEPT_LATENCIES);
+    for (const [one, when] of this.sent) if (one <= seq && this.sent.delete(one)) this.latencies.push(performance.now() - when);
+    this.latencies = this.latencies.slice(-500);
   }
 }

@@ -8,7 +8,6 @@ class Panel {
   constructor(teach) {
     Object.assign(this, { teach, say: (said) => teach.say(said), state: null });
     this.recordings = new RecordingList(get("recordings"), this.say);
-    this.answer = new Answer(get("answer"), this.say);
     this.take = new Take(teach);
     this.wire();
   }
@@ -17,8 +16,8 @@ class Panel {
     const on = (id, action) => get(id).addEventListener("click", action), { say } = this;
     get("scene-kind").addEventListener("change", (event) => say({ do: "scene", kind: event.target.value }));
     on("another", () => say({ do: "scene", kind: get("scene-kind").value }));
-    for (const id of ["home", "compare"]) on(id, () => say({ do: id }));
-    for (const id of ["record", "learn", "run", "grip"]) on(id, () => this[id]());
+    for (const id of ["home", "compare", "record", "learn"]) on(id, () => this.press(id));
+    for (const id of ["run", "grip"]) on(id, () => this[id]());
     on("truth", () => say({ do: "truth", show: !this.state.truth }));
     on("no-ghosts", () => say({ do: "ghosts", show: false }));
     on("again", () => this.teach.ghosts && this.teach.ghosts.play());
@@ -31,15 +30,13 @@ class Panel {
 
   can(id) { return this.teach.allowed && !get(id).disabled && get(id).checkVisibility(); }
 
-  record() { if (this.can("record")) this.say({ do: "record" }); }
-
-  learn() { if (this.can("learn")) this.say({ do: "learn" }); }
+  press(id) { if (this.can(id)) this.say({ do: id }); }
 
   grip() { if (this.teach.allowed) this.say({ do: "grip", closed: !this.teach.isHeld }); }
 
   run() {
     if (this.drives) this.say({ do: "stop" });
-    else if (this.can("run")) this.say({ do: "run" });
+    else this.press("run");
   }
 
   // ---- what the program says ----
@@ -107,7 +104,7 @@ class Panel {
   }
 
   showLearning({ answer, truth }) {
-    this.answer.set(answer);
+    fillAnswer(get("answer"), answer, this.say);
     get("headline").textContent = get("headline").title = (answer && (answer.line || answer.sentence)) || (this.teach.scene && this.teach.scene.task) || "";
     get("truth-box").hidden = !answer;
     get("truth").setAttribute("aria-pressed", String(Boolean(truth)));

@@ -1,7 +1,6 @@
 // From a place on the screen to the arm: rays, what they hit, and where a dragged point goes.
 
 const TIP_RING = 24, FINGER_WIDTH = 10; // [px]: around the tip, and around a finger, within which the arm is hit
-const AXES = { x: new THREE.Vector3(1, 0, 0), y: new THREE.Vector3(0, 1, 0), z: new THREE.Vector3(0, 0, 1) };
 const ALONG_VIEW = 0.02; // squared sine of the angle to the view below which a drag along an axis is not defined
 
 // The viewer's world is y-up.
@@ -23,7 +22,7 @@ class Pointing {
   toEye() { return inBase(this.stage.camera.getWorldDirection(new THREE.Vector3())).negate(); }
 
   // To the right of the picture, level.
-  toRight() { return new THREE.Vector3(0, 0, 1).cross(this.toEye()).normalize(); }
+  toRight() { return AXES.z.clone().cross(this.toEye()).normalize(); }
 
   // On the page [px]; null behind the camera.
   onPage(place) {

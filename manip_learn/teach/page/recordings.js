@@ -1,9 +1,6 @@
 // The list of what was shown: names, phases, odd ones, replay, delete.
 
 const CERTAIN = 3000; // [ms] in which a second press deletes
-const BAND_COLOURS = ["#0072b2", "#d55e00", "#009e73", "#b2589a", "#c98600", "#3a9bd4", "#8c5f38"];
-
-function phaseColour(kinds, k) { return k < 0 ? "var(--unclassified)" : (kinds && kinds[k] && kinds[k].colour) || BAND_COLOURS[k % BAND_COLOURS.length]; }
 
 class RecordingList {
   constructor(element, say) { Object.assign(this, { element, say, rows: [] }); }
@@ -20,17 +17,18 @@ class RecordingList {
   }
 
   row() {
-    const row = { item: document.createElement("li"), name: Object.assign(document.createElement("input"), { type: "text", maxLength: 80, spellcheck: false }) };
-    for (const tag of ["length", "odd"]) row[tag] = Object.assign(document.createElement("span"), { className: tag });
-    row.bands = svg("svg", { class: "bands", viewBox: "0 0 1000 6", preserveAspectRatio: "none", role: "img" });
-    for (const [key, textContent] of [["replay", "Replay"], ["discard", "Delete"]]) row[key] = Object.assign(document.createElement("button"), { type: "button", textContent });
-    row.name.addEventListener("change", () => this.rename(row));
-    row.name.addEventListener("keydown", (event) => { if (event.key === "Enter") row.name.blur(); else if (event.key === "Escape") { row.name.value = row.recording.name; row.name.blur(); } });
-    row.replay.addEventListener("click", () => this.say({ do: "replay", name: row.recording.name }));
-    row.discard.addEventListener("click", () => this.discard(row));
-    row.item.append(row.name, row.length, row.replay, row.discard, row.bands, row.odd);
+    const row = {}, button = (text, action) => make("button", { type: "button", onclick: () => action(row) }, text), span = (className) => make("span", { className });
+    row.name = make("input", { type: "text", maxLength: 80, spellcheck: false, onchange: () => this.rename(row), onkeydown: (event) => this.endTyping(row, event.key) });
+    Object.assign(row, { length: span("length"), odd: span("odd"), bands: span("bands") });
+    Object.assign(row, { replay: button("Replay", ({ recording: { name } }) => this.say({ do: "replay", name })), discard: button("Delete", () => this.discard(row)) });
+    row.item = make("li", {}, row.name, row.length, row.replay, row.discard, row.bands, row.odd);
     this.element.append(row.item);
     return row;
+  }
+
+  endTyping({ name, recording }, key) {
+    if (key === "Escape") name.value = recording.name;
+    if (key === "Enter" || key === "Escape") name.blur();
   }
 
   rename(row) {
@@ -57,9 +55,7 @@ class RecordingList {
     if (row.sure && row.sure !== recording.name) this.unsure(row);
     row.recording = recording;
     if (document.activeElement !== row.name) row.name.value = recording.name;
-    row.name.setAttribute("aria-label", `Name of ${recording.name}`);
-    row.replay.setAttribute("aria-label", `Replay ${recording.name}`);
-    row.discard.setAttribute("aria-label", `Delete ${recording.name}`);
+    for (const [part, what] of Object.entries({ name: "Name of", replay: "Replay", discard: "Delete" })) row[part].setAttribute("aria-label", `${what} ${recording.name}`);
     row.length.textContent = `${recording.seconds.toFixed(1)} s`;
     row.odd.textContent = recording.odd ? `odd: ${recording.odd}` : "";
     row.odd.hidden = !recording.odd;
@@ -67,14 +63,10 @@ class RecordingList {
     this.drawBands(row, recording, kinds);
   }
 
-  drawBands(row, { phases, seconds }, kinds) {
-    const said = JSON.stringify([phases, kinds]);
-    row.bands.style.display = phases.length ? "" : "none";
-    if (said === row.bandsSaid) return;
-    row.bandsSaid = said;
-    row.bands.replaceChildren();
-    row.bands.setAttribute("aria-label", `Phases: ${phases.map(([, end, k]) => `${k < 0 ? "free" : (kinds && kinds[k] && kinds[k].label) || k + 1} until ${end.toFixed(1)} s`).join(", ")}`);
-    for (const [start, end, k] of phases)
-      svg("rect", { x: (1000 * start) / Math.max(seconds, 1e-9), y: 0, width: Math.max((1000 * (end - start)) / Math.max(seconds, 1e-9), 2), height: 6, style: `fill: ${phaseColour(kinds, k)}` }, row.bands);
+  drawBands({ bands }, { phases, seconds }, kinds = []) {
+    if (!isNew(bands, [phases, kinds])) return;
+    const parts = phases.map(([start, end, k]) => ({ start, end, kind: k < 0 ? { label: "free", colour: "var(--unclassified)" } : kinds[k] || { label: k + 1, colour: `var(--series-${k % SERIES})` } }));
+    const words = parts.map(({ end, kind }) => `${kind.label} until ${end.toFixed(1)} s`).join(", ");
+    bands.replaceChildren(...(phases.length ? [stripOf(parts, seconds, { role: "img", "aria-label": `Phases: ${words}` })] : []));
   }
 }

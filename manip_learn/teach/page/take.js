@@ -16,25 +16,12 @@ class Take {
     get("keep").textContent = keep ? `Everything is kept in ${keep}` : "";
     if (newest === before) return;
     this.newest = newest;
-    get("files").replaceChildren(...files.map((file) => this.row(file)));
+    get("files").replaceChildren(...files.map(({ name, says }) => make("li", {}, this.anchor(name), says && ` ${says}`)));
     this.waits = false;
-    if (waits) for (const { name, number } of files) if (number > before) this.download(name);
+    if (waits) for (const { name, number } of files) if (number > before) this.anchor(name).click();
   }
 
-  address(name) { return `${this.root}files/${encodeURIComponent(name)}`; }
-
-  row({ name, says }) {
-    const item = document.createElement("li"), link = Object.assign(document.createElement("a"), { href: this.address(name), download: name, textContent: name });
-    item.append(link, says ? ` ${says}` : "");
-    return item;
-  }
-
-  download(name) {
-    const link = Object.assign(document.createElement("a"), { href: this.address(name), download: name });
-    document.body.append(link);
-    link.click();
-    link.remove();
-  }
+  anchor(name) { return make("a", { href: `${this.root}files/${encodeURIComponent(name)}`, download: name }, name); }
 
   wireDrop() {
     const sign = get("drop-here"), hasFile = (event) => [...(event.dataTransfer ? event.dataTransfer.types : [])].includes("Files");

@@ -6,32 +6,30 @@ const MOST_LABELLED = 3; // ghosts that are named at a time
 const WORDS_GAP = 200; // [ms] between two readings of the time in the headline
 
 // All of a pose that can be seen, to a hundredth of a millimetre or a thousandth of a degree.
-function inPicture({ values, furniture, held, near, hand, weak, marks, limit, touches, trail }) {
-  return JSON.stringify([values, furniture, held, near, hand, weak, marks, limit, touches, trail], (_, x) => (typeof x === "number" ? Math.round(1e5 * x) : x));
+function inPicture({ seq, time, mu, ...seen }) {
+  return JSON.stringify(seen, (_, x) => (typeof x === "number" ? Math.round(1e5 * x) : x));
 }
 
 class Teach {
   constructor(show, data) {
     Object.assign(this, { show, stage: show.stage, rollout: show.rollouts[0], instance: show.rollouts[0].instance, state: null, scene: null, pose: null, drawnSeq: 0, notes: data.notes });
     this.rollout.solid = true;
-    this.values = { times: [], mu: [] };
-    Object.assign(this.rollout, { curveTimes: this.values.times, curve: this.values.mu });
+    Object.assign(this.rollout, { curveTimes: [], curve: [] });
     this.arrange();
     this.link = new TeachLink(data.events.slice(0, -"events".length), {
-      ended: () => { this.ended = true; this.link.close(); }, pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.setGhosts(ghosts),
+      ended: () => { this.ended = true; this.link.close(); }, pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.ghosts && this.ghosts.set(ghosts),
     }, () => this.allow(), (words) => this.tell(words, true));
     this.panel = new Panel(this);
     if (this.stage) this.addDrawing();
     this.wire();
     this.allow();
-    this.head("waiting for the arm", false);
+    sayHead("waiting for the arm", false);
     show.setTime(0);
     requestAnimationFrame((now) => this.frame(now));
   }
 
   arrange() {
     get("step-do").append(get("panel")); // of what is of interest while the arm does it
-    get("log").remove();
     get("scene").after(get("hand-bar"), get("drop-here"));
     get("keys").querySelector("dl").replaceChildren(get("teach-keys").content.cloneNode(true));
     get("scene").setAttribute("aria-label", "The arm in three dimensions: drag it, or press H and move its hand by the arrow keys; otherwise arrow keys turn the view, plus and minus zoom");
@@ -44,11 +42,10 @@ class Teach {
     this.furniture = new TeachFurniture(stage, instance);
     this.marks = new LiveMarks(instance, size);
     this.spring = new Spring(this.marks);
-    this.trail = new TipTrail(instance, size, () => this.rollout.colour);
+    this.trail = new TipTrail(this.rollout, size);
     this.lines = new Lines(stage);
     stage.world.add(this.marks.group, this.spring.group, this.trail.mesh, this.lines.group);
-    this.rings = [0, 1].map(() => Object.assign(document.createElement("div"), { className: "ring" }));
-    for (const ring of this.rings) ring.setAttribute("aria-hidden", "true");
+    this.rings = [0, 1].map(() => make("div", { className: "ring", "aria-hidden": "true" }));
     stage.element.append(...this.rings);
     this.key = new SceneKey(stage, this.rows());
     stage.onRendered = () => this.placeRings();
@@ -75,7 +72,7 @@ class Teach {
     wireCamera(this.show);
     const once = (action) => (event) => { if (!event.repeat) action(); };
     wireKeys({
-      ...cameraKeys(this.show), r: once(() => this.panel.record()), l: once(() => this.panel.learn()), g: once(() => this.panel.grip()),
+      ...cameraKeys(this.show), r: once(() => this.panel.press("record")), l: once(() => this.panel.press("learn")), g: once(() => this.panel.grip()),
       h: once(() => this.hand && this.hand.turnByKeys()), n: once(() => this.hand && this.hand.toNearest()), " ": once(() => this.panel.run()),
     });
     get("by-keys").addEventListener("click", () => this.hand && this.hand.turnByKeys());
@@ -100,7 +97,7 @@ class Teach {
     const words = this.ended ? "The program has ended. Start it again, and open its new page." : lost ? "The connection to the program is lost. Is it still running? This page comes back by itself." : "Another tab has the arm.";
     if (get("banner").querySelector("p").textContent !== words) get("banner").querySelector("p").textContent = words;
     this.wasOpen ||= !lost;
-    if (lost && this.wasOpen) this.head(this.ended ? "the program has ended" : "no connection to the program", true);
+    if (lost && this.wasOpen) sayHead(this.ended ? "the program has ended" : "no connection to the program", true);
     if (!allowed && this.hand) this.hand.letGo();
   }
 
@@ -114,28 +111,22 @@ class Teach {
     get("said").classList.add("lost");
   }
 
-  head(text, lost) {
-    get("subtitle").textContent = text;
-    get("subtitle").classList.toggle("lost", lost);
-  }
-
   // ---- what the program says ----
 
   receive(pose) {
     this.link.heard(pose.seq);
     this.pose = pose;
     this.isNew = true;
-    if (pose.mu !== null) this.addValue(pose.time, pose.mu);
-    const picture = inPicture(pose);
-    if (this.stage && picture !== this.picture) this.stage.dirty(); // an arm that rests need not be drawn again
-    this.picture = picture;
+    this.changed ||= pose.mu !== null;
+    if (pose.mu !== null) addNewest(this.rollout, pose.time, pose.mu, LIVE_SECONDS);
+    if (isNew(this, inPicture(pose)) && this.stage) this.stage.dirty(); // an arm that rests need not be drawn again
   }
 
   setScene(scene) {
     const isNew = !this.scene || this.scene.number !== scene.number;
     this.scene = scene;
     this.panel.setScene(scene);
-    this.setNotes(scene.notes || []);
+    fillNotes([...this.notes, ...scene.notes]);
     if (!this.stage) return;
     this.furniture.setScene(scene);
     if (isNew) this.trail.clear();
@@ -151,22 +142,6 @@ class Teach {
     this.stage.dirty();
   }
 
-  setGhosts(ghosts) {
-    if (this.ghosts) this.ghosts.set(ghosts);
-  }
-
-  setNotes(more) {
-    const notes = [...this.notes, ...more], box = get("notes");
-    box.hidden = !notes.length;
-    box.querySelector("summary").textContent = counted(notes.length, "note");
-    box.querySelector("ul").replaceChildren(...notes.map((textContent) => Object.assign(document.createElement("li"), { textContent })));
-  }
-
-  addValue(time, mu) {
-    addNewest(this.rollout, this.values, time, mu, LIVE_SECONDS);
-    this.changed = true;
-  }
-
   // ---- what is drawn ----
 
   frame(now) {
@@ -177,7 +152,10 @@ class Teach {
       this.trail.draw(now);
       this.stage.render();
     }
-    if (this.pose && this.isNew) this.hasDrawn(this.pose);
+    if (this.isNew) {
+      Object.assign(this, { isNew: false, drawnSeq: this.pose.seq });
+      this.link.drawn(this.drawnSeq);
+    }
     this.drawWords(now);
     requestAnimationFrame((next) => this.frame(next));
   }
@@ -190,14 +168,9 @@ class Teach {
     this.hand.setPose(pose);
     this.furniture.setPose(pose);
     this.marks.setPose(pose);
-    this.trail.setPose(pose.trail);
-  }
-
-  hasDrawn(pose) {
-    this.isNew = false;
-    if (!Number.isFinite(pose.seq)) return;
-    this.drawnSeq = pose.seq;
-    this.link.drawn(pose.seq);
+    if (pose.trail && !this.wasTrail) this.trail.clear();
+    if (pose.trail) this.trail.add(pose.time);
+    this.wasTrail = pose.trail;
   }
 
   // The own hand is drawn where the pointer is now, not where the program last heard of it.
@@ -212,7 +185,7 @@ class Teach {
     if (now < (this.worded ?? 0) + WORDS_GAP || !this.pose) return;
     this.worded = now;
     const { weak, limit, touches } = this.pose, doing = this.state && this.state.doing;
-    if (this.link.open) this.head(doing === "idle" ? "ready" : doing || "live", false);
+    if (this.link.open) sayHead(doing === "idle" ? "ready" : doing || "live", false);
     const words = [weak && "The hand can hardly move this way.", touches.length && "The arm touches the furniture.", ...limit.map((name) => `${name} is at its limit.`)].filter(Boolean).join(" ");
     if (words !== this.warned) this.tell(words);
     this.warned = words;
@@ -224,8 +197,8 @@ class Teach {
   drawChart() {
     this.changed = false;
     const { rollout, chart } = this, curves = this.ghosts && this.ghosts.curves, last = rollout.duration;
-    if (curves) Object.assign(chart, { rollouts: this.ghosts.rollouts, duration: this.ghosts.duration, start: 0 });
-    else Object.assign(chart, { rollouts: this.show.rollouts, duration: LIVE_SECONDS, start: Math.max(0, last - LIVE_SECONDS) });
+    const shown = curves ? this.ghosts : { rollouts: this.show.rollouts, duration: LIVE_SECONDS };
+    Object.assign(chart, { rollouts: shown.rollouts, duration: shown.duration, start: curves ? 0 : Math.max(0, last - LIVE_SECONDS) });
     chart.draw();
     chart.setTime(curves ? this.ghosts.time : last);
   }
@@ -242,8 +215,6 @@ class Teach {
 
   // ---- where things are on the page ----
 
-  screenOf(point) { return this.pointing.onPage(new THREE.Vector3(...point)); }
-
   // Of each handle, in the robot's base.
   handlePlaces() { return this.pose ? this.pose.furniture.map(([x, y, z]) => new THREE.Vector3(x, y, z)) : []; }
 }
@@ -252,17 +223,15 @@ function startTeaching() {
   const data = JSON.parse(get("data").textContent), teach = new Teach(new Show(data), data);
   window.manipLearnTeach = {
     id: PAGE_ID,
-    get seq() { return teach.link.seq; },
     get pose() { return teach.pose; },
     get state() { return teach.state; },
     get scene() { return teach.scene; },
     // Where a place in the robot's base is on the page [px]; null behind the camera.
-    screenOf: (point) => teach.screenOf(point),
-    tipOnScreen: () => teach.screenOf(teach.instance.tipPosition().toArray()),
+    screenOf: (point) => teach.pointing.onPage(new THREE.Vector3(...point)),
+    tipOnScreen: () => teach.pointing.onPage(teach.instance.tipPosition()),
     tip: () => teach.instance.tipPosition().toArray(),
     // Of the newest pose that has been drawn.
     get drawnSeq() { return teach.drawnSeq; },
-    // From a pull's post to the first picture that shows what followed [ms].
     get latencies() { return [...teach.link.latencies]; },
     // Row-major 4 x 4 pose of a link in the robot's base, as drawn.
     linkPose: (link) => teach.instance.linkMatrix(link).transpose().toArray(),
@@ -270,7 +239,6 @@ function startTeaching() {
     toEye: () => teach.pointing.toEye().toArray(),
     // What the person pulls: link, place, and the number of a handle that it goes to; null without a pull.
     get pull() { const held = teach.hand && teach.hand.held; return held ? { link: held.link, to: held.to.toArray(), toHandle: held.toHandle } : null; },
-    get drawing() { return Boolean(teach.stage); },
     get allowed() { return teach.allowed; },
   };
   window.manipLearnReady = true;
