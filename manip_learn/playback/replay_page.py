@@ -22,13 +22,13 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.linalg import finite
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.guided_motion import Guidance, guidance_of
+from manip_learn.playback.guided_motion import GuidedMotion, guided_motion
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import MechanismDrawing, mechanism_drawing
 from manip_learn.playback.notebook import in_cell
 from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
-from manip_learn.playback.phase_bands import WAY, Phase, PhaseKind, phase_bands, phase_kinds, phases_from_json
+from manip_learn.playback.phase_bands import WAY, Phase, phase_bands, phase_kinds, phases_from_json
 from manip_learn.playback.recorded_motion import RecordedMotion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
@@ -41,12 +41,7 @@ if TYPE_CHECKING:
     from manip_learn.learning.report import LearningReport
 
 MOST_ROWS = 60  # of a table in a card
-STATES = {
-    "held": "held",
-    "unclear": "unclear",
-    "free": "free",
-    "untried": "not tried: nothing moved along it",
-}
+STATES = {"untried": "not tried: nothing moved along it"}  # the others are words already
 Recording = Rollout | Trajectory
 MAX_GHOSTS = 12  # as in page/scene.js
 
@@ -225,21 +220,25 @@ def replay(
     named, zero = _on_one_clock(named_recordings(rollouts), align)
     if side_by_side and not 2 <= len(named) <= 4:
         raise RecordingError(f"side_by_side needs two to four rollouts, got {len(named)}", code="side-by-side")
-    guided = {name: guidance_of(robot, name, r, constraint, target) for name, r in named.items()}
-    kept = [g.constraint.provenance for g in guided.values() if g.constraint is not None]
+    guided = [guided_motion(robot, name, recording, constraint, target) for name, recording in named.items()]
+    kept = [m.constraint.provenance for m in guided if m.constraint is not None]
     learnt = next(filter(None, kept), {}) if report is None else report
     learnt = learnt if isinstance(learnt, Mapping) else learnt.to_dict()
     if not phases:
         own = phases_from_json(learnt.get("phases") or ())
         phases = tuple(p for p in own if isinstance(named.get(p[0]), Trajectory))
-    first = _dictionary_of(learnt.get("mechanism") if mechanism is None else mechanism)
-    tip_name, tree, bands = (
-        shown_tip(robot, tip, named, guided),
-        kinematic_tree(robot),
-        phase_bands(phases, list(named)),
-    )
+    first = learnt.get("mechanism") if mechanism is None else mechanism
+    first = first.to_dict() if isinstance(first, Mechanism) else first
+    if not isinstance(first, Mapping | None):  # as in a damaged file
+        sentence = f"the mechanism must be a dictionary, got {first!r:.60}: learn it again"
+        raise RecordingError(sentence, code="mechanism")
+    tip_name, tree, bands = _shown_tip(robot, tip, guided), kinematic_tree(robot), phase_bands(phases, list(named))
     frame, looks = robot.frame(tip_name), appearance(robot, tree)
-    motions = [recorded_motion(robot, tree, frame, n, r, bands[n], guided[n], first) for n, r in named.items()]
+    colouring = rollout_colours(list(named), colours or {}, neutral=bool(phases))
+    motions = [
+        recorded_motion(robot, tree, frame, m, colour, bands[m.name], first)
+        for m, (_, colour) in zip(guided, colouring, strict=True)
+    ]
     drawings = _drawings(first, motions)
     if len(motions) > MAX_GHOSTS and not phases:
         notes = (
@@ -249,15 +248,16 @@ def replay(
         )
     evidence = evidence_of(learnt) if learnt else None
     all_notes = tuple(dict.fromkeys((*notes, *_doubts(evidence or {}), *looks.notes)))
-    colouring = rollout_colours(list(named), colours or {}, neutral=bool(phases))
-    kinds = _kinds(phases, motions[0].guidance, drawings)
-    data = scene_data(robot, tree, looks, tip_name, motions, colouring, all_notes, kinds, drawings)
-    data |= {
+    # each constraint is named by its mechanism, else by how many directions it holds
+    rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guided[0].constraints]
+    words = zip(drawings, rows or [""] * len(drawings), strict=False)
+    kinds = phase_kinds(phases, [(drawn and drawn.type) or row for drawn, row in words]) if phases else ()
+    data = scene_data(robot, tree, looks, tip_name, motions, all_notes, kinds, drawings) | {
         "evidence": evidence,
         "zero": zero,
         "made": next((made for provenance in kept if (made := provenance.get("made"))), None),
-        "done": [row for motion in motions for row in _done(motion, named[motion.name], len(named) > 1)],
-        "panes": [_outcome(*pair) for pair in named.items()] if side_by_side else [],
+        "done": [row for motion in motions for row in _done(motion, len(named) > 1)],
+        "panes": [_outcome(m) for m in guided] if side_by_side else [],
         "odd": {name: why for name, why in evidence["odd"] if name in named} if evidence else {},
     }
     content = page(data, robot=known_as(robot.source) or robot.name or "robot", subtitle=title).encode("utf-8")
@@ -267,14 +267,6 @@ def replay(
     return ReplayResult(path, len(content), all_notes)
 
 
-def _dictionary_of(mechanism: object) -> Mapping[str, Any] | None:
-    described = mechanism.to_dict() if isinstance(mechanism, Mechanism) else mechanism
-    if isinstance(described, Mapping | None):
-        return described
-    # as in a damaged file
-    raise RecordingError(f"the mechanism must be a dictionary, got {described!r:.60}: learn it again", code="mechanism")
-
-
 def _temporary_file(robot: Robot) -> Path:
     try:
         folder = tempfile.mkdtemp(prefix="manip_learn_")
@@ -282,15 +274,6 @@ def _temporary_file(robot: Robot) -> Path:
         raise OutputError(f"no temporary folder for the replay: {error}; name a file with html=...") from error
     safe = re.sub(r"[^A-Za-z0-9_-]+", "_", robot.name)[:40] or "robot"
     return Path(folder) / f"{safe}_replay.html"
-
-
-def _kinds(
-    phases: Sequence[Phase], guidance: Guidance, drawings: Sequence[MechanismDrawing | None]
-) -> tuple[PhaseKind, ...]:
-    """Return the kinds of phases: each constraint is named by its mechanism, else by how many directions it holds."""
-    rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guidance.constraints]
-    parts = zip(drawings, rows or [""] * len(drawings), strict=False)
-    return phase_kinds(phases, [(d and d.type) or words for d, words in parts]) if phases else ()
 
 
 def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Recording], float]:
@@ -321,11 +304,12 @@ def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Re
     return out, latest
 
 
-def _outcome(name: str, recording: Recording) -> dict[str, str]:
+def _outcome(motion: GuidedMotion) -> dict[str, str]:
     """Return the caption of a pane: name, how far each way went, and what stopped it."""
-    ways = recording.ways if isinstance(recording, Rollout) else ()
-    parts = [_way_in_words(way) for way in ways]
-    return {"name": name, "said": "; ".join(far for far, _ in parts), "why": "; ".join(why for _, why in parts)}
+    far, why = (
+        ("; ".join(words) for words in zip(*map(_way_in_words, motion.ways), strict=True)) if motion.ways else ("", "")
+    )
+    return {"name": motion.name, "said": far, "why": why}
 
 
 def _way_in_words(way: Mapping[str, Any]) -> tuple[str, str]:
@@ -335,14 +319,14 @@ def _way_in_words(way: Mapping[str, Any]) -> tuple[str, str]:
     return far, f", stopped by {stopped}" if stopped else ""
 
 
-def _done(motion: RecordedMotion, recording: Recording, several: bool) -> list[list[str]]:
+def _done(shown: RecordedMotion, several: bool) -> list[list[str]]:
     """Return a row for each way of a rollout: its name, where the hand took hold, and its numbers, in words."""
-    rows = []
-    for way in recording.ways if isinstance(recording, Rollout) else ():
+    rows, motion = [], shown.motion
+    for way in motion.ways:
         whose = ": ".join(filter(None, (motion.name if several else "", _text(way.get("name"))))) or motion.name
         begins, place = way["begins"], "not reached"
         if begins is not None:
-            at = [np.interp(begins - motion.first_time, motion.path_times, axis) for axis in motion.path.T]
+            at = [np.interp(begins - motion.first_time, shown.path_times, axis) for axis in shown.path.T]
             place = ", ".join(f"{x:.3f}" for x in at) + " m"
         joint = way.get("fastest_joint")
         joint = joint if isinstance(joint, Mapping) else {}
@@ -357,19 +341,19 @@ def _done(motion: RecordedMotion, recording: Recording, several: bool) -> list[l
 def _drawings(
     first: Mapping[str, Any] | None, motions: Sequence[RecordedMotion]
 ) -> tuple[MechanismDrawing | None, ...]:
-    """What is drawn of each constraint's mechanism; without phases of constraints, the first one's alone."""
-    guidance, drawn = motions[0].guidance, list[MechanismDrawing | None]()
-    several = any(band.constraint is not None for m in motions for band in m.phases)
-    for k in range(max(len(guidance.constraints), 1) if several else 1):
-        described = first if k == 0 else guidance.mechanism(k)
-        known = guidance.constraints[k] if k < len(guidance.constraints) else None
+    """Return what is drawn of each constraint's mechanism; without phases of constraints, the first one's alone."""
+    guide, drawn = motions[0].motion, list[MechanismDrawing | None]()
+    phases = [(m, band) for m in motions for band in m.motion.phases if band.constraint is not None]
+    for k in range(max(len(guide.constraints), 1) if phases else 1):
+        described = first if k == 0 else guide.mechanism(k)
+        known = guide.constraints[k] if k < len(guide.constraints) else None
         shown = None if known is None else known.shown or known.intention
         if described is None and shown is None:
             drawn.append(None)
             continue
         # the tip where constraint k holds; everywhere if that is nowhere
-        bands = [(m, b) for m in motions for b in m.phases if b.constraint == k and b.part in ("", WAY)]
-        held = [m.path[(m.path_times >= band.start) & (m.path_times <= band.end)] for m, band in bands]
+        bands = [(m, band) for m, band in phases if band.constraint == k and band.part in ("", WAY)]
+        held = [m.path[band.covers(m.path_times)] for m, band in bands]
         places = np.concatenate(held if any(map(len, held)) else [m.path for m in motions])
         if described is not None and described.get("type") == "line":
             # a line is drawn where hands took hold, or where that of a rollout does: its direction alone was learnt
@@ -382,12 +366,12 @@ def _drawings(
     return tuple(drawn)
 
 
-def shown_tip(robot: Robot, tip: str | None, named: Mapping[str, Recording], guided: Mapping[str, Guidance]) -> str:
-    """The frame whose path is drawn: the given one, else that of a rollout or of a constraint, else the default."""
+def _shown_tip(robot: Robot, tip: str | None, motions: Sequence[GuidedMotion]) -> str:
+    """Return the frame whose path is drawn: the given one, that of a rollout or of a constraint, or the default."""
     if tip is not None:
         return robot.frame(tip).name
-    frames = [r.frame for r in named.values() if isinstance(r, Rollout)]
-    features = (g.constraint.features for g in guided.values() if g.constraint is not None)
+    frames = [m.recording.frame for m in motions if isinstance(m.recording, Rollout)]
+    features = (m.constraint.features for m in motions if m.constraint is not None)
     frames += [frame.name for f in features if isinstance(frame := getattr(f, "frame", None), Frame)]
     return next((name for name in frames if name in robot.frame_names), None) or default_tip(robot)
 

@@ -9,14 +9,12 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.control.command import Status
-from manip_learn.errors import listed
 from manip_learn.playback.appearance import Appearance, Shape
 from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.mechanism_drawing import CORNERS, MechanismDrawing, facing
 from manip_learn.playback.page_writer import packed
-from manip_learn.playback.phase_bands import PhaseKind, own_kinds
+from manip_learn.playback.phase_bands import PhaseKind
 from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, track_data
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import Mesh
@@ -36,7 +34,6 @@ def scene_data(
     looks: Appearance,
     tip: str,
     motions: Sequence[RecordedMotion],
-    colours: Sequence[tuple[str, str]],
     notes: Sequence[str],
     kinds: Sequence[PhaseKind] = (),
     mechanisms: Sequence[MechanismDrawing | None] = (),
@@ -49,7 +46,6 @@ def scene_data(
         looks: How it is drawn.
         tip: Name of the frame whose path is drawn.
         motions: What is played.
-        colours: Name and hexadecimal value, one for each motion.
         notes: Sentences.
         kinds: Phases of recordings; empty without.
         mechanisms: What is drawn of each constraint's mechanism, None for nothing.
@@ -58,20 +54,23 @@ def scene_data(
     cloud = np.concatenate([_drawn_points(robot, looks, motions), *drawn])
     # and where the marks at the tip reach to, along its path
     reach = _MARKS * _extent(cloud)
-    paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in motions if m.guidance.constraints]
+    guided = [m for m in motions if m.motion.constraints]
+    paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in guided]
     cloud = np.concatenate([cloud, *(path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3)))])
-    low, high, size = cloud.min(axis=0), cloud.max(axis=0), _extent(cloud)
-    # what was stated is drawn; of it as much is framed as is near the motion
-    around, corners = list[list[dict[str, Any]]](), [np.zeros((0, 3))]
-    for m in motions:
-        things = [_thing(thing, low, high) for thing in m.around if not thing.get("assumed")]
-        around.append([thing for thing, _ in things])
-        corners += [np.clip(points, low - _NEAR * size, high + _NEAR * size) for _, points in things]
-    cloud = np.concatenate([cloud, *corners])
+    low, high, near = cloud.min(axis=0), cloud.max(axis=0), _NEAR * _extent(cloud)
+    most, rollouts = points_per_curve([m.measures for m in motions]), list[dict[str, Any]]()
     places = max(LEAST_PLACES, MOST_PLACES // len(motions))
-    marks = [_marks(robot, m, places) for m in motions]
-    longest = max((mark.pop("longest") for some in marks for mark in some if mark is not None), default=0.0)
-    most = points_per_curve([m.measures for m in motions])
+    for m in motions:
+        # what was stated is drawn; of it as much is framed as is near the motion
+        stated = getattr(m.motion.recording, "around", ())
+        things = [_thing(thing, low, high) for thing in stated if not thing.get("assumed")]
+        cloud = np.concatenate([cloud, *(np.clip(points, low - near, high + near) for _, points in things)])
+        constraints, measures = m.motion.constraints, track_data(m.measures, most)
+        each = places // max(len(constraints), 1)
+        marks = [constraint_marks(robot, m.motion, c, each) for c in constraints]
+        around = [thing for thing, _ in things]
+        rollouts.append({**m.content, "measures": measures, "marks": marks, "around": around})
+    longest = max((mark.pop("longest") for r in rollouts for mark in r["marks"] if mark is not None), default=0.0)
     return {
         "robot": _robot(robot, tree, looks, tip),
         "bounds": [cloud.min(axis=0).tolist(), cloud.max(axis=0).tolist()],
@@ -79,10 +78,7 @@ def scene_data(
         "azimuth": _azimuth(motions),
         "floor": float(min(cloud[:, 2].min(), 0.0)),
         "view": "top" if _is_flat(tree) else "iso",
-        "rollouts": [
-            _rollout(m, c) | {"measures": track_data(m.measures, most), "marks": mark, "around": things}
-            for m, c, mark, things in zip(motions, colours, marks, around, strict=True)
-        ],
+        "rollouts": rollouts,
         # the longest semi-axis takes 8 % of the scene
         "ellipsoidScale": ellipsoid_scale(longest, 0.08 * _extent(cloud)),
         "notes": list(notes),
@@ -122,23 +118,15 @@ def _robot(robot: Robot, tree: tuple[TreeJoint, ...], looks: Appearance, tip: st
     links = {name: frames[robot.frame(name).index] for name in robot.frame_names}
     return {
         "tip": tip,
-        "joints": [vars(j) | {"placement": _rows(j.placement), "axis": j.axis.tolist()} for j in tree],
+        "joints": [vars(j) | {"placement": j.placement.ravel().tolist(), "axis": j.axis.tolist()} for j in tree],
         "links": [
-            {"name": name, "joint": frame.parentJoint, "placement": _rows(frame.placement.homogeneous)}
+            {"name": name, "joint": frame.parentJoint, "placement": frame.placement.homogeneous.ravel().tolist()}
             for name, frame in links.items()
             if frame.type == pin.FrameType.BODY or name == tip
         ],
-        "shapes": [vars(s) | {"pose": _rows(s.pose)} for s in looks.shapes],
+        "shapes": [vars(s) | {"pose": s.pose.ravel().tolist()} for s in looks.shapes],
         "meshes": [_mesh(m) for m in looks.meshes],
     }
-
-
-def _marks(robot: Robot, motion: RecordedMotion, places: int) -> list[dict[str, Any] | None]:
-    samples, guidance = motion.samples, motion.guidance
-    if samples is None:
-        return []
-    each = places // max(len(guidance.constraints), 1)
-    return [constraint_marks(robot, samples, c, guidance.target, each) for c in guidance.constraints]
 
 
 def _thing(
@@ -159,26 +147,8 @@ def _thing(
         box = mesh.vertices
     else:
         box = 2.0 * CORNERS * Shape(0, kind, tuple(size), pose).half_extent()
-    known = {"name": thing["name"], "kind": kind, "size": size, "pose": _rows(pose)}
+    known = {"name": thing["name"], "kind": kind, "size": size, "pose": pose.ravel().tolist()}
     return known | {"mesh": None if mesh is None else _mesh(mesh)}, _moved(pose, box)
-
-
-def keeps_clear(around: Sequence[Mapping[str, Any]]) -> str:
-    """Return what a plan keeps clear of in words, e.g. "table (0.30 m from link1) as stated"; empty if nothing.
-
-    Args:
-        around: As `Rollout.around`.
-    """
-    said: dict[str, dict[str, str]] = {"as stated": {}, "assumed: --scene states what is there": {}}
-    for thing in around:
-        how = list(said)[bool(thing.get("assumed"))]
-        near = f" ({thing['nearest']:.2f} m from {thing['link']})" if thing.get("nearest") is not None else ""
-        said[how].setdefault(thing["name"], thing["name"] + near)
-    return "; ".join(f"{listed(names.values())} {how}" for how, names in said.items() if names)
-
-
-def _rows(pose: Float[np.ndarray, "4 4"]) -> list[float]:
-    return [float(x) for x in pose.ravel()]
 
 
 def _mesh(mesh: Mesh) -> dict[str, Any]:
@@ -194,32 +164,6 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
         "wide": wide,
         "normals": None if mesh.normals is None else packed(np.rint(127.0 * mesh.normals), "i1"),
     }
-
-
-def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
-    own = own_kinds(motion.phases, colour[1])
-    kinds = {kind.label: k for k, kind in enumerate(own)}
-    effects = {str(status): status.effect for status in Status}  # of a controller of one's own there are others
-    # angles in float64: one of many turns must still be right to a nanoradian
-    exact = {"keyTimes": motion.key_times, "tracks": motion.tracks, "curveTimes": motion.curve_times}
-    described: dict[str, Any] = {
-        "name": motion.name,
-        "colour": colour[1],
-        "duration": motion.duration,
-        **{key: packed(numbers, "<f8") for key, numbers in (exact | {"curve": motion.curve}).items()},
-        "pathTimes": packed(motion.path_times, "<f4"),
-        "path": packed(motion.path, "<f4"),
-        "status": [[t, word, effects.get(word, "slowed")] for t, word in motion.status],
-        "fitShare": motion.fit_share,
-        "handles": motion.handles,
-        # start, end, number of the kind; -1 for free motion
-        "phases": [
-            [b.start, b.end, kinds.get(b.name or "", -1 if b.constraint is None else b.constraint)]
-            for b in motion.phases
-        ],
-    }
-    more = {"phaseKinds": [vars(k) for k in own], "clear": keeps_clear(motion.around)}
-    return described | {key: value for key, value in more.items() if value}
 
 
 def _drawn_points(robot: Robot, looks: Appearance, motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "C 3"]:
