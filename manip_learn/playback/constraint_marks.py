@@ -13,8 +13,8 @@ from manip_learn.constraint.features import MechanismRows
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.linalg import null_basis, row_basis
-from manip_learn.playback.guided_motion import GuidedMotion
 from manip_learn.playback.page_writer import packed
+from manip_learn.playback.recorded_motion import GuidedMotion
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot

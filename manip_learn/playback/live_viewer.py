@@ -27,12 +27,11 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.guided_motion import guided_motion
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks, kinematic_tree
 from manip_learn.playback.mechanism_drawing import mechanism_drawing
 from manip_learn.playback.page_writer import LIVE, PageKind, page
 from manip_learn.playback.palette import rollout_colours
-from manip_learn.playback.recorded_motion import recorded_motion
+from manip_learn.playback.recorded_motion import guided_motion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.description.catalogue import known_as

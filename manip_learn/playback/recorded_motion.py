@@ -1,4 +1,4 @@
-"""A rollout or a demonstration as the page plays it: key frames, tip path, status, and tracks over time.
+"""A rollout or a demonstration to show: what guided it, key frames, tip path, status, and tracks over time.
 
 A track has few enough numbers for a page, every minimum and maximum among them.
 """
@@ -11,17 +11,19 @@ from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 
+from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
-from manip_learn.errors import RecordingError, listed
+from manip_learn.errors import ConstraintMismatchError, RecordingError, TargetError, listed
 from manip_learn.linalg import finite
-from manip_learn.playback.guided_motion import GuidedMotion
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
 from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import WAY, PhaseBand, own_bands, own_kinds
 from manip_learn.recordings.trajectory import Trajectory, evenly
+from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
@@ -31,6 +33,140 @@ MAX_KEY_FRAMES = 18_000  # 30 a second in ten minutes
 MAX_PATH_POINTS = 1500  # of a drawn path, about one a pixel
 Curve = tuple[str, np.ndarray, np.ndarray]  # name, times from the first sample on [s], and values; NaN for a gap
 Spans = list[tuple[float, float]]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class GuidedMotion:
+    """A rollout or a recording, its samples and what guided it; times count from the first sample [s].
+
+    Attributes:
+        name: Name in the legend.
+        recording: The rollout or the recording itself.
+        time: shape (T,).
+        q: shape (T, n).
+        first_time: Of the first sample, on the motion's own clock [s].
+        velocity_time: shape (U,), of the velocities: those of all samples, or fewer where they had to be derived.
+        velocity_q: shape (U, n), the postures that the velocities belong to.
+        u: shape (U, nv) [rad/s or m/s]; empty if they are not known.
+        constraints: By the numbers of the phases, of a skill done again by its ways; a motion without phases has the
+            first. Empty if none is known.
+        target: Where the task was to arrive, as `Task.goal` says it; None if that is not known.
+        phases: Bands of constraints within the motion, or a rollout's own.
+    """
+
+    name: str
+    recording: Rollout | Trajectory
+    time: Float[np.ndarray, " T"]
+    q: Float[np.ndarray, "T n"]
+    first_time: float
+    velocity_time: Float[np.ndarray, " U"]
+    velocity_q: Float[np.ndarray, "U n"]
+    u: Float[np.ndarray, "U nv"]
+    constraints: tuple[Constraint, ...] = ()
+    target: Float[np.ndarray, "..."] | None = None
+    phases: tuple[PhaseBand, ...] = ()
+
+    @property
+    def constraint(self) -> Constraint | None:
+        """The first one."""
+        return self.constraints[0] if self.constraints else None
+
+    @property
+    def ways(self) -> tuple[Mapping[str, Any], ...]:
+        """What became of each way of a rollout; empty for a recording."""
+        return self.recording.ways if isinstance(self.recording, Rollout) else ()
+
+    def mechanism(self, k: int) -> Mapping[str, Any] | None:
+        """Return the mechanism that constraint k keeps; None if it keeps none."""
+        kept = self.constraints[k].provenance.get("mechanism") if k < len(self.constraints) else None
+        return kept if isinstance(kept, Mapping) else None
+
+    def chosen(self) -> Int[np.ndarray, " U"]:
+        """Return the number of the constraint by which each velocity is measured: of its phase, else the first.
+
+        -1 where it is not known, and everywhere if the demonstrator drives the rows (b is not 0).
+        """
+        is_imposed = self.constraint is None or self.constraint.provenance.get("kind") == "self-imposed"
+        chosen = np.full(self.velocity_time.size, -1 if is_imposed else 0)
+        for band in [] if is_imposed else self.phases:
+            if band.constraint is not None:
+                chosen[band.covers(self.velocity_time)] = band.constraint
+        return np.where(chosen < len(self.constraints), chosen, -1)
+
+
+def guided_motion(
+    robot: Robot,
+    name: str,
+    recording: Rollout | Trajectory,
+    constraint: Constraint | Sequence[Constraint] | None = None,
+    target: ArrayLike | None = None,
+) -> GuidedMotion:
+    """Check a motion, derive its velocities if it has none, and find what guided it.
+
+    Args:
+        robot: Whose joints move.
+        name: Name in the legend.
+        recording: A rollout or a recording.
+        constraint: One, or one for each number of the phases; None for the rollout's own.
+        target: As `Task.goal` says it; None for the rollout's own.
+
+    Raises:
+        ConstraintMismatchError: A constraint of another robot.
+        RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, another robot, or other
+            joints locked.
+        TargetError: A target that is not finite numbers.
+    """
+    given = (constraint,) if isinstance(constraint, Constraint) else tuple(constraint or ())
+    checked = recording
+    if isinstance(recording, Rollout):
+        target = recording.target if target is None else target
+        if constraint is None:
+            given = _kept_constraints(robot, name, recording)
+        if recording.robot is not None:
+            recording.robot.refuse_another(robot, f"rollout {name!r}")
+        # one that was made by hand is not checked: its times and postures as those of a trajectory are
+        u = recording.u if np.all(np.isfinite(recording.u)) else None
+        checked = Trajectory(recording.time, recording.q, u, recording.joint_names, f"rollout {name!r}")
+    for c in given:
+        other = c.robot
+        if c.nv != robot.nv or (other is not None and other.joint_names != robot.joint_names):
+            whose = f"robot {other.name!r}" if other is not None else f"a system of {c.nv} velocities"
+            raise ConstraintMismatchError(
+                f"the constraint to show with {name!r} is of {whose}, the robot shown is {robot.name!r} with "
+                f"{robot.nv}: give the constraint of that robot"
+            )
+    place = None if target is None else finite(target, *np.shape(np.array(target, dtype=object)))
+    if target is not None and (place is None or place.ndim not in (1, 2)):
+        raise TargetError(f"the target to show must be finite numbers, or a 4 x 4 pose, got {target!r:.80}")
+    names, own = checked.joint_names or robot.joint_names, robot.joint_names
+    if set(names) != set(own):
+        parts = {"missing": [n for n in own if n not in names], "not its own": [n for n in names if n not in own]}
+        what = "; ".join(f"{label} {', '.join(some[:6])}" for label, some in parts.items() if some)
+        sentence = f"rollout {name!r} was not made with robot {robot.name!r}: joints {what}; load the robot that it was"
+        raise RecordingError(f"{sentence} made with", code="joint-names")
+    order, q = [names.index(n) for n in own], checked.q
+    q = q[:, order] if q.shape[1] == robot.nv else q
+    u = checked.u[:, order] if checked.u is not None and np.all(np.isfinite(checked.u)) else None
+    moving = Trajectory(checked.time, q, u, own, name)
+    if u is None and len(moving) >= 5:  # [samples] that a derivative needs
+        moving = derive_velocities(moving, robot)
+    first, known = float(checked.time[0]), 0 if moving.u is None else len(moving)
+    velocities = np.zeros((0, robot.nv)) if moving.u is None else moving.u
+    moved = moving.time[:known] - first, moving.q[:known], velocities
+    return GuidedMotion(name, recording, checked.time - first, q, first, *moved, given, place)
+
+
+def _kept_constraints(robot: Robot, name: str, rollout: Rollout) -> tuple[Constraint, ...]:
+    """Return the constraints that a rollout keeps: one for each of its ways, or its only one."""
+    kept = [way.get("constraint") for way in rollout.ways]
+    kept = [rollout.constraint] if not kept or None in kept else kept
+    try:
+        given = (Constraint.from_dict(c, robot, source=f"the constraint of rollout {name!r}") for c in kept if c)
+        return tuple(given)
+    except ConstraintMismatchError as error:
+        sentence = f"rollout {name!r} was not made with robot {robot.name!r}: {error}"
+        raise RecordingError(sentence, code="other-robot") from error
 
 
 def _track(kind: str, curves: Sequence[Curve], unit: str = "", without: Sequence[str] = ()) -> dict[str, Any]:
@@ -91,7 +227,7 @@ def tracks_of(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
         shares = (recording.effort / np.where(largest > 0.0, largest, 1.0)).T
         joints = zip(recording.joint_names or names, shares, strict=True)
         tracks.append(_track("effort", [(name, time, share) for name, share in joints]))
-    return [t for t in tracks if any(np.any(np.isfinite(values)) for _, _, values in t["curves"])]
+    return tracks
 
 
 def _broken(motion: GuidedMotion, chosen: Int[np.ndarray, " U"]) -> Float[np.ndarray, "U nv"]:
@@ -186,8 +322,8 @@ class RecordedMotion:
         path_times: shape (P,).
         path: shape (P, 3), the tip in the base frame [m].
         measures: What is shown over time, see `tracks_of`.
-        handles: For each fixture that a rollout moves, when the hand has its handle: start and end [s].
-        content: What else the page reads of it.
+        content: What else the page reads of it; of `handles`, for each fixture that a rollout moves, start and end of
+            the times at which the hand has its handle [s].
     """
 
     motion: GuidedMotion
@@ -195,7 +331,6 @@ class RecordedMotion:
     path_times: Float[np.ndarray, " P"]
     path: Float[np.ndarray, "P 3"]
     measures: Sequence[Mapping[str, Any]]
-    handles: Sequence[Spans]
     content: Mapping[str, Any]
 
 
@@ -243,13 +378,15 @@ def recorded_motion(
         own = _within(own, motion)
         held = _held(recording, own, motion)
     motion = replace(motion, phases=_within(phases, motion) or own)
-    known = {k: motion.mechanism(k) or mechanism or {} for k in held}
-    held = {k: spans for k, spans in held.items() if known[k].get("type")}
-    moved = [_moved(known[k], path_times, poses, spans) for k, spans in held.items()]
-    measures = tracks_of(robot, motion)
-    for kind, unit in (("turning", "rad"), ("opening", "m")):
-        curves = [("", path_times, way) for measured, way in filter(None, moved) if measured == unit]
-        measures = [_track(kind, curves, unit), *measures] if curves else measures
+    opened: dict[str, list[Curve]] = {"m": [], "rad": []}
+    for k, spans in list(held.items()):
+        known = motion.mechanism(k) or mechanism or {}
+        if not known.get("type"):
+            del held[k]
+        elif known["type"] in ("line", "hinge", "screw") and (learnt := Mechanism.from_dict(known)).axis is not None:
+            way = _opened(learnt, path_times, poses, spans)
+            opened["m" if learnt.type == "line" else "rad"].append(("", path_times, way))
+    measures = [_track("opening", opened["m"], "m"), _track("turning", opened["rad"], "rad"), *tracks_of(robot, motion)]
     kinds = own_kinds(motion.phases, colour)
     numbers = {kind.label: k for k, kind in enumerate(kinds)}
     # angles in float64: one of many turns must still be right to a nanoradian
@@ -272,7 +409,8 @@ def recorded_motion(
     }
     more = {"phaseKinds": [vars(kind) for kind in kinds], "clear": keeps_clear(around)}
     content |= {key: value for key, value in more.items() if value}
-    return RecordedMotion(motion, motion.q[keys], path_times, poses[:, :3, 3], measures, list(held.values()), content)
+    measures = [t for t in measures if any(np.any(np.isfinite(values)) for _, _, values in t["curves"])]
+    return RecordedMotion(motion, motion.q[keys], path_times, poses[:, :3, 3], measures, content)
 
 
 def _within(phases: Iterable[PhaseBand], motion: GuidedMotion) -> tuple[PhaseBand, ...]:
@@ -294,25 +432,18 @@ def _held(recording: Rollout, bands: Sequence[PhaseBand], motion: GuidedMotion) 
     return held
 
 
-def _moved(
-    mechanism: Mapping[str, Any],
-    times: Float[np.ndarray, " T"],
-    poses: Float[np.ndarray, "T 4 4"],
-    spans: Spans,
-) -> tuple[str, Float[np.ndarray, " T"]] | None:
-    """Return the unit, and how far a fixture of one free coordinate has moved [m or rad]; None of others."""
-    kind = str(mechanism.get("type"))
-    if kind not in ("line", "hinge", "screw") or (learnt := Mechanism.from_dict(mechanism)).axis is None:
-        return None
+def _opened(
+    mechanism: Mechanism, times: Float[np.ndarray, " T"], poses: Float[np.ndarray, "T 4 4"], spans: Spans
+) -> Float[np.ndarray, " T"]:
+    """Return how far a fixture of one free coordinate has moved [m or rad], most of it in the positive sense."""
     way, moved = np.zeros(len(times)), 0.0
     for start, end in spans:
         inside = np.flatnonzero((times >= start - 1e-9) & (times <= end + 1e-9))
-        if inside.size and (kind == "line" or learnt.point is not None):
+        if inside.size and (mechanism.type == "line" or mechanism.point is not None):
             way[inside[0] :] = moved
-            way[inside] += learnt.at(poses[inside[0]], np.inf).coordinates(poses[inside])[:, 0]
+            way[inside] += mechanism.at(poses[inside[0]], np.inf).coordinates(poses[inside])[:, 0]
             way[inside[-1] :] = moved = way[inside[-1]]
-    sign = np.sign(way[np.argmax(np.abs(way))] or 1.0)
-    return "m" if kind == "line" else "rad", way * sign + 0.0
+    return way * np.sign(way[np.argmax(np.abs(way))] or 1.0) + 0.0
 
 
 def keeps_clear(around: Sequence[Mapping[str, Any]]) -> str:

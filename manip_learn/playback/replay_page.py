@@ -22,14 +22,13 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.linalg import finite
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.guided_motion import GuidedMotion, guided_motion
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import MechanismDrawing, mechanism_drawing
 from manip_learn.playback.notebook import in_cell
 from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.phase_bands import WAY, Phase, phase_bands, phase_kinds, phases_from_json
-from manip_learn.playback.recorded_motion import RecordedMotion, recorded_motion
+from manip_learn.playback.recorded_motion import GuidedMotion, RecordedMotion, guided_motion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.description.catalogue import known_as
@@ -291,16 +290,12 @@ def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Re
     for name, r in rollouts.items():
         grasps[name] = next((w["begins"] for w in r.ways if w["begins"] is not None), r.time[0]) - float(r.time[0])
     latest, out = max(grasps.values()), dict(named)
-    for name, rollout in rollouts.items():
-        if grasps[name] < latest:
-            first = rollout.until(float(rollout.time[0]))
-            arrays = ("q", "u", "manipulability", "task_error")
-            twice = {field: np.repeat(getattr(first, field), 2, axis=0) for field in arrays}
-            time = np.array([rollout.time[0], latest - grasps[name]])
-            still = replace(
-                first, time=time, status=first.status * 2, phases=(), ways=(), following_error=None, **twice
-            )
-            out[name] = still.followed_by(rollout)
+    for name, r in rollouts.items():
+        if (wait := latest - grasps[name]) > 0.0:  # its first sample, that much earlier
+            curves = {field: getattr(r, field) for field in ("time", "q", "u", "manipulability", "task_error")}
+            longer: dict[str, Any] = {field: np.concatenate([x[:1], x]) for field, x in curves.items()}
+            longer["time"][0] -= wait
+            out[name] = replace(r, status=(r.status[0], *r.status), following_error=None, **longer)
     return out, latest
 
 
@@ -357,7 +352,10 @@ def _drawings(
         places = np.concatenate(held if any(map(len, held)) else [m.path for m in motions])
         if described is not None and described.get("type") == "line":
             # a line is drawn where hands took hold, or where that of a rollout does: its direction alone was learnt
-            begin = next((m.path[np.searchsorted(m.path_times, s[0][0])] for m in motions for s in m.handles[:1]), None)
+            begin = next(
+                (m.path[np.searchsorted(m.path_times, s[0][0])] for m in motions for s in m.content["handles"][:1]),
+                None,
+            )
             if isinstance(shown, Shown) and shown.hold is not None:
                 described, places = {**described, "point": shown.hold}, np.vstack([shown.points, places])
             elif k == 0 and begin is not None:
