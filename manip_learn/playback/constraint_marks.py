@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, cast, final
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +20,6 @@ from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
 COUPLED = 0.1  # part of a learnt unit row that turns, up to which it counts as one that only moves, and the other way
-EXACT = 1e-6  # the same of a mechanism's rows
 SIX = np.triu_indices(3)  # xx xy xz yy yz zz of a symmetric matrix
 
 
@@ -55,20 +54,19 @@ def held_directions(constraint: Constraint, places: Float[np.ndarray, "T 3"]) ->
         constraint: A(q).
         places: Origin of the frame along the motion, where the features see it: in the base, or in the other frame [m].
     """
-    features, tolerance = constraint.features, COUPLED
-    if isinstance(features, WeighedVelocity):
-        W, axes = features.place_weights.values(places), features.relative_to
-        seen = np.repeat([1.0, float(np.any(W[..., 3:]))], 3)
-        # a mixture was learnt, where a mechanism's rows are what they are
-        tolerance = EXACT if isinstance(features, MechanismRows) else COUPLED
-    elif isinstance(features, PoseRows):  # the same everywhere
+    features, selection = constraint.features, constraint.selection
+    if isinstance(features, PoseRows):  # the same everywhere
         W = np.eye(6)[[AXES.index(name) for name in features.row_names]]
-        axes, seen = features.frame if features.own_axes else features.relative_to, W.sum(axis=0)
-        return HeldDirections(axes, *_parts(constraint.selection @ W, seen, tolerance))
-    else:
+        axes = features.frame if features.own_axes else features.relative_to
+        return HeldDirections(axes, *_parts(selection @ W, W.sum(axis=0), COUPLED))
+    if not isinstance(features, WeighedVelocity):
         return None
-    parts = [_parts(constraint.selection @ w, seen, tolerance) for w in W]
-    return HeldDirections(axes, *map(np.array, zip(*parts, strict=True)))
+    W = features.place_weights.values(places)
+    seen = np.repeat([1.0, float(np.any(W[..., 3:]))], 3)
+    # a mixture was learnt, where a mechanism's rows are what they are
+    tolerance = 1e-6 if isinstance(features, MechanismRows) else COUPLED
+    parts = [_parts(selection @ w, seen, tolerance) for w in W]
+    return HeldDirections(features.relative_to, *map(np.array, zip(*parts, strict=True)))
 
 
 def _parts(
@@ -110,14 +108,12 @@ def constraint_marks(robot: Robot, motion: GuidedMotion, constraint: Constraint,
     n, learnt = constraint.provenance.get("n_constraints"), constraint
     if isinstance(n, int) and 0 < n < constraint.n_constraints:  # a task's rows follow those that were learnt
         learnt = Constraint(constraint.selection[:n], constraint.features, constraint.provenance)
-    kept = evenly(motion.time.size, most)
-    twist, q = constraint.features.twist, motion.q[kept]
-    if twist is None:
+    kept, features = evenly(len(motion.samples), most), constraint.features
+    if not isinstance(features, PoseRows | WeighedVelocity):
         return None
+    twist, q = features.twist, motion.samples.q[kept]
     places = twist.poses(q)[:, :3, 3]
-    directions, ruled = (held_directions(c, places) for c in (learnt, constraint))
-    if directions is None or ruled is None:
-        return None
+    directions, ruled = (cast(HeldDirections, held_directions(c, places)) for c in (learnt, constraint))
     # H J_v J_v^T H in the axes of the directions: semi-axes are the tip's speeds along what is held, at |u| = 1, and of
     # rows that only move the singular values of A, since this is Lambda^T A A^T Lambda
     J = robot.frame_kinematics(twist.frame).jacobians(q, "world")[:, :3]
@@ -129,12 +125,12 @@ def constraint_marks(robot: Robot, motion: GuidedMotion, constraint: Constraint,
     return {
         "tip": _place(robot, twist.frame),
         "axes": _place(robot, directions.axes),
-        "times": packed(motion.time[kept], "<f8"),
+        "times": packed(motion.samples.time[kept], "<f8"),
         **{key: packed(getattr(directions, name)[..., *SIX], "<f4") for key, name in names.items()},
         "ellipsoid": packed(ellipsoid[:, *SIX], "<f4"),
         "longest": float(np.sqrt(np.maximum(np.linalg.eigvalsh(ellipsoid), 0.0).max(initial=0.0))),  # semi-axis [m/s]
         "driven": constraint.n_constraints > learnt.n_constraints,  # along what is free, too
-        "target": _target_place(robot, constraint, motion.target, motion.q[0]),
+        "target": _target_place(robot, features, constraint.selection, motion),
     }
 
 
@@ -153,11 +149,11 @@ def ellipsoid_scale(longest: float, size: float) -> float:
 
 
 def _target_place(
-    robot: Robot, constraint: Constraint, target: np.ndarray | None, q: Float[np.ndarray, " n"]
+    robot: Robot, features: PoseRows | WeighedVelocity, selection: Float[np.ndarray, "s p"], motion: GuidedMotion
 ) -> dict[str, Any] | None:
     """Return the place of the target in the frame of a joint; coordinates that it lacks are those of the start."""
-    features, selection = constraint.features, constraint.selection
-    if target is None or not isinstance(features, PoseRows | WeighedVelocity):
+    target, q = motion.target, motion.samples.q[0]
+    if target is None:
         return None
     point = features.twist.pose(q)[:3, 3]
     if target.shape == (4, 4):

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import product
 from typing import Any, final
 
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.constraint.mechanism import Mechanism
@@ -18,11 +16,8 @@ from manip_learn.errors import RecordingError
 from manip_learn.linalg import finite
 from manip_learn.playback.page_writer import packed
 
-MAX_TURNS = 12.0  # of a screw that is drawn
 MAX_NUMBER = 1e9  # [m] what is farther away cannot be drawn
 _MAX_TEXT = 400
-CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # of a cube with sides of 1
-UPRIGHT = 0.98  # cosine of the tilt up to which a chest stands on the floor
 
 
 @final
@@ -112,7 +107,7 @@ def _form(
     lines = [np.array([point + (low - reach) * axis, point + (high + reach) * axis])]
     if kind == "screw" and pitch and radius:
         phase = np.arctan2(beside[0, 1], beside[0, 0]) + (low - along[0]) / pitch  # at the lowest place held
-        turn = np.sign(pitch) * min((high - low) / abs(pitch), 2.0 * np.pi * MAX_TURNS)
+        turn = np.sign(pitch) * min((high - low) / abs(pitch), 2.0 * np.pi * 12.0)  # more turns are not told apart
         lines.append(_helix(axis, point + low * axis, radius, turn, pitch, phase))
     elif kind != "line" and radius:  # the circle of a hinge, the two rims of a cylinder
         heights = (low, high) if kind == "other" else (0.5 * (low + high),)
@@ -134,11 +129,3 @@ def _helix(
 
 def _margin(extent: float) -> float:
     return max(0.25 * extent, 0.06)  # [m] beyond a motion of that extent
-
-
-def facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
-    """Pose of a handle that is pulled along `out`, as upright as that allows."""
-    up = np.array([0.0, 0.0, 1.0]) if abs(out[2]) < UPRIGHT else np.array([1.0, 0.0, 0.0])
-    up = up - (up @ out) * out
-    up /= np.linalg.norm(up)
-    return pin.SE3(np.column_stack([np.cross(out, up), out, up]), handle).homogeneous

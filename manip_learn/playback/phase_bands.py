@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, final
@@ -11,14 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from manip_learn.errors import RecordingError
+from manip_learn.linalg import finite
 from manip_learn.playback.palette import COLOURS, rgb_of
 
 # trajectory, start [s], end [s], number of the constraint counted from 0, None for free motion; why nothing was learnt
 Phase = tuple[str, float, float, int | None] | tuple[str, float, float, int | None, str]
-MAX_CONSTRAINTS = 1000  # a larger number is a mistake, not a constraint
 WAY = "way"  # the phase of a rollout in which the hand moves along its mechanism
 LEADING = {"approach": 0.18, "hold": 0.4, "retreat": 0.18}  # other phases, and how much of its colour they have
-MAX_NAME = 40  # [characters] of a phase: what a band has room for
 _CONSTRAINT_COLOURS = tuple(value for name, value in COLOURS.items() if name != "grey")
 
 
@@ -117,11 +115,9 @@ def own_bands(rollout: str, phases: Sequence[tuple[str, float, float]]) -> tuple
     Raises:
         RecordingError: Times that are not finite or in the wrong order.
     """
-    bands = []
-    for i, (name, *span) in enumerate(phases):
-        _, start, end, *_ = _checked(i, (rollout, *span, None))
-        bands.append(PhaseBand(start, end, None, str(name)[:MAX_NAME]))
-    return tuple(sorted(bands, key=lambda b: b.start))
+    checked = [(*_checked(i, (rollout, *span, None))[1:4], str(name)) for i, (name, *span) in enumerate(phases)]
+    # 40 characters of a name are as many as a band has room for
+    return tuple(sorted((PhaseBand(*span, name[:40]) for *span, name in checked), key=lambda b: b.start))
 
 
 def own_kinds(bands: Sequence[PhaseBand], colour: str) -> tuple[PhaseKind, ...]:
@@ -158,17 +154,16 @@ def _checked(i: int, phase: Any) -> tuple[str, float, float, int | None, Any]:
     if not isinstance(phase, list | tuple) or len(phase) not in (4, 5) or not isinstance(phase[0], str):
         raise _refusal(f"phase {i} must be (trajectory, start, end, constraint or None), got {phase!r:.80}")
     trajectory, start, end, constraint, reason = (*phase, None)[:5]
-    try:
-        start, end = float(start), float(end)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise _refusal(f"phase {i}: start and end must be numbers: {error}") from error
-    if not (math.isfinite(start) and math.isfinite(end) and start <= end):
-        raise _refusal(f"phase {i} of {trajectory!r} must end after it starts, got {start} s to {end} s")
+    span = finite([start, end], 2)
+    if span is None or span[0] > span[1]:
+        wanted = "must end after it starts, at finite numbers of seconds"
+        raise _refusal(f"phase {i} of {trajectory!r} {wanted}, got {start!r} s to {end!r} s")
     is_number = isinstance(constraint, int) and not isinstance(constraint, bool)
-    if constraint is not None and not (is_number and 0 <= constraint < MAX_CONSTRAINTS):
+    # a number of 1000 is a mistake, not a constraint
+    if constraint is not None and not (is_number and 0 <= constraint < 1000):
         wanted = "the constraint must be a number from 0 up, or None for free motion"
         raise _refusal(f"phase {i} of {trajectory!r}: {wanted}, got {constraint!r:.40}")
-    return trajectory, start, end, constraint, reason
+    return trajectory, float(span[0]), float(span[1]), constraint, reason
 
 
 def _refusal(sentence: str) -> RecordingError:

@@ -38,17 +38,13 @@ Spans = list[tuple[float, float]]
 @final
 @dataclass(frozen=True, eq=False)
 class GuidedMotion:
-    """A rollout or a recording, its samples and what guided it; times count from the first sample [s].
+    """A rollout or a recording, its samples and what guided it.
 
     Attributes:
         name: Name in the legend.
-        recording: The rollout or the recording itself.
-        time: shape (T,).
-        q: shape (T, n).
-        first_time: Of the first sample, on the motion's own clock [s].
-        velocity_time: shape (U,), of the velocities: those of all samples, or fewer where they had to be derived.
-        velocity_q: shape (U, n), the postures that the velocities belong to.
-        u: shape (U, nv) [rad/s or m/s]; empty if they are not known.
+        recording: The rollout or the recording itself, on its own clock.
+        samples: Its samples, joints in the robot's order, times from the first sample on [s].
+        moving: The samples whose velocities are known: all, or fewer where they had to be derived; None without any.
         constraints: By the numbers of the phases, of a skill done again by its ways; a motion without phases has the
             first. Empty if none is known.
         target: Where the task was to arrive, as `Task.goal` says it; None if that is not known.
@@ -57,14 +53,10 @@ class GuidedMotion:
 
     name: str
     recording: Rollout | Trajectory
-    time: Float[np.ndarray, " T"]
-    q: Float[np.ndarray, "T n"]
-    first_time: float
-    velocity_time: Float[np.ndarray, " U"]
-    velocity_q: Float[np.ndarray, "U n"]
-    u: Float[np.ndarray, "U nv"]
-    constraints: tuple[Constraint, ...] = ()
-    target: Float[np.ndarray, "..."] | None = None
+    samples: Trajectory
+    moving: Trajectory | None
+    constraints: tuple[Constraint, ...]
+    target: Float[np.ndarray, "..."] | None
     phases: tuple[PhaseBand, ...] = ()
 
     @property
@@ -82,16 +74,16 @@ class GuidedMotion:
         kept = self.constraints[k].provenance.get("mechanism") if k < len(self.constraints) else None
         return kept if isinstance(kept, Mapping) else None
 
-    def chosen(self) -> Int[np.ndarray, " U"]:
-        """Return the number of the constraint by which each velocity is measured: of its phase, else the first.
+    def chosen(self, time: Float[np.ndarray, " T"]) -> Int[np.ndarray, " T"]:
+        """Return the number of the constraint by which a velocity is measured: of its phase, else the first.
 
         -1 where it is not known, and everywhere if the demonstrator drives the rows (b is not 0).
         """
         is_imposed = self.constraint is None or self.constraint.provenance.get("kind") == "self-imposed"
-        chosen = np.full(self.velocity_time.size, -1 if is_imposed else 0)
+        chosen = np.full(time.size, -1 if is_imposed else 0)
         for band in [] if is_imposed else self.phases:
             if band.constraint is not None:
-                chosen[band.covers(self.velocity_time)] = band.constraint
+                chosen[band.covers(time)] = band.constraint
         return np.where(chosen < len(self.constraints), chosen, -1)
 
 
@@ -148,13 +140,10 @@ def guided_motion(
     order, q = [names.index(n) for n in own], checked.q
     q = q[:, order] if q.shape[1] == robot.nv else q
     u = checked.u[:, order] if checked.u is not None and np.all(np.isfinite(checked.u)) else None
-    moving = Trajectory(checked.time, q, u, own, name)
-    if u is None and len(moving) >= 5:  # [samples] that a derivative needs
-        moving = derive_velocities(moving, robot)
-    first, known = float(checked.time[0]), 0 if moving.u is None else len(moving)
-    velocities = np.zeros((0, robot.nv)) if moving.u is None else moving.u
-    moved = moving.time[:known] - first, moving.q[:known], velocities
-    return GuidedMotion(name, recording, checked.time - first, q, first, *moved, given, place)
+    samples = moving = Trajectory(checked.time - checked.time[0], q, u, own, name)
+    if u is None:  # a derivative needs 5 samples
+        moving = derive_velocities(samples, robot) if len(samples) >= 5 else None
+    return GuidedMotion(name, recording, samples, moving, given, place)
 
 
 def _kept_constraints(robot: Robot, name: str, rollout: Rollout) -> tuple[Constraint, ...]:
@@ -192,21 +181,24 @@ def tracks_of(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
     fastest, low, high = robot.velocity_limit, robot.position_lower, robot.position_upper
     limited = np.isfinite(fastest) & (fastest > 0.0)
     bounded = np.isfinite(low) & np.isfinite(high) & (high > low)
-    shares = motion.u / np.where(limited, fastest, 1.0)
+    time, q, recording, moving = motion.samples.time, motion.samples.q, motion.recording, motion.moving
+    names, tracks = robot.joint_names, list[dict[str, Any]]()
     # 0 at the lower limit of a joint, 1 at the upper one
-    places = (robot.unwrapped(motion.q) - low) / np.where(bounded, high - low, 1.0)
-    time, recording, names, tracks = motion.time, motion.recording, robot.joint_names, list[dict[str, Any]]()
+    limits = [("position", time, (robot.unwrapped(q) - low) / np.where(bounded, high - low, 1.0), bounded)]
     if motion.constraint is not None:  # singular values of A(q), largest first
-        A = motion.constraint.selection @ motion.constraint.features.batch(motion.q)
+        A = motion.constraint.selection @ motion.constraint.features.batch(q)
         sigma = np.linalg.svd(A, compute_uv=False).T
         tracks.append(_track("singular", [(f"σ{k + 1}", time, s) for k, s in enumerate(sigma)]))
-    if isinstance(recording, Trajectory) and motion.u.size:
-        speed = np.linalg.norm(motion.u, axis=1)
-        # below a tenth of its root mean square speed a motion says nothing of a constraint
-        moving = speed > 0.1 * np.sqrt(np.mean(speed**2))
-        broken = np.linalg.norm(_broken(motion, np.where(moving, motion.chosen(), -1)), axis=1)
-        tracks.append(_track("fit", [("share", motion.velocity_time, broken / np.where(moving, speed, 1.0))]))
-    limits = (("velocity", motion.velocity_time, shares, limited), ("position", time, places, bounded))
+    if moving is not None:
+        u = moving.arrays["u"]
+        limits.insert(0, ("velocity", moving.time, u / np.where(limited, fastest, 1.0), limited))
+        if isinstance(recording, Trajectory):
+            speed = np.linalg.norm(u, axis=1)
+            # below a tenth of its root mean square speed a motion says nothing of a constraint
+            moves = speed > 0.1 * np.sqrt(np.mean(speed**2))
+            broken = _broken(motion, moving, np.where(moves, motion.chosen(moving.time), -1))
+            shares = np.linalg.norm(broken, axis=1) / np.where(moves, speed, 1.0)
+            tracks.append(_track("fit", [("share", moving.time, shares)]))
     for kind, times, values, known in limits:
         curves = [(name, times, values[:, j]) for j, name in enumerate(names) if known[j]]
         without = [name for j, name in enumerate(names) if not known[j]]
@@ -230,18 +222,20 @@ def tracks_of(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
     return tracks
 
 
-def _broken(motion: GuidedMotion, chosen: Int[np.ndarray, " U"]) -> Float[np.ndarray, "U nv"]:
+def _broken(motion: GuidedMotion, moving: Trajectory, chosen: Int[np.ndarray, " U"]) -> Float[np.ndarray, "U nv"]:
     """Return A^+ A u: the part of each velocity that A(q) u = 0 does not allow.
 
     Args:
         motion: The motion.
+        moving: Its samples whose velocities are known.
         chosen: Number of the constraint of each velocity; -1 for none, which gives NaN.
     """
-    broken = np.full(motion.u.shape, np.nan)
+    u = moving.arrays["u"]
+    broken = np.full(u.shape, np.nan)
     for k in np.unique(chosen[chosen >= 0]):
         rows, constraint = chosen == k, motion.constraints[k]
-        A = constraint.selection @ constraint.features.batch(motion.velocity_q[rows])
-        broken[rows] = np.einsum("tij,tjk,tk->ti", np.linalg.pinv(A, rcond=1e-10), A, motion.u[rows])
+        A = constraint.selection @ constraint.features.batch(moving.q[rows])
+        broken[rows] = np.einsum("tij,tjk,tk->ti", np.linalg.pinv(A, rcond=1e-10), A, u[rows])
     return broken
 
 
@@ -250,12 +244,14 @@ def broken_share(motion: GuidedMotion) -> float | None:
 
     None if no constraint is known, it is not held by the world, or nothing moves.
     """
-    chosen = motion.chosen()
+    if (moving := motion.moving) is None:
+        return None
+    chosen = motion.chosen(moving.time)
     if motion.phases:
-        held = [b.covers(motion.velocity_time) for b in motion.phases if b.constraint is not None]
+        held = [b.covers(moving.time) for b in motion.phases if b.constraint is not None]
         chosen = np.where(np.any(held, axis=0) if held else False, chosen, -1)
-    total = float(np.sum(motion.u[chosen >= 0] ** 2))
-    return float(np.sqrt(np.nansum(_broken(motion, chosen) ** 2) / total)) if total > 0.0 else None
+    total = float(np.sum(moving.arrays["u"][chosen >= 0] ** 2))
+    return float(np.sqrt(np.nansum(_broken(motion, moving, chosen) ** 2) / total)) if total > 0.0 else None
 
 
 def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]:
@@ -358,11 +354,11 @@ def recorded_motion(
         RecordingError: A manipulability, a status or phases that do not fit.
         ConfigurationError: A posture of the wrong size.
     """
-    recording, name, time, duration = motion.recording, motion.name, motion.time, float(motion.time[-1])
+    recording, name, time, q = motion.recording, motion.name, motion.samples.time, motion.samples.q
     keys = key_frames(time)
-    tracks = joint_tracks(robot, tree, motion.q[keys])  # first: it refuses postures of the wrong size
+    tracks = joint_tracks(robot, tree, q[keys])  # first: it refuses postures of the wrong size
     path_keys = keys[evenly(keys.size, MAX_PATH_POINTS)]
-    path_times, poses = time[path_keys], robot.frame_kinematics(tip).poses(motion.q[path_keys])
+    path_times, poses = time[path_keys], robot.frame_kinematics(tip).poses(q[path_keys])
     curve_times, curve, status, own, held, around = np.zeros(0), np.zeros(0), [], (), {}, ()
     if isinstance(recording, Rollout):
         if (curve := finite(recording.mu, time.size)) is None:
@@ -394,7 +390,7 @@ def recorded_motion(
     content: dict[str, Any] = {
         "name": name,
         "colour": colour,
-        "duration": duration,
+        "duration": float(time[-1]),
         **{key: packed(array, "<f8") for key, array in exact.items()},
         "pathTimes": packed(path_times, "<f4"),
         "path": packed(poses[:, :3, 3], "<f4"),
@@ -410,12 +406,12 @@ def recorded_motion(
     more = {"phaseKinds": [vars(kind) for kind in kinds], "clear": keeps_clear(around)}
     content |= {key: value for key, value in more.items() if value}
     measures = [t for t in measures if any(np.any(np.isfinite(values)) for _, _, values in t["curves"])]
-    return RecordedMotion(motion, motion.q[keys], path_times, poses[:, :3, 3], measures, content)
+    return RecordedMotion(motion, q[keys], path_times, poses[:, :3, 3], measures, content)
 
 
 def _within(phases: Iterable[PhaseBand], motion: GuidedMotion) -> tuple[PhaseBand, ...]:
     """Return bands with times from the first sample on; what lies outside the recording is cut off."""
-    first, last = motion.first_time, float(motion.time[-1])
+    first, last = float(motion.recording.time[0]), motion.samples.duration
     moved = (b._replace(start=max(b.start - first, 0.0), end=min(b.end - first, last)) for b in phases)
     return tuple(band for band in moved if band.start < band.end)
 
@@ -426,9 +422,10 @@ def _held(recording: Rollout, bands: Sequence[PhaseBand], motion: GuidedMotion) 
     for band in bands:
         if band.part == WAY:
             held.setdefault(band.constraint or 0, []).append((band.start, band.end))
-    begins = recording.ways[0]["begins"] if recording.ways else motion.first_time  # else in the hand all the time
+    first = float(recording.time[0])
+    begins = recording.ways[0]["begins"] if recording.ways else first  # else in the hand all the time
     if not bands and begins is not None:
-        held[0] = [(begins - motion.first_time, float(motion.time[-1]))]
+        held[0] = [(begins - first, motion.samples.duration)]
     return held
 
 

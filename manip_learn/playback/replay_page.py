@@ -321,7 +321,7 @@ def _done(shown: RecordedMotion, several: bool) -> list[list[str]]:
         whose = ": ".join(filter(None, (motion.name if several else "", _text(way.get("name"))))) or motion.name
         begins, place = way["begins"], "not reached"
         if begins is not None:
-            at = [np.interp(begins - motion.first_time, shown.path_times, axis) for axis in shown.path.T]
+            at = [np.interp(begins - motion.recording.time[0], shown.path_times, axis) for axis in shown.path.T]
             place = ", ".join(f"{x:.3f}" for x in at) + " m"
         joint = way.get("fastest_joint")
         joint = joint if isinstance(joint, Mapping) else {}

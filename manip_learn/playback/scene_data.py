@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from jaxtyping import Float
 from manip_learn.playback.appearance import Appearance, Shape
 from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale
 from manip_learn.playback.kinematic_tree import TreeJoint
-from manip_learn.playback.mechanism_drawing import CORNERS, MechanismDrawing, facing
+from manip_learn.playback.mechanism_drawing import MechanismDrawing
 from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import PhaseKind
 from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, track_data
@@ -20,12 +21,8 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import Mesh
 
 MAX_POSTURES_FOR_BOUNDS = 120  # of all motions, around which the camera stands
-OUTLINE_DIRECTIONS = 240  # over the sphere, 13 degrees apart
-MOST_PLACES, LEAST_PLACES = 12_000, 60  # of all ellipsoids of a page, and of one motion
-_NEAR = 0.25  # of the motion's extent: how far around it the picture reaches for what stands there
-FLOOR_REACH = 3.0  # edge of a floor in extents of the motion: to the rim of the picture
 PATCH = 0.6  # [m] of a front that has no end: as wide as a cupboard
-_MARKS = 0.085  # half length of an arrow relative to the scene, as in page/constraint_marks.js
+CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # of a cube with sides of 1
 
 
 def scene_data(
@@ -52,16 +49,16 @@ def scene_data(
     """
     drawn = [line for m in mechanisms if m for line in (*m.lines, m.way)]
     cloud = np.concatenate([_drawn_points(robot, looks, motions), *drawn])
-    # and where the marks at the tip reach to, along its path
-    reach = _MARKS * _extent(cloud)
+    # and where the marks at the tip reach to, along its path: half length of an arrow, as in page/constraint_marks.js
+    reach = 0.085 * _extent(cloud)
     guided = [m for m in motions if m.motion.constraints]
     paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in guided]
     cloud = np.concatenate([cloud, *(path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3)))])
-    low, high, near = cloud.min(axis=0), cloud.max(axis=0), _NEAR * _extent(cloud)
+    # what was stated is drawn; of it as much is framed as is within a quarter of the motion's extent
+    low, high, near = cloud.min(axis=0), cloud.max(axis=0), 0.25 * _extent(cloud)
     most, rollouts = points_per_curve([m.measures for m in motions]), list[dict[str, Any]]()
-    places = max(LEAST_PLACES, MOST_PLACES // len(motions))
+    places = max(60, 12_000 // len(motions))  # of the ellipsoids of one motion; all of a page are 12,000
     for m in motions:
-        # what was stated is drawn; of it as much is framed as is near the motion
         stated = getattr(m.motion.recording, "around", ())
         things = [_thing(thing, low, high) for thing in stated if not thing.get("assumed")]
         cloud = np.concatenate([cloud, *(np.clip(points, low - near, high + near) for _, points in things)])
@@ -96,8 +93,8 @@ def _extent(cloud: Float[np.ndarray, "n 3"]) -> float:
 
 def _outline(cloud: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
     """Return the points that stick out farthest in directions all over the sphere: what the camera must frame."""
-    k = np.arange(OUTLINE_DIRECTIONS) + 0.5
-    height, turn = 1.0 - 2.0 * k / OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
+    k = np.arange(240) + 0.5  # 13 degrees apart
+    height, turn = 1.0 - 2.0 * k / 240, np.pi * (1.0 + 5.0**0.5) * k
     ring = np.sqrt(1.0 - height**2)
     return cloud[np.unique(np.argmax(cloud @ np.array([ring * np.cos(turn), ring * np.sin(turn), height]), axis=0))]
 
@@ -139,9 +136,14 @@ def _thing(
     pose, size, kind = np.array(thing["pose"], dtype=np.float64), list(thing.get("size", ())), thing["kind"]
     mesh, box = None, CORNERS * [PATCH, 0.0, PATCH]
     if kind == "face":
-        pose, size = facing(pose[:3, 2], pose[:3, 3]), [PATCH, PATCH]
-        if thing["name"] == "floor":
-            pose[:2, 3], size = 0.5 * (low + high)[:2], [FLOOR_REACH * float(np.linalg.norm(high - low))] * 2
+        out, size = pose[:3, 2].copy(), [PATCH, PATCH]
+        # its second axis looks out, its third one is as upright as that allows
+        up = np.eye(3)[2 if abs(out[2]) < 0.98 else 0]  # within 11 degrees of level there is no upright
+        up = up - (up @ out) * out
+        up /= np.linalg.norm(up)
+        pose[:3, :3] = np.column_stack([np.cross(out, up), out, up])
+        if thing["name"] == "floor":  # to the rim of the picture: its edge is three extents of the motion
+            pose[:2, 3], size = 0.5 * (low + high)[:2], [3.0 * float(np.linalg.norm(high - low))] * 2
     elif kind == "mesh":
         mesh = Mesh(np.array(thing["vertices"]), np.array(thing["faces"]))
         box = mesh.vertices
