@@ -151,8 +151,8 @@ def _kept_constraints(robot: Robot, name: str, rollout: Rollout) -> tuple[Constr
     kept = [way.get("constraint") for way in rollout.ways]
     kept = [rollout.constraint] if not kept or None in kept else kept
     try:
-        given = (Constraint.from_dict(c, robot, source=f"the constraint of rollout {name!r}") for c in kept if c)
-        return tuple(given)
+        source = f"the constraint of rollout {name!r}"
+        return tuple(Constraint.from_dict(c, robot, source=source) for c in kept if c)
     except ConstraintMismatchError as error:
         sentence = f"rollout {name!r} was not made with robot {robot.name!r}: {error}"
         raise RecordingError(sentence, code="other-robot") from error

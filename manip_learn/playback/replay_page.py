@@ -39,8 +39,6 @@ from manip_learn.robot.tips import default_tip
 if TYPE_CHECKING:
     from manip_learn.learning.report import LearningReport
 
-MOST_ROWS = 60  # of a table in a card
-STATES = {"untried": "not tried: nothing moved along it"}  # the others are words already
 Recording = Rollout | Trajectory
 MAX_GHOSTS = 12  # as in page/scene.js
 
@@ -56,14 +54,14 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
     content = report if isinstance(report, Mapping) else report.to_dict()
     odd = _list(content.get("odd_trajectories"))
     pairs = [(e.get("trajectory"), e.get("reason")) if isinstance(e, Mapping) else e for e in odd]
-    rows = []  # strength, chance and verdict of each, most firmly held first
+    rows = []  # verdict, strength and chance of each, most firmly held first
     for k, entry in enumerate(_list(content.get("row_evidence"))):
         if isinstance(entry, Mapping):
-            strength, chance = _number(entry.get("strength")), _number(entry.get("p_value"))
-            state = str(entry.get("state"))
-            grown = "" if strength is None else f"{strength:,.3g} times" if strength < 1e6 else "over a million times"
-            p_value = "" if chance is None else f"p = {chance:.2g}"
-            rows.append([f"row {k + 1}", STATES.get(state, state[:40]), grown, p_value])
+            state, strength = str(entry.get("state"))[:40], finite(entry.get("strength"))
+            state = "not tried: nothing moved along it" if state == "untried" else state
+            grown = "{:,.3g} times" if strength is None or strength < 1e6 else "over a million times"
+            chance = _in_words("p = {:.2g}", entry.get("p_value"))
+            rows.append([f"row {k + 1}", state, _in_words(grown, strength), chance])
     imposed = content.get("kind") == "self-imposed"
     return {
         "headline": _text(content.get("sentence")),
@@ -79,38 +77,32 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
 
 def _facts(content: Mapping[str, Any]) -> list[list[str]]:
     """Return name, number and meaning of what the report knows."""
-    gap, residual, angle = (_number(content.get(k)) for k in ("gap", "held_out_residual", "uncertainty_deg"))
+    gap, angle, estimator = finite(content.get("gap")), finite(content.get("uncertainty_deg")), content.get("estimator")
     n, samples, recordings = (content.get(k) for k in ("n_constraints", "n_samples", "n_trajectories"))
-    estimator, facts = _text(content.get("estimator")), []
-    if gap is not None:
-        scale = "1.5 and above is clear" if estimator == "joint" else "10 and above is clear, below 3 says little"
-        rows = counted(n, "row") if isinstance(n, int) else "this number of rows"
-        value = f"{gap:,.3g}" if gap < 1000 else f"{gap:,.0f}"
-        facts.append(["Gap", value, f"how clearly the data ask for {rows}: {scale}"])
-    if residual is not None:
-        meaning = "share of the motion left unexplained in recordings not learnt from"
-        facts.append(["Residual", f"{100.0 * residual:.2g} %", meaning])
-    if angle is not None:
-        meaning = "68 % of repetitions with other recordings stay within it"
-        facts.append(["Direction", error_in_words(angle, "degrees"), meaning])
-    if isinstance(samples, int) and isinstance(recordings, int):
-        meaning = f"of {counted(recordings, 'recording')}" + f"; estimator: {estimator}" * bool(estimator)
-        facts.append(["Learnt from", counted(samples, "sample"), meaning])
-    return facts
-
-
-def _doubts(evidence: Mapping[str, Any]) -> list[str]:
-    """Return warnings, the recordings that do not agree as far as no warning names them, and notes."""
-    warnings = evidence.get("warnings", [])
-    named = " ".join(warnings)
-    odd = [
-        f"{name} does not agree with the others: {why}" for name, why in evidence.get("odd", ()) if name not in named
+    asked = counted(n, "row") if isinstance(n, int) else "this number of rows"
+    scale = "1.5 and above is clear" if estimator == "joint" else "10 and above is clear, below 3 says little"
+    left = _in_words("{:.2g} %", content.get("held_out_residual"), 100.0)
+    facts = [
+        [
+            "Gap",
+            _in_words("{:,.3g}" if gap is None or gap < 1000 else "{:,.0f}", gap),
+            f"how clearly the data ask for {asked}: {scale}",
+        ],
+        ["Residual", left, "share of the motion left unexplained in recordings not learnt from"],
+        [
+            "Direction",
+            "" if angle is None else error_in_words(float(angle), "degrees"),
+            "68 % of repetitions with other recordings stay within it",
+        ],
     ]
-    return [*warnings, *odd, *evidence.get("notes", ())]
+    if isinstance(samples, int) and isinstance(recordings, int):
+        meaning = f"of {counted(recordings, 'recording')}" + (f"; estimator: {_text(estimator)}" if estimator else "")
+        facts.append(["Learnt from", counted(samples, "sample"), meaning])
+    return [fact for fact in facts if fact[1]]
 
 
 def _list(value: object) -> list[Any]:
-    return list(value)[:MOST_ROWS] if isinstance(value, list | tuple) else []
+    return list(value)[:60] if isinstance(value, list | tuple) else []  # rows of a table in a card
 
 
 def _texts(value: object) -> list[str]:
@@ -121,9 +113,10 @@ def _text(value: object) -> str:
     return "" if value is None else str(value)[:2000]  # characters that a card has room for
 
 
-def _number(value: object) -> float | None:
-    number = None if isinstance(value, bool) else finite(value)
-    return None if number is None else float(number)
+def _in_words(form: str, value: object, scale: float = 1.0) -> str:
+    """Return a number in words; empty for what is not a finite number."""
+    number = finite(value)
+    return "" if number is None else form.format(scale * float(number))
 
 
 @final
@@ -245,19 +238,21 @@ def replay(
             f"Of {len(motions)} rollouts the first {MAX_GHOSTS} are drawn as robots, the others as tip path and curve; "
             "click a name to draw that one.",
         )
-    evidence = evidence_of(learnt) if learnt else None
-    all_notes = tuple(dict.fromkeys((*notes, *_doubts(evidence or {}), *looks.notes)))
+    evidence = evidence_of(learnt)
+    doubts, warned = [*evidence["warnings"]], " ".join(evidence["warnings"])
+    doubts += [f"{name} does not agree with the others: {why}" for name, why in evidence["odd"] if name not in warned]
+    all_notes = tuple(dict.fromkeys((*notes, *doubts, *evidence["notes"], *looks.notes)))
     # each constraint is named by its mechanism, else by how many directions it holds
     rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guided[0].constraints]
     words = zip(drawings, rows or [""] * len(drawings), strict=False)
     kinds = phase_kinds(phases, [(drawn and drawn.type) or row for drawn, row in words]) if phases else ()
     data = scene_data(robot, tree, looks, tip_name, motions, all_notes, kinds, drawings) | {
-        "evidence": evidence,
+        "evidence": evidence if learnt else None,
         "zero": zero,
         "made": next((made for provenance in kept if (made := provenance.get("made"))), None),
         "done": [row for motion in motions for row in _done(motion, len(named) > 1)],
         "panes": [_outcome(m) for m in guided] if side_by_side else [],
-        "odd": {name: why for name, why in evidence["odd"] if name in named} if evidence else {},
+        "odd": {name: why for name, why in evidence["odd"] if name in named},
     }
     content = page(data, robot=known_as(robot.source) or robot.name or "robot", subtitle=title).encode("utf-8")
     path = write_atomically(_temporary_file(robot) if html is None else html, content)
@@ -301,14 +296,12 @@ def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Re
 
 def _outcome(motion: GuidedMotion) -> dict[str, str]:
     """Return the caption of a pane: name, how far each way went, and what stopped it."""
-    far, why = (
-        ("; ".join(words) for words in zip(*map(_way_in_words, motion.ways), strict=True)) if motion.ways else ("", "")
-    )
-    return {"name": motion.name, "said": far, "why": why}
+    ways = [_way_in_words(way) for way in motion.ways]
+    return {"name": motion.name, "said": "; ".join(far for far, _ in ways), "why": "; ".join(why for _, why in ways)}
 
 
 def _way_in_words(way: Mapping[str, Any]) -> tuple[str, str]:
-    done, wanted, stopped = _number(way.get("done")), _number(way.get("wanted")), _text(way.get("stopped_by"))
+    done, wanted, stopped = finite(way.get("done")), finite(way.get("wanted")), _text(way.get("stopped_by"))
     unit = "m" if way.get("unit") == "m" else "degrees"
     far = "" if done is None or wanted is None else f"{abs(done):.3g} of {abs(wanted):.3g} {unit}"
     return far, f", stopped by {stopped}" if stopped else ""
@@ -324,12 +317,12 @@ def _done(shown: RecordedMotion, several: bool) -> list[list[str]]:
             at = [np.interp(begins - motion.recording.time[0], shown.path_times, axis) for axis in shown.path.T]
             place = ", ".join(f"{x:.3f}" for x in at) + " m"
         joint = way.get("fastest_joint")
-        joint = joint if isinstance(joint, Mapping) else {}
-        off, margin, share = map(_number, (way.get("deviation"), way.get("margin"), joint.get("share_of_limit")))
-        strayed = "" if off is None else f"{1e3 * off:.1f} mm"
-        fastest = "" if share is None else f"{100 * share:.0f} % of its limit ({_text(joint.get('name'))})"
-        room = "" if margin is None else f"{100 * margin:.0f} %"
-        rows.append([whose, place, "".join(_way_in_words(way)), strayed, fastest, room])
+        name, share = (joint.get("name"), joint.get("share_of_limit")) if isinstance(joint, Mapping) else ("", None)
+        fastest = _in_words("{:.0f} % of its limit", share, 100.0)
+        numbers = _in_words("{:.1f} mm", way.get("deviation"), 1e3), fastest and f"{fastest} ({_text(name)})"
+        rows.append(
+            [whose, place, "".join(_way_in_words(way)), *numbers, _in_words("{:.0f} %", way.get("margin"), 1e2)]
+        )
     return rows
 
 
@@ -381,15 +374,13 @@ def named_recordings(rollouts: Mapping[str, Recording] | Recording) -> dict[str,
         RecordingError: None at all, or something else.
     """
     if isinstance(rollouts, Rollout | Trajectory):
-        rollouts = {rollouts.name if isinstance(rollouts, Trajectory) else "rollout": rollouts}
+        rollouts = {getattr(rollouts, "name", "rollout"): rollouts}
     if not isinstance(rollouts, Mapping):
-        given = type(rollouts).__name__
-        raise RecordingError(f"rollouts must be a dictionary from names to rollouts, got {given}", code="type")
+        raise RecordingError(f"rollouts must be a dictionary from names to rollouts, got {rollouts!r:.80}", code="type")
     if not rollouts:
         raise RecordingError("there is nothing to replay: give at least one rollout", code="empty")
     for name, rollout in rollouts.items():
         if not isinstance(name, str) or not isinstance(rollout, Rollout | Trajectory):
-            given = type(rollout).__name__
-            sentence = f"rollout {name!r} must be a Rollout or a Trajectory under a name, got {given}"
+            sentence = f"rollout {name!r} must be a Rollout or a Trajectory under a name, got {rollout!r:.80}"
             raise RecordingError(sentence, code="type")
     return dict(rollouts)
