@@ -95,7 +95,7 @@ def phase_bands(phases: Sequence[Phase], names: Sequence[str]) -> dict[str, tupl
             number from 0 up, or phases none of which is of a recording that is shown.
     """
     checked = [_checked(i, phase) for i, phase in enumerate(phases)]
-    bands = {name: [PhaseBand(*span) for whose, *span, _ in checked if whose == name] for name in names}
+    bands = {name: [band for whose, band, _ in checked if whose == name] for name in names}
     if phases and not any(bands.values()):
         others, shown = dict.fromkeys(repr(phase[0]) for phase in phases[:6]), map(repr, names[:6])
         raise _refusal(
@@ -115,9 +115,9 @@ def own_bands(rollout: str, phases: Sequence[tuple[str, float, float]]) -> tuple
     Raises:
         RecordingError: Times that are not finite or in the wrong order.
     """
-    checked = [(*_checked(i, (rollout, *span, None))[1:4], str(name)) for i, (name, *span) in enumerate(phases)]
     # 40 characters of a name are as many as a band has room for
-    return tuple(sorted((PhaseBand(*span, name[:40]) for *span, name in checked), key=lambda b: b.start))
+    named = [(str(name)[:40], _checked(i, (rollout, *span, None))[1]) for i, (name, *span) in enumerate(phases)]
+    return tuple(sorted((band._replace(name=name) for name, band in named), key=lambda b: b.start))
 
 
 def own_kinds(bands: Sequence[PhaseBand], colour: str) -> tuple[PhaseKind, ...]:
@@ -144,16 +144,17 @@ def phases_from_json(value: object) -> tuple[Phase, ...]:
     phases = list[Phase]()
     for i, item in enumerate(value):
         keys = ("trajectory", "start", "end", "constraint", "reason")
-        *phase, reason = _checked(i, [item.get(key) for key in keys] if isinstance(item, Mapping) else item)
-        phases.append((*phase, str(reason)) if reason is not None else tuple(phase))
+        name, band, reason = _checked(i, [item.get(key) for key in keys] if isinstance(item, Mapping) else item)
+        phase = name, band.start, band.end, band.constraint
+        phases.append(phase if reason is None else (*phase, str(reason)))
     return tuple(phases)
 
 
-def _checked(i: int, phase: Any) -> tuple[str, float, float, int | None, Any]:
-    """Return trajectory, start, end, constraint and reason of a phase."""
+def _checked(i: int, phase: Any) -> tuple[str, PhaseBand, Any]:
+    """Return the trajectory, the band and the reason of a phase."""
     if not isinstance(phase, list | tuple) or len(phase) not in (4, 5) or not isinstance(phase[0], str):
         raise _refusal(f"phase {i} must be (trajectory, start, end, constraint or None), got {phase!r:.80}")
-    trajectory, start, end, constraint, reason = (*phase, None)[:5]
+    trajectory, start, end, constraint, *reason = phase
     span = finite([start, end], 2)
     if span is None or span[0] > span[1]:
         wanted = "must end after it starts, at finite numbers of seconds"
@@ -163,7 +164,7 @@ def _checked(i: int, phase: Any) -> tuple[str, float, float, int | None, Any]:
     if constraint is not None and not (is_number and 0 <= constraint < 1000):
         wanted = "the constraint must be a number from 0 up, or None for free motion"
         raise _refusal(f"phase {i} of {trajectory!r}: {wanted}, got {constraint!r:.40}")
-    return trajectory, float(span[0]), float(span[1]), constraint, reason
+    return trajectory, PhaseBand(float(span[0]), float(span[1]), constraint), reason[0] if reason else None
 
 
 def _refusal(sentence: str) -> RecordingError:
