@@ -27,8 +27,7 @@ from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
-_MOST_POINTS = 100_000  # of all curves of a page, 8 bytes each
-MOST_OF_A_CURVE, LEAST_OF_A_CURVE = 2000, 60
+MOST_OF_A_CURVE = 2000  # points
 MAX_KEY_FRAMES = 18_000  # 30 a second in ten minutes
 MAX_PATH_POINTS = 1500  # of a drawn path, about one a pixel
 Curve = tuple[str, np.ndarray, np.ndarray]  # name, times from the first sample on [s], and values; NaN for a gap
@@ -74,13 +73,17 @@ class GuidedMotion:
         kept = self.constraints[k].provenance.get("mechanism") if k < len(self.constraints) else None
         return kept if isinstance(kept, Mapping) else None
 
-    def chosen(self, time: Float[np.ndarray, " T"]) -> Int[np.ndarray, " T"]:
-        """Return the number of the constraint by which a velocity is measured: of its phase, else the first.
+    def chosen(self, time: Float[np.ndarray, " T"], outside: int = 0) -> Int[np.ndarray, " T"]:
+        """Return the number of the constraint by which a velocity is measured: that of its phase.
 
         -1 where it is not known, and everywhere if the demonstrator drives the rows (b is not 0).
+
+        Args:
+            time: shape (T,), from the first sample on [s].
+            outside: Number outside of the phases of constraints.
         """
         is_imposed = self.constraint is None or self.constraint.provenance.get("kind") == "self-imposed"
-        chosen = np.full(time.size, -1 if is_imposed else 0)
+        chosen = np.full(time.size, -1 if is_imposed else outside)
         for band in [] if is_imposed else self.phases:
             if band.constraint is not None:
                 chosen[band.covers(time)] = band.constraint
@@ -246,10 +249,7 @@ def broken_share(motion: GuidedMotion) -> float | None:
     """
     if (moving := motion.moving) is None:
         return None
-    chosen = motion.chosen(moving.time)
-    if motion.phases:
-        held = [b.covers(moving.time) for b in motion.phases if b.constraint is not None]
-        chosen = np.where(np.any(held, axis=0) if held else False, chosen, -1)
+    chosen = motion.chosen(moving.time, outside=-1 if motion.phases else 0)
     total = float(np.sum(moving.arrays["u"][chosen >= 0] ** 2))
     return float(np.sqrt(np.nansum(_broken(motion, moving, chosen) ** 2) / total)) if total > 0.0 else None
 
@@ -262,7 +262,7 @@ def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]
 
     Args:
         tracks: Of one motion.
-        most: See `points_per_curve`.
+        most: About how many points a curve may have.
     """
     clocks = list[str]()
 
@@ -278,16 +278,6 @@ def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]
 
     described = [{**track, "curves": [curve_data(*curve) for curve in track["curves"]]} for track in tracks]
     return {"clocks": clocks, "tracks": described}
-
-
-def points_per_curve(tracks: Iterable[Sequence[Mapping[str, Any]]]) -> int:
-    """Return how many points each curve of a page may have.
-
-    Args:
-        tracks: Of each motion.
-    """
-    n = sum(len(track["curves"]) for some in tracks for track in some)
-    return int(np.clip(_MOST_POINTS // max(n, 1), LEAST_OF_A_CURVE, MOST_OF_A_CURVE))
 
 
 def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"]:

@@ -232,16 +232,8 @@ def replay(
         for m, (_, colour) in zip(guided, colouring, strict=True)
     ]
     drawings = _drawings(first, motions)
-    if len(motions) > MAX_GHOSTS and not phases:
-        notes = (
-            *notes,
-            f"Of {len(motions)} rollouts the first {MAX_GHOSTS} are drawn as robots, the others as tip path and curve; "
-            "click a name to draw that one.",
-        )
     evidence = evidence_of(learnt)
-    doubts, warned = [*evidence["warnings"]], " ".join(evidence["warnings"])
-    doubts += [f"{name} does not agree with the others: {why}" for name, why in evidence["odd"] if name not in warned]
-    all_notes = tuple(dict.fromkeys((*notes, *doubts, *evidence["notes"], *looks.notes)))
+    all_notes = tuple(dict.fromkeys((*notes, *_notes(evidence, 0 if phases else len(motions)), *looks.notes)))
     # each constraint is named by its mechanism, else by how many directions it holds
     rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guided[0].constraints]
     words = zip(drawings, rows or [""] * len(drawings), strict=False)
@@ -259,6 +251,15 @@ def replay(
     if open_browser or (open_browser is None and html is None):
         webbrowser.open(path.as_uri())
     return ReplayResult(path, len(content), all_notes)
+
+
+def _notes(evidence: Mapping[str, Any], n_arms: int) -> list[str]:
+    """Return what is not drawn, warnings, the recordings that disagree as far as no warning names them, and notes."""
+    ghosts = f"Of {n_arms} rollouts the first {MAX_GHOSTS} are drawn as robots, the others as tip path and curve; "
+    hidden = [f"{ghosts}click a name to draw that one."] if n_arms > MAX_GHOSTS else []
+    warned = " ".join(evidence["warnings"])
+    odd = [f"{name} does not agree with the others: {why}" for name, why in evidence["odd"] if name not in warned]
+    return [*hidden, *evidence["warnings"], *odd, *evidence["notes"]]
 
 
 def _temporary_file(robot: Robot) -> Path:

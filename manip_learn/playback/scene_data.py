@@ -16,7 +16,7 @@ from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.mechanism_drawing import MechanismDrawing
 from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import PhaseKind
-from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, track_data
+from manip_learn.playback.recorded_motion import MOST_OF_A_CURVE, RecordedMotion, track_data
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import Mesh
 
@@ -56,7 +56,9 @@ def scene_data(
     cloud = np.concatenate([cloud, *(path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3)))])
     # what was stated is drawn; of it as much is framed as is within a quarter of the motion's extent
     low, high, near = cloud.min(axis=0), cloud.max(axis=0), 0.25 * _extent(cloud)
-    most, rollouts = points_per_curve([m.measures for m in motions]), list[dict[str, Any]]()
+    rollouts, n_curves = list[dict[str, Any]](), sum(len(track["curves"]) for m in motions for track in m.measures)
+    # points of a curve: all curves of a page have 100,000 of 8 bytes
+    most = int(np.clip(100_000 // max(n_curves, 1), 60, MOST_OF_A_CURVE))
     places = max(60, 12_000 // len(motions))  # of the ellipsoids of one motion; all of a page are 12,000
     for m in motions:
         stated = getattr(m.motion.recording, "around", ())
