@@ -5,15 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from test_playback import waving
+from test_playback import data_in, unpacked, waving
 
 from manip_learn.control.rollout import Rollout
+from manip_learn.playback import replay
 from manip_learn.playback.appearance import Appearance
 from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
 from manip_learn.playback.recorded_motion import (
-    MAX_CURVE_POINTS,
     MAX_KEY_FRAMES,
     MAX_PATH_POINTS,
+    MOST_OF_A_CURVE,
+    guided_motion,
     key_frames,
     recorded_motion,
 )
@@ -66,34 +68,40 @@ def test_key_frames_are_few_and_keep_the_ends():
     assert key_frames(np.array([0.0, 1e9])).tolist() == [0, 1]
 
 
-def test_thinned_curves_keep_every_dip(robot_of):
+def played(robot, rollout, folder, **more):
+    """The only rollout of a page, and its curve, the times of the curve, and path and times of the tip, unpacked."""
+    (drawn,) = data_in(replay(robot, {"a": rollout}, folder / "a.html", **more).html)["rollouts"]
+    path, path_times = unpacked(drawn["path"], "<f4").reshape(-1, 3), unpacked(drawn["pathTimes"], "<f4")
+    return drawn, unpacked(drawn["curve"]), unpacked(drawn["curveTimes"]), path, path_times
+
+
+def test_thinned_curves_keep_every_dip(robot_of, tmp_path):
     """A dip of one sample among 50,000 is in the curve, and the page's path and curve stay short."""
     robot = robot_of("planar3")
     rollout = waving(robot, 500.0)
     mu = np.ones(len(rollout))
     mu[33_333] = 1e-4
     long = Rollout(rollout.time, rollout.q, rollout.u, mu, ("ok",) * mu.size, robot.joint_names, mu)
-    tree = kinematic_tree(robot)
-    motion = recorded_motion(robot, tree, robot.frame("tip"), "long", long)
-    assert motion.curve.size <= MAX_CURVE_POINTS + 2
-    assert motion.curve.min() == 1e-4
-    assert motion.curve_times[np.argmin(motion.curve)] == rollout.time[33_333]
-    assert motion.path.shape[0] <= MAX_PATH_POINTS
-    assert motion.status == ((0.0, "ok"),)
-    assert motion.duration == pytest.approx(500.0)
+    drawn, curve, times, path, _ = played(robot, long, tmp_path)
+    assert curve.size <= MOST_OF_A_CURVE + 2
+    assert curve.min() == 1e-4
+    assert times[np.argmin(curve)] == rollout.time[33_333]
+    assert path.shape[0] <= MAX_PATH_POINTS
+    assert drawn["status"] == [[0.0, "ok", "ok"]]
+    assert drawn["duration"] == pytest.approx(500.0)
 
 
-def test_path_and_status_are_the_rollouts(robot_of):
+def test_path_and_status_are_the_rollouts(robot_of, tmp_path):
     """The path goes through the tip at its times; the strip says when each status begins."""
     robot = robot_of("sawyer")
     tip, rollout = robot.frame("right_hand"), waving(robot)
-    motion = recorded_motion(robot, kinematic_tree(robot), tip, "a", rollout)
-    at = np.searchsorted(rollout.time, motion.path_times - 1e-9)
-    np.testing.assert_allclose(motion.path, [robot.position(rollout.q[i], tip) for i in at], atol=1e-12)
+    _, _, _, path, times = played(robot, rollout, tmp_path, tip="right_hand")
+    at = np.searchsorted(rollout.time, times - 1e-5)
+    np.testing.assert_allclose(path, [robot.position(rollout.q[i], tip) for i in at], atol=1e-6)
     robot, time, words = robot_of("one"), np.arange(6.0), ("ok", "ok", "damped", "ok", "ok", "singular")
     rollout = Rollout(time, np.zeros((6, 1)), np.zeros((6, 1)), time, words, robot.joint_names, time)
-    motion = recorded_motion(robot, kinematic_tree(robot), robot.frame("tip"), "a", rollout)
-    assert motion.status == ((0.0, "ok"), (2.0, "damped"), (3.0, "ok"), (5.0, "singular"))
+    changes = [(t, word) for t, word, _ in played(robot, rollout, tmp_path)[0]["status"]]
+    assert changes == [(0.0, "ok"), (2.0, "damped"), (3.0, "ok"), (5.0, "singular")]
 
 
 def test_planar_arms_are_seen_from_above(robot_of):
@@ -101,8 +109,8 @@ def test_planar_arms_are_seen_from_above(robot_of):
     for name, view in (("planar3", "top"), ("sawyer", "iso"), ("gantry", "iso")):
         robot = robot_of(name)
         tree, tip = kinematic_tree(robot), robot.frame("right_hand" if name == "sawyer" else "tip")
-        motion = recorded_motion(robot, tree, tip, "a", waving(robot))
-        data = scene_data(robot, tree, Appearance(()), "", [motion], [("blue", "#000000")], [])
+        motion = recorded_motion(robot, tree, tip, guided_motion(robot, "a", waving(robot)))
+        data = scene_data(robot, tree, Appearance(()), "", [motion], [])
         low, high = np.array(data["bounds"])
         assert data["view"] == view and data["floor"] == min(low[2], 0.0)
         assert np.all(motion.path >= low - 1e-9) and np.all(motion.path <= high + 1e-9)

@@ -11,7 +11,7 @@ from test_playback import unpacked, waving
 
 from manip_learn.playback.appearance import appearance, decimated
 from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.recorded_motion import recorded_motion
+from manip_learn.playback.recorded_motion import guided_motion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.visuals.meshes import Mesh
@@ -89,8 +89,8 @@ def test_few_triangles_look_round(robot_of):
     tree = kinematic_tree(robot)
     looks = appearance(robot, tree)
     assert sum(len(m.faces) for m in looks.meshes) < 1000 * len(looks.meshes)
-    motion = recorded_motion(robot, tree, robot.frame("right_hand"), "a", waving(robot))
-    data = scene_data(robot, tree, looks, "right_hand", [motion], [("blue", "#000000")], ())
+    motion = recorded_motion(robot, tree, robot.frame("right_hand"), guided_motion(robot, "a", waving(robot)))
+    data = scene_data(robot, tree, looks, "right_hand", [motion], ())
     number = next(s.mesh for s in looks.shapes if s.joint == 3 and s.mesh is not None)
     forearm = looks.meshes[number]
     sent = unpacked(data["robot"]["meshes"][number]["normals"], "i1").reshape(-1, 3) / 127.0
@@ -127,8 +127,8 @@ def test_meshes_are_packed(robot_of):
     assert sum(len(m.faces) for m in looks.meshes) <= 5000
     assert any("simplified from" in note for note in looks.notes)
     tree = kinematic_tree(robot)
-    motion = recorded_motion(robot, tree, robot.frame("panda_hand"), "a", waving(robot))
-    data = scene_data(robot, tree, looks, "panda_hand", [motion], [("blue", "#000000")], looks.notes)
+    motion = recorded_motion(robot, tree, robot.frame("panda_hand"), guided_motion(robot, "a", waving(robot)))
+    data = scene_data(robot, tree, looks, "panda_hand", [motion], looks.notes)
     for packed, mesh in zip(data["robot"]["meshes"], looks.meshes, strict=True):
         steps = unpacked(packed["positions"], "<u2").reshape(-1, 3)
         np.testing.assert_allclose(packed["origin"] + steps * packed["step"], mesh.vertices, atol=1e-5)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, cast, final
 
 import numpy as np
 from jaxtyping import Float
@@ -13,14 +13,13 @@ from manip_learn.constraint.features import MechanismRows
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.linalg import null_basis, row_basis
-from manip_learn.playback.guided_motion import MotionSamples
 from manip_learn.playback.page_writer import packed
+from manip_learn.playback.recorded_motion import GuidedMotion
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
 COUPLED = 0.1  # part of a learnt unit row that turns, up to which it counts as one that only moves, and the other way
-EXACT = 1e-6  # the same of a mechanism's rows
 SIX = np.triu_indices(3)  # xx xy xz yy yz zz of a symmetric matrix
 
 
@@ -33,13 +32,11 @@ class HeldDirections:
     features do not look at are neither held nor free.
 
     Attributes:
-        frame: The frame that is guided.
         axes: Frame whose axes are meant; None for the base.
         held, free: Of the frame's origin.
         held_turns, free_turns: Of its orientation.
     """
 
-    frame: Frame
     axes: Frame | None
     held: Float[np.ndarray, "..."]
     free: Float[np.ndarray, "..."]
@@ -48,7 +45,7 @@ class HeldDirections:
 
 
 def held_directions(constraint: Constraint, places: Float[np.ndarray, "T 3"]) -> HeldDirections | None:
-    """The directions of a constraint; None for features that are not of one frame.
+    """Return the directions of a constraint; None for features that are not of one frame.
 
     A direction is held if moving along it alone breaks the constraint, whatever the turning: the row space has the row
     (a, 0). It is free if the constraint allows to move along it, perhaps with a turn, as at a door's handle.
@@ -57,22 +54,19 @@ def held_directions(constraint: Constraint, places: Float[np.ndarray, "T 3"]) ->
         constraint: A(q).
         places: Origin of the frame along the motion, where the features see it: in the base, or in the other frame [m].
     """
-    features = constraint.features
-    if isinstance(features, WeighedVelocity):
-        W, axes = features.place_weights.values(places), features.relative_to
-        seen = np.repeat([1.0, float(np.any(W[..., 3:]))], 3)
-        # a mixture was learnt, where a mechanism's rows are what they are
-        tolerance = EXACT if isinstance(features, MechanismRows) else COUPLED
-    elif isinstance(features, PoseRows):
-        W = np.eye(6)[[AXES.index(name) for name in features.row_names]][None]
-        axes, seen, tolerance = features.frame if features.own_axes else features.relative_to, W[0].sum(axis=0), COUPLED
-    else:
-        return None
-    parts = [_parts(constraint.selection @ w, seen, tolerance) for w in W]
-    stacked = (np.array([p[k] for p in parts]) for k in range(4))
+    features, selection = constraint.features, constraint.selection
     if isinstance(features, PoseRows):  # the same everywhere
-        stacked = iter(parts[0])
-    return HeldDirections(features.frame, axes, *stacked)
+        W = np.eye(6)[[AXES.index(name) for name in features.row_names]]
+        axes = features.frame if features.own_axes else features.relative_to
+        return HeldDirections(axes, *_parts(selection @ W, W.sum(axis=0), COUPLED))
+    if not isinstance(features, WeighedVelocity):
+        return None
+    W = features.place_weights.values(places)
+    seen = np.repeat([1.0, float(np.any(W[..., 3:]))], 3)
+    # a mixture was learnt, where a mechanism's rows are what they are
+    tolerance = 1e-6 if isinstance(features, MechanismRows) else COUPLED
+    parts = [_parts(selection @ w, seen, tolerance) for w in W]
+    return HeldDirections(features.relative_to, *map(np.array, zip(*parts, strict=True)))
 
 
 def _parts(
@@ -85,53 +79,44 @@ def _parts(
         seen: 1 for each velocity that the features look at, else 0.
         tolerance: Part of a row that turns, up to which it counts as one that only moves, and the other way.
     """
-    basis = row_basis(rows) if np.any(rows) else np.zeros((0, 6))
-    allowed = null_basis(basis) if len(basis) else np.eye(6)
-    parts, moving, turning = [], slice(0, 3), slice(3, 6)
+    basis, parts = row_basis(rows), []
+    allowed, moving, turning = null_basis(basis), slice(0, 3), slice(3, 6)
     for part, other in ((moving, turning), (turning, moving)):
         # held are the directions of those rows that only move, or only turn
         U, sigma, _ = np.linalg.svd(basis[:, other])
-        coupled = np.zeros(len(U), dtype=bool)  # more rows than columns have further, zero singular values
-        coupled[: len(sigma)] = sigma >= tolerance
-        held, free = _projector((U[:, ~coupled].T @ basis[:, part]).T), _projector(allowed[part])
+        uncoupled = U[:, np.count_nonzero(sigma >= tolerance) :]
+        held, free = _projector((uncoupled.T @ basis[:, part]).T), _projector(allowed[part])
         parts += [held, _projector(free @ (np.diag(seen[part]) - held))]
     return parts
 
 
 def _projector(columns: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "3 3"]:
-    if not columns.size:
-        return np.zeros((3, 3))
     U, sigma, _ = np.linalg.svd(columns, full_matrices=False)
-    U = U[:, sigma > max(COUPLED * sigma[0], 1e-9)]
+    U = U[:, sigma > max(COUPLED * np.max(sigma, initial=0.0), 1e-9)]
     return U @ U.T
 
 
-def constraint_marks(
-    robot: Robot, samples: MotionSamples, constraint: Constraint, goal: np.ndarray | None, most: int
-) -> dict[str, Any] | None:
-    """The marks of a constraint along a motion; None for one that is not of a single frame.
+def constraint_marks(robot: Robot, motion: GuidedMotion, constraint: Constraint, most: int) -> dict[str, Any] | None:
+    """Return the marks of a constraint along a motion; None for a constraint that is not of a single frame.
 
     Args:
         robot: Whose tip it is.
-        samples: The motion.
+        motion: The motion.
         constraint: One that guides it.
-        goal: Where its task was to arrive, as `Task.goal` says it; None if that is not known.
-        most: At how many times the ellipsoid is known at most.
+        most: Largest number of times at which the ellipsoid is known.
     """
     n, learnt = constraint.provenance.get("n_constraints"), constraint
     if isinstance(n, int) and 0 < n < constraint.n_constraints:  # a task's rows follow those that were learnt
         learnt = Constraint(constraint.selection[:n], constraint.features, constraint.provenance)
-    kept = evenly(samples.time.size, most)
-    twist, q = constraint.features.twist, samples.q[kept]
-    if twist is None:
+    kept, features = evenly(len(motion.samples), most), constraint.features
+    if not isinstance(features, PoseRows | WeighedVelocity):
         return None
+    twist, q = features.twist, motion.samples.q[kept]
     places = twist.poses(q)[:, :3, 3]
-    directions, ruled = (held_directions(c, places) for c in (learnt, constraint))
-    if directions is None or ruled is None:
-        return None
+    directions, ruled = (cast(HeldDirections, held_directions(c, places)) for c in (learnt, constraint))
     # H J_v J_v^T H in the axes of the directions: semi-axes are the tip's speeds along what is held, at |u| = 1, and of
     # rows that only move the singular values of A, since this is Lambda^T A A^T Lambda
-    J = robot.frame_kinematics(ruled.frame).jacobians(q, "world")[:, :3]
+    J = robot.frame_kinematics(twist.frame).jacobians(q, "world")[:, :3]
     if ruled.axes is not None:
         J = robot.frame_kinematics(ruled.axes).poses(q)[:, :3, :3].transpose(0, 2, 1) @ J
     driven = ruled.held @ J
@@ -139,13 +124,13 @@ def constraint_marks(
     names = {"held": "held", "free": "free", "heldTurns": "held_turns", "freeTurns": "free_turns"}
     return {
         "tip": _place(robot, twist.frame),
-        "axes": None if directions.axes is None else _place(robot, directions.axes),
-        "times": packed(samples.time[kept], "<f8"),
-        **{key: packed(getattr(directions, n)[..., *SIX], "<f4") for key, n in names.items()},
+        "axes": _place(robot, directions.axes),
+        "times": packed(motion.samples.time[kept], "<f8"),
+        **{key: packed(getattr(directions, name)[..., *SIX], "<f4") for key, name in names.items()},
         "ellipsoid": packed(ellipsoid[:, *SIX], "<f4"),
         "longest": float(np.sqrt(np.maximum(np.linalg.eigvalsh(ellipsoid), 0.0).max(initial=0.0))),  # semi-axis [m/s]
         "driven": constraint.n_constraints > learnt.n_constraints,  # along what is free, too
-        "target": target_place(robot, constraint, goal, samples.q[0]),
+        "target": _target_place(robot, features, constraint.selection, motion),
     }
 
 
@@ -163,15 +148,14 @@ def ellipsoid_scale(longest: float, size: float) -> float:
     return float(power * max(m for m in (1.0, 2.0, 5.0) if m * power <= wanted * (1.0 + 1e-9)))
 
 
-def target_place(
-    robot: Robot, constraint: Constraint, target: np.ndarray | None, q: Float[np.ndarray, " n"]
+def _target_place(
+    robot: Robot, features: PoseRows | WeighedVelocity, selection: Float[np.ndarray, "s p"], motion: GuidedMotion
 ) -> dict[str, Any] | None:
-    """Place of the target in the frame of a joint; coordinates that the target lacks are those of the start."""
-    features = constraint.features
-    if target is None or not isinstance(features, PoseRows | WeighedVelocity):
+    """Return the place of the target in the frame of a joint; coordinates that it lacks are those of the start."""
+    target, q = motion.target, motion.samples.q[0]
+    if target is None:
         return None
-    carrier, pose, selection = features.relative_to, robot.pose(q, features.frame), constraint.selection
-    point = pose[:3, 3] if carrier is None else (np.linalg.inv(robot.pose(q, carrier)) @ pose)[:3, 3]
+    point = features.twist.pose(q)[:3, 3]
     if target.shape == (4, 4):
         point = target[:3, 3]
     elif isinstance(features, WeighedVelocity):
@@ -180,14 +164,16 @@ def target_place(
         r = features.coordinates(q)
         if target.shape == (len(selection),) != r.shape:  # along the rows: the nearest place from the start
             target = r + selection.T @ (target - selection @ r)
-        known = {name: k for k, name in enumerate(features.row_names) if name in AXES[:3]}
+        known = {AXES.index(name): k for k, name in enumerate(features.row_names) if name in AXES[:3]}
         if target.shape != r.shape or not known:
             return None
-        point[[AXES.index(name) for name in known]] = target[list(known.values())]
-    return {"carrier": None if carrier is None else _place(robot, carrier), "point": point.tolist()}
+        point[list(known)] = target[list(known.values())]
+    return {"carrier": _place(robot, features.relative_to), "point": point.tolist()}
 
 
-def _place(robot: Robot, frame: Frame) -> dict[str, Any]:
-    """Joint that carries a frame, and the frame's pose in the joint's, row by row."""
+def _place(robot: Robot, frame: Frame | None) -> dict[str, Any] | None:
+    """Return the joint that carries a frame, and the frame's pose in the joint's, row by row; None for the base."""
+    if frame is None:
+        return None
     placement = robot.pinocchio_model.frames[frame.index].placement.homogeneous
     return {"joint": frame.parent_joint, "placement": placement.ravel().tolist()}

@@ -24,12 +24,11 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.guided_motion import guidance_of
 from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
 from manip_learn.playback.mechanism_drawing import mechanism_drawing
 from manip_learn.playback.page_writer import LIVE, PageKind, page
 from manip_learn.playback.palette import rollout_colours
-from manip_learn.playback.recorded_motion import recorded_motion
+from manip_learn.playback.recorded_motion import guided_motion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.description.catalogue import known_as
@@ -281,14 +280,15 @@ def live_page(
     """
     rng, tree, rest = np.random.default_rng(0), kinematic_tree(robot), Trajectory(np.zeros(1), robot.neutral()[None])
     postures = np.array([*rest.q, *(robot.random_configuration(rng) for _ in range(119))])  # for the camera
-    guidance, twist = guidance_of(robot, name, rest, constraint, target), constraint and constraint.features.twist
+    motion, twist = guided_motion(robot, name, rest, constraint, target), constraint and constraint.features.twist
     tip = robot.frame(default_tip(robot)) if twist is None else twist.frame
-    still = replace(recorded_motion(robot, tree, tip, name, rest, guidance=guidance), postures=postures, measures=())
+    ((_, colour),) = rollout_colours([name], {})
+    still = replace(recorded_motion(robot, tree, tip, motion, colour), postures=postures, measures=())
     drawings = []
     if constraint is not None and (constraint.mechanism is not None or constraint.shown is not None):
         path = still.path if constraint.shown is None else constraint.shown.points
         drawings.append(mechanism_drawing(constraint.mechanism, path, constraint.shown))
-    looks, colours = appearance(robot, tree), rollout_colours([name], {})
-    data = scene_data(robot, tree, looks, tip.name, [still], colours, looks.notes, mechanisms=drawings)
+    looks = appearance(robot, tree)
+    data = scene_data(robot, tree, looks, tip.name, [still], looks.notes, mechanisms=drawings)
     data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, arms do not
     return page(data, robot=name, subtitle="", kind=kind)

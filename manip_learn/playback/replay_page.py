@@ -22,13 +22,12 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.linalg import finite
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.guided_motion import Guidance, guidance_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import MechanismDrawing, mechanism_drawing
 from manip_learn.playback.page_writer import in_cell, page
 from manip_learn.playback.palette import rollout_colours
-from manip_learn.playback.phase_bands import WAY, Phase, PhaseKind, phase_bands, phase_kinds, phases_from_json
-from manip_learn.playback.recorded_motion import RecordedMotion, recorded_motion
+from manip_learn.playback.phase_bands import WAY, Phase, phase_bands, phase_kinds, phases_from_json
+from manip_learn.playback.recorded_motion import GuidedMotion, RecordedMotion, guided_motion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.description.catalogue import known_as
@@ -39,13 +38,6 @@ from manip_learn.robot.tips import default_tip
 if TYPE_CHECKING:
     from manip_learn.learning.report import LearningReport
 
-MOST_ROWS = 60  # of a table in a card
-STATES = {
-    "held": "held",
-    "unclear": "unclear",
-    "free": "free",
-    "untried": "not tried: nothing moved along it",
-}
 Recording = Rollout | Trajectory
 MAX_GHOSTS = 12  # as in page/scene.js
 
@@ -61,14 +53,14 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
     content = report if isinstance(report, Mapping) else report.to_dict()
     odd = _list(content.get("odd_trajectories"))
     pairs = [(e.get("trajectory"), e.get("reason")) if isinstance(e, Mapping) else e for e in odd]
-    rows = []  # strength, chance and verdict of each, most firmly held first
+    rows = []  # verdict, strength and chance of each, most firmly held first
     for k, entry in enumerate(_list(content.get("row_evidence"))):
         if isinstance(entry, Mapping):
-            strength, chance = _number(entry.get("strength")), _number(entry.get("p_value"))
-            state = str(entry.get("state"))
-            grown = "" if strength is None else f"{strength:,.3g} times" if strength < 1e6 else "over a million times"
-            p_value = "" if chance is None else f"p = {chance:.2g}"
-            rows.append([f"row {k + 1}", STATES.get(state, state[:40]), grown, p_value])
+            state, strength = str(entry.get("state"))[:40], finite(entry.get("strength"))
+            state = "not tried: nothing moved along it" if state == "untried" else state
+            grown = "{:,.3g} times" if strength is None or strength < 1e6 else "over a million times"
+            chance = _in_words("p = {:.2g}", entry.get("p_value"))
+            rows.append([f"row {k + 1}", state, _in_words(grown, strength), chance])
     imposed = content.get("kind") == "self-imposed"
     return {
         "headline": _text(content.get("sentence")),
@@ -84,38 +76,32 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
 
 def _facts(content: Mapping[str, Any]) -> list[list[str]]:
     """Return name, number and meaning of what the report knows."""
-    gap, residual, angle = (_number(content.get(k)) for k in ("gap", "held_out_residual", "uncertainty_deg"))
+    gap, angle, estimator = finite(content.get("gap")), finite(content.get("uncertainty_deg")), content.get("estimator")
     n, samples, recordings = (content.get(k) for k in ("n_constraints", "n_samples", "n_trajectories"))
-    estimator, facts = _text(content.get("estimator")), []
-    if gap is not None:
-        scale = "1.5 and above is clear" if estimator == "joint" else "10 and above is clear, below 3 says little"
-        rows = counted(n, "row") if isinstance(n, int) else "this number of rows"
-        value = f"{gap:,.3g}" if gap < 1000 else f"{gap:,.0f}"
-        facts.append(["Gap", value, f"how clearly the data ask for {rows}: {scale}"])
-    if residual is not None:
-        meaning = "share of the motion left unexplained in recordings not learnt from"
-        facts.append(["Residual", f"{100.0 * residual:.2g} %", meaning])
-    if angle is not None:
-        meaning = "68 % of repetitions with other recordings stay within it"
-        facts.append(["Direction", error_in_words(angle, "degrees"), meaning])
-    if isinstance(samples, int) and isinstance(recordings, int):
-        meaning = f"of {counted(recordings, 'recording')}" + f"; estimator: {estimator}" * bool(estimator)
-        facts.append(["Learnt from", counted(samples, "sample"), meaning])
-    return facts
-
-
-def _doubts(evidence: Mapping[str, Any]) -> list[str]:
-    """Return warnings, the recordings that do not agree as far as no warning names them, and notes."""
-    warnings = evidence.get("warnings", [])
-    named = " ".join(warnings)
-    odd = [
-        f"{name} does not agree with the others: {why}" for name, why in evidence.get("odd", ()) if name not in named
+    asked = counted(n, "row") if isinstance(n, int) else "this number of rows"
+    scale = "1.5 and above is clear" if estimator == "joint" else "10 and above is clear, below 3 says little"
+    left = _in_words("{:.2g} %", content.get("held_out_residual"), 100.0)
+    facts = [
+        [
+            "Gap",
+            _in_words("{:,.3g}" if gap is None or gap < 1000 else "{:,.0f}", gap),
+            f"how clearly the data ask for {asked}: {scale}",
+        ],
+        ["Residual", left, "share of the motion left unexplained in recordings not learnt from"],
+        [
+            "Direction",
+            "" if angle is None else error_in_words(float(angle), "degrees"),
+            "68 % of repetitions with other recordings stay within it",
+        ],
     ]
-    return [*warnings, *odd, *evidence.get("notes", ())]
+    if isinstance(samples, int) and isinstance(recordings, int):
+        meaning = f"of {counted(recordings, 'recording')}" + (f"; estimator: {_text(estimator)}" if estimator else "")
+        facts.append(["Learnt from", counted(samples, "sample"), meaning])
+    return [fact for fact in facts if fact[1]]
 
 
 def _list(value: object) -> list[Any]:
-    return list(value)[:MOST_ROWS] if isinstance(value, list | tuple) else []
+    return list(value)[:60] if isinstance(value, list | tuple) else []  # rows of a table in a card
 
 
 def _texts(value: object) -> list[str]:
@@ -126,9 +112,10 @@ def _text(value: object) -> str:
     return "" if value is None else str(value)[:2000]  # characters that a card has room for
 
 
-def _number(value: object) -> float | None:
-    number = None if isinstance(value, bool) else finite(value)
-    return None if number is None else float(number)
+def _in_words(form: str, value: object, scale: float = 1.0) -> str:
+    """Return a number in words; empty for what is not a finite number."""
+    number = finite(value)
+    return "" if number is None else form.format(scale * float(number))
 
 
 @final
@@ -224,40 +211,39 @@ def replay(
     named, zero = _on_one_clock(named_recordings(rollouts), align)
     if side_by_side and not 2 <= len(named) <= 4:
         raise RecordingError(f"side_by_side needs two to four rollouts, got {len(named)}", code="side-by-side")
-    guided = {name: guidance_of(robot, name, r, constraint, target) for name, r in named.items()}
-    kept = [g.constraint.provenance for g in guided.values() if g.constraint is not None]
+    guided = [guided_motion(robot, name, recording, constraint, target) for name, recording in named.items()]
+    kept = [m.constraint.provenance for m in guided if m.constraint is not None]
     learnt = next(filter(None, kept), {}) if report is None else report
     learnt = learnt if isinstance(learnt, Mapping) else learnt.to_dict()
     if not phases:
         own = phases_from_json(learnt.get("phases") or ())
         phases = tuple(p for p in own if isinstance(named.get(p[0]), Trajectory))
-    first = _dictionary_of(learnt.get("mechanism") if mechanism is None else mechanism)
-    tip_name, tree, bands = (
-        shown_tip(robot, tip, named, guided),
-        kinematic_tree(robot),
-        phase_bands(phases, list(named)),
-    )
+    first = learnt.get("mechanism") if mechanism is None else mechanism
+    first = first.to_dict() if isinstance(first, Mechanism) else first
+    if not isinstance(first, Mapping | None):  # as in a damaged file
+        sentence = f"the mechanism must be a dictionary, got {first!r:.60}: learn it again"
+        raise RecordingError(sentence, code="mechanism")
+    tip_name, tree, bands = _shown_tip(robot, tip, guided), kinematic_tree(robot), phase_bands(phases, list(named))
     frame, looks = robot.frame(tip_name), appearance(robot, tree)
-    motions = [recorded_motion(robot, tree, frame, n, r, bands[n], guided[n], first) for n, r in named.items()]
-    drawings = _drawings(first, motions)
-    if len(motions) > MAX_GHOSTS and not phases:
-        notes = (
-            *notes,
-            f"Of {len(motions)} rollouts the first {MAX_GHOSTS} are drawn as robots, the others as tip path and curve; "
-            "click a name to draw that one.",
-        )
-    evidence = evidence_of(learnt) if learnt else None
-    all_notes = tuple(dict.fromkeys((*notes, *_doubts(evidence or {}), *looks.notes)))
     colouring = rollout_colours(list(named), colours or {}, neutral=bool(phases))
-    kinds = _kinds(phases, motions[0].guidance, drawings)
-    data = scene_data(robot, tree, looks, tip_name, motions, colouring, all_notes, kinds, drawings)
-    data |= {
-        "evidence": evidence,
+    motions = [
+        recorded_motion(robot, tree, frame, m, colour, bands[m.name], first)
+        for m, (_, colour) in zip(guided, colouring, strict=True)
+    ]
+    drawings = _drawings(first, motions)
+    evidence = evidence_of(learnt)
+    all_notes = tuple(dict.fromkeys((*notes, *_notes(evidence, 0 if phases else len(motions)), *looks.notes)))
+    # each constraint is named by its mechanism, else by how many directions it holds
+    rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guided[0].constraints]
+    words = zip(drawings, rows or [""] * len(drawings), strict=False)
+    kinds = phase_kinds(phases, [(drawn and drawn.type) or row for drawn, row in words]) if phases else ()
+    data = scene_data(robot, tree, looks, tip_name, motions, all_notes, kinds, drawings) | {
+        "evidence": evidence if learnt else None,
         "zero": zero,
         "made": next((made for provenance in kept if (made := provenance.get("made"))), None),
-        "done": [row for motion in motions for row in _done(motion, named[motion.name], len(named) > 1)],
-        "panes": [_outcome(*pair) for pair in named.items()] if side_by_side else [],
-        "odd": {name: why for name, why in evidence["odd"] if name in named} if evidence else {},
+        "done": [row for motion in motions for row in _done(motion, len(named) > 1)],
+        "panes": [_outcome(m) for m in guided] if side_by_side else [],
+        "odd": {name: why for name, why in evidence["odd"] if name in named},
     }
     content = page(data, robot=known_as(robot.source) or robot.name or "robot", subtitle=title).encode("utf-8")
     path = write_atomically(_temporary_file(robot) if html is None else html, content)
@@ -266,12 +252,13 @@ def replay(
     return ReplayResult(path, len(content), all_notes)
 
 
-def _dictionary_of(mechanism: object) -> Mapping[str, Any] | None:
-    described = mechanism.to_dict() if isinstance(mechanism, Mechanism) else mechanism
-    if isinstance(described, Mapping | None):
-        return described
-    # as in a damaged file
-    raise RecordingError(f"the mechanism must be a dictionary, got {described!r:.60}: learn it again", code="mechanism")
+def _notes(evidence: Mapping[str, Any], n_arms: int) -> list[str]:
+    """Return what is not drawn, warnings, the recordings that disagree as far as no warning names them, and notes."""
+    ghosts = f"Of {n_arms} rollouts the first {MAX_GHOSTS} are drawn as robots, the others as tip path and curve; "
+    hidden = [f"{ghosts}click a name to draw that one."] if n_arms > MAX_GHOSTS else []
+    warned = " ".join(evidence["warnings"])
+    odd = [f"{name} does not agree with the others: {why}" for name, why in evidence["odd"] if name not in warned]
+    return [*hidden, *evidence["warnings"], *odd, *evidence["notes"]]
 
 
 def _temporary_file(robot: Robot) -> Path:
@@ -281,15 +268,6 @@ def _temporary_file(robot: Robot) -> Path:
         raise OutputError(f"no temporary folder for the replay: {error}; name a file with html=...") from error
     safe = re.sub(r"[^A-Za-z0-9_-]+", "_", robot.name)[:40] or "robot"
     return Path(folder) / f"{safe}_replay.html"
-
-
-def _kinds(
-    phases: Sequence[Phase], guidance: Guidance, drawings: Sequence[MechanismDrawing | None]
-) -> tuple[PhaseKind, ...]:
-    """Return the kinds of phases: each constraint is named by its mechanism, else by how many directions it holds."""
-    rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guidance.constraints]
-    parts = zip(drawings, rows or [""] * len(drawings), strict=False)
-    return phase_kinds(phases, [(d and d.type) or words for d, words in parts]) if phases else ()
 
 
 def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Recording], float]:
@@ -307,72 +285,70 @@ def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Re
     for name, r in rollouts.items():
         grasps[name] = next((w["begins"] for w in r.ways if w["begins"] is not None), r.time[0]) - float(r.time[0])
     latest, out = max(grasps.values()), dict(named)
-    for name, rollout in rollouts.items():
-        if grasps[name] < latest:
-            first = rollout.until(float(rollout.time[0]))
-            arrays = ("q", "u", "manipulability", "task_error")
-            twice = {field: np.repeat(getattr(first, field), 2, axis=0) for field in arrays}
-            time = np.array([rollout.time[0], latest - grasps[name]])
-            still = replace(
-                first, time=time, status=first.status * 2, phases=(), ways=(), following_error=None, **twice
-            )
-            out[name] = still.followed_by(rollout)
+    for name, r in rollouts.items():
+        if (wait := latest - grasps[name]) > 0.0:  # its first sample, that much earlier
+            curves = {field: getattr(r, field) for field in ("time", "q", "u", "manipulability", "task_error")}
+            longer: dict[str, Any] = {field: np.concatenate([x[:1], x]) for field, x in curves.items()}
+            longer["time"][0] -= wait
+            out[name] = replace(r, status=(r.status[0], *r.status), following_error=None, **longer)
     return out, latest
 
 
-def _outcome(name: str, recording: Recording) -> dict[str, str]:
+def _outcome(motion: GuidedMotion) -> dict[str, str]:
     """Return the caption of a pane: name, how far each way went, and what stopped it."""
-    ways = recording.ways if isinstance(recording, Rollout) else ()
-    parts = [_way_in_words(way) for way in ways]
-    return {"name": name, "said": "; ".join(far for far, _ in parts), "why": "; ".join(why for _, why in parts)}
+    ways = [_way_in_words(way) for way in motion.ways]
+    return {"name": motion.name, "said": "; ".join(far for far, _ in ways), "why": "; ".join(why for _, why in ways)}
 
 
 def _way_in_words(way: Mapping[str, Any]) -> tuple[str, str]:
-    done, wanted, stopped = _number(way.get("done")), _number(way.get("wanted")), _text(way.get("stopped_by"))
+    done, wanted, stopped = finite(way.get("done")), finite(way.get("wanted")), _text(way.get("stopped_by"))
     unit = "m" if way.get("unit") == "m" else "degrees"
     far = "" if done is None or wanted is None else f"{abs(done):.3g} of {abs(wanted):.3g} {unit}"
     return far, f", stopped by {stopped}" if stopped else ""
 
 
-def _done(motion: RecordedMotion, recording: Recording, several: bool) -> list[list[str]]:
+def _done(shown: RecordedMotion, several: bool) -> list[list[str]]:
     """Return a row for each way of a rollout: its name, where the hand took hold, and its numbers, in words."""
-    rows = []
-    for way in recording.ways if isinstance(recording, Rollout) else ():
+    rows, motion = [], shown.motion
+    for way in motion.ways:
         whose = ": ".join(filter(None, (motion.name if several else "", _text(way.get("name"))))) or motion.name
         begins, place = way["begins"], "not reached"
         if begins is not None:
-            at = [np.interp(begins - motion.first_time, motion.path_times, axis) for axis in motion.path.T]
+            at = [np.interp(begins - motion.recording.time[0], shown.path_times, axis) for axis in shown.path.T]
             place = ", ".join(f"{x:.3f}" for x in at) + " m"
         joint = way.get("fastest_joint")
-        joint = joint if isinstance(joint, Mapping) else {}
-        off, margin, share = map(_number, (way.get("deviation"), way.get("margin"), joint.get("share_of_limit")))
-        strayed = "" if off is None else f"{1e3 * off:.1f} mm"
-        fastest = "" if share is None else f"{100 * share:.0f} % of its limit ({_text(joint.get('name'))})"
-        room = "" if margin is None else f"{100 * margin:.0f} %"
-        rows.append([whose, place, "".join(_way_in_words(way)), strayed, fastest, room])
+        name, share = (joint.get("name"), joint.get("share_of_limit")) if isinstance(joint, Mapping) else ("", None)
+        fastest = _in_words("{:.0f} % of its limit", share, 100.0)
+        numbers = _in_words("{:.1f} mm", way.get("deviation"), 1e3), fastest and f"{fastest} ({_text(name)})"
+        rows.append(
+            [whose, place, "".join(_way_in_words(way)), *numbers, _in_words("{:.0f} %", way.get("margin"), 1e2)]
+        )
     return rows
 
 
 def _drawings(
     first: Mapping[str, Any] | None, motions: Sequence[RecordedMotion]
 ) -> tuple[MechanismDrawing | None, ...]:
-    """What is drawn of each constraint's mechanism; without phases of constraints, the first one's alone."""
-    guidance, drawn = motions[0].guidance, list[MechanismDrawing | None]()
-    several = any(band.constraint is not None for m in motions for band in m.phases)
-    for k in range(max(len(guidance.constraints), 1) if several else 1):
-        described = first if k == 0 else guidance.mechanism(k)
-        known = guidance.constraints[k] if k < len(guidance.constraints) else None
+    """Return what is drawn of each constraint's mechanism; without phases of constraints, the first one's alone."""
+    guide, drawn = motions[0].motion, list[MechanismDrawing | None]()
+    phases = [(m, band) for m in motions for band in m.motion.phases if band.constraint is not None]
+    for k in range(max(len(guide.constraints), 1) if phases else 1):
+        described = first if k == 0 else guide.mechanism(k)
+        known = guide.constraints[k] if k < len(guide.constraints) else None
         shown = None if known is None else known.shown or known.intention
         if described is None and shown is None:
             drawn.append(None)
             continue
         # the tip where constraint k holds; everywhere if that is nowhere
-        bands = [(m, b) for m in motions for b in m.phases if b.constraint == k and b.part in ("", WAY)]
-        held = [m.path[(m.path_times >= band.start) & (m.path_times <= band.end)] for m, band in bands]
+        bands = [(m, band) for m, band in phases if band.constraint == k and band.part in ("", WAY)]
+        held = [m.path[band.covers(m.path_times)] for m, band in bands]
         places = np.concatenate(held if any(map(len, held)) else [m.path for m in motions])
         if described is not None and described.get("type") == "line":
             # a line is drawn where hands took hold, or where that of a rollout does: its direction alone was learnt
-            begin = next((m.path[np.searchsorted(m.path_times, s[0][0])] for m in motions for s in m.handles[:1]), None)
+            begin = next(
+                (m.path[np.searchsorted(m.path_times, s[0][0])] for m in motions for s in m.content["handles"][:1]),
+                None,
+            )
             if isinstance(shown, Shown) and shown.hold is not None:
                 described, places = {**described, "point": shown.hold}, np.vstack([shown.points, places])
             elif k == 0 and begin is not None:
@@ -381,12 +357,12 @@ def _drawings(
     return tuple(drawn)
 
 
-def shown_tip(robot: Robot, tip: str | None, named: Mapping[str, Recording], guided: Mapping[str, Guidance]) -> str:
-    """The frame whose path is drawn: the given one, else that of a rollout or of a constraint, else the default."""
+def _shown_tip(robot: Robot, tip: str | None, motions: Sequence[GuidedMotion]) -> str:
+    """Return the frame whose path is drawn: the given one, that of a rollout or of a constraint, or the default."""
     if tip is not None:
         return robot.frame(tip).name
-    frames = [r.frame for r in named.values() if isinstance(r, Rollout)]
-    features = (g.constraint.features for g in guided.values() if g.constraint is not None)
+    frames = [m.recording.frame for m in motions if isinstance(m.recording, Rollout)]
+    features = (m.constraint.features for m in motions if m.constraint is not None)
     frames += [frame.name for f in features if isinstance(frame := getattr(f, "frame", None), Frame)]
     return next((name for name in frames if name in robot.frame_names), None) or default_tip(robot)
 
@@ -398,15 +374,13 @@ def named_recordings(rollouts: Mapping[str, Recording] | Recording) -> dict[str,
         RecordingError: None at all, or something else.
     """
     if isinstance(rollouts, Rollout | Trajectory):
-        rollouts = {rollouts.name if isinstance(rollouts, Trajectory) else "rollout": rollouts}
+        rollouts = {getattr(rollouts, "name", "rollout"): rollouts}
     if not isinstance(rollouts, Mapping):
-        given = type(rollouts).__name__
-        raise RecordingError(f"rollouts must be a dictionary from names to rollouts, got {given}", code="type")
+        raise RecordingError(f"rollouts must be a dictionary from names to rollouts, got {rollouts!r:.80}", code="type")
     if not rollouts:
         raise RecordingError("there is nothing to replay: give at least one rollout", code="empty")
     for name, rollout in rollouts.items():
         if not isinstance(name, str) or not isinstance(rollout, Rollout | Trajectory):
-            given = type(rollout).__name__
-            sentence = f"rollout {name!r} must be a Rollout or a Trajectory under a name, got {given}"
+            sentence = f"rollout {name!r} must be a Rollout or a Trajectory under a name, got {rollout!r:.80}"
             raise RecordingError(sentence, code="type")
     return dict(rollouts)

@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.control.command import Status
-from manip_learn.errors import listed
 from manip_learn.playback.appearance import Appearance, Shape
 from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale
 from manip_learn.playback.kinematic_tree import TreeJoint
-from manip_learn.playback.mechanism_drawing import CORNERS, MechanismDrawing, facing
+from manip_learn.playback.mechanism_drawing import MechanismDrawing
 from manip_learn.playback.page_writer import packed
-from manip_learn.playback.phase_bands import PhaseKind, own_kinds
-from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, track_data
+from manip_learn.playback.phase_bands import PhaseKind
+from manip_learn.playback.recorded_motion import MOST_OF_A_CURVE, RecordedMotion, track_data
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import Mesh
 
 MAX_POSTURES_FOR_BOUNDS = 120  # of all motions, around which the camera stands
-OUTLINE_DIRECTIONS = 240  # over the sphere, 13 degrees apart
-MOST_PLACES, LEAST_PLACES = 12_000, 60  # of all ellipsoids of a page, and of one motion
-_NEAR = 0.25  # of the motion's extent: how far around it the picture reaches for what stands there
-FLOOR_REACH = 3.0  # edge of a floor in extents of the motion: to the rim of the picture
 PATCH = 0.6  # [m] of a front that has no end: as wide as a cupboard
-_MARKS = 0.085  # half length of an arrow relative to the scene, as in page/constraint_marks.js
+CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # of a cube with sides of 1
 
 
 def scene_data(
@@ -36,7 +31,6 @@ def scene_data(
     looks: Appearance,
     tip: str,
     motions: Sequence[RecordedMotion],
-    colours: Sequence[tuple[str, str]],
     notes: Sequence[str],
     kinds: Sequence[PhaseKind] = (),
     mechanisms: Sequence[MechanismDrawing | None] = (),
@@ -49,29 +43,33 @@ def scene_data(
         looks: How it is drawn.
         tip: Name of the frame whose path is drawn.
         motions: What is played.
-        colours: Name and hexadecimal value, one for each motion.
         notes: Sentences.
         kinds: Phases of recordings; empty without.
         mechanisms: What is drawn of each constraint's mechanism, None for nothing.
     """
     drawn = [line for m in mechanisms if m for line in (*m.lines, m.way)]
     cloud = np.concatenate([_drawn_points(robot, looks, motions), *drawn])
-    # and where the marks at the tip reach to, along its path
-    reach = _MARKS * _extent(cloud)
-    paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in motions if m.guidance.constraints]
+    # and where the marks at the tip reach to, along its path: half length of an arrow, as in page/constraint_marks.js
+    reach = 0.085 * _extent(cloud)
+    guided = [m for m in motions if m.motion.constraints]
+    paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in guided]
     cloud = np.concatenate([cloud, *(path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3)))])
-    low, high, size = cloud.min(axis=0), cloud.max(axis=0), _extent(cloud)
-    # what was stated is drawn; of it as much is framed as is near the motion
-    around, corners = list[list[dict[str, Any]]](), [np.zeros((0, 3))]
+    # what was stated is drawn; of it as much is framed as is within a quarter of the motion's extent
+    low, high, near = cloud.min(axis=0), cloud.max(axis=0), 0.25 * _extent(cloud)
+    rollouts, n_curves = list[dict[str, Any]](), sum(len(track["curves"]) for m in motions for track in m.measures)
+    # points of a curve: all curves of a page have 100,000 of 8 bytes
+    most = int(np.clip(100_000 // max(n_curves, 1), 60, MOST_OF_A_CURVE))
+    places = max(60, 12_000 // len(motions))  # of the ellipsoids of one motion; all of a page are 12,000
     for m in motions:
-        things = [_thing(thing, low, high) for thing in m.around if not thing.get("assumed")]
-        around.append([thing for thing, _ in things])
-        corners += [np.clip(points, low - _NEAR * size, high + _NEAR * size) for _, points in things]
-    cloud = np.concatenate([cloud, *corners])
-    places = max(LEAST_PLACES, MOST_PLACES // len(motions))
-    marks = [_marks(robot, m, places) for m in motions]
-    longest = max((mark.pop("longest") for some in marks for mark in some if mark is not None), default=0.0)
-    most = points_per_curve([m.measures for m in motions])
+        stated = getattr(m.motion.recording, "around", ())
+        things = [_thing(thing, low, high) for thing in stated if not thing.get("assumed")]
+        cloud = np.concatenate([cloud, *(np.clip(points, low - near, high + near) for _, points in things)])
+        constraints, measures = m.motion.constraints, track_data(m.measures, most)
+        each = places // max(len(constraints), 1)
+        marks = [constraint_marks(robot, m.motion, c, each) for c in constraints]
+        around = [thing for thing, _ in things]
+        rollouts.append({**m.content, "measures": measures, "marks": marks, "around": around})
+    longest = max((mark.pop("longest") for r in rollouts for mark in r["marks"] if mark is not None), default=0.0)
     return {
         "robot": _robot(robot, tree, looks, tip),
         "bounds": [cloud.min(axis=0).tolist(), cloud.max(axis=0).tolist()],
@@ -79,10 +77,7 @@ def scene_data(
         "azimuth": _azimuth(motions),
         "floor": float(min(cloud[:, 2].min(), 0.0)),
         "view": "top" if _is_flat(tree) else "iso",
-        "rollouts": [
-            _rollout(m, c) | {"measures": track_data(m.measures, most), "marks": mark, "around": things}
-            for m, c, mark, things in zip(motions, colours, marks, around, strict=True)
-        ],
+        "rollouts": rollouts,
         # the longest semi-axis takes 8 % of the scene
         "ellipsoidScale": ellipsoid_scale(longest, 0.08 * _extent(cloud)),
         "notes": list(notes),
@@ -100,8 +95,8 @@ def _extent(cloud: Float[np.ndarray, "n 3"]) -> float:
 
 def _outline(cloud: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
     """Return the points that stick out farthest in directions all over the sphere: what the camera must frame."""
-    k = np.arange(OUTLINE_DIRECTIONS) + 0.5
-    height, turn = 1.0 - 2.0 * k / OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
+    k = np.arange(240) + 0.5  # 13 degrees apart
+    height, turn = 1.0 - 2.0 * k / 240, np.pi * (1.0 + 5.0**0.5) * k
     ring = np.sqrt(1.0 - height**2)
     return cloud[np.unique(np.argmax(cloud @ np.array([ring * np.cos(turn), ring * np.sin(turn), height]), axis=0))]
 
@@ -122,23 +117,15 @@ def _robot(robot: Robot, tree: tuple[TreeJoint, ...], looks: Appearance, tip: st
     links = {name: frames[robot.frame(name).index] for name in robot.frame_names}
     return {
         "tip": tip,
-        "joints": [vars(j) | {"placement": _rows(j.placement), "axis": j.axis.tolist()} for j in tree],
+        "joints": [vars(j) | {"placement": j.placement.ravel().tolist(), "axis": j.axis.tolist()} for j in tree],
         "links": [
-            {"name": name, "joint": frame.parentJoint, "placement": _rows(frame.placement.homogeneous)}
+            {"name": name, "joint": frame.parentJoint, "placement": frame.placement.homogeneous.ravel().tolist()}
             for name, frame in links.items()
             if frame.type == pin.FrameType.BODY or name == tip
         ],
-        "shapes": [vars(s) | {"pose": _rows(s.pose)} for s in looks.shapes],
+        "shapes": [vars(s) | {"pose": s.pose.ravel().tolist()} for s in looks.shapes],
         "meshes": [_mesh(m) for m in looks.meshes],
     }
-
-
-def _marks(robot: Robot, motion: RecordedMotion, places: int) -> list[dict[str, Any] | None]:
-    samples, guidance = motion.samples, motion.guidance
-    if samples is None:
-        return []
-    each = places // max(len(guidance.constraints), 1)
-    return [constraint_marks(robot, samples, c, guidance.target, each) for c in guidance.constraints]
 
 
 def _thing(
@@ -151,34 +138,21 @@ def _thing(
     pose, size, kind = np.array(thing["pose"], dtype=np.float64), list(thing.get("size", ())), thing["kind"]
     mesh, box = None, CORNERS * [PATCH, 0.0, PATCH]
     if kind == "face":
-        pose, size = facing(pose[:3, 2], pose[:3, 3]), [PATCH, PATCH]
-        if thing["name"] == "floor":
-            pose[:2, 3], size = 0.5 * (low + high)[:2], [FLOOR_REACH * float(np.linalg.norm(high - low))] * 2
+        out, size = pose[:3, 2].copy(), [PATCH, PATCH]
+        # its second axis looks out, its third one is as upright as that allows
+        up = np.eye(3)[2 if abs(out[2]) < 0.98 else 0]  # within 11 degrees of level there is no upright
+        up = up - (up @ out) * out
+        up /= np.linalg.norm(up)
+        pose[:3, :3] = np.column_stack([np.cross(out, up), out, up])
+        if thing["name"] == "floor":  # to the rim of the picture: its edge is three extents of the motion
+            pose[:2, 3], size = 0.5 * (low + high)[:2], [3.0 * float(np.linalg.norm(high - low))] * 2
     elif kind == "mesh":
         mesh = Mesh(np.array(thing["vertices"]), np.array(thing["faces"]))
         box = mesh.vertices
     else:
         box = 2.0 * CORNERS * Shape(0, kind, tuple(size), pose).half_extent()
-    known = {"name": thing["name"], "kind": kind, "size": size, "pose": _rows(pose)}
+    known = {"name": thing["name"], "kind": kind, "size": size, "pose": pose.ravel().tolist()}
     return known | {"mesh": None if mesh is None else _mesh(mesh)}, _moved(pose, box)
-
-
-def keeps_clear(around: Sequence[Mapping[str, Any]]) -> str:
-    """Return what a plan keeps clear of in words, e.g. "table (0.30 m from link1) as stated"; empty if nothing.
-
-    Args:
-        around: As `Rollout.around`.
-    """
-    said: dict[str, dict[str, str]] = {"as stated": {}, "assumed: --scene states what is there": {}}
-    for thing in around:
-        how = list(said)[bool(thing.get("assumed"))]
-        near = f" ({thing['nearest']:.2f} m from {thing['link']})" if thing.get("nearest") is not None else ""
-        said[how].setdefault(thing["name"], thing["name"] + near)
-    return "; ".join(f"{listed(names.values())} {how}" for how, names in said.items() if names)
-
-
-def _rows(pose: Float[np.ndarray, "4 4"]) -> list[float]:
-    return [float(x) for x in pose.ravel()]
 
 
 def _mesh(mesh: Mesh) -> dict[str, Any]:
@@ -194,32 +168,6 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
         "wide": wide,
         "normals": None if mesh.normals is None else packed(np.rint(127.0 * mesh.normals), "i1"),
     }
-
-
-def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
-    own = own_kinds(motion.phases, colour[1])
-    kinds = {kind.label: k for k, kind in enumerate(own)}
-    effects = {str(status): status.effect for status in Status}  # of a controller of one's own there are others
-    # angles in float64: one of many turns must still be right to a nanoradian
-    exact = {"keyTimes": motion.key_times, "tracks": motion.tracks, "curveTimes": motion.curve_times}
-    described: dict[str, Any] = {
-        "name": motion.name,
-        "colour": colour[1],
-        "duration": motion.duration,
-        **{key: packed(numbers, "<f8") for key, numbers in (exact | {"curve": motion.curve}).items()},
-        "pathTimes": packed(motion.path_times, "<f4"),
-        "path": packed(motion.path, "<f4"),
-        "status": [[t, word, effects.get(word, "slowed")] for t, word in motion.status],
-        "fitShare": motion.fit_share,
-        "handles": motion.handles,
-        # start, end, number of the kind; -1 for free motion
-        "phases": [
-            [b.start, b.end, kinds.get(b.name or "", -1 if b.constraint is None else b.constraint)]
-            for b in motion.phases
-        ],
-    }
-    more = {"phaseKinds": [vars(k) for k in own], "clear": keeps_clear(motion.around)}
-    return described | {key: value for key, value in more.items() if value}
 
 
 def _drawn_points(robot: Robot, looks: Appearance, motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "C 3"]:
