@@ -27,8 +27,8 @@ _SHOWN = 20  # episodes on a terminal
 
 def audit(options: AuditOptions, progress: Progress = silent) -> Answer:
     """Measure and rank the episodes in some recordings; write them as CSV if a file is named."""
-    constraint, robot = load_constraint(options.robot, options.constraint, options.loading)
-    source = RecordingSource(options.recordings, robot, progress=progress, **options.reading.keywords())
+    constraint, robot = load_constraint(options.robot, options.constraint, options)
+    source = RecordingSource(options.recordings, robot, progress=progress, **options.keywords())
     with dask_client(options.dask) as client:
         report = audit_episodes(constraint, source, client=client, progress=progress)
     file = None if options.csv is None else write_table(report, options.csv)

@@ -71,15 +71,17 @@ def control(options: ControlOptions, progress: Progress = silent) -> Answer:
     start, target, rest = (vector(f"--{name}", getattr(options, name)) for name in ("start", "target", "rest"))
     named = (options.direction or "").strip()  # a row of the mechanism, by its name
     direction = named if named.isidentifier() else vector("--direction", options.direction)
-    constraint, robot = load_constraint(options.robot, options.constraint, options.loading)
+    constraint, robot = load_constraint(options.robot, options.constraint, options)
     named_way = options.along is not None or options.turn is not None
     if target is not None and named_way:
         raise TargetError("--target names the point, --along and --turn the way: give one of them")
     moves = named_way or (target is None and (constraint.shown is not None or direction is not None))
     if options.rows not in ("all", "held"):
         raise TargetError(f"--rows must be all or held, not {options.rows!r}")
+    if not options.plan and (options.seed, options.scene) != (0, None):
+        raise TargetError("--seed and --scene go with --plan")
     own = (options.policy, rest, options.duration, options.inverse) != ("manipulability", None, None, "damped")
-    if options.planned.plan and own:
+    if options.plan and own:
         raise TargetError("a plan has its own null-space motion: leave --policy, --rest, --duration and --inverse out")
     q0, whence = start_posture(robot, constraint, start, moves or target is not None)
     task = _way(options, constraint, direction) if moves else _reach(options, constraint, q0, target)
@@ -144,11 +146,11 @@ def run(
         NoPlanError: From no posture can the whole way be done.
     """
     dt, margin, way, found = options.dt, None, None, None
-    if options.planned.plan:
+    if options.plan:
         if not isinstance(task, FreeDirection):
             raise TargetError("only a way is planned: --plan goes with --along or --turn")
-        around = scene_of(options.planned.scene, robot)
-        found = plan(constraint, task, q0, options.planned.seed, scene=around, dt=dt, progress=progress)
+        around = scene_of(options.scene, robot)
+        found = plan(constraint, task, q0, options.seed, scene=around, dt=dt, progress=progress)
         rollout, margin = found.rollout, found.margin
         way = replace(found.outcome, begins=float(found.approach.time[-1]) + (found.outcome.begins or 0.0))
     else:

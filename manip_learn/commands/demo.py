@@ -10,7 +10,7 @@ import numpy as np
 
 from manip_learn.commands.control import run
 from manip_learn.commands.learn import fit
-from manip_learn.commands.options import ControlOptions, DemoOptions, LearnOptions, PlanOptions, ReadingOptions
+from manip_learn.commands.options import ControlOptions, DemoOptions, LearnOptions
 from manip_learn.commands.output import Answer, silent
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.tasks import PointAttractor, motion
@@ -93,8 +93,7 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
     scene, out = SCENES[options.robot], options.out
     progress("learning from the recordings", 0.0)
     shipped, file = str(shipped_recordings() / scene.recordings), out / "constraint.json"
-    reading = ReadingOptions(velocities=scene.velocities)
-    learning = LearnOptions(options.robot, [shipped], scene.frame, scene.axes, file, reading=reading)
+    learning = LearnOptions(options.robot, [shipped], scene.frame, scene.axes, file, velocities=scene.velocities)
     learner, learnt = fit(learning)
     robot = load_robot(options.robot)
     constraint, rollouts, answers = learner.constraint_, dict[str, Rollout](), dict[str, Answer]()
@@ -105,7 +104,7 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
     for i, (name, policy) in enumerate(shown.items()):
         progress("planning in which posture to take hold" if policy == "plan" else f"moving {name}", 0.5 + 0.1 * i)
         how = ControlOptions(options.robot, str(file), policy=policy, rest=scene.rest, duration=scene.duration)
-        how = replace(how, planned=PlanOptions(policy == "plan"), gain=1.0 if policy == "attractor" else how.gain)
+        how = replace(how, plan=policy == "plan", gain=1.0 if policy == "attractor" else how.gain)
         if scene.target is None:
             task = motion(constraint, keep_orientation=True, pause=PAUSE)
         else:

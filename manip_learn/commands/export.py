@@ -51,8 +51,8 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
             f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .yaml or .json; "
             "LeRobot data and several files are written to a folder (a name without ending)"
         )
-    robot = load_for_files(options.robot, options.files, options.loading)
-    demonstrations = load_demonstrations(options.files, robot, **options.reading.keywords())
+    robot = load_for_files(options.robot, options.files, options)
+    demonstrations = load_demonstrations(options.files, robot, **options.keywords())
     motions = [motion_of_trajectory(t, robot) for t in demonstrations]
     if kind == _LEROBOT:
         from manip_learn.recordings.writers.lerobot_writer import write_lerobot
@@ -73,7 +73,7 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
         refuse_to_replace([("--out", name) for name in names], options.files)
         written = [content_of(m) for m in motions]  # nothing is written unless all can be
         files = tuple(map(write_atomically, names, written))
-    notes = [*locks_of_files(robot, options.loading), *demonstrations.notes]
+    notes = [*locks_of_files(robot, options), *demonstrations.notes]
     return _exported(kind, files, notes, len(motions), sum(map(len, motions)))
 
 
@@ -88,7 +88,7 @@ def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLik
     """Write a constraint for another controller; it says in words what it holds."""
     if len(options.files) != 1:
         raise OutputError(f"--to {options.to} writes one constraint file, got {', '.join(options.files)}")
-    constraint, robot = load_constraint(options.robot, options.files[0], options.loading)
+    constraint, robot = load_constraint(options.robot, options.files[0], options)
     shown, at = constraint.provenance.get("postures"), vector("--at", options.at)
     if at is not None:
         q, where = robot.checked_posture(at), ""

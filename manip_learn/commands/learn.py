@@ -144,7 +144,7 @@ def _following(options: LearnOptions, whole: Constraint, constraint: Constraint,
         if not goes:
             return ""
         does, flags = "control", [f"--{goes[0][0]}", goes[0][1], *flags]
-    return shlex.join([PROGRAM_NAME, does, options.robot, str(out), *options.loading.words, *flags])
+    return shlex.join([PROGRAM_NAME, does, options.robot, str(out), *options.words, *flags])
 
 
 def _goes(constraint: Constraint, way: dict[str, Any]) -> bool:
@@ -166,8 +166,8 @@ def load_to_learn(
     Raises:
         ManipLearnError: Any of the errors of loading robots and recordings.
     """
-    loading, keywords = options.loading, options.reading.keywords()
-    robot = load_for_files(options.robot, options.recordings, loading)
+    keywords = options.keywords()
+    robot = load_for_files(options.robot, options.recordings, options)
     chosen = choose_frame(robot, options.frame)
     frames = [chosen] if options.relative_to is None else [chosen, robot.frame(options.relative_to).name]
     notes: list[str] = []
@@ -183,6 +183,6 @@ def load_to_learn(
             joint, known = error.column, error.code == "missing-joint" and error.column in robot.joint_names
             if joint is None or not known or any(robot.moves(joint, f) for f in frames):
                 raise
-            robot = loading.load(options.robot, {**robot.locked, joint: None}, robot.objects)
+            robot = options.load(options.robot, {**robot.locked, joint: None}, robot.objects)
             where = " or ".join(map(repr, frames))
             notes.append(f"joint {joint!r} is not recorded and does not move {where}: it was locked")

@@ -44,10 +44,10 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
         raise ConfigurationError(f"--by must be motion or key, not {options.by!r}")
     driver, robot, viewer = driver_of(options.driver), None, None
     if options.robot is not None:
-        robot, names = options.loading.load(options.robot), getattr(driver, "joint_names", None)
+        robot, names = options.load(options.robot), getattr(driver, "joint_names", None)
         if names is not None:
             moving = [name for name in robot.joint_names if name in names]
-            robot = with_joints(robot, moving, options.robot, options.loading)
+            robot = with_joints(robot, moving, options.robot, options)
     told = {"file": "", "since": 0.0, "files": 0, "said": 0.0}
 
     def began(file: Path | None) -> None:
@@ -119,7 +119,7 @@ def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, pr
         return report.sentence, f"show it once more, from another posture: {report.warnings[0]}"
     if report.uncertainty_deg is None or report.uncertainty_deg > _ENOUGH:
         return report.sentence, f"show it once more, from another posture, until it is known to {_ENOUGH:g} degree"
-    words = shlex.join(["--frame", tip, *options.loading.words, "--out", f"{options.name}.json"])
+    words = shlex.join(["--frame", tip, *options.words, "--out", f"{options.name}.json"])
     return report.sentence, f"enough: manip-learn learn {shlex.quote(str(options.robot))} {pattern} {words}"
 
 

@@ -31,7 +31,7 @@ def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
         ConfigurationError: `--tip-speed` is not positive, or another word.
         ManipLearnError: Anything that is wrong with the robot, the file, the numbers or the output.
     """
-    robot = robot_of_constraint(options.robot, options.task, options.loading)
+    robot = robot_of_constraint(options.robot, options.task, options)
     skill = Skill.load(options.task, robot)
     start, moved = vector("--start", options.start), vector("--moved", options.moved)
     q0, whence = start_posture(robot, skill.constraints[0], start, True)

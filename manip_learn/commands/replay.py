@@ -37,12 +37,12 @@ def replay_files(options: ReplayOptions, progress: Progress) -> Answer:
     """
     progress("writing the replay", 0.0)
     name, files = named_robot(options.files)
-    learnt, constraint, tip, keywords = dict[str, Any](), None, options.tip, options.reading.keywords()
+    learnt, constraint, tip, keywords = dict[str, Any](), None, options.tip, options.keywords()
     if options.constraint is None:
-        robot = load_for_files(name, files, options.loading)
-        notes = locks_of_files(robot, options.loading)
+        robot = load_for_files(name, files, options)
+        notes = locks_of_files(robot, options)
     else:
-        constraint, robot = load_constraint(name, str(options.constraint), options.loading)
+        constraint, robot = load_constraint(name, str(options.constraint), options)
         learnt, notes = constraint.provenance, list(constraint.notes)
         tip = tip or getattr(constraint.features, "frame", None)
         if not isinstance(found := learnt.get("mechanism") or {}, Mapping):

@@ -58,7 +58,7 @@ _JOINT = "kind: {kind}; lower: {lower:.4g}; upper: {upper:.4g}; velocity: {veloc
 
 def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
     """Load a robot, check its forward kinematics by another library, and show what one must know before recording."""
-    summary = inspect_robot(options.loading.load(options.robot))
+    summary = inspect_robot(options.load(options.robot))
     joints, check, tip = summary.joints, summary.cross_check, summary.tips[0] if summary.tips else "NAME"
     flag = f"--frame {shlex.quote(tip)}"
     still = [j.name for j in joints if summary.moving_tip and j.name not in summary.moving_tip]
@@ -72,7 +72,7 @@ def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
         "kinematics": f"agrees with yourdfpy to {check.largest_difference:.1e}" if check and check.agrees else "",
         "shapes": summary.shapes,
     }
-    words = shlex.join([options.robot, *options.loading.words])
+    words = shlex.join([options.robot, *options.words])
     return Answer(
         dataclasses.asdict(summary),  # limits that do not exist are infinite, which JSON says as null
         title=f"{summary.name}: nq {summary.nq}, nv {summary.nv}",

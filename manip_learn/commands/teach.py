@@ -41,10 +41,10 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
 
     progress("preparing the scene", 0.0)
     physics()
-    robot = options.loading.load(options.robot)
+    robot = options.load(options.robot)
     tip = choose_frame(robot, options.frame)
     moving = [name for name in robot.joint_names if robot.moves(name, tip)]
-    robot = with_joints(robot, moving, options.robot, options.loading)
+    robot = with_joints(robot, moving, options.robot, options)
     if options.out.exists() and not options.out.is_dir():
         raise OutputError(f"--out {options.out} is a file: name a folder")
     name = known_as(robot.source) or robot.name or "robot"
