@@ -8,17 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+import manip_learn as ml
 from manip_learn.commands.control import run
 from manip_learn.commands.learn import fit
 from manip_learn.commands.options import ControlOptions, DemoOptions, LearnOptions
-from manip_learn.commands.output import Answer, silent
-from manip_learn.control.rollout import Rollout
-from manip_learn.control.tasks import PointAttractor, motion
+from manip_learn.commands.output import Answer, Progress, silent
 from manip_learn.errors import UnknownNameError
-from manip_learn.playback import replay
 from manip_learn.recordings.files import shipped_recordings
-from manip_learn.recordings.load import Progress
-from manip_learn.robot import load_robot
 
 PAUSE = 0.5  # [s] at the handle, as a gripper takes to close
 
@@ -78,7 +74,7 @@ SCENES = {
 }
 
 
-def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
+def demo(options: DemoOptions, progress: Progress) -> Answer:
     """Learn, move from one nearly singular start without and with what was learnt, write constraint, rollouts, replay.
 
     "without" leaves the spare joints at rest; "with" plans the posture of hold where a fixture is moved, and climbs mu
@@ -95,8 +91,8 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
     shipped, file = str(shipped_recordings() / scene.recordings), out / "constraint.json"
     learning = LearnOptions(options.robot, [shipped], scene.frame, scene.axes, file, velocities=scene.velocities)
     learner, learnt = fit(learning)
-    robot = load_robot(options.robot)
-    constraint, rollouts, answers = learner.constraint_, dict[str, Rollout](), dict[str, Answer]()
+    robot = ml.load_robot(options.robot)
+    constraint, rollouts, answers = learner.constraint_, dict[str, ml.Rollout](), dict[str, Answer]()
     best = "manipulability" if scene.target is not None else "plan"
     shown = {"without": "zero", "with": best}
     if options.all_policies:
@@ -106,14 +102,14 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
         how = ControlOptions(options.robot, str(file), policy=policy, rest=scene.rest, duration=scene.duration)
         how = replace(how, plan=policy == "plan", gain=1.0 if policy == "attractor" else how.gain)
         if scene.target is None:
-            task = motion(constraint, keep_orientation=True, pause=PAUSE)
+            task = ml.motion(constraint, keep_orientation=True, pause=PAUSE)
         else:
-            task = PointAttractor(scene.target)
-        rollouts[name], answer = run(how, constraint, robot, task, np.array(scene.start), aimed=False)
+            task = ml.PointAttractor(scene.target)
+        rollouts[name], answer = run(how, constraint, robot, task, np.array(scene.start), silent)
         answers[name] = answer.with_files(rollouts[name].save(out / f"{name}.npz"))
     progress("writing the replay", 0.9)
     is_pair = scene.target is None and not options.all_policies  # both reach a target, on much the same way
-    page = replay(
+    page = ml.replay(
         robot,
         rollouts,
         out / "replay.html",

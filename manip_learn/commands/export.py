@@ -12,13 +12,12 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.command_line import refuse_to_replace
 from manip_learn.commands.loading import load_constraint, load_for_files, locks_of_files
 from manip_learn.commands.options import ExportOptions, vector
-from manip_learn.commands.output import Answer
+from manip_learn.commands.output import Answer, Progress
 from manip_learn.constraint.constraint import Constraint, read_constraint_file
 from manip_learn.control.interop.force_control import WRITERS as TASK_WRITERS
 from manip_learn.control.interop.force_control import as_json
 from manip_learn.errors import OutputError, counted
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.load import Progress
 from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
 from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, mcap_bytes
 

@@ -9,24 +9,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import manip_learn as ml
 from manip_learn.commands.command_line import PROGRAM_NAME, TYPED
 from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.loading import load_for_files
 from manip_learn.commands.options import LearnOptions
-from manip_learn.commands.output import Answer, silent
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
+from manip_learn.commands.output import Answer, Progress, silent
 from manip_learn.constraint.mechanism import SHAPES
-from manip_learn.control.tasks import motion
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
-from manip_learn.learning import ConstraintLearner, LearningReport
-from manip_learn.learning.report import RecordingOverview
+from manip_learn.learning.report import LearningReport, RecordingOverview
 from manip_learn.learning.table import BELIEVED, dask_client
-from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.load import Progress, RecordingSource
-from manip_learn.recordings.trajectory import Demonstrations, distinct_names
-from manip_learn.robot.robot import Reference, Robot
+from manip_learn.recordings.trajectory import distinct_names
+from manip_learn.robot import Reference
 
 _REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
 
@@ -36,7 +31,7 @@ def learn_task(options: LearnOptions, progress: Progress = silent) -> Answer:
     return fit(options, progress)[1]
 
 
-def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ConstraintLearner, Answer]:
+def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.ConstraintLearner, Answer]:
     """Learn a constraint from recordings; write it, and a replay of the recordings, to files if they are named.
 
     With `relative_to` the velocity of the frame is seen from that other one, in its axes; `reference` does not count.
@@ -55,12 +50,14 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ConstraintL
         raise RecordingError(f"{asked[0]} works on recordings in memory, not with --dask: {instead}", code="option")
     progress("reading", 0.0)
     robot, demos, frame, notes = load_to_learn(options, progress)
-    if isinstance(demos, Demonstrations) and (options.start is not None or options.until is not None):
-        demos = Demonstrations([t[options.start : options.until] for t in demos], demos.notes)
-    rows: list[FeatureMap] = [FrameJacobian(robot, frame, options.axes, r) for r in _REFERENCES[options.reference]]
+    if isinstance(demos, ml.Demonstrations) and (options.start is not None or options.until is not None):
+        demos = ml.Demonstrations([t[options.start : options.until] for t in demos], demos.notes)
+    rows: list[ml.FeatureMap] = [
+        ml.FrameJacobian(robot, frame, options.axes, r) for r in _REFERENCES[options.reference]
+    ]
     if options.relative_to is not None:
-        rows = [RelativeFrameJacobian(robot, frame, options.relative_to, options.axes)]
-    learner = ConstraintLearner(
+        rows = [ml.RelativeFrameJacobian(robot, frame, options.relative_to, options.axes)]
+    learner = ml.ConstraintLearner(
         rows,
         options.constraints,
         options.estimator,  # type: ignore[arg-type]  # the learner checks these words
@@ -79,7 +76,7 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ConstraintL
     content = {"frame": frame, "notes": [*notes, *answer.notes]}
     answer = replace(answer, content=answer.content | content, notes=content["notes"])
     page = None
-    if options.html is not None and isinstance(demos, Demonstrations):
+    if options.html is not None and isinstance(demos, ml.Demonstrations):
         from manip_learn.playback import replay
 
         named = dict(zip(distinct_names(demos), demos, strict=True))
@@ -89,7 +86,7 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ConstraintL
     return learner, replace(answer.with_files(written, page), following=following)
 
 
-def described(constraints: Sequence[Constraint], reports: Sequence[LearningReport]) -> Answer:
+def described(constraints: Sequence[ml.Constraint], reports: Sequence[LearningReport]) -> Answer:
     """Return constraints with the evidence for them as an answer; the first, best supported, is the first to be told.
 
     Args:
@@ -123,7 +120,7 @@ def described(constraints: Sequence[Constraint], reports: Sequence[LearningRepor
     )
 
 
-def _following(options: LearnOptions, whole: Constraint, constraint: Constraint, out: Path | None) -> str:
+def _following(options: LearnOptions, whole: ml.Constraint, constraint: ml.Constraint, out: Path | None) -> str:
     """Return the command to type next: it does what was shown, or writes what was learnt; empty if nothing is free.
 
     Args:
@@ -147,9 +144,9 @@ def _following(options: LearnOptions, whole: Constraint, constraint: Constraint,
     return shlex.join([PROGRAM_NAME, does, options.robot, str(out), *options.words, *flags])
 
 
-def _goes(constraint: Constraint, way: dict[str, Any]) -> bool:
+def _goes(constraint: ml.Constraint, way: dict[str, Any]) -> bool:
     try:
-        motion(constraint, **way)
+        ml.motion(constraint, **way)
     except ManipLearnError:
         return False
     return True
@@ -157,7 +154,7 @@ def _goes(constraint: Constraint, way: dict[str, Any]) -> bool:
 
 def load_to_learn(
     options: LearnOptions, progress: Progress = silent
-) -> tuple[Robot, Demonstrations | RecordingSource, str, list[str]]:
+) -> tuple[ml.Robot, ml.Demonstrations | ml.RecordingSource, str, list[str]]:
     """Robot, recordings, frame, and notes on joints that were locked because nothing is recorded for them.
 
     A joint is locked automatically only if it does not move the frame: then it cannot matter to the constraint
@@ -174,9 +171,9 @@ def load_to_learn(
     while True:
         try:
             if options.dask is None:
-                demos = load_demonstrations(options.recordings, robot, progress=progress, **keywords)
+                demos = ml.load_demonstrations(options.recordings, robot, progress=progress, **keywords)
                 return robot, demos, chosen, notes
-            source = RecordingSource(options.recordings, robot, progress=progress, **keywords)
+            source = ml.RecordingSource(options.recordings, robot, progress=progress, **keywords)
             next(source.part(0))
             return robot, source, chosen, notes
         except RecordingError as error:

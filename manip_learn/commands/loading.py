@@ -1,29 +1,22 @@
-"""Robot, frame, start and scene of a command: joints are locked as the files say, or where nothing is recorded."""
+"""Robot of a command: joints are locked as the files say, or where nothing is recorded."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
-
+import manip_learn as ml
 from manip_learn.commands.options import RobotOptions
-from manip_learn.constraint.constraint import Constraint, locks_in_words, read_constraint_file
-from manip_learn.control.limits import check_inside
+from manip_learn.constraint.constraint import locks_in_words, read_constraint_file
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, UnknownNameError, named
 from manip_learn.recordings.files import SUFFIXES
 from manip_learn.recordings.guards import natural_order
 from manip_learn.recordings.options import unmoved_joint_names
 from manip_learn.recordings.saved_motion import FileHeader, file_header
-from manip_learn.robot import Robot
-
-if TYPE_CHECKING:
-    from manip_learn.planning.plan import Around
 
 
-def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Robot:
+def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml.Robot:
     """The robot with the joints locked that were locked when the files were made, where they say so.
 
     Rollouts and exported recordings do.
@@ -42,7 +35,7 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Ro
     return robot
 
 
-def locks_of_files(robot: Robot, loading: RobotOptions) -> list[str]:
+def locks_of_files(robot: ml.Robot, loading: RobotOptions) -> list[str]:
     """Return a note on the joints that are locked because the files say so, or nothing."""
     locked = {name: position for name, position in robot.locked.items() if name not in (loading.lock or ())}
     return [f"as when it was made: {locks_in_words(locked)}"] if locked else []
@@ -63,7 +56,7 @@ def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
     return None, Path()
 
 
-def with_joints(robot: Robot, joints: Sequence[str], name: str, loading: RobotOptions) -> Robot:
+def with_joints(robot: ml.Robot, joints: Sequence[str], name: str, loading: RobotOptions) -> ml.Robot:
     """Return a robot with just these joints moving, and its other joints locked.
 
     Args:
@@ -83,7 +76,7 @@ def with_joints(robot: Robot, joints: Sequence[str], name: str, loading: RobotOp
     return loading.load(name, {**robot.locked, **dict.fromkeys(others)}, robot.objects)
 
 
-def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> Robot:
+def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> ml.Robot:
     """The robot with the joints locked that were locked when the constraint was learnt, and with the same objects.
 
     Raises:
@@ -118,34 +111,7 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
         ) from error
 
 
-def load_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> tuple[Constraint, Robot]:
+def load_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> tuple[ml.Constraint, ml.Robot]:
     """Return the constraint in a file, and its robot; errors as of `robot_of_constraint` and `Constraint.load`."""
     robot = robot_of_constraint(robot_name, constraint_file, loading)
-    return Constraint.load(constraint_file, robot), robot
-
-
-def start_posture(
-    robot: Robot, constraint: Constraint, start: list[float] | None, moves: bool
-) -> tuple[np.ndarray, str]:
-    """The start posture, and where it comes from if it was not given."""
-    q0, whence = robot.neutral(), "the robot's neutral posture"
-    shown = constraint.provenance.get("postures")
-    if start is not None:
-        q0, whence = robot.checked_posture(start), ""
-    elif moves and shown:
-        q0, whence = robot.checked_posture(shown[0]), "the first posture in which the task was shown"
-    check_inside(robot, robot.positions(q0))
-    return q0, whence
-
-
-def scene_of(given: str | None, robot: Robot | None) -> Around:
-    """What `--scene` names.
-
-    Raises:
-        SceneError: The file is none of a scene.
-    """
-    from manip_learn.planning.scene import Scene
-
-    if given is None:
-        return "assumed"
-    return None if given == "none" else Scene.load(given, robot)
+    return ml.Constraint.load(constraint_file, robot), robot

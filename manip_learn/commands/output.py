@@ -17,11 +17,9 @@ from manip_learn.errors import printable
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from manip_learn.commands.options import ControlOptions, RepeatOptions
-    from manip_learn.control.rollout import Rollout
     from manip_learn.playback import ReplayResult
-    from manip_learn.robot.robot import Robot
 
+Progress = Callable[[str, float], None]  # called with what is being done and the share of it that is done, in 0 .. 1
 # keys of sentences, for people; what other keys hold is for programs, which need names and paths as they are
 SENTENCES = {"message", "sentence", "notes", "warnings", "advice", "evidence", "reason", "reasons", "refused"} | {
     *("stopped_by", "why", "helps", "hint", "story")
@@ -85,18 +83,6 @@ class Answer:
         return replace(self, content=self.content | files, written=[f"written: {out}" if out else ""], page=page)
 
 
-def with_rollout(
-    answer: Answer, rollout: Rollout, robot: Robot, name: str, options: ControlOptions | RepeatOptions
-) -> Answer:
-    """Write the rollout and its replay where the options say so, and name the files in the answer."""
-    page = None
-    if options.html is not None:
-        from manip_learn.playback import replay
-
-        page = replay(robot, {name: rollout}, options.html, open_browser=False, notes=answer.doubts)
-    return answer.with_files(None if options.out is None else rollout.save(options.out), page)
-
-
 def cells(content: Mapping[str, Any], layout: str) -> dict[str, str]:
     """Return numbers of a JSON document in words, by their headings: "-" where one does not exist or is not finite.
 
@@ -130,15 +116,16 @@ def silent(step: str, share: float) -> None:
 
 
 @contextmanager
-def progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
+def progress(quiet: bool) -> Iterator[Progress]:
     """A progress bar on standard error; silent when it is not a terminal."""
     if quiet or not sys.stderr.isatty():
         yield silent
         return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich import progress as bars
 
-    shown = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"), TimeElapsedColumn())
-    with Progress(*shown, console=console(stderr=True), transient=True) as bar:
+    percent, seconds = bars.TextColumn("{task.percentage:>3.0f}%"), bars.TimeElapsedColumn()
+    shown = (bars.TextColumn("{task.description}"), bars.BarColumn(), percent, seconds)
+    with bars.Progress(*shown, console=console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda step, share: bar.update(task, description=step, completed=share)
 

@@ -18,14 +18,13 @@ from typing import Any, get_args
 from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.loading import with_joints
 from manip_learn.commands.options import RecordOptions
-from manip_learn.commands.output import Answer
+from manip_learn.commands.output import Answer, Progress
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.driver import Driver
 from manip_learn.drivers.record import LOOK, MOVES, By, Key, RecordedFiles, record
 from manip_learn.errors import ConfigurationError, ManipLearnError, OutputError, counted
 from manip_learn.learning import ConstraintLearner
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.load import Progress
 from manip_learn.recordings.trajectory import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.robot import Robot
 

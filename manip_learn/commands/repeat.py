@@ -8,13 +8,13 @@ from typing import Any, cast
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
+import manip_learn as ml
+from manip_learn.commands.loading import robot_of_constraint
 from manip_learn.commands.options import RepeatOptions, vector
-from manip_learn.commands.output import Answer, cells, place, silent, with_rollout
-from manip_learn.constraint.skill import Skill
+from manip_learn.commands.output import Answer, Progress, cells, place
+from manip_learn.commands.simulated import scene_of, start_posture, with_rollout
 from manip_learn.errors import TargetError, counted
-from manip_learn.planning.repeat import TipSpeed, repeat
-from manip_learn.recordings.load import Progress
+from manip_learn.planning.repeat import TipSpeed
 
 _STEP = (
     "done: {done:.3g} {unit}; of: {wanted:.3g} {unit}; off: {off:.1f} {fine}; "
@@ -22,7 +22,7 @@ _STEP = (
 )
 
 
-def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
+def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
     """Plan and simulate every step of a skill; write the rollout and a replay to files if they are named.
 
     Raises:
@@ -32,9 +32,9 @@ def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
         ManipLearnError: Anything that is wrong with the robot, the file, the numbers or the output.
     """
     robot = robot_of_constraint(options.robot, options.task, options)
-    skill = Skill.load(options.task, robot)
-    start, moved = vector("--start", options.start), vector("--moved", options.moved)
-    q0, whence = start_posture(robot, skill.constraints[0], start, True)
+    skill = ml.Skill.load(options.task, robot)
+    moved = vector("--moved", options.moved)
+    q0, begins = start_posture(robot, skill.constraints[0], options.start, True)
     T = None
     if moved is not None:  # x, y, z [m], and rotations about the base's x, y and z axes, one after the other [degrees]
         if len(moved) not in (3, 6):
@@ -44,7 +44,7 @@ def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
         T[:3, 3], T[:3, :3] = moved[:3], Rotation.from_euler("xyz", turns).as_matrix()
     around, speed = scene_of(options.scene, robot), _tip_speed(options.tip_speed)
     made = {"scene": around, "seed": options.seed, "tip_speed": speed, "prefer": options.prefer}
-    done = repeat(skill, q0, T, **made, progress=progress)
+    done = ml.repeat(skill, q0, T, **made, progress=progress)
     rollout, steps = done.rollout, [step.to_dict() for step in done.steps]
     ends = [f"{step.name}: at {place(step.place)}{_missed(step.off)}" for step in done.steps if step.kind == "reach"]
     ways = counted(sum(step.kind == "way" for step in done.steps), "way")
@@ -60,7 +60,7 @@ def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
             "notes": list(done.notes),
         },
         title=f"{ways} done as shown" if done.is_done else "not all of it was done",
-        sentences=[f"start: {whence} (another: --start)" if whence else "", done.pace, *ends],
+        sentences=[begins, done.pace, *ends],
         rows=[{"step": step["name"]} | cells(step | _off(step), _STEP) for step in steps],
         warnings=[f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by],
         notes=done.notes,

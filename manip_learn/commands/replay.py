@@ -7,19 +7,15 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+import manip_learn as ml
 from manip_learn.commands.loading import load_constraint, load_for_files, locks_of_files
 from manip_learn.commands.options import ReplayOptions
-from manip_learn.commands.output import Answer
-from manip_learn.control.rollout import Rollout
+from manip_learn.commands.output import Answer, Progress
 from manip_learn.errors import ConstraintMismatchError, RecordingError
-from manip_learn.playback import replay
 from manip_learn.playback.phase_bands import phases_from_json
-from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.files import recording_path
-from manip_learn.recordings.load import Progress
 from manip_learn.recordings.options import flag_of
 from manip_learn.recordings.saved_motion import file_header
-from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 
 
@@ -53,17 +49,17 @@ def replay_files(options: ReplayOptions, progress: Progress) -> Answer:
     if keywords and not recordings:
         asked = ", ".join(flag_of(name) for name in keywords)
         raise RecordingError(f"rollouts are read as they were written, so {asked} has no use: leave it out")
-    motions, named = list[tuple[str, Rollout | Trajectory]](), dict[str, Rollout | Trajectory]()
+    motions, named = list[tuple[str, ml.Rollout | ml.Trajectory]](), dict[str, ml.Rollout | ml.Trajectory]()
     for path in map(Path, rollouts):
-        rollout, said = Rollout.load_with_notes(path, robot)
+        rollout, said = ml.Rollout.load_with_notes(path, robot)
         motions.append((path.stem, rollout))
         notes += [f"{path.name}: {note}" for note in said]
     if recordings:  # together, since an option may be meant for one of them
-        motions += [(t.name, t) for t in load_demonstrations(recordings, robot, **keywords)]
+        motions += [(t.name, t) for t in ml.load_demonstrations(recordings, robot, **keywords)]
     for name, motion in motions:
         numbered = (f"{name} ({n})" for n in count(2))
         named[next(one for one in chain((name,), numbered) if one not in named)] = motion
-    page = replay(
+    page = ml.replay(
         robot,
         named,
         options.html,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from manip_learn.commands.options import ReproduceOptions
-from manip_learn.commands.output import Answer, silent
+from manip_learn.commands.output import Answer, Progress
 from manip_learn.experiments import reproduce as run_experiments
-from manip_learn.recordings.load import Progress
 
 
-def reproduce_paper(options: ReproduceOptions, progress: Progress = silent) -> Answer:
+def reproduce_paper(options: ReproduceOptions, progress: Progress) -> Answer:
     """Run one experiment, or all; numbers of each part, and its page in Markdown."""
     pages = dict[str, str]()
     numbers = run_experiments(

@@ -8,9 +8,8 @@ import shlex
 from typing import Any
 
 from manip_learn.commands.options import InspectOptions, RobotsOptions
-from manip_learn.commands.output import Answer, cells, silent
+from manip_learn.commands.output import Answer, Progress, cells
 from manip_learn.errors import ManipLearnError, few
-from manip_learn.recordings.load import Progress
 from manip_learn.robot.description.catalogue import SHIPPED, example_robots, fetched_names, find_robot
 from manip_learn.robot.description.text import parse_xml, read_description
 from manip_learn.robot.description.urdf import validate_urdf
@@ -24,7 +23,7 @@ _ORIGINS = {
 }
 
 
-def known_robots(options: RobotsOptions, progress: Progress = silent) -> Answer:
+def known_robots(options: RobotsOptions, progress: Progress) -> Answer:
     """List every robot that has a name here and now, with its joints.
 
     In the document, `origin` is `package`, `extra` (of the extra `robots`) or `net` (of the extra `descriptions`);
@@ -56,7 +55,7 @@ def _described(name: str, origin: str) -> dict[str, Any]:
 _JOINT = "kind: {kind}; lower: {lower:.4g}; upper: {upper:.4g}; velocity: {velocity:.4g}; unit: {unit}"
 
 
-def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
+def inspect(options: InspectOptions, progress: Progress) -> Answer:
     """Load a robot, check its forward kinematics by another library, and show what one must know before recording."""
     summary = inspect_robot(options.load(options.robot))
     joints, check, tip = summary.joints, summary.cross_check, summary.tips[0] if summary.tips else "NAME"

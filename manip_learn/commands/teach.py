@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, cast
 from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.loading import with_joints
 from manip_learn.commands.options import TeachOptions
-from manip_learn.commands.output import Answer
+from manip_learn.commands.output import Answer, Progress
 from manip_learn.errors import OutputError, counted
-from manip_learn.recordings.load import Progress
 from manip_learn.robot.description.catalogue import known_as
 
 if TYPE_CHECKING:
