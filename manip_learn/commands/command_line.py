@@ -141,7 +141,7 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
         return
     for one in inputs:
         for text in [one] if isinstance(one, str | Path) else one:
-            for source in _files_behind(str(text)):
+            for source in files_behind(str(text)):
                 for flag, path in there:
                     if path.samefile(source) or path.resolve().name in _named_in(source):
                         raise OutputError(f"{flag} {path} would replace an input, {source}: name another file")
@@ -157,7 +157,7 @@ def _named_in(source: Path) -> set[str]:
     return {PurePosixPath(name).name for name in named}
 
 
-def _files_behind(text: str) -> Iterator[Path]:
+def files_behind(text: str) -> Iterator[Path]:
     """The file or folder that an argument stands for, and what is read of a folder."""
     from manip_learn.recordings.files import recording_files, recording_path
 

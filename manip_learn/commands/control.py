@@ -148,8 +148,7 @@ def run(
             enough = max(5.0, math.log(far) / options.task_gain if options.task_gain > 0.0 else 5.0)  # [s]
             length = enough if options.duration is None else options.duration
             rollout = ml.simulate(robot, law, q0, length, dt, progress=progress)
-    typed = options.target is not None and isinstance(task, ml.PointAttractor)
-    aim = aim_of(constraint, task, rollout) if typed else None
+    aim = aim_of(constraint, task, rollout) if options.target and isinstance(task, ml.PointAttractor) else None
     return rollout, outcome(constraint, rollout, options.tolerance, way, aim, found)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from manip_learn.commands.options import LearnOptions
 from manip_learn.commands.output import Answer, Progress, silent
 from manip_learn.constraint.mechanism import SHAPES
 from manip_learn.control.tasks.driven_motion import way_in_words
-from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
+from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.learning.report import LearningReport, RecordingOverview
 from manip_learn.learning.table import BELIEVED, dask_client
 from manip_learn.recordings.trajectory import distinct_names
@@ -41,7 +42,8 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.Constrai
         RecordingError: An option that works on recordings in memory, together with `dask`.
         ManipLearnError: Anything else that is wrong with the robot, the recordings, the settings or the output.
     """
-    if options.reference not in _REFERENCES:
+    references = _REFERENCES.get(options.reference)
+    if references is None:
         raise FeatureError(f"--reference must be world, local or auto, not {options.reference!r}")
     in_memory = {"--html": options.html, "--from": options.start, "--until": options.until}
     asked = [flag for flag, value in in_memory.items() if value is not None]
@@ -52,9 +54,7 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.Constrai
     robot, demos, frame, notes = load_to_learn(options, progress)
     if isinstance(demos, ml.Demonstrations) and (options.start is not None or options.until is not None):
         demos = ml.Demonstrations([t[options.start : options.until] for t in demos], demos.notes)
-    rows: list[ml.FeatureMap] = [
-        ml.FrameJacobian(robot, frame, options.axes, r) for r in _REFERENCES[options.reference]
-    ]
+    rows: list[ml.FeatureMap] = [ml.FrameJacobian(robot, frame, options.axes, r) for r in references]
     if options.relative_to is not None:
         rows = [ml.RelativeFrameJacobian(robot, frame, options.relative_to, options.axes)]
     learner = ml.ConstraintLearner(
@@ -77,11 +77,9 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.Constrai
     answer = replace(answer, content=answer.content | content, notes=content["notes"])
     page = None
     if options.html is not None and isinstance(demos, ml.Demonstrations):
-        from manip_learn.playback import replay
-
         named = dict(zip(distinct_names(demos), demos, strict=True))
         shown = {"constraint": learner.constraints_ or None, "report": learner.report_, "notes": answer.notes}
-        page = replay(robot, named, options.html, tip=frame, open_browser=False, **shown)
+        page = ml.replay(robot, named, options.html, tip=frame, open_browser=False, **shown)
     following = _following(options, learner.skill_.constraints[0], learner.constraint_, written)
     return learner, replace(answer.with_files(written, page), following=following)
 
@@ -129,27 +127,21 @@ def _following(options: LearnOptions, whole: ml.Constraint, constraint: ml.Const
         constraint: The best supported one.
         out: File of what was learnt.
     """
-    meant = constraint.intention
+    meant, seen = constraint.intention, ["--html", "run.html"]
     if out is None:
         return shlex.join([*TYPED.get(), "--out", "task.json"]) if TYPED.get() else ""
-    does, flags = "repeat" if meant is None else "control", ["--html", "run.html"]
-    if meant is not None and not meant.common:
-        flags = ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]
-    elif meant is None and not (constraint.shown and _goes(whole, {})):
-        ways = {("along", "0.1"): {"distance": 0.1}, ("turn", "10"): {"angle": math.radians(10.0)}}
-        goes = [typed for typed, way in ways.items() if _goes(whole, way)]
-        if not goes:
-            return ""
-        does, flags = "control", [f"--{goes[0][0]}", goes[0][1], *flags]
-    return shlex.join([PROGRAM_NAME, does, options.robot, str(out), *options.words, *flags])
-
-
-def _goes(constraint: ml.Constraint, way: dict[str, Any]) -> bool:
-    try:
-        ml.motion(constraint, **way)
-    except ManipLearnError:
-        return False
-    return True
+    told = [options.robot, str(out), *options.words]
+    if meant is not None:
+        flags = [] if meant.common else ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]
+        return shlex.join([PROGRAM_NAME, "control", *told, *(flags or seen)])
+    flags = {"": dict[str, Any](), "--along 0.1": {"distance": 0.1}, "--turn 10": {"angle": math.radians(10.0)}}
+    for typed, way in flags.items():
+        with suppress(ml.ManipLearnError):
+            if typed or constraint.shown:
+                ml.motion(whole, **way)
+                does = "control" if typed else "repeat"
+                return shlex.join([PROGRAM_NAME, does, *told, *typed.split(), *seen])
+    return ""
 
 
 def load_to_learn(
@@ -163,22 +155,20 @@ def load_to_learn(
     Raises:
         ManipLearnError: Any of the errors of loading robots and recordings.
     """
-    keywords = options.keywords()
     robot = load_for_files(options.robot, options.recordings, options)
     chosen = choose_frame(robot, options.frame)
     frames = [chosen] if options.relative_to is None else [chosen, robot.frame(options.relative_to).name]
     notes: list[str] = []
     while True:
         try:
-            if options.dask is None:
-                demos = ml.load_demonstrations(options.recordings, robot, progress=progress, **keywords)
-                return robot, demos, chosen, notes
-            source = ml.RecordingSource(options.recordings, robot, progress=progress, **keywords)
-            next(source.part(0))
-            return robot, source, chosen, notes
+            read = ml.load_demonstrations if options.dask is None else ml.RecordingSource
+            demos = read(options.recordings, robot, progress=progress, **options.keywords())
+            if isinstance(demos, ml.RecordingSource):
+                next(demos.part(0))
+            return robot, demos, chosen, notes
         except RecordingError as error:
-            joint, known = error.column, error.code == "missing-joint" and error.column in robot.joint_names
-            if joint is None or not known or any(robot.moves(joint, f) for f in frames):
+            joint = error.column if error.code == "missing-joint" else None
+            if joint not in robot.joint_names or any(robot.moves(joint, f) for f in frames):
                 raise
             robot = options.load(options.robot, {**robot.locked, joint: None}, robot.objects)
             where = " or ".join(map(repr, frames))

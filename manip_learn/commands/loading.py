@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 
 import manip_learn as ml
+from manip_learn.commands.command_line import files_behind
 from manip_learn.commands.options import RobotOptions
 from manip_learn.constraint.constraint import locks_in_words, read_constraint_file
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, UnknownNameError, named
-from manip_learn.recordings.files import SUFFIXES
-from manip_learn.recordings.guards import natural_order
 from manip_learn.recordings.options import unmoved_joint_names
-from manip_learn.recordings.saved_motion import FileHeader, file_header
+from manip_learn.recordings.saved_motion import file_header
 
 
 def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml.Robot:
@@ -21,7 +20,8 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml
 
     Rollouts and exported recordings do.
     """
-    header, file = _first_header(files)
+    tried = (path for text in files for path in islice(files_behind(text), 2))  # a folder, and its first file
+    header, file = next(((header, path) for path in tried if (header := file_header(path)) is not None), (None, Path()))
     if header is None or header.robot is None:
         return loading.load(name)
     made_with = header.robot
@@ -39,21 +39,6 @@ def locks_of_files(robot: ml.Robot, loading: RobotOptions) -> list[str]:
     """Return a note on the joints that are locked because the files say so, or nothing."""
     locked = {name: position for name, position in robot.locked.items() if name not in (loading.lock or ())}
     return [f"as when it was made: {locks_in_words(locked)}"] if locked else []
-
-
-def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
-    """The first header that a file of the library has, of the paths given or the first file in each folder."""
-    for path in map(Path, files):
-        if path.is_dir() and file_header(path) is None:
-            with suppress(OSError):  # reading says what is wrong with the folder
-                inside = (
-                    p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "." and p.is_file()
-                )
-                path = min(inside, key=lambda p: natural_order(p.name), default=path)
-        header = file_header(path) if path.exists() else None
-        if header is not None:
-            return header, path
-    return None, Path()
 
 
 def with_joints(robot: ml.Robot, joints: Sequence[str], name: str, loading: RobotOptions) -> ml.Robot:

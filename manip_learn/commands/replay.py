@@ -15,7 +15,7 @@ from manip_learn.errors import ConstraintMismatchError, RecordingError
 from manip_learn.playback.phase_bands import phases_from_json
 from manip_learn.recordings.files import recording_path
 from manip_learn.recordings.options import flag_of
-from manip_learn.recordings.saved_motion import file_header
+from manip_learn.recordings.saved_motion import FileHeader, file_header
 from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 
 
@@ -44,7 +44,7 @@ def replay_files(options: ReplayOptions, progress: Progress) -> Answer:
         if not isinstance(found := learnt.get("mechanism") or {}, Mapping):
             wrong = f"its mechanism must be an object, it is {found!r:.60}: save it again"
             raise ConstraintMismatchError(f"{options.constraint}: {wrong}")
-    rollouts = [file for file in files if _is_rollout(recording_path(file))]
+    rollouts = [file for file in files if getattr(_header(recording_path(file)), "kind", "") == "rollout"]
     recordings = [file for file in files if file not in rollouts]
     if keywords and not recordings:
         asked = ", ".join(flag_of(name) for name in keywords)
@@ -73,9 +73,8 @@ def replay_files(options: ReplayOptions, progress: Progress) -> Answer:
     return Answer(page.to_dict(), notes=page.notes, page=page)
 
 
-def _is_rollout(path: Path) -> bool:
-    header = file_header(path) if path.is_file() else None
-    return header is not None and header.kind == "rollout"
+def _header(path: Path) -> FileHeader | None:
+    return file_header(path) if path.is_file() else None
 
 
 def named_robot(words: list[str]) -> tuple[str, list[str]]:
@@ -85,7 +84,7 @@ def named_robot(words: list[str]) -> tuple[str, list[str]]:
         RecordingError: Files that do not know their robot, and none is named; or a robot alone.
     """
     first = Path(words[0])
-    header = file_header(first) if first.is_file() else None
+    header = _header(first)
     if header is not None and header.robot is not None:
         return header.robot.source or header.robot.name, words
     if len(words) > 1:
