@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, cast
+from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,7 +15,6 @@ from manip_learn.commands.options import RepeatOptions, vector
 from manip_learn.commands.output import Answer, Progress, cells, place
 from manip_learn.commands.simulated import scene_of, start_posture, with_rollout
 from manip_learn.errors import TargetError, counted
-from manip_learn.planning.repeat import TipSpeed
 
 _STEP = (
     "done: {done:.3g} {unit}; of: {wanted:.3g} {unit}; off: {off:.1f} {fine}; "
@@ -42,11 +42,18 @@ def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
             raise TargetError(f"{text}{len(moved)}")
         T, turns = np.eye(4), [math.radians(a) for a in (*moved[3:], 0.0, 0.0, 0.0)[:3]]
         T[:3, 3], T[:3, :3] = moved[:3], Rotation.from_euler("xyz", turns).as_matrix()
-    around, speed = scene_of(options.scene, robot), _tip_speed(options.tip_speed)
-    made = {"scene": around, "seed": options.seed, "tip_speed": speed, "prefer": options.prefer}
-    done = ml.repeat(skill, q0, T, **made, progress=progress)
-    rollout, steps = done.rollout, [step.to_dict() for step in done.steps]
-    ends = [f"{step.name}: at {place(step.place)}{_missed(step.off)}" for step in done.steps if step.kind == "reach"]
+    made: dict[str, Any] = {"seed": options.seed, "tip_speed": options.tip_speed, "prefer": options.prefer}
+    with suppress(ValueError):  # `repeat` refuses other words
+        made["tip_speed"] = None if options.tip_speed == "none" else float(options.tip_speed)
+    done = ml.repeat(skill, q0, T, scene=scene_of(options.scene, robot), **made, progress=progress)
+    rollout, steps, ends = done.rollout, [step.to_dict() for step in done.steps], list[str]()
+    for step in (step for step in done.steps if step.kind == "reach"):
+        missed = "" if step.off is None else f", {1e3 * step.off:.1f} mm from where a contact began"
+        ends.append(f"{step.name}: at {place(step.place)}{missed}")
+    rows = []
+    for step in steps:
+        off = {"off": 1e3 * step["deviation"], "fine": "mm" if step["unit"] == "m" else "mm or mrad"}
+        rows.append({"step": step["name"]} | cells(step | off, _STEP))
     ways = counted(sum(step.kind == "way" for step in done.steps), "way")
     answer = Answer(
         {
@@ -61,24 +68,8 @@ def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
         },
         title=f"{ways} done as shown" if done.is_done else "not all of it was done",
         sentences=[begins, done.pace, *ends],
-        rows=[{"step": step["name"]} | cells(step | _off(step), _STEP) for step in steps],
+        rows=rows,
         warnings=[f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by],
         notes=done.notes,
     )
     return with_rollout(answer, rollout, robot, "repeat", options)
-
-
-def _off(step: dict[str, Any]) -> dict[str, Any]:
-    return {"off": 1e3 * step["deviation"], "fine": "mm" if step["unit"] == "m" else "mm or mrad"}
-
-
-def _missed(off: float | None) -> str:
-    return "" if off is None else f", {1e3 * off:.1f} mm from where a contact began"
-
-
-def _tip_speed(text: str) -> TipSpeed:
-    """Return the number, None for `none`, or the word: `repeat` refuses all others."""
-    try:
-        return None if text == "none" else float(text)
-    except ValueError:
-        return cast(TipSpeed, text)

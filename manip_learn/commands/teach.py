@@ -7,21 +7,19 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, cast
+from contextlib import closing, contextmanager
 
 from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.loading import with_joints
 from manip_learn.commands.options import TeachOptions
 from manip_learn.commands.output import Answer, Progress
 from manip_learn.errors import OutputError, counted
+from manip_learn.playback.live_viewer import LiveProcess
 from manip_learn.robot.description.catalogue import known_as
-
-if TYPE_CHECKING:
-    from manip_learn.teach.session import TeachingSession
-
-_STARTS = 20.0  # [s] in which the server starts: a busy machine takes a few
-FAREWELL = 0.2  # [s] in which open pages hear that the program has ended
+from manip_learn.teach.arm import PERIOD
+from manip_learn.teach.picture import teaching_page
+from manip_learn.teach.scene import FIRST_SEED, physics
+from manip_learn.teach.session import TeachingSession
 
 
 def teach(options: TeachOptions, progress: Progress) -> Answer:
@@ -32,12 +30,6 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
         MissingExtraError: MuJoCo is not installed.
         OutputError: The server does not start, or the folder cannot be written to.
     """
-    from manip_learn.playback.live_viewer import LiveProcess
-    from manip_learn.teach.arm import PERIOD
-    from manip_learn.teach.picture import teaching_page
-    from manip_learn.teach.scene import FIRST_SEED, Kind, physics
-    from manip_learn.teach.session import TeachingSession
-
     progress("preparing the scene", 0.0)
     physics()
     robot = options.load(options.robot)
@@ -47,17 +39,15 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
     if options.out.exists() and not options.out.is_dir():
         raise OutputError(f"--out {options.out} is a file: name a folder")
     name = known_as(robot.source) or robot.name or "robot"
-    listeners: list[TeachingSession] = []
-
-    def heard(message: Any) -> None:
-        for session in listeners:
-            session.hear(message)
-
     seed = FIRST_SEED if options.seed is None else options.seed
-    server = LiveProcess(lambda token: teaching_page(robot, name, token), _STARTS, heard, 1.0 / PERIOD)
-    try:
-        session = TeachingSession(robot, tip, options.out, cast(Kind, options.scene), seed, server)
-        listeners.append(session)
+    pages = LiveProcess(
+        lambda token: teaching_page(robot, name, token),
+        20.0,  # [s] in which the server starts: a busy machine takes a few
+        lambda message: session.hear(message),
+        1.0 / PERIOD,
+    )
+    with closing(pages) as server:
+        session = TeachingSession(robot, tip, options.out, options.scene, seed, server)  # type: ignore[arg-type]
         progress("ready", 1.0)
         if options.no_browser:
             print(f"the page: {server.url}", file=sys.stderr, flush=True)
@@ -65,9 +55,7 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
             server.open_in_browser()
         with _signals(session):
             session.run()
-        time.sleep(FAREWELL)
-    finally:
-        server.close()
+        time.sleep(0.2)  # [s] in which open pages hear that the program has ended
     content = {"folder": session.folder, "recordings": session.files, "sentence": session.sentence}
     kept = f"{counted(len(session.files), 'recording')} kept in: {session.folder}"
     return Answer(
@@ -84,8 +72,7 @@ def _signals(session: TeachingSession) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    hang_up = getattr(signal, "SIGHUP", None)  # Windows has none
-    ends = [signal.SIGINT, signal.SIGTERM, *([] if hang_up is None else [hang_up])]
+    ends = [number for number in signal.Signals if number.name in ("SIGINT", "SIGTERM", "SIGHUP")]
     before = {number: signal.signal(number, lambda *_: session.end()) for number in ends}
     try:
         yield
