@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import suppress
 from typing import Any
 
@@ -40,8 +39,8 @@ def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
         if len(moved) not in (3, 6):
             text = "--moved takes 3 numbers, x,y,z [m], or 6 with rx,ry,rz [degrees about the base's axes]: got "
             raise TargetError(f"{text}{len(moved)}")
-        T, turns = np.eye(4), [math.radians(a) for a in (*moved[3:], 0.0, 0.0, 0.0)[:3]]
-        T[:3, 3], T[:3, :3] = moved[:3], Rotation.from_euler("xyz", turns).as_matrix()
+        T, turned = np.eye(4), Rotation.from_euler("xyz", moved[3:] or [0.0] * 3, degrees=True)
+        T[:3, 3], T[:3, :3] = moved[:3], turned.as_matrix()
     made: dict[str, Any] = {"seed": options.seed, "tip_speed": options.tip_speed, "prefer": options.prefer}
     with suppress(ValueError):  # `repeat` refuses other words
         made["tip_speed"] = None if options.tip_speed == "none" else float(options.tip_speed)
