@@ -8,6 +8,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from contextvars import ContextVar
 from itertools import takewhile
 from pathlib import Path, PurePosixPath
@@ -54,10 +55,9 @@ def parsed_by(options: type[Any], run: Callable[[Any], None]) -> Callable[..., N
     fields = sorted(dataclasses.fields(options), key=lambda field: (field.kw_only, headings[field.name] == "Output"))
     for field in fields:
         name, kind = field.name, hints[field.name]
-        if get_origin(kind) is Annotated:
-            kind.__metadata__[0].help = texts[name]
-        else:
-            kind = Annotated[kind, Option("--" + name.replace("_", "-"), help=texts[name])]
+        if get_origin(kind) is not Annotated:
+            kind = Annotated[kind, Option("--" + name.replace("_", "-"))]
+        kind.__metadata__[0].help = texts[name]
         default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
         parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind))
     with_options.__doc__, example, *_ = f"{inspect.getdoc(options)}\n\n".split("\n\n")
@@ -83,13 +83,12 @@ class GroupedCommand(TyperCommand):
         titles = ("Arguments", "Options", *(t for t in told["headings"].values() if t != "Output"), "Output")
         sections: dict[str, list[Any]] = {title: [] for title in titles}
         for parameter in self.get_params(ctx):
-            record = parameter.get_help_record(ctx)
-            if record is not None and parameter.param_type_name == "argument":
-                sections["Arguments"].append(record)
-            elif record is not None and (HELP_ALL in ctx.meta or parameter.name in told["first"]):
-                name = parameter.name or ""
-                sections["Output" if name in OUTPUT else told["headings"][name]].append(record)
-            elif record is not None:
+            name, heading = parameter.name or "", "Arguments"
+            if parameter.param_type_name != "argument":
+                heading = "Output" if name in OUTPUT else told["headings"][name]
+            if HELP_ALL in ctx.meta or name in told["first"]:
+                sections[heading].append(parameter.get_help_record(ctx))
+            else:
                 others.append(parameter.opts[0])
         for heading, records in sections.items():
             if records:
@@ -139,12 +138,11 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
     there = [(flag, path.expanduser()) for flag, path in outputs if path.expanduser().exists()]
     if not there:  # a file that is not there yet replaces nothing
         return
-    for one in inputs:
-        for text in [one] if isinstance(one, str | Path) else one:
-            for source in files_behind(str(text)):
-                for flag, path in there:
-                    if path.samefile(source) or path.resolve().name in _named_in(source):
-                        raise OutputError(f"{flag} {path} would replace an input, {source}: name another file")
+    texts = (text for one in inputs for text in ([one] if isinstance(one, str | Path) else one))
+    for source in (source for text in texts for source in files_behind(str(text))):
+        for flag, path in there:
+            if path.samefile(source) or path.resolve().name in _named_in(source):
+                raise OutputError(f"{flag} {path} would replace an input, {source}: name another file")
 
 
 def _named_in(source: Path) -> set[str]:
@@ -167,18 +165,15 @@ def files_behind(text: str) -> Iterator[Path]:
     if not path.exists():
         from manip_learn.robot.description.catalogue import find_robot
 
-        try:
+        with suppress(ManipLearnError):  # the command says what is wrong with it
             path = find_robot(text)
-        except ManipLearnError:  # the command says what is wrong with it
-            return
-    yield path
-    if path.is_dir():
-        try:
-            inside = [file.path for file in recording_files(path)[0]]
-        except RecordingError:
-            inside = [path]
-        for file in inside:
-            yield from (p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]
+    if path.exists():
+        yield path
+    inside = [path] if path.is_dir() else []
+    with suppress(RecordingError):
+        inside = [file.path for folder in inside for file in recording_files(folder)[0]]
+    for file in inside:
+        yield from (p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]
 
 
 def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:

@@ -16,13 +16,7 @@ from manip_learn.commands.output import console, for_json, progress
 
 # commands of 0.1 that are gone, and what to do instead; until 0.3
 REMOVED_COMMANDS = {"warm-up": "nothing is compiled any more: leave the command out"}
-app = typer.Typer(
-    name=PROGRAM_NAME,
-    cls=ProgramHelp,
-    add_completion=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
+app = typer.Typer(name=PROGRAM_NAME, cls=ProgramHelp, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 def run_command(work: str, given: Options) -> None:

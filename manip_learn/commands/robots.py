@@ -29,24 +29,25 @@ def known_robots(options: RobotsOptions, progress: Progress) -> Answer:
     In the document, `origin` is `package`, `extra` (of the extra `robots`) or `net` (of the extra `descriptions`);
     `joints` move on their own, and there are none where a description is refused, or not fetched to be listed.
     """
-    extra, sentences = sorted(example_robots()), []
-    robots = [_described(name, "package") for name in sorted(SHIPPED)] + [_described(name, "extra") for name in extra]
-    net = sorted(fetched_names().difference(SHIPPED, extra))
-    robots += [{"name": name, "origin": "net", "joints": (), "refused": None} for name in net]
+    extra, robots, sentences = example_robots(), [], []
+    known = {"package": SHIPPED, "extra": extra, "net": fetched_names().difference(SHIPPED, extra)}
     for origin, (title, more) in _ORIGINS.items():
-        known = [robot for robot in robots if robot["origin"] == origin]
-        sizes = [f" ({'refused' if robot['refused'] else len(robot['joints'])})" for robot in known]
-        names = [robot["name"] + (size if origin != "net" else "") for robot, size in zip(known, sizes, strict=True)]
-        sentences.append(f"{title}: {', '.join(names)}" if names else f"more with: pip install '{more}")
+        described = [_described(name, origin) for name in sorted(known[origin])]
+        robots += described
+        sizes = ("" if origin == "net" else f" ({'refused' if r['refused'] else len(r['joints'])})" for r in described)
+        names = ", ".join(robot["name"] + size for robot, size in zip(described, sizes, strict=True))
+        sentences.append(f"{title}: {names}" if names else f"more with: pip install '{more}")
     return Answer({"robots": robots, "extra_installed": bool(extra)}, sentences=sentences)
 
 
 def _described(name: str, origin: str) -> dict[str, Any]:
-    path, moving, refused = find_robot(name), list[str](), None
+    moving, refused = list[str](), None
     try:
-        checked = validate_urdf(parse_xml(read_description(path), path))
-        followers = {m.joint for m in checked.followers}
-        moving = [j.name for j in checked.joints if j.type != "fixed" and j.name not in followers]
+        if origin != "net":  # which is not fetched to be listed
+            path = find_robot(name)
+            checked = validate_urdf(parse_xml(read_description(path), path))
+            followers = {m.joint for m in checked.followers}
+            moving = [j.name for j in checked.joints if j.type != "fixed" and j.name not in followers]
     except ManipLearnError as error:
         refused = str(error)
     return {"name": name, "origin": origin, "joints": moving, "refused": refused}
