@@ -12,7 +12,7 @@ from contextlib import suppress
 from contextvars import ContextVar
 from itertools import takewhile
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from typer import Option
 from typer.core import TyperCommand, TyperGroup
@@ -57,7 +57,7 @@ def parsed_by(options: type[Any], run: Callable[[Any], None]) -> Callable[..., N
         name, kind = field.name, hints[field.name]
         if get_origin(kind) is not Annotated:
             kind = Annotated[kind, Option("--" + name.replace("_", "-"))]
-        kind.__metadata__[0].help = texts[name]
+        get_args(kind)[1].help = texts[name]
         default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
         parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind))
     with_options.__doc__, example, *_ = f"{inspect.getdoc(options)}\n\n".split("\n\n")

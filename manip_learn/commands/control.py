@@ -79,16 +79,11 @@ def control(options: ControlOptions, progress: Progress) -> Answer:
     q0, begins = start_posture(robot, constraint, options.start, moves or target is not None)
     if moves:
         angle, speed, shown = options.turn, options.speed, constraint.shown
-        turns = angle is not None or (options.along is None and shown is not None and shown.unit == "rad")
-        task: ml.Task = ml.motion(
-            constraint,
-            options.along,
-            None if angle is None else math.radians(angle),
-            direction=direction,
-            speed=math.radians(speed) if turns and speed is not None else speed,
-            keep_orientation=options.keep_orientation,
-            beyond_shown=options.beyond_shown,
-        )
+        if speed is not None and (angle is not None or (options.along is None and shown and shown.unit == "rad")):
+            speed = math.radians(speed)
+        angle = None if angle is None else math.radians(angle)
+        kept = {"keep_orientation": options.keep_orientation, "beyond_shown": options.beyond_shown}
+        task: ml.Task = ml.motion(constraint, options.along, angle, direction=direction, speed=speed, **kept)
     elif target is None:
         task = ml.Hold() if constraint.intention is None else ml.motion(constraint)
     elif options.rows == "all" and isinstance(constraint.features, WeighedVelocity):
@@ -140,8 +135,7 @@ def run(
         law = ml.ResolvedRateController(constraint, task, policy, options.inverse, dt=dt)  # type: ignore[arg-type]
         if isinstance(task, ml.FreeDirection):
             rollout, way = simulate_way(robot, law, q0, dt, options.duration, progress=progress)
-            margin = {"margin": margin_of(task, rollout, way.begins, robot)}
-            rollout = replace(rollout, ways=({**rollout.ways[0], **margin},))
+            rollout = replace(rollout, ways=({**way.to_dict(), "margin": margin_of(task, rollout, way.begins, robot)},))
         else:
             # an attraction leaves e^(-gain t) of the way: half a tolerance of it
             far = max(2.0 * law.task_error(q0) / options.tolerance, 1.0) if options.tolerance > 0.0 else 1.0
@@ -182,8 +176,7 @@ def outcome(
         "ignored_target_axes": [] if aim is None else list(aim.ignored),
         "final_error": error,
         "tolerance": tolerance,
-        **dict.fromkeys(("wanted", "done", "deviation", "seconds", "stopped_by")),
-        **({} if way is None else way.to_dict()),
+        **(dict.fromkeys(("wanted", "done", "deviation", "seconds", "stopped_by")) if way is None else way.to_dict()),
         "plan": None if found is None else found.to_dict(),
         "margin": r.ways[-1].get("margin") if r.ways else None,
         "hold": None,

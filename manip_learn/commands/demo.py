@@ -87,10 +87,10 @@ def demo(options: DemoOptions, progress: Progress) -> Answer:
         task, best = ml.motion(constraint, keep_orientation=True, pause=0.5), "plan"
     else:
         task, best = ml.PointAttractor(scene.target), "manipulability"
-    shown = {"without": "zero", "with": best}
+    policies = {"without": "zero", "with": best}
     if options.all_policies:
-        shown = {name: name for name in (best, "manipulability", "attractor", "zero")}
-    for i, (name, policy) in enumerate(shown.items()):
+        policies = {name: name for name in (best, "manipulability", "attractor", "zero")}
+    for i, (name, policy) in enumerate(policies.items()):
         progress("planning in which posture to take hold" if policy == "plan" else f"moving {name}", 0.5 + 0.1 * i)
         how = ControlOptions(options.robot, str(file), policy=policy, plan=policy == "plan", **scene.control)
         how = replace(how, gain=1.0 if policy == "attractor" else how.gain)
@@ -99,18 +99,11 @@ def demo(options: DemoOptions, progress: Progress) -> Answer:
     contents = {name: answer.content for name, answer in answers.items()}
     progress("writing the replay", 0.9)
     is_pair = scene.target is None and not options.all_policies  # both reach a target, on much the same way
-    page = ml.replay(
-        robot,
-        rollouts,
-        out / "replay.html",
-        tip=scene.frame,
-        title=_difference(contents) if is_pair else scene.title,
-        report=learner.report_,
-        notes=learnt.notes,
-        side_by_side=is_pair,
-        align="grasp" if is_pair else "start",
-        open_browser=options.browser and not options.as_json,
-    )
+    shown = {"tip": scene.frame, "report": learner.report_, "notes": learnt.notes, "title": scene.title}
+    if is_pair:
+        shown |= {"title": _difference(contents), "side_by_side": True, "align": "grasp"}
+    opens = options.browser and not options.as_json
+    page = ml.replay(robot, rollouts, out / "replay.html", open_browser=opens, **shown)
     progress("done", 1.0)
     plans = (f"{n}: {a.remarks[0].removeprefix('plan: ')}" for n, a in answers.items() if a.content["plan"])
     stops = (f"{n}: stopped by {c['stopped_by']}" for n, c in contents.items() if c["stopped_by"])

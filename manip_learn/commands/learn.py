@@ -20,7 +20,7 @@ from manip_learn.constraint.mechanism import SHAPES
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.errors import FeatureError, RecordingError
 from manip_learn.learning.report import LearningReport, RecordingOverview
-from manip_learn.learning.table import BELIEVED, dask_client
+from manip_learn.learning.table import dask_client
 from manip_learn.recordings.trajectory import distinct_names
 from manip_learn.robot import Reference
 
@@ -57,24 +57,16 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.Constrai
     rows: list[ml.FeatureMap] = [ml.FrameJacobian(robot, frame, options.axes, r) for r in references]
     if options.relative_to is not None:
         rows = [ml.RelativeFrameJacobian(robot, frame, options.relative_to, options.axes)]
-    learner = ml.ConstraintLearner(
-        rows,
-        options.constraints,
-        options.estimator,  # type: ignore[arg-type]  # the learner checks these words
-        phases=options.phases,  # type: ignore[arg-type]
-        mechanism=options.mechanism,  # type: ignore[arg-type]
-        seed=options.seed,
-        strength=BELIEVED if options.strength is None else options.strength,
-        keep_habits=options.habits,
-        joint_offset_std=options.zeros,
-        link_error_std=options.links,
-    )
+    # what these are is checked by the learner, which has them by the same names
+    names = "n_constraints estimator phases mechanism strength keep_habits joint_offset_std link_error_std seed".split()
+    settings = {name: getattr(options, name) for name in names}
+    learner = ml.ConstraintLearner(rows, **{name: value for name, value in settings.items() if value is not None})
     with dask_client(options.dask) as client:
         learner.fit(demos, client=client, progress=progress)
     written = learner.skill_.save(options.out) if options.out is not None else None
     answer = described(learner.constraints_, learner.reports_)
-    content = {"frame": frame, "notes": [*notes, *answer.notes]}
-    answer = replace(answer, content=answer.content | content, notes=content["notes"])
+    notes += answer.notes
+    answer = replace(answer, content=answer.content | {"frame": frame, "notes": notes}, notes=notes)
     page = None
     if options.html is not None and isinstance(demos, ml.Demonstrations):
         named = dict(zip(distinct_names(demos), demos, strict=True))

@@ -170,11 +170,11 @@ class ReadingOptions(Options, kw_only=True):
         degrees: The recordings are in degrees.
         units: Unit of the recorded angles: radians, degrees or normalised.
         time_unit: Unit of the time stamps: s, ms, us or ns.
-        ignore_column: Column to ignore; repeatable.
+        ignore_columns: Column to ignore; repeatable.
         rename: NAME_IN_FILE=NAME_IN_ROBOT; 'left_{joint}' or 'q{index}' of all joints.
         columns: Pattern of the columns, 'position.{joint}' or 'q[{index}]'; given twice: velocities.
         joint_names: Column names, in order, for files without names.
-        topic: Topic of a bag; default: all with joints.
+        topics: Topic of a bag; default: all with joints.
         rate: Samples per second; overrules time stamps.
         velocities: auto, derive: from the positions; recorded: recorded ones as they are.
         outside_limits: Samples far outside the limits: refuse or note.
@@ -185,11 +185,11 @@ class ReadingOptions(Options, kw_only=True):
     degrees: bool = False
     units: str | None = None
     time_unit: str | None = None
-    ignore_column: list[str] | None = None
+    ignore_columns: Annotated[list[str] | None, Option("--ignore-column")] = None
     rename: list[str] | None = None
     columns: list[str] | None = None
     joint_names: str | None = None
-    topic: list[str] | None = None
+    topics: Annotated[list[str] | None, Option("--topic")] = None
     rate: float | None = None
     velocities: str | None = None
     outside_limits: str | None = None
@@ -201,9 +201,7 @@ class ReadingOptions(Options, kw_only=True):
         form = "NAME_IN_FILE=NAME_IN_ROBOT, or a pattern such as 'left_{joint}'"
         # a pattern alone names the joints as the robot does
         names = [text if "=" in text or "{" not in text else f"{text}={{joint}}" for text in self.rename or ()]
-        own = {"ignore_column": "ignore_columns", "topic": "topics"}  # what the flags are called there
-        read = inspect.get_annotations(ReadingOptions)
-        given = {own.get(name, name): getattr(self, name) for name in read} | {
+        given = {name: getattr(self, name) for name in inspect.get_annotations(ReadingOptions)} | {
             "degrees": self.degrees or None,
             "rename": pairs("--rename", form, "[^=]*=.+", names) or None,
             "joint_names": self.joint_names.replace(",", " ").split() if self.joint_names else None,
@@ -324,14 +322,14 @@ class LearnOptions(ReadingOptions, RobotOptions, work="learn.learn_task"):
         html: Replay of the recordings to write, with their phases.
         relative_to: Frame, e.g. an object, from which it is seen.
         reference: world, local, or auto (the larger gap).
-        constraints: Number of constraints; default: from the data.
+        n_constraints: Number of constraints; default: from the data.
         estimator: auto, null-space, joint or separate.
         phases: auto: find the stretches in which a constraint holds; off: take recordings as a whole.
         mechanism: auto: say what holds the hand (hinge, line, ...); off.
         strength: Minimum strength of evidence for a row; default: 1.8.
-        habits: Also learn rows that may be kept by the way of moving only.
-        zeros: How far the joints' zeros may be off [deg, 68 %]; 1 for arms of hobby servos.
-        links: How far the links may be off their description [mm and mrad, 68 %].
+        keep_habits: Also learn rows that may be kept by the way of moving only.
+        joint_offset_std: How far the joints' zeros may be off [deg, 68 %]; 1 for arms of hobby servos.
+        link_error_std: How far the links may be off their description [mm and mrad, 68 %].
         start: Leave out what was recorded before [s].
         until: Leave out what was recorded after [s].
         seed: Seed of the bootstrap and of random starts.
@@ -346,14 +344,14 @@ class LearnOptions(ReadingOptions, RobotOptions, work="learn.learn_task"):
     _: KW_ONLY
     relative_to: str | None = None
     reference: str = "auto"
-    constraints: int | None = None
+    n_constraints: Annotated[int | None, Option("--constraints")] = None
     estimator: str = "auto"
     phases: str = "auto"
     mechanism: str = "auto"
     strength: float | None = None
-    habits: bool = False
-    zeros: float = 0.1
-    links: float = 0.5
+    keep_habits: Annotated[bool, Option("--habits")] = False
+    joint_offset_std: Annotated[float, Option("--zeros")] = 0.1
+    link_error_std: Annotated[float, Option("--links")] = 0.5
     start: Annotated[float | None, Option("--from")] = None
     until: float | None = None
     seed: int = 0

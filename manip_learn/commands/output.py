@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Any, final
 from manip_learn.errors import printable
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from manip_learn.playback import ReplayResult
 
 Progress = Callable[[str, float], None]  # called with what is being done and the share of it that is done, in 0 .. 1
@@ -104,13 +102,6 @@ def place(point: Iterable[float]) -> str:
     return f"({', '.join(f'{x:.3f}' for x in point)}) m"
 
 
-def console(stderr: bool = False) -> Console:
-    """A rich console, loaded at first use."""
-    from rich.console import Console
-
-    return Console(stderr=stderr)
-
-
 def silent(step: str, share: float) -> None:
     """Take progress, and show nothing."""
 
@@ -122,10 +113,11 @@ def progress(quiet: bool) -> Iterator[Progress]:
         yield silent
         return
     from rich import progress as bars
+    from rich.console import Console
 
     percent, seconds = bars.TextColumn("{task.percentage:>3.0f}%"), bars.TimeElapsedColumn()
     shown = (bars.TextColumn("{task.description}"), bars.BarColumn(), percent, seconds)
-    with bars.Progress(*shown, console=console(stderr=True), transient=True) as bar:
+    with bars.Progress(*shown, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda step, share: bar.update(task, description=step, completed=share)
 
@@ -138,7 +130,7 @@ def refused_by_system(error: OSError) -> str:
     try:
         sys.stdout.flush()
     except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        nobody_reads()
     if error.filename is None:
         return f"the answer cannot be printed: {error.strerror or error}; send it to another file or disk"
     return f"the system refuses: {error.strerror or error} ({error.filename})"

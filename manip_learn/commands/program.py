@@ -12,7 +12,7 @@ from typer.main import get_command
 
 from manip_learn.commands.command_line import PROGRAM_NAME, GroupedCommand, ProgramHelp, parsed_by
 from manip_learn.commands.options import COMMANDS, Options
-from manip_learn.commands.output import console, for_json, progress
+from manip_learn.commands.output import for_json, progress
 
 # commands of 0.1 that are gone, and what to do instead; until 0.3
 REMOVED_COMMANDS = {"warm-up": "nothing is compiled any more: leave the command out"}
@@ -33,9 +33,9 @@ def run_command(work: str, given: Options) -> None:
     if given.as_json:
         print(json.dumps(for_json(answer.content), indent=2, allow_nan=False))
     else:
-        from manip_learn.commands.tables import show  # rich takes a moment
+        from manip_learn.commands.tables import Console, show  # rich takes a moment
 
-        show(console(), answer, vars(given).get("explain"))
+        show(Console(), answer, vars(given).get("explain"))
 
 
 for each_name, (each_work, each_options) in COMMANDS.items():

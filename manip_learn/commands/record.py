@@ -9,11 +9,11 @@ import select
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import manip_learn as ml
 from manip_learn.commands.guided_frame import choose_frame
@@ -39,10 +39,9 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
         raise ConfigurationError(f"--by must be motion or key, not {options.by!r}")
     driver, robot, viewer = driver_of(options.driver), None, None
     if options.robot is not None:
-        robot, names = options.load(options.robot), getattr(driver, "joint_names", None)
-        if names is not None:
-            moving = [name for name in robot.joint_names if name in names]
-            robot = with_joints(robot, moving, options.robot, options)
+        robot = options.load(options.robot)
+        names = getattr(driver, "joint_names", None) or robot.joint_names
+        robot = with_joints(robot, [name for name in robot.joint_names if name in names], options.robot, options)
     files, since = list[Path](), 0.0
 
     def began(file: Path | None) -> None:
@@ -63,19 +62,15 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
             viewer = opened.enter_context(page)
             if options.no_browser and not options.as_json:
                 print(f"live picture: {viewer.url}", file=sys.stderr, flush=True)
-        pressed = opened.enter_context(_keys()) if options.by == "key" else None
-        done = ml.record(
-            driver,
-            options.out,
-            options.name,
-            by=options.by,  # type: ignore[arg-type]
-            motions=options.motions,
-            duration=options.duration,
-            release=not options.no_release,
-            key=pressed,
-            shown=shown,
-            began=began,
-        )
+        pressed = _keys(opened) if options.by == "key" else None
+        ends: dict[str, Any] = {
+            "by": options.by,
+            "key": pressed,
+            "motions": options.motions,
+            "duration": options.duration,
+        }
+        listeners = {"shown": shown, "began": began}
+        done = ml.record(driver, options.out, options.name, release=not options.no_release, **ends, **listeners)
     if not done.ordered:
         kept = f"; kept: {', '.join(map(str, done.files))}" if done.files else ""
         raise OutputError(f"recording ended: {done.sentence}{kept}")
@@ -152,24 +147,21 @@ def _is_driver(found: object) -> bool:
     return ready and not isinstance(found, type)
 
 
-@contextmanager
-def _keys() -> Iterator[Callable[[], Key]]:
-    """Enter or space and q as they are pressed; of a terminal without waiting for the end of a line."""
-    source, before = sys.stdin.fileno(), None
-    meanings: dict[bytes, Key] = {b"q": "end", b"": "end"}  # or nobody is there to press one
+def _keys(opened: ExitStack) -> Callable[[], Key]:
+    """Return a function for enter or space and q as they are pressed; of a terminal before the end of a line."""
+    source, meanings = (
+        sys.stdin.fileno(),
+        dict[bytes, Key]({b"q": "end", b"": "end"}),
+    )  # or nobody is there to press one
     meanings |= dict.fromkeys((b"\n", b"\r", b" "), "start or stop")
     if os.isatty(source):
         import termios
         import tty
 
-        before = termios.tcgetattr(source)
+        opened.callback(termios.tcsetattr, source, termios.TCSADRAIN, termios.tcgetattr(source))
         tty.setcbreak(source)
 
     def pressed() -> Key:
         return meanings.get(os.read(source, 1), "") if select.select([source], [], [], 0.0)[0] else ""
 
-    try:
-        yield pressed
-    finally:
-        if before is not None:
-            termios.tcsetattr(source, termios.TCSADRAIN, before)
+    return pressed

@@ -59,17 +59,9 @@ def replay_files(options: ReplayOptions, progress: Progress) -> Answer:
     for name, motion in motions:
         numbered = (f"{name} ({n})" for n in count(2))
         named[next(one for one in chain((name,), numbered) if one not in named)] = motion
-    page = ml.replay(
-        robot,
-        named,
-        options.html,
-        tip=tip,
-        open_browser=options.open_browser,
-        phases=phases_from_json((learnt.get("phases") if recordings else None) or []),
-        notes=notes,
-        constraint=constraint,
-        report=learnt or None,
-    )
+    phases = phases_from_json((learnt.get("phases") if recordings else None) or [])
+    shown: dict[str, Any] = {"phases": phases, "notes": notes, "constraint": constraint, "report": learnt or None}
+    page = ml.replay(robot, named, options.html, tip=tip, open_browser=options.open_browser, **shown)
     return Answer(page.to_dict(), notes=page.notes, page=page)
 
 

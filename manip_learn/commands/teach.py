@@ -6,8 +6,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing
+from functools import partial
 
 from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.loading import with_joints
@@ -40,21 +40,20 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
         raise OutputError(f"--out {options.out} is a file: name a folder")
     name = known_as(robot.source) or robot.name or "robot"
     seed = FIRST_SEED if options.seed is None else options.seed
-    pages = LiveProcess(
-        lambda token: teaching_page(robot, name, token),
-        20.0,  # [s] in which the server starts: a busy machine takes a few
-        lambda message: session.hear(message),
-        1.0 / PERIOD,
-    )
-    with closing(pages) as server:
+    # 20 s, in which the server starts: a busy machine takes a few
+    pages = LiveProcess(partial(teaching_page, robot, name), 20.0, lambda said: session.hear(said), 1.0 / PERIOD)
+    with closing(pages) as server, ExitStack() as handlers:
         session = TeachingSession(robot, tip, options.out, options.scene, seed, server)  # type: ignore[arg-type]
         progress("ready", 1.0)
         if options.no_browser:
             print(f"the page: {server.url}", file=sys.stderr, flush=True)
         else:
             server.open_in_browser()
-        with _signals(session):
-            session.run()
+        # Ctrl-C, the end of the terminal and a polite kill end the session, whatever it does
+        names = ("SIGINT", "SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
+        for number in [number for number in signal.Signals if number.name in names]:  # Windows has no SIGHUP
+            handlers.callback(signal.signal, number, signal.signal(number, lambda *_: session.end()))
+        session.run()
         time.sleep(0.2)  # [s] in which open pages hear that the program has ended
     content = {"folder": session.folder, "recordings": session.files, "sentence": session.sentence}
     kept = f"{counted(len(session.files), 'recording')} kept in: {session.folder}"
@@ -64,18 +63,3 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
         notes=session.arm.scene.notes,
         written=[kept if session.files else "nothing was recorded"],
     )
-
-
-@contextmanager
-def _signals(session: TeachingSession) -> Iterator[None]:
-    """Ctrl-C, the end of the terminal and a polite kill end the session, whatever it does."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    ends = [number for number in signal.Signals if number.name in ("SIGINT", "SIGTERM", "SIGHUP")]
-    before = {number: signal.signal(number, lambda *_: session.end()) for number in ends}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
