@@ -12,8 +12,7 @@ from typing import Any
 
 import manip_learn as ml
 from manip_learn.commands.command_line import PROGRAM_NAME, TYPED
-from manip_learn.commands.guided_frame import choose_frame
-from manip_learn.commands.loading import load_for_files
+from manip_learn.commands.loading import choose_frame, load_for_files
 from manip_learn.commands.options import LearnOptions
 from manip_learn.commands.output import Answer, Progress, silent
 from manip_learn.constraint.mechanism import SHAPES

@@ -1,4 +1,4 @@
-"""Robot of a command: joints are locked as the files say, or where nothing is recorded."""
+"""Robot of a command, with joints locked as its files say or where nothing is recorded, and the guided frame."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from manip_learn.constraint.constraint import locks_in_words, read_constraint_fi
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, UnknownNameError, named
 from manip_learn.recordings.options import unmoved_joint_names
 from manip_learn.recordings.saved_motion import file_header
+from manip_learn.robot.tips import distance_to_last_joint
 
 
 def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml.Robot:
@@ -75,16 +76,13 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
     except (*DAMAGE, ConstraintMismatchError):
         # Constraint.load says what is wrong with the file
         return loading.load(robot_name)
+    wrong = [f"joint {joint!r} moving, --lock would hold it still" for joint in (loading.lock or ()) if joint in joints]
     if loading.objects and sorted(loading.objects) != sorted(saved):
         had, asked = (named("object", map(repr, names)) if names else "no object" for names in (saved, loading.objects))
-        raise ConstraintMismatchError(
-            f"{constraint_file} was learnt with {had}, --object names {asked}: leave --object out, the file knows"
-        )
-    if moving := [joint for joint in (loading.lock or ()) if joint in joints]:
-        raise ConstraintMismatchError(
-            f"{constraint_file} was learnt with joint {moving[0]!r} moving, --lock {moving[0]} would hold it still: "
-            "leave --lock out, the file knows which joints were locked"
-        )
+        wrong.insert(0, f"{had}, --object names {asked}")
+    if wrong:
+        known = "leave --object and --lock out, the file knows which objects it saw and which joints were locked"
+        raise ConstraintMismatchError(f"{constraint_file} was learnt with {wrong[0]}: {known}")
     try:
         return with_joints(loading.load(robot_name, locked, saved), joints, robot_name, loading)
     except UnknownNameError as error:
@@ -100,3 +98,23 @@ def load_constraint(robot_name: str, constraint_file: str, loading: RobotOptions
     """Return the constraint in a file, and its robot; errors as of `robot_of_constraint` and `Constraint.load`."""
     robot = robot_of_constraint(robot_name, constraint_file, loading)
     return ml.Constraint.load(constraint_file, robot), robot
+
+
+def choose_frame(robot: ml.Robot, frame: str | None) -> str:
+    """Return the frame that the hand guided: the one that was named, checked, or the only likely tip.
+
+    Raises:
+        UnknownNameError: No such frame.
+        ManipLearnError: None was named and there is more than one candidate.
+    """
+    tips = ml.likely_tips(robot)
+    if frame is None and len(tips) == 1:
+        return tips[0]
+    if frame in robot.frame_names:
+        return robot.frame(frame).name
+    shown = [f"{tip} ({distance_to_last_joint(robot, tip):.3g} m from its last joint)" for tip in tips[:6]]
+    likely = f"likely tips: {', '.join(shown) or 'none'}; `manip-learn inspect` lists all frames"
+    if frame is not None:
+        raise UnknownNameError("frame", frame, robot.frame_names, f"robot {robot.name!r}", f"; {likely}")
+    flag = f"--frame {tips[0] if tips else 'NAME'}"
+    raise ml.ManipLearnError(f"which frame of {robot.name!r} was guided? Name it, e.g. {flag}; {likely}", code="frame")

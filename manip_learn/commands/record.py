@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import manip_learn as ml
-from manip_learn.commands.guided_frame import choose_frame
-from manip_learn.commands.loading import with_joints
+from manip_learn.commands.loading import choose_frame, with_joints
 from manip_learn.commands.options import RecordOptions
 from manip_learn.commands.output import Answer, Progress
 from manip_learn.drivers.record import LOOK, MOVES, By, Key

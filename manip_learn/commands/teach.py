@@ -9,8 +9,7 @@ import time
 from contextlib import ExitStack, closing
 from functools import partial
 
-from manip_learn.commands.guided_frame import choose_frame
-from manip_learn.commands.loading import with_joints
+from manip_learn.commands.loading import choose_frame, with_joints
 from manip_learn.commands.options import TeachOptions
 from manip_learn.commands.output import Answer, Progress
 from manip_learn.errors import OutputError, counted
