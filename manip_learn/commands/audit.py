@@ -31,8 +31,7 @@ def audit(options: AuditOptions, progress: Progress) -> Answer:
     source = RecordingSource(options.recordings, robot, progress=progress, **options.keywords())
     with dask_client(options.dask) as client:
         report = audit_episodes(constraint, source, client=client, progress=progress)
-    file = None if options.csv is None else write_table(report, options.csv)
-    return described(report, file)
+    return described(report, None if options.csv is None else write_table(report, options.csv))
 
 
 def described(report: AuditReport, file: Path | None = None) -> Answer:

@@ -62,14 +62,9 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
             if options.no_browser and not options.as_json:
                 print(f"live picture: {viewer.url}", file=sys.stderr, flush=True)
         pressed = _keys(opened) if options.by == "key" else None
-        ends: dict[str, Any] = {
-            "by": options.by,
-            "key": pressed,
-            "motions": options.motions,
-            "duration": options.duration,
-        }
-        listeners = {"shown": shown, "began": began}
-        done = ml.record(driver, options.out, options.name, release=not options.no_release, **ends, **listeners)
+        hooks: dict[str, Any] = {"key": pressed, "shown": shown, "began": began}
+        ends: dict[str, Any] = {"by": options.by, "motions": options.motions, "duration": options.duration}
+        done = ml.record(driver, options.out, options.name, release=not options.no_release, **ends, **hooks)
     if not done.ordered:
         kept = f"; kept: {', '.join(map(str, done.files))}" if done.files else ""
         raise OutputError(f"recording ended: {done.sentence}{kept}")
