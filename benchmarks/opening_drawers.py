@@ -62,7 +62,7 @@ class Bench:
         demonstrations = ml.load_demonstrations(shipped_recordings() / scene.recordings, self.robot)
         self.features = ml.FrameJacobian(self.robot, scene.frame)
         self.constraint = ml.ConstraintLearner(self.features).fit(demonstrations).constraint_
-        self.rest = np.array(scene.rest)
+        self.rest = np.array([float(position) for position in scene.control["rest"].split(",")])
         line = np.linalg.svd(self.constraint.selection)[2][2]
         self.outward = -line * np.sign(line[0])  # the drawer opens towards the robot
 

@@ -79,7 +79,9 @@ def test_every_file_has_a_floor():
 
 
 def test_imports_only_go_down():
-    """No file imports from a higher floor; 4 and 4' do not import each other; nothing imports the package's front."""
+    """No file imports from a higher floor; 4 and 4' do not import each other; nothing but the commands, which use the
+    library as a user does, imports the package's front, and what they take there counts as imported from its module.
+    """
     faults = []
     for source in library():
         if source.name == "":  # the front door re-exports, lazily
@@ -87,6 +89,8 @@ def test_imports_only_go_down():
         here = FLOORS[source.top]
         for target, line in own_imports(source):
             where = f"{source.relative}:{line} imports {target or 'the package itself'}"
+            if not target and source.top == "commands":
+                continue
             if not target:
                 faults.append(f"{where}: import from the module where the name lives")
                 continue

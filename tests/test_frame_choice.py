@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manip_learn.commands.guided_frame import choose_frame
+from manip_learn.commands.loading import choose_frame
 from manip_learn.errors import ManipLearnError, UnknownNameError
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.tips import distance_to_last_joint

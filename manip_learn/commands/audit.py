@@ -10,11 +10,11 @@ from pathlib import Path
 from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.loading import load_constraint
 from manip_learn.commands.options import AuditOptions
-from manip_learn.commands.output import Answer, cells, silent
+from manip_learn.commands.output import Answer, Progress, cells
 from manip_learn.errors import counted
 from manip_learn.learning.audit import AuditReport, EpisodeAudit, audit_episodes
 from manip_learn.learning.table import dask_client
-from manip_learn.recordings.load import Progress, RecordingSource
+from manip_learn.recordings.load import RecordingSource
 
 # of an episode, in the order in which they matter
 _MEASURES = (
@@ -25,14 +25,13 @@ _MEASURES = (
 _SHOWN = 20  # episodes on a terminal
 
 
-def audit(options: AuditOptions, progress: Progress = silent) -> Answer:
+def audit(options: AuditOptions, progress: Progress) -> Answer:
     """Measure and rank the episodes in some recordings; write them as CSV if a file is named."""
-    constraint, robot = load_constraint(options.robot, options.constraint, options.loading)
-    source = RecordingSource(options.recordings, robot, progress=progress, **options.reading.keywords())
+    constraint, robot = load_constraint(options.robot, options.constraint, options)
+    source = RecordingSource(options.recordings, robot, progress=progress, **options.keywords())
     with dask_client(options.dask) as client:
         report = audit_episodes(constraint, source, client=client, progress=progress)
-    file = None if options.csv is None else write_table(report, options.csv)
-    return described(report, file)
+    return described(report, None if options.csv is None else write_table(report, options.csv))
 
 
 def described(report: AuditReport, file: Path | None = None) -> Answer:

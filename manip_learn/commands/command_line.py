@@ -8,12 +8,13 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from contextvars import ContextVar
 from itertools import takewhile
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from typer import Context, Option, echo
+from typer import Option
 from typer.core import TyperCommand, TyperGroup
 
 from manip_learn.atomic_write import check_folder
@@ -28,70 +29,43 @@ OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help", HEL
 TYPED: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
 
 
-def parsed_by(options: type, run: Callable[[Any, bool], None]) -> Callable[..., None]:
-    """Return a function for typer that has the fields of some options as its parameters, and runs a command with them.
-
-    A field that is itself a dataclass is a set of options: its fields stand in its place, under its docstring.
-
-    Args:
-        options: A dataclass; the first paragraph of its docstring is the help of the command, the second an example.
-        run: Takes an object of it, and whether the answer is to be JSON.
-    """
-    own = _parameters(options)
-    sets: dict[str, Any] = {p.name: p.annotation for p in own if dataclasses.is_dataclass(p.annotation)}
-    flags = {name: _parameters(kind) for name, kind in sets.items()}
-
-    def with_options(**given: Any) -> None:
-        made = {name: sets[name](**{p.name: given[p.name] for p in of}) for name, of in flags.items()}
-        run(options(**{p.name: given[p.name] for p in own if p.name not in sets}, **made), given["as_json"])
-
-    last = [_keyword("as_json", Json, False), _keyword(HELP_ALL, HelpAll, False)]
-    merged = {q.name: q for p in own for q in flags.get(p.name, [p])} | {p.name: p for p in last}
-    with_options.__doc__, example, *_ = f"{inspect.getdoc(options)}\n\n".split("\n\n")
-    with_options.__annotations__ = {}
-    first = takewhile(lambda name: name not in sets, [*(p.name for p in own), "as_json"])
-    titles = {name: str(inspect.getdoc(kind)).partition(".")[0] for name, kind in sets.items()}
-    headings = {p.name: titles[name] for name, of in flags.items() for p in of}
-    told = {"headings": headings, "first": {*first, "help", HELP_ALL}, "example": example}
-    vars(with_options).update(__signature__=inspect.Signature(list(merged.values())), **told)
-    return with_options
-
-
 def described(kind: object) -> dict[str, str]:
     """Return the texts under `Attributes:` in the docstring of a class or a module, by their names."""
     entries = re.findall(r"^    (\w[\w ]*): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}
 
 
-def _parameters(options: Any) -> list[inspect.Parameter]:
-    """Return the fields of a dataclass as keywords, with help from its docstring or the docstring of its module."""
-    texts = described(sys.modules[options.__module__]) | described(options)
+def parsed_by(options: type[Any], run: Callable[[Any], None]) -> Callable[..., None]:
+    """Return a function for typer that has the fields of some options as its parameters, and runs a command with them.
+
+    Args:
+        options: The first paragraph of its docstring is the help of the command, the second an example.
+        run: Takes an object of it.
+    """
+
+    def with_options(**given: Any) -> None:
+        run(options(**given))
+
+    texts, headings = described(sys.modules[options.__module__]), dict[str, str]()
+    for kind in reversed(options.__mro__[:-1]):
+        texts |= described(kind)
+        title = "Options" if kind is options else str(inspect.getdoc(kind)).partition(".")[0]
+        headings |= dict.fromkeys(inspect.get_annotations(kind), title)
     hints, parameters = get_type_hints(options, include_extras=True), list[inspect.Parameter]()
-    for field in dataclasses.fields(options):
+    fields = sorted(dataclasses.fields(options), key=lambda field: (field.kw_only, headings[field.name] == "Output"))
+    for field in fields:
         name, kind = field.name, hints[field.name]
-        if get_origin(kind) is Annotated:
-            kind.__metadata__[0].help = texts[name]
-        elif not dataclasses.is_dataclass(kind):
-            kind = Annotated[kind, Option("--" + name.replace("_", "-"), help=texts[name])]
+        if get_origin(kind) is not Annotated:
+            kind = Annotated[kind, Option("--" + name.replace("_", "-"))]
+        get_args(kind)[1].help = texts[name]
         default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
-        parameters.append(_keyword(name, kind, default))
-    return parameters
-
-
-def _keyword(name: str, kind: Any, default: Any) -> inspect.Parameter:
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-
-
-def _explain_all(context: Context, asked: bool) -> None:
-    """Print the help with all options, if it was asked for."""
-    if asked and not context.resilient_parsing:
-        context.meta[HELP_ALL] = True
-        echo(context.get_help())
-        context.exit()
-
-
-Json = Annotated[bool, Option("--json", help="Print one JSON document and nothing else.")]
-HelpAll = Annotated[bool, Option("--help-all", is_eager=True, callback=_explain_all, help="Explain all options.")]
+        parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind))
+    with_options.__doc__, example, *_ = f"{inspect.getdoc(options)}\n\n".split("\n\n")
+    with_options.__annotations__ = {}
+    first = takewhile(lambda field: not field.kw_only or headings[field.name] == "Output", fields)
+    told = {"headings": headings, "first": {*(field.name for field in first), "help", HELP_ALL}, "example": example}
+    vars(with_options).update(__signature__=inspect.Signature(parameters), **told)
+    return with_options
 
 
 class GroupedCommand(TyperCommand):
@@ -106,16 +80,15 @@ class GroupedCommand(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Arguments, and the options that a beginner needs; under `--help-all` all of them, by what they are about."""
         told, others = vars(self.callback), []
-        named = dict.fromkeys(OUTPUT, "Output") | told["headings"]
-        titles = ("Arguments", "Options", *told["headings"].values(), "Output")
+        titles = ("Arguments", "Options", *(t for t in told["headings"].values() if t != "Output"), "Output")
         sections: dict[str, list[Any]] = {title: [] for title in titles}
         for parameter in self.get_params(ctx):
-            record = parameter.get_help_record(ctx)
-            if record is not None and parameter.param_type_name == "argument":
-                sections["Arguments"].append(record)
-            elif record is not None and (HELP_ALL in ctx.meta or parameter.name in told["first"]):
-                sections[named.get(parameter.name or "", "Options")].append(record)
-            elif record is not None:
+            name, heading = parameter.name or "", "Arguments"
+            if parameter.param_type_name != "argument":
+                heading = "Output" if name in OUTPUT else told["headings"][name]
+            if HELP_ALL in ctx.meta or name in told["first"]:
+                sections[heading].append(parameter.get_help_record(ctx))
+            else:
                 others.append(parameter.opts[0])
         for heading, records in sections.items():
             if records:
@@ -165,12 +138,11 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
     there = [(flag, path.expanduser()) for flag, path in outputs if path.expanduser().exists()]
     if not there:  # a file that is not there yet replaces nothing
         return
-    for one in inputs:
-        for text in [one] if isinstance(one, str | Path) else one:
-            for source in _files_behind(str(text)):
-                for flag, path in there:
-                    if path.samefile(source) or path.resolve().name in _named_in(source):
-                        raise OutputError(f"{flag} {path} would replace an input, {source}: name another file")
+    texts = (text for one in inputs for text in ([one] if isinstance(one, str | Path) else one))
+    for source in (source for text in texts for source in files_behind(str(text))):
+        for flag, path in there:
+            if path.samefile(source) or path.resolve().name in _named_in(source):
+                raise OutputError(f"{flag} {path} would replace an input, {source}: name another file")
 
 
 def _named_in(source: Path) -> set[str]:
@@ -183,7 +155,7 @@ def _named_in(source: Path) -> set[str]:
     return {PurePosixPath(name).name for name in named}
 
 
-def _files_behind(text: str) -> Iterator[Path]:
+def files_behind(text: str) -> Iterator[Path]:
     """The file or folder that an argument stands for, and what is read of a folder."""
     from manip_learn.recordings.files import recording_files, recording_path
 
@@ -193,18 +165,15 @@ def _files_behind(text: str) -> Iterator[Path]:
     if not path.exists():
         from manip_learn.robot.description.catalogue import find_robot
 
-        try:
+        with suppress(ManipLearnError):  # the command says what is wrong with it
             path = find_robot(text)
-        except ManipLearnError:  # the command says what is wrong with it
-            return
-    yield path
-    if path.is_dir():
-        try:
-            inside = [file.path for file in recording_files(path)[0]]
-        except RecordingError:
-            inside = [path]
-        for file in inside:
-            yield from (p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]
+    if path.exists():
+        yield path
+    inside = [path] if path.is_dir() else []
+    with suppress(RecordingError):
+        inside = [file.path for folder in inside for file in recording_files(folder)[0]]
+    for file in inside:
+        yield from (p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]
 
 
 def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:

@@ -9,25 +9,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manip_learn.commands.loading import load_constraint, scene_of, start_posture
+import manip_learn as ml
+from manip_learn.commands.loading import load_constraint
 from manip_learn.commands.options import ControlOptions, vector
-from manip_learn.commands.output import Answer, cells, place, silent, with_rollout
-from manip_learn.constraint.constraint import Constraint
+from manip_learn.commands.output import Answer, Progress, cells, place
+from manip_learn.commands.simulated import scene_of, start_posture, with_rollout
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
-from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.control.command import Status
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.rollout import Rollout
-from manip_learn.control.simulation import WayDone, leads_away, simulate, simulate_way
-from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
+from manip_learn.control.simulation import WayDone, leads_away, simulate_way
 from manip_learn.control.tasks.motion import motion_to, null_policy
 from manip_learn.errors import TargetError, counted
 from manip_learn.linalg import complement_rows
-from manip_learn.planning.plan import Plan, plan
 from manip_learn.planning.stations import margin_of
-from manip_learn.recordings.load import Progress
-from manip_learn.robot.robot import Robot
 
 # curve or surface that the held rows keep the hand on
 _PLACES = {"line": "line", "plane": "plane", "hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
@@ -59,7 +52,7 @@ class Aim(NamedTuple):
     crossed: float = 0.0
 
 
-def control(options: ControlOptions, progress: Progress = silent) -> Answer:
+def control(options: ControlOptions, progress: Progress) -> Answer:
     """Simulate a controller; write the rollout and a replay to files if they are named.
 
     Raises:
@@ -68,116 +61,98 @@ def control(options: ControlOptions, progress: Progress = silent) -> Answer:
         NoPlanError: With `--plan`, from no posture can the whole way be done.
         ManipLearnError: Anything else that is wrong with the robot, the constraint file, the numbers or the output.
     """
-    start, target, rest = (vector(f"--{name}", getattr(options, name)) for name in ("start", "target", "rest"))
+    target = vector("--target", options.target)
     named = (options.direction or "").strip()  # a row of the mechanism, by its name
     direction = named if named.isidentifier() else vector("--direction", options.direction)
-    constraint, robot = load_constraint(options.robot, options.constraint, options.loading)
+    constraint, robot = load_constraint(options.robot, options.constraint, options)
     named_way = options.along is not None or options.turn is not None
     if target is not None and named_way:
         raise TargetError("--target names the point, --along and --turn the way: give one of them")
     moves = named_way or (target is None and (constraint.shown is not None or direction is not None))
     if options.rows not in ("all", "held"):
         raise TargetError(f"--rows must be all or held, not {options.rows!r}")
-    own = (options.policy, rest, options.duration, options.inverse) != ("manipulability", None, None, "damped")
-    if options.planned.plan and own:
+    if not options.plan and (options.seed, options.scene) != (0, None):
+        raise TargetError("--seed and --scene go with --plan")
+    own = (options.policy, options.rest, options.duration, options.inverse) != ("manipulability", None, None, "damped")
+    if options.plan and own:
         raise TargetError("a plan has its own null-space motion: leave --policy, --rest, --duration and --inverse out")
-    q0, whence = start_posture(robot, constraint, start, moves or target is not None)
-    task = _way(options, constraint, direction) if moves else _reach(options, constraint, q0, target)
-    rollout, answer = run(options, constraint, robot, task, q0, whence, progress)
+    q0, begins = start_posture(robot, constraint, options.start, moves or target is not None)
+    if moves:
+        angle, speed, shown = options.turn, options.speed, constraint.shown
+        if speed is not None and (angle is not None or (options.along is None and shown and shown.unit == "rad")):
+            speed = math.radians(speed)
+        angle = None if angle is None else math.radians(angle)
+        kept = {"keep_orientation": options.keep_orientation, "beyond_shown": options.beyond_shown}
+        task: ml.Task = ml.motion(constraint, options.along, angle, direction=direction, speed=speed, **kept)
+    elif target is None:
+        task = ml.Hold() if constraint.intention is None else ml.motion(constraint)
+    elif options.rows == "all" and isinstance(constraint.features, WeighedVelocity):
+        task = motion_to(constraint, target, q0, speed=options.speed, keep_orientation=options.keep_orientation)
+    else:
+        task = ml.PointAttractor(target, options.task_gain, options.speed, driven=options.rows)  # type: ignore[arg-type]
+        task.displacement(task.rows(constraint), q0)  # a wrong size is refused before the simulation
+    rollout, answer = run(options, constraint, robot, task, q0, progress)
     if options.check and not answer.content["reached"]:
-        because = f": stopped by {answer.content['stopped_by']}" if isinstance(task, FreeDirection) else ""
+        because = f": stopped by {answer.content['stopped_by']}" if isinstance(task, ml.FreeDirection) else ""
         raise TargetError(f"{answer.title}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
+    answer = replace(answer, sentences=[begins, *answer.sentences])
     return with_rollout(answer, rollout, robot, "control", options)
-
-
-def _way(options: ControlOptions, constraint: Constraint, direction: list[float] | str | None) -> Task:
-    """Return the way that was named; else what was shown."""
-    angle, speed, shown = options.turn, options.speed, constraint.shown
-    turns = angle is not None or (options.along is None and shown is not None and shown.unit == "rad")
-    return motion(
-        constraint,
-        options.along,
-        None if angle is None else math.radians(angle),
-        direction=direction,
-        speed=math.radians(speed) if turns and speed is not None else speed,
-        keep_orientation=options.keep_orientation,
-        beyond_shown=options.beyond_shown,
-    )
-
-
-def _reach(options: ControlOptions, constraint: Constraint, q0: np.ndarray, target: list[float] | None) -> Task:
-    """Return the target that was named; else stay on what is held."""
-    if target is None:
-        return Hold() if constraint.intention is None else motion(constraint)
-    if options.rows == "all" and isinstance(constraint.features, WeighedVelocity):
-        return motion_to(constraint, target, q0, speed=options.speed, keep_orientation=options.keep_orientation)
-    driven = "all" if options.rows == "all" else "held"
-    task = PointAttractor(target, options.task_gain, options.speed, driven=driven)
-    task.displacement(task.rows(constraint), q0)  # a wrong size is refused before the simulation
-    return task
 
 
 def run(
     options: ControlOptions,
-    constraint: Constraint,
-    robot: Robot,
-    task: Task,
+    constraint: ml.Constraint,
+    robot: ml.Robot,
+    task: ml.Task,
     q0: np.ndarray,
-    whence: str = "",
-    progress: Progress = silent,
-    aimed: bool = True,
-) -> tuple[Rollout, Answer]:
+    progress: Progress,
+) -> tuple[ml.Rollout, Answer]:
     """Simulate a task, planned or not, and say how far it came.
 
     Args:
-        options: Plan, or policy, gains, duration and step.
+        options: Plan, or policy, gains, duration and step. If `target` was typed, it is reached when the tip is there;
+            else, when the rows that are driven are.
         constraint: What is held.
         robot: Its robot.
         task: The way or the target.
         q0: Start posture.
-        whence: Where that comes from, for people.
         progress: As for `simulate`.
-        aimed: A target is reached when the tip is there; else, when the rows that are driven are.
 
     Raises:
         TargetError: A plan of a task that is no way; or as `plan` raises it.
         NoPlanError: From no posture can the whole way be done.
     """
-    dt, margin, way, found = options.dt, None, None, None
-    if options.planned.plan:
-        if not isinstance(task, FreeDirection):
+    dt, way, found = options.dt, None, None
+    if options.plan:
+        if not isinstance(task, ml.FreeDirection):
             raise TargetError("only a way is planned: --plan goes with --along or --turn")
-        around = scene_of(options.planned.scene, robot)
-        found = plan(constraint, task, q0, options.planned.seed, scene=around, dt=dt, progress=progress)
-        rollout, margin = found.rollout, found.margin
+        around = scene_of(options.scene, robot)
+        found = ml.plan(constraint, task, q0, options.seed, scene=around, dt=dt, progress=progress)
+        rollout = found.rollout
         way = replace(found.outcome, begins=float(found.approach.time[-1]) + (found.outcome.begins or 0.0))
     else:
         policy = null_policy(options.policy, task, constraint, robot, options.gain, vector("--rest", options.rest))
-        law = ResolvedRateController(constraint, task, policy, options.inverse, dt=dt)  # type: ignore[arg-type]
-        if isinstance(task, FreeDirection):
+        law = ml.ResolvedRateController(constraint, task, policy, options.inverse, dt=dt)  # type: ignore[arg-type]
+        if isinstance(task, ml.FreeDirection):
             rollout, way = simulate_way(robot, law, q0, dt, options.duration, progress=progress)
-            margin = margin_of(task, rollout, way.begins, robot)
-            rollout = replace(rollout, ways=({**rollout.ways[0], "margin": margin},))
+            rollout = replace(rollout, ways=({**way.to_dict(), "margin": margin_of(task, rollout, way.begins, robot)},))
         else:
             # an attraction leaves e^(-gain t) of the way: half a tolerance of it
             far = max(2.0 * law.task_error(q0) / options.tolerance, 1.0) if options.tolerance > 0.0 else 1.0
             enough = max(5.0, math.log(far) / options.task_gain if options.task_gain > 0.0 else 5.0)  # [s]
             length = enough if options.duration is None else options.duration
-            rollout = simulate(robot, law, q0, length, dt, progress=progress)
-    aim = aim_of(constraint, task, rollout) if aimed and isinstance(task, PointAttractor) else None
-    answer = outcome(constraint, rollout, options.tolerance, way, aim, found, margin)
-    begins = f"start: {whence} (another: --start)" if whence else ""
-    return rollout, replace(answer, sentences=[begins, *answer.sentences])
+            rollout = ml.simulate(robot, law, q0, length, dt, progress=progress)
+    aim = aim_of(constraint, task, rollout) if options.target and isinstance(task, ml.PointAttractor) else None
+    return rollout, outcome(constraint, rollout, options.tolerance, way, aim, found)
 
 
 def outcome(
-    constraint: Constraint,
-    rollout: Rollout,
+    constraint: ml.Constraint,
+    rollout: ml.Rollout,
     tolerance: float,
     way: WayDone | None = None,
     aim: Aim | None = None,
-    found: Plan | None = None,
-    margin: float | None = None,
+    found: ml.Plan | None = None,
 ) -> Answer:
     """Say what a rollout did, in numbers and in words.
 
@@ -188,12 +163,11 @@ def outcome(
         way: What became of a way along the mechanism; None without one.
         aim: What became of a typed target; None without one.
         found: The plan that was followed; None without one.
-        margin: Least share of its own limits that the way left; None without a way.
     """
     r, error = rollout, float(rollout.task_error[-1])
     done = way is not None and way.is_done
     last = r.status[-max(1, len(r) // 20) :]
-    at_rest = last.count(Status.STALLED) + last.count(Status.SINGULAR) > 0.5 * len(last)
+    at_rest = last.count(ml.Status.STALLED) + last.count(ml.Status.SINGULAR) > 0.5 * len(last)
     content: dict[str, Any] = {
         "sentence": "",
         "reached": done if way is not None else (error if aim is None else aim.error) <= tolerance,
@@ -202,10 +176,9 @@ def outcome(
         "ignored_target_axes": [] if aim is None else list(aim.ignored),
         "final_error": error,
         "tolerance": tolerance,
-        **dict.fromkeys(("wanted", "done", "deviation", "seconds", "stopped_by")),
-        **({} if way is None else way.to_dict()),
+        **(dict.fromkeys(("wanted", "done", "deviation", "seconds", "stopped_by")) if way is None else way.to_dict()),
         "plan": None if found is None else found.to_dict(),
-        "margin": margin,
+        "margin": r.ways[-1].get("margin") if r.ways else None,
         "hold": None,
         "min_manipulability": float(r.manipulability.min()),
         "mean_manipulability": float(r.manipulability.mean()),
@@ -218,7 +191,7 @@ def outcome(
     if way is None:
         content["sentence"] = _arrival(content["reached"], aim, constraint.mechanism, tolerance)
         later = r.manipulability[r.time >= min(0.1, r.time[-1])]  # [s] a nearly singular start is not due to the policy
-        shares = {"least": float(later.min()), "unhindered": r.status.count(Status.OK) / len(r)}
+        shares = {"least": float(later.min()), "unhindered": r.status.count(ml.Status.OK) / len(r)}
         facts = cells(content | shares, _ROLLOUT)
     else:
         verb, content["hold"] = _deed(constraint, r, way)
@@ -241,7 +214,7 @@ def outcome(
     )
 
 
-def _arrival(reached: bool, aim: Aim | None, known: Mechanism | None, tolerance: float) -> str:
+def _arrival(reached: bool, aim: Aim | None, known: ml.Mechanism | None, tolerance: float) -> str:
     """Return in words where the hand ended without a way."""
     if aim is None:
         return "held what is held: --along, --turn or --target names a task"
@@ -274,7 +247,7 @@ def _obstacles(content: dict[str, Any], way: WayDone | None, aim: Aim | None) ->
         yield f"{left:.3g} left after {content['duration']:g} s, still moving: try a longer --duration"
 
 
-def _deed(constraint: Constraint, rollout: Rollout, way: WayDone) -> tuple[str, list[float] | None]:
+def _deed(constraint: ml.Constraint, rollout: ml.Rollout, way: WayDone) -> tuple[str, list[float] | None]:
     """Return what a way did to its mechanism, and where the hand was when it began, in the base frame [m]."""
     known, frame, robot = constraint.mechanism, getattr(constraint.features, "frame", None), constraint.robot
     verb = "turned" if known is not None and known.type in ("screw", "ball") else "moved"
@@ -287,7 +260,7 @@ def _deed(constraint: Constraint, rollout: Rollout, way: WayDone) -> tuple[str, 
     return verb, None if way.begins is None else first.tolist()
 
 
-def aim_of(constraint: Constraint, task: PointAttractor, rollout: Rollout) -> Aim:
+def aim_of(constraint: ml.Constraint, task: ml.PointAttractor, rollout: ml.Rollout) -> Aim:
     """Return what became of a target at the end of a motion."""
     features, q = constraint.features, rollout.q[-1]
     if task.target.shape != (features.n_rows,):  # given along the constrained rows: nothing of it is ignored

@@ -4,23 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+import manip_learn as ml
 from manip_learn.commands.control import run
 from manip_learn.commands.learn import fit
-from manip_learn.commands.options import ControlOptions, DemoOptions, LearnOptions, PlanOptions, ReadingOptions
-from manip_learn.commands.output import Answer, silent
-from manip_learn.control.rollout import Rollout
-from manip_learn.control.tasks import PointAttractor, motion
+from manip_learn.commands.options import ControlOptions, DemoOptions, LearnOptions
+from manip_learn.commands.output import Answer, Progress, silent
 from manip_learn.errors import UnknownNameError
-from manip_learn.playback import replay
 from manip_learn.recordings.files import shipped_recordings
-from manip_learn.recordings.load import Progress
-from manip_learn.robot import load_robot
-
-PAUSE = 0.5  # [s] at the handle, as a gripper takes to close
 
 
 class DemoScene(NamedTuple):
@@ -29,56 +23,49 @@ class DemoScene(NamedTuple):
     Attributes:
         recordings: Folder among the shipped recordings.
         frame: The frame that was guided.
-        axes: Feature rows.
         title: For the page.
         story: What the start is, and how typical its outcome, for the terminal.
         start: Joint positions [rad].
-        rest: Rest posture of the attractor policy, as it is typed [rad].
+        control: Options of the rollouts: `rest` is the rest posture of the attractor policy.
+        learn: Options for learning.
         target: For the feature rows, in the base frame; None where the hand does what was shown, without turning.
-        duration: Of a demo without a way [s]; None for as long as a way needs.
-        velocities: How recorded ones are used.
     """
 
     recordings: str
     frame: str
-    axes: str
     title: str
     story: str
     start: tuple[float, ...]
-    rest: str
+    control: Mapping[str, Any]
+    learn: Mapping[str, Any] = {}
     target: tuple[float, ...] | None = None
-    duration: float | None = None
-    velocities: str | None = None
 
 
 SCENES = {
     "sawyer": DemoScene(
-        recordings="sawyer_drawer",
-        frame="right_gripper_tip",
-        axes="xyz",
-        title="a drawer, learnt from 50 guided motions",
-        story="Both start at the shut drawer, in one posture near a singularity of the task, and open it as far as was "
+        "sawyer_drawer",
+        "right_gripper_tip",
+        "a drawer, learnt from 50 guided motions",
+        "Both start at the shut drawer, in one posture near a singularity of the task, and open it as far as was "
         "shown, without turning.",
         # of benchmarks/opening_drawers.py, near a singularity, seed 20000, number 28: the elbow is at the side
         start=(0.1096, -1.6298, 2.8231, -1.8008, 2.0846, -0.051, 3.049),
-        rest="-0.13,-0.974,0.386,2.142,-0.372,-1.105,3.227",  # the mean recorded posture
+        control={"rest": "-0.13,-0.974,0.386,2.142,-0.372,-1.105,3.227"},  # the mean recorded posture
     ),
     "planar3": DemoScene(
-        recordings="planar3_reach",
-        frame="tip",
-        axes="planar",
-        title="reaching, learnt from 20 motions",
-        story="The arm starts stretched out, the paper's singular start but for a tenth of a degree.",
+        "planar3_reach",
+        "tip",
+        "reaching, learnt from 20 motions",
+        "The arm starts stretched out, the paper's singular start but for a tenth of a degree.",
         start=tuple(np.radians([90.1, 0.0, 0.0]).tolist()),
-        rest=",".join(map(str, np.radians([10.0, -10.0, 10.0]))),
+        control={"rest": ",".join(map(str, np.radians([10.0, -10.0, 10.0]))), "duration": 8.0},
+        learn={"axes": "planar", "velocities": "recorded"},  # which made the positions, by Euler steps
         target=(0.0, 0.5, 0.0),
-        duration=8.0,
-        velocities="recorded",  # which made the positions, by Euler steps
     ),
 }
 
 
-def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
+def demo(options: DemoOptions, progress: Progress) -> Answer:
     """Learn, move from one nearly singular start without and with what was learnt, write constraint, rollouts, replay.
 
     "without" leaves the spare joints at rest; "with" plans the posture of hold where a fixture is moved, and climbs mu
@@ -93,63 +80,48 @@ def demo(options: DemoOptions, progress: Progress = silent) -> Answer:
     scene, out = SCENES[options.robot], options.out
     progress("learning from the recordings", 0.0)
     shipped, file = str(shipped_recordings() / scene.recordings), out / "constraint.json"
-    reading = ReadingOptions(velocities=scene.velocities)
-    learning = LearnOptions(options.robot, [shipped], scene.frame, scene.axes, file, reading=reading)
-    learner, learnt = fit(learning)
-    robot = load_robot(options.robot)
-    constraint, rollouts, answers = learner.constraint_, dict[str, Rollout](), dict[str, Answer]()
-    best = "manipulability" if scene.target is not None else "plan"
-    shown = {"without": "zero", "with": best}
+    learner, learnt = fit(LearnOptions(options.robot, [shipped], scene.frame, out=file, **scene.learn))
+    robot, constraint = ml.load_robot(options.robot), learner.constraint_
+    rollouts, answers = dict[str, ml.Rollout](), dict[str, Answer]()
+    if scene.target is None:  # the pause [s] at the handle is what a gripper takes to close
+        task, best = ml.motion(constraint, keep_orientation=True, pause=0.5), "plan"
+    else:
+        task, best = ml.PointAttractor(scene.target), "manipulability"
+    policies = {"without": "zero", "with": best}
     if options.all_policies:
-        shown = {name: name for name in dict.fromkeys((best, "manipulability", "attractor", "zero"))}
-    for i, (name, policy) in enumerate(shown.items()):
+        policies = {name: name for name in (best, "manipulability", "attractor", "zero")}
+    for i, (name, policy) in enumerate(policies.items()):
         progress("planning in which posture to take hold" if policy == "plan" else f"moving {name}", 0.5 + 0.1 * i)
-        how = ControlOptions(options.robot, str(file), policy=policy, rest=scene.rest, duration=scene.duration)
-        how = replace(how, planned=PlanOptions(policy == "plan"), gain=1.0 if policy == "attractor" else how.gain)
-        if scene.target is None:
-            task = motion(constraint, keep_orientation=True, pause=PAUSE)
-        else:
-            task = PointAttractor(scene.target)
-        rollouts[name], answer = run(how, constraint, robot, task, np.array(scene.start), aimed=False)
+        how = ControlOptions(options.robot, str(file), policy=policy, plan=policy == "plan", **scene.control)
+        how = replace(how, gain=1.0 if policy == "attractor" else how.gain)
+        rollouts[name], answer = run(how, constraint, robot, task, np.array(scene.start), silent)
         answers[name] = answer.with_files(rollouts[name].save(out / f"{name}.npz"))
+    contents = {name: answer.content for name, answer in answers.items()}
     progress("writing the replay", 0.9)
     is_pair = scene.target is None and not options.all_policies  # both reach a target, on much the same way
-    page = replay(
-        robot,
-        rollouts,
-        out / "replay.html",
-        tip=scene.frame,
-        title=_difference(answers) if is_pair else scene.title,
-        report=learner.report_,
-        notes=learnt.notes,
-        side_by_side=is_pair,
-        align="grasp" if is_pair else "start",
-        open_browser=options.browser and not options.as_json,
-    )
+    shown = {"tip": scene.frame, "report": learner.report_, "notes": learnt.notes, "title": scene.title}
+    if is_pair:
+        shown |= {"title": _difference(contents), "side_by_side": True, "align": "grasp"}
+    opens = options.browser and not options.as_json
+    page = ml.replay(robot, rollouts, out / "replay.html", open_browser=opens, **shown)
     progress("done", 1.0)
-    contents = {name: answer.content for name, answer in answers.items()}
+    plans = (f"{n}: {a.remarks[0].removeprefix('plan: ')}" for n, a in answers.items() if a.content["plan"])
+    stops = (f"{n}: stopped by {c['stopped_by']}" for n, c in contents.items() if c["stopped_by"])
     return replace(
         learnt,
         content={"constraint": learnt.content, "rollouts": contents, "html": page.html, "bytes": page.bytes},
-        remarks=[
-            *learnt.remarks,
-            scene.story,
-            *(f"{n}: {a.remarks[0].removeprefix('plan: ')}" for n, a in answers.items() if a.content["plan"]),
-        ],
+        remarks=[*learnt.remarks, scene.story, *plans],
         rows=[{"policy": name, **answer.facts} for name, answer in answers.items()],
-        warnings=[
-            *learnt.warnings,
-            *(f"{n}: stopped by {c['stopped_by']}" for n, c in contents.items() if c["stopped_by"]),
-        ],
+        warnings=[*learnt.warnings, *stops],
         page=page,
         following="",
     )
 
 
-def _difference(answers: Mapping[str, Answer]) -> str:
+def _difference(contents: Mapping[str, Mapping[str, Any]]) -> str:
     """Say what each rollout did: "Without: 1 of 23 cm, then it stops at a singularity. With: all 23 cm."."""
     sentences = []
-    for name, way in ((name, answer.content) for name, answer in answers.items()):
+    for name, way in contents.items():
         done, wanted, stopped = 100 * way["done"], 100 * way["wanted"], way["stopped_by"]
         far = f"all {done:.0f} cm" if stopped is None else f"{done:.0f} of {wanted:.0f} cm, then it stops at {stopped}"
         sentences.append(f"{name.capitalize()}: {far}.")

@@ -8,27 +8,26 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
+import manip_learn as ml
 from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.command_line import refuse_to_replace
 from manip_learn.commands.loading import load_constraint, load_for_files, locks_of_files
 from manip_learn.commands.options import ExportOptions, vector
-from manip_learn.commands.output import Answer
-from manip_learn.constraint.constraint import Constraint, read_constraint_file
+from manip_learn.commands.output import Answer, Progress
+from manip_learn.constraint.constraint import read_constraint_file
 from manip_learn.control.interop.force_control import WRITERS as TASK_WRITERS
 from manip_learn.control.interop.force_control import as_json
 from manip_learn.errors import OutputError, counted
-from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.load import Progress
 from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
 from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, mcap_bytes
 
-_LEROBOT = "lerobot"
 # name on the command line -> endings, and the writer of one motion
 _FORMATS: dict[str, tuple[tuple[str, ...], Callable[[SavedMotion], bytes]]] = {
     "mcap": ((".mcap",), mcap_bytes),
     "csv": ((".csv",), csv_bytes),
     "trajectory": ((".yaml", ".yml", ".json"), joint_trajectory_bytes),
 }
+_KINDS = [*_FORMATS, "lerobot"]
 
 
 def export(options: ExportOptions, progress: Progress) -> Answer:
@@ -43,21 +42,21 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
         return _export_task(options, TASK_WRITERS[options.to])
     out = options.out
     by_ending = next((name for name, (endings, _) in _FORMATS.items() if out.suffix.lower() in endings), None)
-    kind = options.to or by_ending or _LEROBOT
-    if kind not in (*_FORMATS, _LEROBOT):
-        raise OutputError(f"--to must be one of {', '.join([*_FORMATS, _LEROBOT, *TASK_WRITERS])}, not {options.to!r}")
+    kind = options.to or by_ending or "lerobot"
+    if kind not in _KINDS:
+        raise OutputError(f"--to must be one of {', '.join([*_KINDS, *TASK_WRITERS])}, not {options.to!r}")
     if (options.to is None and by_ending is None and out.suffix) or by_ending not in (None, kind):
         raise OutputError(
             f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .yaml or .json; "
             "LeRobot data and several files are written to a folder (a name without ending)"
         )
-    robot = load_for_files(options.robot, options.files, options.loading)
-    demonstrations = load_demonstrations(options.files, robot, **options.reading.keywords())
+    robot = load_for_files(options.robot, options.files, options)
+    demonstrations = ml.load_demonstrations(options.files, robot, **options.keywords())
     motions = [motion_of_trajectory(t, robot) for t in demonstrations]
-    if kind == _LEROBOT:
+    if kind == "lerobot":
         from manip_learn.recordings.writers.lerobot_writer import write_lerobot
 
-        files = (write_lerobot(out, motions),)
+        files = [write_lerobot(out, motions)]
     else:
         endings, content_of = _FORMATS[kind]
         is_file = out.suffix.lower() in endings
@@ -72,8 +71,8 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
         names = [out if is_file else out / (name + endings[0]) for name in safe]
         refuse_to_replace([("--out", name) for name in names], options.files)
         written = [content_of(m) for m in motions]  # nothing is written unless all can be
-        files = tuple(map(write_atomically, names, written))
-    notes = [*locks_of_files(robot, options.loading), *demonstrations.notes]
+        files = list(map(write_atomically, names, written))
+    notes = [*locks_of_files(robot, options), *demonstrations.notes]
     return _exported(kind, files, notes, len(motions), sum(map(len, motions)))
 
 
@@ -84,11 +83,11 @@ def _exported(kind: str, files: Sequence[Path], notes: list[str], trajectories: 
     return Answer(content, remarks=[said], notes=notes, written=[f"{kind}: {file}" for file in files])
 
 
-def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLike], str]) -> Answer:
+def _export_task(options: ExportOptions, text_of: Callable[[ml.Constraint, ArrayLike], str]) -> Answer:
     """Write a constraint for another controller; it says in words what it holds."""
     if len(options.files) != 1:
         raise OutputError(f"--to {options.to} writes one constraint file, got {', '.join(options.files)}")
-    constraint, robot = load_constraint(options.robot, options.files[0], options.loading)
+    constraint, robot = load_constraint(options.robot, options.files[0], options)
     shown, at = constraint.provenance.get("postures"), vector("--at", options.at)
     if at is not None:
         q, where = robot.checked_posture(at), ""

@@ -5,28 +5,23 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import manip_learn as ml
 from manip_learn.commands.command_line import PROGRAM_NAME, TYPED
-from manip_learn.commands.guided_frame import choose_frame
-from manip_learn.commands.loading import load_for_files
+from manip_learn.commands.loading import choose_frame, load_for_files
 from manip_learn.commands.options import LearnOptions
-from manip_learn.commands.output import Answer, silent
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
+from manip_learn.commands.output import Answer, Progress, silent
 from manip_learn.constraint.mechanism import SHAPES
-from manip_learn.control.tasks import motion
 from manip_learn.control.tasks.driven_motion import way_in_words
-from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
-from manip_learn.learning import ConstraintLearner, LearningReport
-from manip_learn.learning.report import RecordingOverview
-from manip_learn.learning.table import BELIEVED, dask_client
-from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.load import Progress, RecordingSource
-from manip_learn.recordings.trajectory import Demonstrations, distinct_names
-from manip_learn.robot.robot import Reference, Robot
+from manip_learn.errors import FeatureError, RecordingError
+from manip_learn.learning.report import LearningReport, RecordingOverview
+from manip_learn.learning.table import dask_client
+from manip_learn.recordings.trajectory import distinct_names
+from manip_learn.robot import Reference
 
 _REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
 
@@ -36,7 +31,7 @@ def learn_task(options: LearnOptions, progress: Progress = silent) -> Answer:
     return fit(options, progress)[1]
 
 
-def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ConstraintLearner, Answer]:
+def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.ConstraintLearner, Answer]:
     """Learn a constraint from recordings; write it, and a replay of the recordings, to files if they are named.
 
     With `relative_to` the velocity of the frame is seen from that other one, in its axes; `reference` does not count.
@@ -46,7 +41,8 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ConstraintL
         RecordingError: An option that works on recordings in memory, together with `dask`.
         ManipLearnError: Anything else that is wrong with the robot, the recordings, the settings or the output.
     """
-    if options.reference not in _REFERENCES:
+    references = _REFERENCES.get(options.reference)
+    if references is None:
         raise FeatureError(f"--reference must be world, local or auto, not {options.reference!r}")
     in_memory = {"--html": options.html, "--from": options.start, "--until": options.until}
     asked = [flag for flag, value in in_memory.items() if value is not None]
@@ -55,41 +51,31 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ConstraintL
         raise RecordingError(f"{asked[0]} works on recordings in memory, not with --dask: {instead}", code="option")
     progress("reading", 0.0)
     robot, demos, frame, notes = load_to_learn(options, progress)
-    if isinstance(demos, Demonstrations) and (options.start is not None or options.until is not None):
-        demos = Demonstrations([t[options.start : options.until] for t in demos], demos.notes)
-    rows: list[FeatureMap] = [FrameJacobian(robot, frame, options.axes, r) for r in _REFERENCES[options.reference]]
+    if isinstance(demos, ml.Demonstrations) and (options.start is not None or options.until is not None):
+        demos = ml.Demonstrations([t[options.start : options.until] for t in demos], demos.notes)
+    rows: list[ml.FeatureMap] = [ml.FrameJacobian(robot, frame, options.axes, r) for r in references]
     if options.relative_to is not None:
-        rows = [RelativeFrameJacobian(robot, frame, options.relative_to, options.axes)]
-    learner = ConstraintLearner(
-        rows,
-        options.constraints,
-        options.estimator,  # type: ignore[arg-type]  # the learner checks these words
-        phases=options.phases,  # type: ignore[arg-type]
-        mechanism=options.mechanism,  # type: ignore[arg-type]
-        seed=options.seed,
-        strength=BELIEVED if options.strength is None else options.strength,
-        keep_habits=options.habits,
-        joint_offset_std=options.zeros,
-        link_error_std=options.links,
-    )
+        rows = [ml.RelativeFrameJacobian(robot, frame, options.relative_to, options.axes)]
+    # what these are is checked by the learner, which has them by the same names
+    names = "n_constraints estimator phases mechanism strength keep_habits joint_offset_std link_error_std seed".split()
+    settings = {name: getattr(options, name) for name in names}
+    learner = ml.ConstraintLearner(rows, **{name: value for name, value in settings.items() if value is not None})
     with dask_client(options.dask) as client:
         learner.fit(demos, client=client, progress=progress)
     written = learner.skill_.save(options.out) if options.out is not None else None
     answer = described(learner.constraints_, learner.reports_)
-    content = {"frame": frame, "notes": [*notes, *answer.notes]}
-    answer = replace(answer, content=answer.content | content, notes=content["notes"])
+    notes += answer.notes
+    answer = replace(answer, content=answer.content | {"frame": frame, "notes": notes}, notes=notes)
     page = None
-    if options.html is not None and isinstance(demos, Demonstrations):
-        from manip_learn.playback import replay
-
+    if options.html is not None and isinstance(demos, ml.Demonstrations):
         named = dict(zip(distinct_names(demos), demos, strict=True))
         shown = {"constraint": learner.constraints_ or None, "report": learner.report_, "notes": answer.notes}
-        page = replay(robot, named, options.html, tip=frame, open_browser=False, **shown)
+        page = ml.replay(robot, named, options.html, tip=frame, open_browser=False, **shown)
     following = _following(options, learner.skill_.constraints[0], learner.constraint_, written)
     return learner, replace(answer.with_files(written, page), following=following)
 
 
-def described(constraints: Sequence[Constraint], reports: Sequence[LearningReport]) -> Answer:
+def described(constraints: Sequence[ml.Constraint], reports: Sequence[LearningReport]) -> Answer:
     """Return constraints with the evidence for them as an answer; the first, best supported, is the first to be told.
 
     Args:
@@ -123,7 +109,7 @@ def described(constraints: Sequence[Constraint], reports: Sequence[LearningRepor
     )
 
 
-def _following(options: LearnOptions, whole: Constraint, constraint: Constraint, out: Path | None) -> str:
+def _following(options: LearnOptions, whole: ml.Constraint, constraint: ml.Constraint, out: Path | None) -> str:
     """Return the command to type next: it does what was shown, or writes what was learnt; empty if nothing is free.
 
     Args:
@@ -132,32 +118,26 @@ def _following(options: LearnOptions, whole: Constraint, constraint: Constraint,
         constraint: The best supported one.
         out: File of what was learnt.
     """
-    meant = constraint.intention
+    meant, seen = constraint.intention, ["--html", "run.html"]
     if out is None:
         return shlex.join([*TYPED.get(), "--out", "task.json"]) if TYPED.get() else ""
-    does, flags = "repeat" if meant is None else "control", ["--html", "run.html"]
-    if meant is not None and not meant.common:
-        flags = ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]
-    elif meant is None and not (constraint.shown and _goes(whole, {})):
-        ways = {("along", "0.1"): {"distance": 0.1}, ("turn", "10"): {"angle": math.radians(10.0)}}
-        goes = [typed for typed, way in ways.items() if _goes(whole, way)]
-        if not goes:
-            return ""
-        does, flags = "control", [f"--{goes[0][0]}", goes[0][1], *flags]
-    return shlex.join([PROGRAM_NAME, does, options.robot, str(out), *options.loading.words, *flags])
-
-
-def _goes(constraint: Constraint, way: dict[str, Any]) -> bool:
-    try:
-        motion(constraint, **way)
-    except ManipLearnError:
-        return False
-    return True
+    told = [options.robot, str(out), *options.words]
+    if meant is not None:
+        flags = [] if meant.common else ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]
+        return shlex.join([PROGRAM_NAME, "control", *told, *(flags or seen)])
+    flags = {"": dict[str, Any](), "--along 0.1": {"distance": 0.1}, "--turn 10": {"angle": math.radians(10.0)}}
+    for typed, way in flags.items():
+        with suppress(ml.ManipLearnError):
+            if typed or constraint.shown:
+                ml.motion(whole, **way)
+                does = "control" if typed else "repeat"
+                return shlex.join([PROGRAM_NAME, does, *told, *typed.split(), *seen])
+    return ""
 
 
 def load_to_learn(
     options: LearnOptions, progress: Progress = silent
-) -> tuple[Robot, Demonstrations | RecordingSource, str, list[str]]:
+) -> tuple[ml.Robot, ml.Demonstrations | ml.RecordingSource, str, list[str]]:
     """Robot, recordings, frame, and notes on joints that were locked because nothing is recorded for them.
 
     A joint is locked automatically only if it does not move the frame: then it cannot matter to the constraint
@@ -166,23 +146,21 @@ def load_to_learn(
     Raises:
         ManipLearnError: Any of the errors of loading robots and recordings.
     """
-    loading, keywords = options.loading, options.reading.keywords()
-    robot = load_for_files(options.robot, options.recordings, loading)
+    robot = load_for_files(options.robot, options.recordings, options)
     chosen = choose_frame(robot, options.frame)
     frames = [chosen] if options.relative_to is None else [chosen, robot.frame(options.relative_to).name]
     notes: list[str] = []
     while True:
         try:
-            if options.dask is None:
-                demos = load_demonstrations(options.recordings, robot, progress=progress, **keywords)
-                return robot, demos, chosen, notes
-            source = RecordingSource(options.recordings, robot, progress=progress, **keywords)
-            next(source.part(0))
-            return robot, source, chosen, notes
+            read = ml.load_demonstrations if options.dask is None else ml.RecordingSource
+            demos = read(options.recordings, robot, progress=progress, **options.keywords())
+            if isinstance(demos, ml.RecordingSource):
+                next(demos.part(0))
+            return robot, demos, chosen, notes
         except RecordingError as error:
-            joint, known = error.column, error.code == "missing-joint" and error.column in robot.joint_names
-            if joint is None or not known or any(robot.moves(joint, f) for f in frames):
+            joint = error.column if error.code == "missing-joint" else None
+            if joint not in robot.joint_names or any(robot.moves(joint, f) for f in frames):
                 raise
-            robot = loading.load(options.robot, {**robot.locked, joint: None}, robot.objects)
+            robot = options.load(options.robot, {**robot.locked, joint: None}, robot.objects)
             where = " or ".join(map(repr, frames))
             notes.append(f"joint {joint!r} is not recorded and does not move {where}: it was locked")

@@ -1,34 +1,28 @@
-"""Robot, frame, start and scene of a command: joints are locked as the files say, or where nothing is recorded."""
+"""Robot of a command, with joints locked as its files say or where nothing is recorded, and the guided frame."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
-
+import manip_learn as ml
+from manip_learn.commands.command_line import files_behind
 from manip_learn.commands.options import RobotOptions
-from manip_learn.constraint.constraint import Constraint, locks_in_words, read_constraint_file
-from manip_learn.control.limits import check_inside
+from manip_learn.constraint.constraint import locks_in_words, read_constraint_file
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, UnknownNameError, named
-from manip_learn.recordings.files import SUFFIXES
-from manip_learn.recordings.guards import natural_order
 from manip_learn.recordings.options import unmoved_joint_names
-from manip_learn.recordings.saved_motion import FileHeader, file_header
-from manip_learn.robot import Robot
-
-if TYPE_CHECKING:
-    from manip_learn.planning.plan import Around
+from manip_learn.recordings.saved_motion import file_header
+from manip_learn.robot.tips import distance_to_last_joint
 
 
-def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Robot:
+def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml.Robot:
     """The robot with the joints locked that were locked when the files were made, where they say so.
 
     Rollouts and exported recordings do.
     """
-    header, file = _first_header(files)
+    tried = (path for text in files for path in islice(files_behind(text), 2))  # a folder, and its first file
+    header, file = next(((header, path) for path in tried if (header := file_header(path)) is not None), (None, Path()))
     if header is None or header.robot is None:
         return loading.load(name)
     made_with = header.robot
@@ -42,28 +36,13 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Ro
     return robot
 
 
-def locks_of_files(robot: Robot, loading: RobotOptions) -> list[str]:
+def locks_of_files(robot: ml.Robot, loading: RobotOptions) -> list[str]:
     """Return a note on the joints that are locked because the files say so, or nothing."""
     locked = {name: position for name, position in robot.locked.items() if name not in (loading.lock or ())}
     return [f"as when it was made: {locks_in_words(locked)}"] if locked else []
 
 
-def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
-    """The first header that a file of the library has, of the paths given or the first file in each folder."""
-    for path in map(Path, files):
-        if path.is_dir() and file_header(path) is None:
-            with suppress(OSError):  # reading says what is wrong with the folder
-                inside = (
-                    p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "." and p.is_file()
-                )
-                path = min(inside, key=lambda p: natural_order(p.name), default=path)
-        header = file_header(path) if path.exists() else None
-        if header is not None:
-            return header, path
-    return None, Path()
-
-
-def with_joints(robot: Robot, joints: Sequence[str], name: str, loading: RobotOptions) -> Robot:
+def with_joints(robot: ml.Robot, joints: Sequence[str], name: str, loading: RobotOptions) -> ml.Robot:
     """Return a robot with just these joints moving, and its other joints locked.
 
     Args:
@@ -83,7 +62,7 @@ def with_joints(robot: Robot, joints: Sequence[str], name: str, loading: RobotOp
     return loading.load(name, {**robot.locked, **dict.fromkeys(others)}, robot.objects)
 
 
-def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> Robot:
+def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> ml.Robot:
     """The robot with the joints locked that were locked when the constraint was learnt, and with the same objects.
 
     Raises:
@@ -97,16 +76,13 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
     except (*DAMAGE, ConstraintMismatchError):
         # Constraint.load says what is wrong with the file
         return loading.load(robot_name)
+    wrong = [f"joint {joint!r} moving, --lock would hold it still" for joint in (loading.lock or ()) if joint in joints]
     if loading.objects and sorted(loading.objects) != sorted(saved):
         had, asked = (named("object", map(repr, names)) if names else "no object" for names in (saved, loading.objects))
-        raise ConstraintMismatchError(
-            f"{constraint_file} was learnt with {had}, --object names {asked}: leave --object out, the file knows"
-        )
-    if moving := [joint for joint in (loading.lock or ()) if joint in joints]:
-        raise ConstraintMismatchError(
-            f"{constraint_file} was learnt with joint {moving[0]!r} moving, --lock {moving[0]} would hold it still: "
-            "leave --lock out, the file knows which joints were locked"
-        )
+        wrong.insert(0, f"{had}, --object names {asked}")
+    if wrong:
+        known = "leave --object and --lock out, the file knows which objects it saw and which joints were locked"
+        raise ConstraintMismatchError(f"{constraint_file} was learnt with {wrong[0]}: {known}")
     try:
         return with_joints(loading.load(robot_name, locked, saved), joints, robot_name, loading)
     except UnknownNameError as error:
@@ -118,34 +94,27 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
         ) from error
 
 
-def load_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> tuple[Constraint, Robot]:
+def load_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> tuple[ml.Constraint, ml.Robot]:
     """Return the constraint in a file, and its robot; errors as of `robot_of_constraint` and `Constraint.load`."""
     robot = robot_of_constraint(robot_name, constraint_file, loading)
-    return Constraint.load(constraint_file, robot), robot
+    return ml.Constraint.load(constraint_file, robot), robot
 
 
-def start_posture(
-    robot: Robot, constraint: Constraint, start: list[float] | None, moves: bool
-) -> tuple[np.ndarray, str]:
-    """The start posture, and where it comes from if it was not given."""
-    q0, whence = robot.neutral(), "the robot's neutral posture"
-    shown = constraint.provenance.get("postures")
-    if start is not None:
-        q0, whence = robot.checked_posture(start), ""
-    elif moves and shown:
-        q0, whence = robot.checked_posture(shown[0]), "the first posture in which the task was shown"
-    check_inside(robot, robot.positions(q0))
-    return q0, whence
-
-
-def scene_of(given: str | None, robot: Robot | None) -> Around:
-    """What `--scene` names.
+def choose_frame(robot: ml.Robot, frame: str | None) -> str:
+    """Return the frame that the hand guided: the one that was named, checked, or the only likely tip.
 
     Raises:
-        SceneError: The file is none of a scene.
+        UnknownNameError: No such frame.
+        ManipLearnError: None was named and there is more than one candidate.
     """
-    from manip_learn.planning.scene import Scene
-
-    if given is None:
-        return "assumed"
-    return None if given == "none" else Scene.load(given, robot)
+    tips = ml.likely_tips(robot)
+    if frame is None and len(tips) == 1:
+        return tips[0]
+    if frame in robot.frame_names:
+        return robot.frame(frame).name
+    shown = [f"{tip} ({distance_to_last_joint(robot, tip):.3g} m from its last joint)" for tip in tips[:6]]
+    likely = f"likely tips: {', '.join(shown) or 'none'}; `manip-learn inspect` lists all frames"
+    if frame is not None:
+        raise UnknownNameError("frame", frame, robot.frame_names, f"robot {robot.name!r}", f"; {likely}")
+    flag = f"--frame {tips[0] if tips else 'NAME'}"
+    raise ml.ManipLearnError(f"which frame of {robot.name!r} was guided? Name it, e.g. {flag}; {likely}", code="frame")

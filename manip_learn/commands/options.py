@@ -1,8 +1,8 @@
 """All arguments and options of the command line, each written once: parser, help and the commands read them here.
 
-A command is a frozen dataclass. The second paragraph of its docstring is an example that works. Each field is an
-argument or an option of that name, and its help stands under `Attributes:`. A field may be a set of options: then the
-fields of the set stand in its place. `--help` explains the options before the first set, which a beginner needs, and
+The second paragraph of a command's docstring is an example that works. Each field is an argument or an option of that
+name, and its help stands under `Attributes:`, here or in its class. A command has the options of the classes that it
+inherits, under their headings. `--help` explains the options that are not keywords only, which a beginner needs, and
 `--help-all` all of them. Only what a shell needs for `--help` is imported.
 
 Attributes:
@@ -16,26 +16,64 @@ Attributes:
     html: Replay to write.
     dask: Scheduler address, or local: work on a dask cluster.
     explain: Say what the words in the tables mean.
-    as_json: Print one JSON document; a command that opens or prints more has it, `--json` works with all.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, final
+from typing import TYPE_CHECKING, Annotated, Any, dataclass_transform
 
-from typer import Argument, Option
+from typer import Argument, Context, Option, echo
 
-from manip_learn.errors import ManipLearnError, TargetError
+from manip_learn.commands.command_line import HELP_ALL
+from manip_learn.errors import ManipLearnError
 
 if TYPE_CHECKING:  # so that `--help` stays quick
     from manip_learn.robot import Robot
 
 Locks = Mapping[str, float | None]  # joint -> position at which it is held still; None for its neutral one
+# as it is typed -> file in `commands` and function that does the work, and its options, whose docstring is the help
+COMMANDS: dict[str, tuple[str, type[Any]]] = {}
+
+
+def _explain_all(context: Context, asked: bool) -> None:
+    """Print the help with all options, if it was asked for."""
+    if asked and not context.resilient_parsing:
+        context.meta[HELP_ALL] = True
+        echo(context.get_help())
+        context.exit()
+
+
+@dataclass_transform(frozen_default=True)
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Output.
+
+    A class of options is a frozen dataclass. One that names its work is a command, which is called as the class.
+
+    Attributes:
+        as_json: Print one JSON document and nothing else.
+        help_all: Explain all options.
+    """
+
+    as_json: Annotated[bool, Option("--json")] = False
+    help_all: Annotated[bool, Option("--help-all", is_eager=True, callback=_explain_all)] = False
+
+    def __init_subclass__(cls, work: str = "", kw_only: bool = False) -> None:
+        """Make a class of options.
+
+        Args:
+            work: File in `commands` and function: options and progress -> an `Answer`; empty for a set of options.
+            kw_only: `--help` does not explain them.
+        """
+        dataclass(frozen=True, kw_only=kw_only)(cls)
+        if work:
+            COMMANDS[cls.__name__.removesuffix("Options").lower()] = work, cls
 
 
 def robot_completions(incomplete: str) -> list[str]:
@@ -86,9 +124,7 @@ ConstraintFile = Annotated[str, Argument(metavar="CONSTRAINT.JSON")]
 SceneFile = Annotated[str | None, Option(metavar="FILE")]
 
 
-@final
-@dataclass(frozen=True)
-class RobotOptions:
+class RobotOptions(Options, kw_only=True):
     """Robot.
 
     Attributes:
@@ -104,13 +140,6 @@ class RobotOptions:
     objects: Annotated[list[str] | None, Option("--object")] = None
     xacro: bool = False
     xacro_arg: list[str] | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse an argument of the xacro file that is not NAME=VALUE."""
-        self._xacro_values()
-
-    def _xacro_values(self) -> dict[str, str]:
-        return pairs("--xacro-arg", "NAME=VALUE", "[^=]+=.*", self.xacro_arg or ())
 
     @property
     def words(self) -> list[str]:
@@ -130,24 +159,22 @@ class RobotOptions:
 
         locks = dict.fromkeys(self.lock or ()) if locked is None else locked
         seen = tuple(self.objects or ()) if objects is None else objects
-        folders = tuple(self.package_dir or ())
-        return load_robot(name, folders, locks, xacro=self._xacro_values() or self.xacro, objects=seen)
+        values = pairs("--xacro-arg", "NAME=VALUE", "[^=]+=.*", self.xacro_arg or ())
+        return load_robot(name, tuple(self.package_dir or ()), locks, xacro=values or self.xacro, objects=seen)
 
 
-@final
-@dataclass(frozen=True)
-class ReadingOptions:
+class ReadingOptions(Options, kw_only=True):
     """Reading recordings.
 
     Attributes:
         degrees: The recordings are in degrees.
         units: Unit of the recorded angles: radians, degrees or normalised.
         time_unit: Unit of the time stamps: s, ms, us or ns.
-        ignore_column: Column to ignore; repeatable.
+        ignore_columns: Column to ignore; repeatable.
         rename: NAME_IN_FILE=NAME_IN_ROBOT; 'left_{joint}' or 'q{index}' of all joints.
         columns: Pattern of the columns, 'position.{joint}' or 'q[{index}]'; given twice: velocities.
         joint_names: Column names, in order, for files without names.
-        topic: Topic of a bag; default: all with joints.
+        topics: Topic of a bag; default: all with joints.
         rate: Samples per second; overrules time stamps.
         velocities: auto, derive: from the positions; recorded: recorded ones as they are.
         outside_limits: Samples far outside the limits: refuse or note.
@@ -158,28 +185,23 @@ class ReadingOptions:
     degrees: bool = False
     units: str | None = None
     time_unit: str | None = None
-    ignore_column: list[str] | None = None
+    ignore_columns: Annotated[list[str] | None, Option("--ignore-column")] = None
     rename: list[str] | None = None
     columns: list[str] | None = None
     joint_names: str | None = None
-    topic: list[str] | None = None
+    topics: Annotated[list[str] | None, Option("--topic")] = None
     rate: float | None = None
     velocities: str | None = None
     outside_limits: str | None = None
     episodes: str | None = None
     feature: str | None = None
 
-    def __post_init__(self) -> None:
-        """Refuse a renaming that is not FILE_NAME=ROBOT_NAME; the reader checks all other values."""
-        self.keywords()
-
     def keywords(self) -> dict[str, Any]:
         """Keywords of `load_demonstrations`; what was not given is left out."""
         form = "NAME_IN_FILE=NAME_IN_ROBOT, or a pattern such as 'left_{joint}'"
         # a pattern alone names the joints as the robot does
         names = [text if "=" in text or "{" not in text else f"{text}={{joint}}" for text in self.rename or ()]
-        own = {"ignore_column": "ignore_columns", "topic": "topics"}  # what the flags are called there
-        given = {own.get(name, name): value for name, value in vars(self).items()} | {
+        given = {name: getattr(self, name) for name in inspect.get_annotations(ReadingOptions)} | {
             "degrees": self.degrees or None,
             "rename": pairs("--rename", form, "[^=]*=.+", names) or None,
             "joint_names": self.joint_names.replace(",", " ").split() if self.joint_names else None,
@@ -187,9 +209,7 @@ class ReadingOptions:
         return {key: value for key, value in given.items() if value is not None and value != []}
 
 
-@final
-@dataclass(frozen=True)
-class PlanOptions:
+class PlanOptions(Options, kw_only=True):
     """Plan.
 
     Attributes:
@@ -201,24 +221,15 @@ class PlanOptions:
     seed: int = 0
     scene: SceneFile = None
 
-    def __post_init__(self) -> None:
-        """Refuse options of a plan without `--plan`."""
-        if not self.plan and (self.seed, self.scene) != (0, None):
-            raise TargetError("--seed and --scene go with --plan")
 
-
-@final
-@dataclass(frozen=True)
-class RobotsOptions:
+class RobotsOptions(Options, work="robots.known_robots"):
     """List the robots that can be named, with their joints.
 
     manip-learn robots
     """
 
 
-@final
-@dataclass(frozen=True)
-class DemoOptions:
+class DemoOptions(Options, work="demo.demo"):
     """Learn from shipped recordings; open the drawer from one bad start without and with what was learnt, in a replay.
 
     manip-learn demo
@@ -235,24 +246,71 @@ class DemoOptions:
     all_policies: bool = False
     browser: Annotated[bool, Option("--browser/--no-browser")] = True
     explain: bool = False
-    as_json: bool = False
 
 
-@final
-@dataclass(frozen=True)
-class InspectOptions:
+class InspectOptions(RobotOptions, work="robots.inspect"):
     """Show joints, frames, limits and warnings of a robot.
 
     manip-learn inspect ur5e
     """
 
     robot: RobotName
-    loading: RobotOptions = RobotOptions()
 
 
-@final
-@dataclass(frozen=True)
-class LearnOptions:
+class RecordOptions(RobotOptions, work="record.record_motions"):
+    """Record motions that are shown by hand, a file each, and say what can be learnt from them.
+
+    manip-learn record my_arm.py:driver --robot ur5e --frame tool0
+
+    Attributes:
+        driver: FILE.py:NAME or package.module:NAME: a driver, or what makes one.
+        out: Folder of the recordings.
+        name: Name of the recordings: NAME_01.csv and so on.
+        robot: Robot to show and to learn for.
+        frame: The frame that is guided, e.g. the tool's tip.
+        motions: Number of motions to record; default: until Ctrl-C.
+        by: motion: from motion to rest; key: Enter begins and ends, q leaves.
+        duration: Longest time to wait for all of them [s].
+        no_release: Leave the arm's torque on.
+        no_browser: Do not open the live picture.
+    """
+
+    driver: Annotated[str, Argument(metavar="DRIVER")]
+    out: Path = Path("demos")
+    name: str = "demo"
+    robot: Annotated[str | None, Option(autocompletion=robot_completions)] = None
+    frame: str | None = None
+    motions: int | None = None
+    _: KW_ONLY
+    by: str = "motion"
+    duration: float | None = None
+    no_release: bool = False
+    no_browser: bool = False
+
+
+class TeachOptions(RobotOptions, work="teach.teach"):
+    """Teach a simulated arm in the browser: take it by the hand, show it a task, watch it do it.
+
+    manip-learn teach
+
+    Attributes:
+        robot: Which robot to teach.
+        frame: The frame that takes hold, e.g. the tool's tip.
+        scene: First scene: drawer, door, loose-door, table or free.
+        out: Folder for recordings and what is learnt.
+        seed: Random seed for the scene; by default the first scenes are always the same.
+        no_browser: Print the page's address, and do not open it.
+    """
+
+    robot: Annotated[str, Argument(metavar="ROBOT", autocompletion=robot_completions)] = "sawyer"
+    frame: str | None = None
+    scene: str = "drawer"
+    out: Path = Path("taught")
+    seed: int | None = None
+    no_browser: bool = False
+
+
+class LearnOptions(ReadingOptions, RobotOptions, work="learn.learn_task"):
     """Learn a constraint from recordings and report it.
 
     manip-learn learn sawyer sawyer_drawer --frame right_gripper_tip --out task.json
@@ -264,14 +322,14 @@ class LearnOptions:
         html: Replay of the recordings to write, with their phases.
         relative_to: Frame, e.g. an object, from which it is seen.
         reference: world, local, or auto (the larger gap).
-        constraints: Number of constraints; default: from the data.
+        n_constraints: Number of constraints; default: from the data.
         estimator: auto, null-space, joint or separate.
         phases: auto: find the stretches in which a constraint holds; off: take recordings as a whole.
         mechanism: auto: say what holds the hand (hinge, line, ...); off.
         strength: Minimum strength of evidence for a row; default: 1.8.
-        habits: Also learn rows that may be kept by the way of moving only.
-        zeros: How far the joints' zeros may be off [deg, 68 %]; 1 for arms of hobby servos.
-        links: How far the links may be off their description [mm and mrad, 68 %].
+        keep_habits: Also learn rows that may be kept by the way of moving only.
+        joint_offset_std: How far the joints' zeros may be off [deg, 68 %]; 1 for arms of hobby servos.
+        link_error_std: How far the links may be off their description [mm and mrad, 68 %].
         start: Leave out what was recorded before [s].
         until: Leave out what was recorded after [s].
         seed: Seed of the bootstrap and of random starts.
@@ -283,18 +341,17 @@ class LearnOptions:
     axes: str = "xyz"
     out: Path | None = None
     html: Path | None = None
-    loading: RobotOptions = RobotOptions()
-    reading: ReadingOptions = ReadingOptions()
+    _: KW_ONLY
     relative_to: str | None = None
     reference: str = "auto"
-    constraints: int | None = None
+    n_constraints: Annotated[int | None, Option("--constraints")] = None
     estimator: str = "auto"
     phases: str = "auto"
     mechanism: str = "auto"
     strength: float | None = None
-    habits: bool = False
-    zeros: float = 0.1
-    links: float = 0.5
+    keep_habits: Annotated[bool, Option("--habits")] = False
+    joint_offset_std: Annotated[float, Option("--zeros")] = 0.1
+    link_error_std: Annotated[float, Option("--links")] = 0.5
     start: Annotated[float | None, Option("--from")] = None
     until: float | None = None
     seed: int = 0
@@ -302,9 +359,7 @@ class LearnOptions:
     explain: bool = False
 
 
-@final
-@dataclass(frozen=True)
-class AuditOptions:
+class AuditOptions(ReadingOptions, RobotOptions, work="audit.audit"):
     """Judge recorded episodes by a constraint: rank them, and name those to leave out.
 
     manip-learn audit sawyer task.json sawyer_drawer
@@ -317,15 +372,12 @@ class AuditOptions:
     constraint: ConstraintFile
     recordings: Recordings
     csv: Path | None = None
-    loading: RobotOptions = RobotOptions()
-    reading: ReadingOptions = ReadingOptions()
+    _: KW_ONLY
     dask: str | None = None
     explain: bool = False
 
 
-@final
-@dataclass(frozen=True)
-class ControlOptions:
+class ControlOptions(RobotOptions, PlanOptions, work="control.control"):
     """Do the task that was learnt: along what is free, or to a point, clear of the task's singularities.
 
     manip-learn control sawyer task.json --along 0.2 --out run.npz
@@ -358,8 +410,7 @@ class ControlOptions:
     target: str | None = None
     out: Path | None = None
     html: Path | None = None
-    planned: PlanOptions = PlanOptions()
-    loading: RobotOptions = RobotOptions()
+    _: KW_ONLY
     direction: str | None = None
     beyond_shown: bool = False
     speed: float | None = None
@@ -377,9 +428,7 @@ class ControlOptions:
     explain: bool = False
 
 
-@final
-@dataclass(frozen=True)
-class RepeatOptions:
+class RepeatOptions(RobotOptions, work="repeat.repeat_skill"):
     """Do again all that the recordings show: take hold, go the way, let go, the next one, and retreat.
 
     manip-learn repeat sawyer task.json --html run.html
@@ -399,14 +448,12 @@ class RepeatOptions:
     prefer: str = "shown"
     out: Path | None = None
     html: Path | None = None
-    loading: RobotOptions = RobotOptions()
+    _: KW_ONLY
     scene: SceneFile = None
     seed: int = 0
 
 
-@final
-@dataclass(frozen=True)
-class ReplayOptions:
+class ReplayOptions(ReadingOptions, RobotOptions, work="replay.replay_files"):
     """Write a browser replay with the manipulability plot: one file, no server, no network.
 
     manip-learn replay run.npz --open
@@ -423,14 +470,11 @@ class ReplayOptions:
     html: Path = Path("replay.html")
     open_browser: Annotated[bool, Option("--open")] = False
     constraint: Path | None = None
-    loading: RobotOptions = RobotOptions()
-    reading: ReadingOptions = ReadingOptions()
+    _: KW_ONLY
     tip: str | None = None
 
 
-@final
-@dataclass(frozen=True)
-class ExportOptions:
+class ExportOptions(ReadingOptions, RobotOptions, work="export.export"):
     """Write recordings or rollouts in other formats, or a learnt task for a controller of force or stiffness.
 
     manip-learn export sawyer run.npz --out run.csv
@@ -448,72 +492,9 @@ class ExportOptions:
     out: Path
     to: str | None = None
     at: str | None = None
-    loading: RobotOptions = RobotOptions()
-    reading: ReadingOptions = ReadingOptions()
 
 
-@final
-@dataclass(frozen=True)
-class RecordOptions:
-    """Record motions that are shown by hand, a file each, and say what can be learnt from them.
-
-    manip-learn record my_arm.py:driver --robot ur5e --frame tool0
-
-    Attributes:
-        driver: FILE.py:NAME or package.module:NAME: a driver, or what makes one.
-        out: Folder of the recordings.
-        name: Name of the recordings: NAME_01.csv and so on.
-        robot: Robot to show and to learn for.
-        frame: The frame that is guided, e.g. the tool's tip.
-        motions: Number of motions to record; default: until Ctrl-C.
-        by: motion: from motion to rest; key: Enter begins and ends, q leaves.
-        duration: Longest time to wait for all of them [s].
-        no_release: Leave the arm's torque on.
-        no_browser: Do not open the live picture.
-    """
-
-    driver: Annotated[str, Argument(metavar="DRIVER")]
-    out: Path = Path("demos")
-    name: str = "demo"
-    robot: Annotated[str | None, Option(autocompletion=robot_completions)] = None
-    frame: str | None = None
-    motions: int | None = None
-    loading: RobotOptions = RobotOptions()
-    by: str = "motion"
-    duration: float | None = None
-    no_release: bool = False
-    no_browser: bool = False
-    as_json: bool = False
-
-
-@final
-@dataclass(frozen=True)
-class TeachOptions:
-    """Teach a simulated arm in the browser: take it by the hand, show it a task, watch it do it.
-
-    manip-learn teach
-
-    Attributes:
-        robot: Which robot to teach.
-        frame: The frame that takes hold, e.g. the tool's tip.
-        scene: First scene: drawer, door, loose-door, table or free.
-        out: Folder for recordings and what is learnt.
-        seed: Random seed for the scene; by default the first scenes are always the same.
-        no_browser: Print the page's address, and do not open it.
-    """
-
-    robot: Annotated[str, Argument(metavar="ROBOT", autocompletion=robot_completions)] = "sawyer"
-    frame: str | None = None
-    scene: str = "drawer"
-    out: Path = Path("taught")
-    seed: int | None = None
-    no_browser: bool = False
-    loading: RobotOptions = RobotOptions()
-
-
-@final
-@dataclass(frozen=True)
-class ReproduceOptions:
+class ReproduceOptions(Options, work="reproduce.reproduce_paper"):
     """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers.
 
     manip-learn reproduce table --trials 2

@@ -15,13 +15,9 @@ from typing import TYPE_CHECKING, Any, final
 from manip_learn.errors import printable
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from manip_learn.commands.options import ControlOptions, RepeatOptions
-    from manip_learn.control.rollout import Rollout
     from manip_learn.playback import ReplayResult
-    from manip_learn.robot.robot import Robot
 
+Progress = Callable[[str, float], None]  # called with what is being done and the share of it that is done, in 0 .. 1
 # keys of sentences, for people; what other keys hold is for programs, which need names and paths as they are
 SENTENCES = {"message", "sentence", "notes", "warnings", "advice", "evidence", "reason", "reasons", "refused"} | {
     *("stopped_by", "why", "helps", "hint", "story")
@@ -85,18 +81,6 @@ class Answer:
         return replace(self, content=self.content | files, written=[f"written: {out}" if out else ""], page=page)
 
 
-def with_rollout(
-    answer: Answer, rollout: Rollout, robot: Robot, name: str, options: ControlOptions | RepeatOptions
-) -> Answer:
-    """Write the rollout and its replay where the options say so, and name the files in the answer."""
-    page = None
-    if options.html is not None:
-        from manip_learn.playback import replay
-
-        page = replay(robot, {name: rollout}, options.html, open_browser=False, notes=answer.doubts)
-    return answer.with_files(None if options.out is None else rollout.save(options.out), page)
-
-
 def cells(content: Mapping[str, Any], layout: str) -> dict[str, str]:
     """Return numbers of a JSON document in words, by their headings: "-" where one does not exist or is not finite.
 
@@ -118,27 +102,22 @@ def place(point: Iterable[float]) -> str:
     return f"({', '.join(f'{x:.3f}' for x in point)}) m"
 
 
-def console(stderr: bool = False) -> Console:
-    """A rich console, loaded at first use."""
-    from rich.console import Console
-
-    return Console(stderr=stderr)
-
-
 def silent(step: str, share: float) -> None:
     """Take progress, and show nothing."""
 
 
 @contextmanager
-def progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
+def progress(quiet: bool) -> Iterator[Progress]:
     """A progress bar on standard error; silent when it is not a terminal."""
     if quiet or not sys.stderr.isatty():
         yield silent
         return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich import progress as bars
+    from rich.console import Console
 
-    shown = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"), TimeElapsedColumn())
-    with Progress(*shown, console=console(stderr=True), transient=True) as bar:
+    percent, seconds = bars.TextColumn("{task.percentage:>3.0f}%"), bars.TimeElapsedColumn()
+    shown = (bars.TextColumn("{task.description}"), bars.BarColumn(), percent, seconds)
+    with bars.Progress(*shown, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda step, share: bar.update(task, description=step, completed=share)
 
@@ -151,7 +130,7 @@ def refused_by_system(error: OSError) -> str:
     try:
         sys.stdout.flush()
     except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        nobody_reads()
     if error.filename is None:
         return f"the answer cannot be printed: {error.strerror or error}; send it to another file or disk"
     return f"the system refuses: {error.strerror or error} ({error.filename})"

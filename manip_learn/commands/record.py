@@ -9,25 +9,19 @@ import select
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
-from manip_learn.commands.guided_frame import choose_frame
-from manip_learn.commands.loading import with_joints
+import manip_learn as ml
+from manip_learn.commands.loading import choose_frame, with_joints
 from manip_learn.commands.options import RecordOptions
-from manip_learn.commands.output import Answer
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.control.driver import Driver
-from manip_learn.drivers.record import LOOK, MOVES, By, Key, RecordedFiles, record
-from manip_learn.errors import ConfigurationError, ManipLearnError, OutputError, counted
-from manip_learn.learning import ConstraintLearner
-from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.load import Progress
+from manip_learn.commands.output import Answer, Progress
+from manip_learn.drivers.record import LOOK, MOVES, By, Key
+from manip_learn.errors import ConfigurationError, OutputError, counted
 from manip_learn.recordings.trajectory import EFFORT_SUFFIX, VELOCITY_SUFFIX
-from manip_learn.robot import Robot
 
 _ENOUGH = 1.0  # [degrees] to which a direction is to be known: at 0.5 m that is 9 mm, more than a gripper gives way
 
@@ -44,47 +38,33 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
         raise ConfigurationError(f"--by must be motion or key, not {options.by!r}")
     driver, robot, viewer = driver_of(options.driver), None, None
     if options.robot is not None:
-        robot, names = options.loading.load(options.robot), getattr(driver, "joint_names", None)
-        if names is not None:
-            moving = [name for name in robot.joint_names if name in names]
-            robot = with_joints(robot, moving, options.robot, options.loading)
-    told = {"file": "", "since": 0.0, "files": 0, "said": 0.0}
+        robot = options.load(options.robot)
+        names = getattr(driver, "joint_names", None) or robot.joint_names
+        robot = with_joints(robot, [name for name in robot.joint_names if name in names], options.robot, options)
+    files, since = list[Path](), 0.0
 
     def began(file: Path | None) -> None:
-        told.update(file="" if file is None else file.name, since=time.monotonic())
-        told["files"] += file is not None
+        nonlocal since
+        files.extend([] if file is None else [file])
+        since = time.monotonic()
 
     def shown(q: Mapping[str, float], recorded: bool) -> None:
         if viewer is not None and robot is not None and all(name in q for name in robot.joint_names):
             viewer.show([q[name] for name in robot.joint_names])
-        now = time.monotonic()
-        if now - told["said"] > 0.1:  # [s] between two words on the state
-            told["said"] = now
-            waits = "waiting for a motion" if options.by == "motion" else "Enter begins, q ends"
-            doing = f"recording {told['file']}, {now - told['since']:.1f} s" if recorded else waits
-            progress(f"{doing}; {counted(told['files'], 'motion')}", 0.0)
+        waits = "waiting for a motion" if options.by == "motion" else "Enter begins, q ends"
+        doing = f"recording {files[-1].name}, {time.monotonic() - since:.1f} s" if recorded else waits
+        progress(f"{doing}; {counted(len(files), 'motion')}", 0.0)
 
     with ExitStack() as opened:
         if robot is not None:
-            from manip_learn.playback import LiveViewer
-
-            page = LiveViewer(robot, title=options.name, open_browser=not options.no_browser)
+            page = ml.LiveViewer(robot, title=options.name, open_browser=not options.no_browser)
             viewer = opened.enter_context(page)
             if options.no_browser and not options.as_json:
                 print(f"live picture: {viewer.url}", file=sys.stderr, flush=True)
-        pressed = opened.enter_context(_keys()) if options.by == "key" else None
-        done = record(
-            driver,
-            options.out,
-            options.name,
-            by=options.by,  # type: ignore[arg-type]
-            motions=options.motions,
-            duration=options.duration,
-            release=not options.no_release,
-            key=pressed,
-            shown=shown,
-            began=began,
-        )
+        pressed = _keys(opened) if options.by == "key" else None
+        hooks: dict[str, Any] = {"key": pressed, "shown": shown, "began": began}
+        ends: dict[str, Any] = {"by": options.by, "motions": options.motions, "duration": options.duration}
+        done = ml.record(driver, options.out, options.name, release=not options.no_release, **ends, **hooks)
     if not done.ordered:
         kept = f"; kept: {', '.join(map(str, done.files))}" if done.files else ""
         raise OutputError(f"recording ended: {done.sentence}{kept}")
@@ -98,7 +78,9 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
     )
 
 
-def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, progress: Progress) -> tuple[str, str]:
+def _learnt(
+    options: RecordOptions, robot: ml.Robot | None, done: ml.RecordedFiles, progress: Progress
+) -> tuple[str, str]:
     """What all recordings of that name show, and what to do next."""
     pattern = f"{shlex.quote(str(options.out / options.name))}_*.csv"
     if not done.files:
@@ -110,20 +92,20 @@ def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, pr
     columns = [name + suffix for name in others for suffix in ("", VELOCITY_SUFFIX, EFFORT_SUFFIX)]
     try:
         tip = choose_frame(robot, options.frame)
-        rows = [FrameJacobian(robot, tip, "xyz", reference) for reference in ("world", "local")]
-        demos = load_demonstrations(files, robot, ignore_columns=columns)
-        report = ConstraintLearner(rows).fit(demos, progress=progress).report_
-    except ManipLearnError as refusal:
+        rows = [ml.FrameJacobian(robot, tip, "xyz", reference) for reference in ("world", "local")]
+        demos = ml.load_demonstrations(files, robot, ignore_columns=columns)
+        report = ml.ConstraintLearner(rows).fit(demos, progress=progress).report_
+    except ml.ManipLearnError as refusal:
         return "", f"not enough yet: {refusal}"
     if report.warnings:
         return report.sentence, f"show it once more, from another posture: {report.warnings[0]}"
     if report.uncertainty_deg is None or report.uncertainty_deg > _ENOUGH:
         return report.sentence, f"show it once more, from another posture, until it is known to {_ENOUGH:g} degree"
-    words = shlex.join(["--frame", tip, *options.loading.words, "--out", f"{options.name}.json"])
+    words = shlex.join(["--frame", tip, *options.words, "--out", f"{options.name}.json"])
     return report.sentence, f"enough: manip-learn learn {shlex.quote(str(options.robot))} {pattern} {words}"
 
 
-def driver_of(spec: str) -> Driver:
+def driver_of(spec: str) -> ml.Driver:
     """Return the driver that `FILE.py:NAME` or `package.module:NAME` names, or that calling what it names makes.
 
     Raises:
@@ -135,10 +117,17 @@ def driver_of(spec: str) -> Driver:
     # as Python does for a script: its neighbours are found
     sys.path[:0] = [str(Path(place).parent.absolute()), os.getcwd()]
     try:
-        module = _file_as_module(Path(place)) if place.endswith(".py") else importlib.import_module(place)
+        if place.endswith(".py"):
+            named = importlib.util.spec_from_file_location(Path(place).stem, place)
+            if named is None or named.loader is None or not Path(place).is_file():
+                raise ConfigurationError(f"no driver: the file {place} does not exist")
+            module = sys.modules[named.name] = importlib.util.module_from_spec(named)
+            named.loader.exec_module(module)
+        else:
+            module = importlib.import_module(place)
         found = getattr(module, name)
         driver = found if _is_driver(found) else found()
-    except ManipLearnError:
+    except ml.ManipLearnError:
         raise
     except Exception as error:  # whatever the user's own file raises, he gets a sentence
         raise ConfigurationError(f"no driver {spec}: {type(error).__name__}: {error}") from error
@@ -152,34 +141,21 @@ def _is_driver(found: object) -> bool:
     return ready and not isinstance(found, type)
 
 
-def _file_as_module(path: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise ConfigurationError(f"no driver: the file {path} does not exist")
-    module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@contextmanager
-def _keys() -> Iterator[Callable[[], Key]]:
-    """Enter or space and q as they are pressed; of a terminal without waiting for the end of a line."""
-    source, before = sys.stdin.fileno(), None
+def _keys(opened: ExitStack) -> Callable[[], Key]:
+    """Return a function for enter or space and q as they are pressed; of a terminal before the end of a line."""
+    source, meanings = (
+        sys.stdin.fileno(),
+        dict[bytes, Key]({b"q": "end", b"": "end"}),
+    )  # or nobody is there to press one
+    meanings |= dict.fromkeys((b"\n", b"\r", b" "), "start or stop")
     if os.isatty(source):
         import termios
         import tty
 
-        before = termios.tcgetattr(source)
+        opened.callback(termios.tcsetattr, source, termios.TCSADRAIN, termios.tcgetattr(source))
         tty.setcbreak(source)
 
     def pressed() -> Key:
-        letter = os.read(source, 1) if select.select([source], [], [], 0.0)[0] else None
-        if letter in (b"q", b""):  # or nobody is there to press one
-            return "end"
-        return "start or stop" if letter in (b"\n", b"\r", b" ") else ""
+        return meanings.get(os.read(source, 1), "") if select.select([source], [], [], 0.0)[0] else ""
 
-    try:
-        yield pressed
-    finally:
-        if before is not None:
-            termios.tcsetattr(source, termios.TCSADRAIN, before)
+    return pressed

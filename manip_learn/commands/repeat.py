@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any, cast
+from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
+import manip_learn as ml
+from manip_learn.commands.loading import robot_of_constraint
 from manip_learn.commands.options import RepeatOptions, vector
-from manip_learn.commands.output import Answer, cells, place, silent, with_rollout
-from manip_learn.constraint.skill import Skill
+from manip_learn.commands.output import Answer, Progress, cells, place
+from manip_learn.commands.simulated import scene_of, start_posture, with_rollout
 from manip_learn.errors import TargetError, counted
-from manip_learn.planning.repeat import TipSpeed, repeat
-from manip_learn.recordings.load import Progress
 
 _STEP = (
     "done: {done:.3g} {unit}; of: {wanted:.3g} {unit}; off: {off:.1f} {fine}; "
@@ -22,7 +21,7 @@ _STEP = (
 )
 
 
-def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
+def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
     """Plan and simulate every step of a skill; write the rollout and a replay to files if they are named.
 
     Raises:
@@ -31,22 +30,29 @@ def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
         ConfigurationError: `--tip-speed` is not positive, or another word.
         ManipLearnError: Anything that is wrong with the robot, the file, the numbers or the output.
     """
-    robot = robot_of_constraint(options.robot, options.task, options.loading)
-    skill = Skill.load(options.task, robot)
-    start, moved = vector("--start", options.start), vector("--moved", options.moved)
-    q0, whence = start_posture(robot, skill.constraints[0], start, True)
+    robot = robot_of_constraint(options.robot, options.task, options)
+    skill = ml.Skill.load(options.task, robot)
+    moved = vector("--moved", options.moved)
+    q0, begins = start_posture(robot, skill.constraints[0], options.start, True)
     T = None
     if moved is not None:  # x, y, z [m], and rotations about the base's x, y and z axes, one after the other [degrees]
         if len(moved) not in (3, 6):
             text = "--moved takes 3 numbers, x,y,z [m], or 6 with rx,ry,rz [degrees about the base's axes]: got "
             raise TargetError(f"{text}{len(moved)}")
-        T, turns = np.eye(4), [math.radians(a) for a in (*moved[3:], 0.0, 0.0, 0.0)[:3]]
-        T[:3, 3], T[:3, :3] = moved[:3], Rotation.from_euler("xyz", turns).as_matrix()
-    around, speed = scene_of(options.scene, robot), _tip_speed(options.tip_speed)
-    made = {"scene": around, "seed": options.seed, "tip_speed": speed, "prefer": options.prefer}
-    done = repeat(skill, q0, T, **made, progress=progress)
-    rollout, steps = done.rollout, [step.to_dict() for step in done.steps]
-    ends = [f"{step.name}: at {place(step.place)}{_missed(step.off)}" for step in done.steps if step.kind == "reach"]
+        T, turned = np.eye(4), Rotation.from_euler("xyz", moved[3:] or [0.0] * 3, degrees=True)
+        T[:3, 3], T[:3, :3] = moved[:3], turned.as_matrix()
+    made: dict[str, Any] = {"seed": options.seed, "tip_speed": options.tip_speed, "prefer": options.prefer}
+    with suppress(ValueError):  # `repeat` refuses other words
+        made["tip_speed"] = None if options.tip_speed == "none" else float(options.tip_speed)
+    done = ml.repeat(skill, q0, T, scene=scene_of(options.scene, robot), **made, progress=progress)
+    rollout, steps, ends = done.rollout, [step.to_dict() for step in done.steps], list[str]()
+    for step in (step for step in done.steps if step.kind == "reach"):
+        missed = "" if step.off is None else f", {1e3 * step.off:.1f} mm from where a contact began"
+        ends.append(f"{step.name}: at {place(step.place)}{missed}")
+    rows = []
+    for step in steps:
+        off = {"off": 1e3 * step["deviation"], "fine": "mm" if step["unit"] == "m" else "mm or mrad"}
+        rows.append({"step": step["name"]} | cells(step | off, _STEP))
     ways = counted(sum(step.kind == "way" for step in done.steps), "way")
     answer = Answer(
         {
@@ -60,25 +66,9 @@ def repeat_skill(options: RepeatOptions, progress: Progress = silent) -> Answer:
             "notes": list(done.notes),
         },
         title=f"{ways} done as shown" if done.is_done else "not all of it was done",
-        sentences=[f"start: {whence} (another: --start)" if whence else "", done.pace, *ends],
-        rows=[{"step": step["name"]} | cells(step | _off(step), _STEP) for step in steps],
+        sentences=[begins, done.pace, *ends],
+        rows=rows,
         warnings=[f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by],
         notes=done.notes,
     )
     return with_rollout(answer, rollout, robot, "repeat", options)
-
-
-def _off(step: dict[str, Any]) -> dict[str, Any]:
-    return {"off": 1e3 * step["deviation"], "fine": "mm" if step["unit"] == "m" else "mm or mrad"}
-
-
-def _missed(off: float | None) -> str:
-    return "" if off is None else f", {1e3 * off:.1f} mm from where a contact began"
-
-
-def _tip_speed(text: str) -> TipSpeed:
-    """Return the number, None for `none`, or the word: `repeat` refuses all others."""
-    try:
-        return None if text == "none" else float(text)
-    except ValueError:
-        return cast(TipSpeed, text)

@@ -7,19 +7,15 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+import manip_learn as ml
 from manip_learn.commands.loading import load_constraint, load_for_files, locks_of_files
 from manip_learn.commands.options import ReplayOptions
-from manip_learn.commands.output import Answer
-from manip_learn.control.rollout import Rollout
+from manip_learn.commands.output import Answer, Progress
 from manip_learn.errors import ConstraintMismatchError, RecordingError
-from manip_learn.playback import replay
 from manip_learn.playback.phase_bands import phases_from_json
-from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.files import recording_path
-from manip_learn.recordings.load import Progress
 from manip_learn.recordings.options import flag_of
-from manip_learn.recordings.saved_motion import file_header
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.saved_motion import FileHeader, file_header
 from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 
 
@@ -37,49 +33,40 @@ def replay_files(options: ReplayOptions, progress: Progress) -> Answer:
     """
     progress("writing the replay", 0.0)
     name, files = named_robot(options.files)
-    learnt, constraint, tip, keywords = dict[str, Any](), None, options.tip, options.reading.keywords()
+    learnt, constraint, tip, keywords = dict[str, Any](), None, options.tip, options.keywords()
     if options.constraint is None:
-        robot = load_for_files(name, files, options.loading)
-        notes = locks_of_files(robot, options.loading)
+        robot = load_for_files(name, files, options)
+        notes = locks_of_files(robot, options)
     else:
-        constraint, robot = load_constraint(name, str(options.constraint), options.loading)
+        constraint, robot = load_constraint(name, str(options.constraint), options)
         learnt, notes = constraint.provenance, list(constraint.notes)
         tip = tip or getattr(constraint.features, "frame", None)
         if not isinstance(found := learnt.get("mechanism") or {}, Mapping):
             wrong = f"its mechanism must be an object, it is {found!r:.60}: save it again"
             raise ConstraintMismatchError(f"{options.constraint}: {wrong}")
-    rollouts = [file for file in files if _is_rollout(recording_path(file))]
+    rollouts = [file for file in files if getattr(_header(recording_path(file)), "kind", "") == "rollout"]
     recordings = [file for file in files if file not in rollouts]
     if keywords and not recordings:
         asked = ", ".join(flag_of(name) for name in keywords)
         raise RecordingError(f"rollouts are read as they were written, so {asked} has no use: leave it out")
-    motions, named = list[tuple[str, Rollout | Trajectory]](), dict[str, Rollout | Trajectory]()
+    motions, named = list[tuple[str, ml.Rollout | ml.Trajectory]](), dict[str, ml.Rollout | ml.Trajectory]()
     for path in map(Path, rollouts):
-        rollout, said = Rollout.load_with_notes(path, robot)
+        rollout, said = ml.Rollout.load_with_notes(path, robot)
         motions.append((path.stem, rollout))
         notes += [f"{path.name}: {note}" for note in said]
     if recordings:  # together, since an option may be meant for one of them
-        motions += [(t.name, t) for t in load_demonstrations(recordings, robot, **keywords)]
+        motions += [(t.name, t) for t in ml.load_demonstrations(recordings, robot, **keywords)]
     for name, motion in motions:
         numbered = (f"{name} ({n})" for n in count(2))
         named[next(one for one in chain((name,), numbered) if one not in named)] = motion
-    page = replay(
-        robot,
-        named,
-        options.html,
-        tip=tip,
-        open_browser=options.open_browser,
-        phases=phases_from_json((learnt.get("phases") if recordings else None) or []),
-        notes=notes,
-        constraint=constraint,
-        report=learnt or None,
-    )
+    phases = phases_from_json((learnt.get("phases") if recordings else None) or [])
+    shown: dict[str, Any] = {"phases": phases, "notes": notes, "constraint": constraint, "report": learnt or None}
+    page = ml.replay(robot, named, options.html, tip=tip, open_browser=options.open_browser, **shown)
     return Answer(page.to_dict(), notes=page.notes, page=page)
 
 
-def _is_rollout(path: Path) -> bool:
-    header = file_header(path) if path.is_file() else None
-    return header is not None and header.kind == "rollout"
+def _header(path: Path) -> FileHeader | None:
+    return file_header(path) if path.is_file() else None
 
 
 def named_robot(words: list[str]) -> tuple[str, list[str]]:
@@ -89,7 +76,7 @@ def named_robot(words: list[str]) -> tuple[str, list[str]]:
         RecordingError: Files that do not know their robot, and none is named; or a robot alone.
     """
     first = Path(words[0])
-    header = file_header(first) if first.is_file() else None
+    header = _header(first)
     if header is not None and header.robot is not None:
         return header.robot.source or header.robot.name, words
     if len(words) > 1:

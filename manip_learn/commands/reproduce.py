@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from manip_learn.commands.options import ReproduceOptions
-from manip_learn.commands.output import Answer, silent
+from manip_learn.commands.output import Answer, Progress
 from manip_learn.experiments import reproduce as run_experiments
-from manip_learn.recordings.load import Progress
 
 
-def reproduce_paper(options: ReproduceOptions, progress: Progress = silent) -> Answer:
+def reproduce_paper(options: ReproduceOptions, progress: Progress) -> Answer:
     """Run one experiment, or all; numbers of each part, and its page in Markdown."""
     pages = dict[str, str]()
-    numbers = run_experiments(
-        options.experiment,
-        options.trials,
-        options.seed,
-        options.out,
-        progress,
-        workers=options.workers,
-        on_result=lambda part, result: pages.update({part: result.markdown()}),
-    )
+
+    def keep(part: str, result: Any) -> None:
+        pages[part] = result.markdown()
+
+    asked = (options.experiment, options.trials, options.seed, options.out)
+    numbers = run_experiments(*asked, progress, workers=options.workers, on_result=keep)
     return Answer(numbers, pages=pages, written=[f"written: {options.out}" if options.out else ""])

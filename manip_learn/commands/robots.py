@@ -8,9 +8,8 @@ import shlex
 from typing import Any
 
 from manip_learn.commands.options import InspectOptions, RobotsOptions
-from manip_learn.commands.output import Answer, cells, silent
+from manip_learn.commands.output import Answer, Progress, cells
 from manip_learn.errors import ManipLearnError, few
-from manip_learn.recordings.load import Progress
 from manip_learn.robot.description.catalogue import SHIPPED, example_robots, fetched_names, find_robot
 from manip_learn.robot.description.text import parse_xml, read_description
 from manip_learn.robot.description.urdf import validate_urdf
@@ -24,30 +23,31 @@ _ORIGINS = {
 }
 
 
-def known_robots(options: RobotsOptions, progress: Progress = silent) -> Answer:
+def known_robots(options: RobotsOptions, progress: Progress) -> Answer:
     """List every robot that has a name here and now, with its joints.
 
     In the document, `origin` is `package`, `extra` (of the extra `robots`) or `net` (of the extra `descriptions`);
     `joints` move on their own, and there are none where a description is refused, or not fetched to be listed.
     """
-    extra, sentences = sorted(example_robots()), []
-    robots = [_described(name, "package") for name in sorted(SHIPPED)] + [_described(name, "extra") for name in extra]
-    net = sorted(fetched_names().difference(SHIPPED, extra))
-    robots += [{"name": name, "origin": "net", "joints": (), "refused": None} for name in net]
+    extra, robots, sentences = example_robots(), [], []
+    known = {"package": SHIPPED, "extra": extra, "net": fetched_names().difference(SHIPPED, extra)}
     for origin, (title, more) in _ORIGINS.items():
-        known = [robot for robot in robots if robot["origin"] == origin]
-        sizes = [f" ({'refused' if robot['refused'] else len(robot['joints'])})" for robot in known]
-        names = [robot["name"] + (size if origin != "net" else "") for robot, size in zip(known, sizes, strict=True)]
-        sentences.append(f"{title}: {', '.join(names)}" if names else f"more with: pip install '{more}")
+        described = [_described(name, origin) for name in sorted(known[origin])]
+        robots += described
+        sizes = ("" if origin == "net" else f" ({'refused' if r['refused'] else len(r['joints'])})" for r in described)
+        names = ", ".join(robot["name"] + size for robot, size in zip(described, sizes, strict=True))
+        sentences.append(f"{title}: {names}" if names else f"more with: pip install '{more}")
     return Answer({"robots": robots, "extra_installed": bool(extra)}, sentences=sentences)
 
 
 def _described(name: str, origin: str) -> dict[str, Any]:
-    path, moving, refused = find_robot(name), list[str](), None
+    moving, refused = list[str](), None
     try:
-        checked = validate_urdf(parse_xml(read_description(path), path))
-        followers = {m.joint for m in checked.followers}
-        moving = [j.name for j in checked.joints if j.type != "fixed" and j.name not in followers]
+        if origin != "net":  # which is not fetched to be listed
+            path = find_robot(name)
+            checked = validate_urdf(parse_xml(read_description(path), path))
+            followers = {m.joint for m in checked.followers}
+            moving = [j.name for j in checked.joints if j.type != "fixed" and j.name not in followers]
     except ManipLearnError as error:
         refused = str(error)
     return {"name": name, "origin": origin, "joints": moving, "refused": refused}
@@ -56,9 +56,9 @@ def _described(name: str, origin: str) -> dict[str, Any]:
 _JOINT = "kind: {kind}; lower: {lower:.4g}; upper: {upper:.4g}; velocity: {velocity:.4g}; unit: {unit}"
 
 
-def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
+def inspect(options: InspectOptions, progress: Progress) -> Answer:
     """Load a robot, check its forward kinematics by another library, and show what one must know before recording."""
-    summary = inspect_robot(options.loading.load(options.robot))
+    summary = inspect_robot(options.load(options.robot))
     joints, check, tip = summary.joints, summary.cross_check, summary.tips[0] if summary.tips else "NAME"
     flag = f"--frame {shlex.quote(tip)}"
     still = [j.name for j in joints if summary.moving_tip and j.name not in summary.moving_tip]
@@ -72,7 +72,7 @@ def inspect(options: InspectOptions, progress: Progress = silent) -> Answer:
         "kinematics": f"agrees with yourdfpy to {check.largest_difference:.1e}" if check and check.agrees else "",
         "shapes": summary.shapes,
     }
-    words = shlex.join([options.robot, *options.loading.words])
+    words = shlex.join([options.robot, *options.words])
     return Answer(
         dataclasses.asdict(summary),  # limits that do not exist are infinite, which JSON says as null
         title=f"{summary.name}: nq {summary.nq}, nv {summary.nv}",

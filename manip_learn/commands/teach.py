@@ -6,23 +6,19 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, cast
+from contextlib import ExitStack, closing
+from functools import partial
 
-from manip_learn.commands.guided_frame import choose_frame
-from manip_learn.commands.loading import with_joints
+from manip_learn.commands.loading import choose_frame, with_joints
 from manip_learn.commands.options import TeachOptions
-from manip_learn.commands.output import Answer
+from manip_learn.commands.output import Answer, Progress
 from manip_learn.errors import OutputError, counted
-from manip_learn.recordings.load import Progress
+from manip_learn.playback.live_viewer import LiveProcess
 from manip_learn.robot.description.catalogue import known_as
-
-if TYPE_CHECKING:
-    from manip_learn.teach.session import TeachingSession
-
-_STARTS = 20.0  # [s] in which the server starts: a busy machine takes a few
-FAREWELL = 0.2  # [s] in which open pages hear that the program has ended
+from manip_learn.teach.arm import PERIOD
+from manip_learn.teach.picture import teaching_page
+from manip_learn.teach.scene import FIRST_SEED, physics
+from manip_learn.teach.session import TeachingSession
 
 
 def teach(options: TeachOptions, progress: Progress) -> Answer:
@@ -33,42 +29,31 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
         MissingExtraError: MuJoCo is not installed.
         OutputError: The server does not start, or the folder cannot be written to.
     """
-    from manip_learn.playback.live_viewer import LiveProcess
-    from manip_learn.teach.arm import PERIOD
-    from manip_learn.teach.picture import teaching_page
-    from manip_learn.teach.scene import FIRST_SEED, Kind, physics
-    from manip_learn.teach.session import TeachingSession
-
     progress("preparing the scene", 0.0)
     physics()
-    robot = options.loading.load(options.robot)
+    robot = options.load(options.robot)
     tip = choose_frame(robot, options.frame)
     moving = [name for name in robot.joint_names if robot.moves(name, tip)]
-    robot = with_joints(robot, moving, options.robot, options.loading)
+    robot = with_joints(robot, moving, options.robot, options)
     if options.out.exists() and not options.out.is_dir():
         raise OutputError(f"--out {options.out} is a file: name a folder")
     name = known_as(robot.source) or robot.name or "robot"
-    listeners: list[TeachingSession] = []
-
-    def heard(message: Any) -> None:
-        for session in listeners:
-            session.hear(message)
-
     seed = FIRST_SEED if options.seed is None else options.seed
-    server = LiveProcess(lambda token: teaching_page(robot, name, token), _STARTS, heard, 1.0 / PERIOD)
-    try:
-        session = TeachingSession(robot, tip, options.out, cast(Kind, options.scene), seed, server)
-        listeners.append(session)
+    # 20 s, in which the server starts: a busy machine takes a few
+    pages = LiveProcess(partial(teaching_page, robot, name), 20.0, lambda said: session.hear(said), 1.0 / PERIOD)
+    with closing(pages) as server, ExitStack() as handlers:
+        session = TeachingSession(robot, tip, options.out, options.scene, seed, server)  # type: ignore[arg-type]
         progress("ready", 1.0)
         if options.no_browser:
             print(f"the page: {server.url}", file=sys.stderr, flush=True)
         else:
             server.open_in_browser()
-        with _signals(session):
-            session.run()
-        time.sleep(FAREWELL)
-    finally:
-        server.close()
+        # Ctrl-C, the end of the terminal and a polite kill end the session, whatever it does
+        names = ("SIGINT", "SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
+        for number in [number for number in signal.Signals if number.name in names]:  # Windows has no SIGHUP
+            handlers.callback(signal.signal, number, signal.signal(number, lambda *_: session.end()))
+        session.run()
+        time.sleep(0.2)  # [s] in which open pages hear that the program has ended
     content = {"folder": session.folder, "recordings": session.files, "sentence": session.sentence}
     kept = f"{counted(len(session.files), 'recording')} kept in: {session.folder}"
     return Answer(
@@ -77,19 +62,3 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
         notes=session.arm.scene.notes,
         written=[kept if session.files else "nothing was recorded"],
     )
-
-
-@contextmanager
-def _signals(session: TeachingSession) -> Iterator[None]:
-    """Ctrl-C, the end of the terminal and a polite kill end the session, whatever it does."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    hang_up = getattr(signal, "SIGHUP", None)  # Windows has none
-    ends = [signal.SIGINT, signal.SIGTERM, *([] if hang_up is None else [hang_up])]
-    before = {number: signal.signal(number, lambda *_: session.end()) for number in ends}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
