@@ -157,7 +157,7 @@ def test_a_body_around_the_arm_is_found_and_an_assumed_floor_is_neither_drawn_no
         pages[name] = data_in(ml.replay(robot, {"a": shown}, tmp_path / "a.html", open_browser=False).html)
     assert moments_inside(pages["box"]) > 0 and moments_inside(pages["plain"]) == 0
     assert pages["floor"]["rollouts"][0]["around"] == []
-    assert pages["floor"]["rollouts"][0]["clear"] == "floor (0.12 m from a) assumed: --scene states what is there"
+    assert pages["floor"]["rollouts"][0]["clear"] == "floor (0.12 m from a) assumed: state what is there as a scene"
     for key in ("bounds", "outline", "floor"):
         assert pages["floor"][key] == pages["plain"][key]
     below = replace(motion, around=({**floor, "assumed": False},))

@@ -439,7 +439,7 @@ def keeps_clear(around: Sequence[Mapping[str, Any]]) -> str:
     Args:
         around: As `Rollout.around`.
     """
-    said: dict[str, dict[str, str]] = {"as stated": {}, "assumed: --scene states what is there": {}}
+    said: dict[str, dict[str, str]] = {"as stated": {}, "assumed: state what is there as a scene": {}}
     for thing in around:
         how = list(said)[bool(thing.get("assumed"))]
         near = f" ({thing['nearest']:.2f} m from {thing['link']})" if thing.get("nearest") is not None else ""
