@@ -40,32 +40,24 @@ class Arm:
         if self.reads <= BEFORE:
             self.frozen = self.q.copy()
             return self.q, None, None
+        first = self.reads == BEFORE + 1
         match self.fault:
-            case "nan":
-                return np.full(3, np.nan), None, None
-            case "impossible":
-                return np.full(3, 1e200), None, None
-            case "stale":
-                return self.frozen, None, None
-            case "reordered":
-                return self.q[::-1].copy(), None, None
             case "nothing":
                 return None
-            case "shorter":
-                return self.q[:2], None, None
             case "raises":
                 raise OSError("no cable")
             case "period":
                 self.period = 0.7 * DT
-            case "renamed" if self.reads == BEFORE + 1:
+            case "renamed" if first:
                 self.joint_names = self.joint_names[::-1]
             case "Ctrl-C":
                 raise KeyboardInterrupt
-            case "signal" if self.reads == BEFORE + 1:
+            case "signal" if first:
                 os.kill(os.getpid(), signal.SIGINT)
-            case "once" if self.reads == BEFORE + 1:
-                return np.full(3, np.nan), None, None
-        return self.q, None, None
+        nan, back = np.full(3, np.nan), self.q[::-1].copy()
+        readings = {"nan": nan, "impossible": np.full(3, 1e200), "stale": self.frozen, "reordered": back}
+        readings |= {"shorter": self.q[:2], "once": nan if first else self.q}
+        return readings.get(self.fault, self.q), None, None
 
     def command(self, q: np.ndarray, u: np.ndarray) -> None:
         """Go there at once."""
@@ -83,12 +75,6 @@ def loop_of(robot: ml.Robot, dt: float = DT) -> ml.ServoLoop:
     """A motion of some seconds."""
     constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
     return ml.ServoLoop(ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5])), dt)
-
-
-@pytest.fixture
-def planar3() -> ml.Robot:
-    """The arm."""
-    return ml.load_robot("planar3")
 
 
 def test_a_run_ends_braked_after_its_duration(planar3: ml.Robot) -> None:
@@ -201,43 +187,39 @@ class Hands:
 
 
 class Timed(Arm):
-    """An arm on a clock, some of whose readings take longer."""
+    """An arm on a clock, one of whose readings takes longer."""
 
     simulated, period = False, 0.02
 
-    def __init__(self, hands: Hands, takes: dict[int, float] | float):
+    def __init__(self, hands: Hands, slow: int, seconds: float):
         super().__init__()
-        self.hands, self.takes = hands, takes
+        self.hands, self.slow, self.seconds = hands, slow, seconds
 
     def read(self) -> Any:
         """After as long as that reading takes."""
-        self.hands.time += self.takes if isinstance(self.takes, float) else self.takes.get(self.reads, 0.0)
+        self.hands.time += self.seconds * (self.reads == self.slow)
         return super().read()
 
 
 def test_the_period_is_held_and_late_cycles_are_counted(planar3: ml.Robot) -> None:
     """0.5 s are 0.5 s of the clock; after a cycle of 3.5 periods, those that were missed are not made up for."""
     hands = Hands()
-    record = ml.run(loop_of(planar3, 0.02), Timed(hands, {11: 0.07}), 0.5, clock=hands)
+    record = ml.run(loop_of(planar3, 0.02), Timed(hands, 11, 0.07), 0.5, clock=hands)
     assert record.ordered and record.overruns == 1 and record.longest_delay == pytest.approx(0.05)
     np.testing.assert_allclose(np.diff(record.rollout.time)[:14], [*[0.02] * 10, 0.07, 0.01, 0.02, 0.02])
     assert 0.49 < hands.time - 1000.0 < 0.9
 
 
-BLOCKED = {
-    0.06: "the 1 s were over",
-    0.2: "no new state for more than 100 ms",
-    0.5: "the period of 20 ms cannot be held",
-}
-
-
-@pytest.mark.parametrize("seconds", BLOCKED)
-def test_a_driver_that_blocks_once(seconds: float, planar3: ml.Robot) -> None:
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.06, "the 1 s were over"), (0.2, "no new state for more than 100 ms"), (0.5, "period of 20 ms cannot be held")],
+)
+def test_a_driver_that_blocks_once(seconds: float, words: str, planar3: ml.Robot) -> None:
     """Longer than `stale_after` ends the run; no command jumps, and the last one is zero."""
     hands, loop = Hands(), loop_of(planar3, 0.02)
-    arm = Timed(hands, {20: seconds})
+    arm = Timed(hands, 20, seconds)
     record = ml.run(loop, arm, 1.0, clock=hands)
-    assert BLOCKED[seconds] in record.ended and record.overruns == 1
+    assert words in record.ended and record.overruns == 1
     assert braked(arm, loop, 0.02)
 
 
@@ -307,14 +289,13 @@ def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name: str, how: s
 
     Not where it was started with the signal ignored. A `command` that does not return is given up, and none is sent.
     """
-    number = signal.Signals[name] if name else None
     ignore: Any = {"preexec_fn": lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)} if how == "ignored" else {}
     words = [sys.executable, "-c", PROGRAM, how]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **ignore) as program:
         assert program.stdout is not None and program.stderr is not None
         lines = [program.stdout.readline() for _ in range(41)]
-        if number is not None:
-            program.send_signal(number)
+        if name:
+            program.send_signal(signal.Signals[name])
         lines += program.stdout.readlines()
         error = program.stderr.read()
     assert (lines[-1].strip(), program.returncode) == (said, code) and "Traceback" not in error
@@ -328,14 +309,15 @@ def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name: str, how: s
 
 
 def test_a_loop_runs_again(planar3: ml.Robot) -> None:
-    """A second run goes on from where the first one left the arm."""
+    """A second run goes on from where the first one left the arm; of an arm that was moved by hand, it is refused."""
     loop, arm = loop_of(planar3), Arm()
     ml.run(loop, arm, 0.3)
     at = arm.q.copy()
     record = ml.run(loop, arm, 0.3)
-    assert record.ordered
+    assert record.ordered and np.abs(record.rollout.u).max() > 0.1
     np.testing.assert_allclose(record.rollout.q[0], at, atol=1e-12)
-    assert np.abs(record.rollout.u).max() > 0.1
+    sent, arm.q = len(arm.sent), arm.q + 0.3
+    assert "nothing was sent" in ml.run(loop, arm, 0.1).ended and len(arm.sent) == sent
 
 
 def test_long_runs_keep_every_second_cycle(planar3: ml.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -402,10 +384,9 @@ def played(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
 
 def planned(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
     """A motion of the joints and then one along the constraint, as of a plan."""
-    rows = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
     there = ml.ResolvedRateController(every_joint(robot), JointMotion(ml.Limits(robot), [start, start + 0.1]))
-    on = ml.ResolvedRateController(rows, ml.motion(rows, along=0.1))
-    return ml.ServoLoop(LawSequence(there, on), DT)
+    rows = loop_of(robot).controller.constraint
+    return ml.ServoLoop(LawSequence(there, ml.ResolvedRateController(rows, ml.motion(rows, along=0.1))), DT)
 
 
 def from_anywhere(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
@@ -434,34 +415,22 @@ def test_nothing_is_sent_to_where_the_arm_is_not(make: Any, first: Any, readings
 @pytest.mark.parametrize("make", [played, planned])
 @pytest.mark.parametrize("off", [0.2, -1.0, 0.06])
 def test_an_arm_that_is_not_where_its_motion_starts_is_refused(make: Any, off: float, planar3: ml.Robot) -> None:
-    """Nothing is ever sent; the reason names the joint and both figures. From nearer by, the motion begins at once."""
+    """Nothing is ever sent; the reason names the joint and both figures."""
     start = START + [0.0, off, 0.0]
-    arm = Late(START, 0)
+    arm = Arm()
     record = ml.run(make(planar3, start), arm, 5.0)
     assert not record.ordered and not arm.sent and arm.held == 0 and arm.reads * DT < 1.5
     assert planar3.joint_names[1] in record.ended and "reads 0.8 rad" in record.ended
     assert f"{start[1]:.3g} rad where the motion starts" in record.ended
-    near = Late(START + [0.0, 0.04, 0.0], 0)
-    near.q = START + [0.0, 0.04, 0.0]
-    assert ml.run(make(planar3), near, 0.2).ordered and near.reads - len(near.sent) == 1
 
 
-def test_a_loop_that_was_stopped_elsewhere_sends_nothing(planar3: ml.Robot) -> None:
-    """A second run of an arm that was moved by hand meanwhile is refused; one of an arm that stands there goes on."""
-    arm, loop = Late(START, 0), loop_of(planar3)
-    ml.run(loop, arm, 0.3)
-    assert ml.run(loop, arm, 0.1).ordered
-    sent, arm.q = len(arm.sent), arm.q + 0.3
-    record = ml.run(loop, arm, 0.1)
-    assert "nothing was sent" in record.ended and len(arm.sent) == sent
-
-
-def test_a_true_zero_start_runs_at_once(planar3: ml.Robot) -> None:
+@pytest.mark.parametrize("start", [START, np.zeros(3)])
+def test_an_arm_near_the_start_runs_at_once(start: np.ndarray, planar3: ml.Robot) -> None:
     """Two readings are enough, also where the motion's own start is zero."""
     for make in (played, planned, from_anywhere):
-        arm = Late(None, 0)
-        arm.q = np.zeros(3)
-        assert ml.run(make(planar3, np.zeros(3)), arm, 0.3).ordered and arm.reads - len(arm.sent) == 1
+        arm = Arm()
+        arm.q = start + [0.0, 0.04 * np.any(start), 0.0]
+        assert ml.run(make(planar3, start), arm, 0.3).ordered and arm.reads - len(arm.sent) == 1
 
 
 def test_first_readings_of_other_joints(robot_of: Any) -> None:

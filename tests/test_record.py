@@ -20,7 +20,7 @@ from manip_learn.drivers.record import RESTS, record
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.trajectory import EFFORT_SUFFIX, VELOCITY_SUFFIX
-from manip_learn.robot import load_robot
+from manip_learn.robot import Robot
 
 NAMES = ("joint1", "joint2", "joint3")
 
@@ -62,7 +62,7 @@ def rows(file: Path) -> list[list[float]]:
     return [[float(x) for x in line.split(",")] for line in lines]
 
 
-def test_each_motion_is_a_file_of_its_own(tmp_path: Path):
+def test_each_motion_is_a_file_of_its_own(tmp_path: Path, planar3: Robot):
     """A file begins half a second before the joints move and ends when they have rested; nothing in it is missing, the
     numbers come back bit for bit, and the arm is released before and held after.
     """
@@ -78,7 +78,7 @@ def test_each_motion_is_a_file_of_its_own(tmp_path: Path):
         arm.k = round(table[50, 0] / 0.01)
         q, u, effort = arm.read()
         assert table[50].tolist() == [table[50, 0], *q, *u, *effort]
-    demos = load_demonstrations([str(file) for file in done.files], load_robot("planar3"), velocities="recorded")
+    demos = load_demonstrations(list(done.files), planar3, velocities="recorded")
     assert demos[0].u is not None and demos[0].effort is not None and len(demos) == 2
     assert sum(map(len, demos)) == done.samples
 
@@ -134,14 +134,11 @@ def test_a_hand_guided_mode_that_is_not_there_is_said(tmp_path: Path):
     arm = Arm([(1.0, 2.0)])
     arm.release = lambda: (_ for _ in ()).throw(ConfigurationError("press the button on the wrist"))  # type: ignore
     assert record(arm, tmp_path, duration=5.0).notes == ("press the button on the wrist",)
-    nameless = Arm([(1.0, 2.0)])
-    nameless.joint_names = None  # type: ignore[assignment]
-    with pytest.raises(ConfigurationError, match="names no joints"):
-        record(nameless, tmp_path, duration=5.0)
-    still = Arm([])
-    still.wait = None  # type: ignore[assignment, method-assign]
-    with pytest.raises(ConfigurationError, match="wait"):
-        record(still, tmp_path, duration=5.0)
+    for attribute, words in (("joint_names", "names no joints"), ("wait", "wait")):
+        lacking = Arm([(1.0, 2.0)])
+        setattr(lacking, attribute, None)
+        with pytest.raises(ConfigurationError, match=words):
+            record(lacking, tmp_path, duration=5.0)
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(OutputError, match="cannot make the folder"):
         record(arm, tmp_path / "file" / "demos", duration=1.0)
@@ -190,25 +187,7 @@ def started(folder: Path, limit: int = 0, last: int = 10**9, **more) -> subproce
     return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
 
 
-def test_a_killed_program_keeps_what_it_has_read(tmp_path: Path):
-    """The file is written while it grows: after kill -9 it has every sample read before, in whole lines."""
-    with started(tmp_path, last=200) as program:
-        assert program.stdout is not None and program.stderr is not None
-        while program.stdout.readline() != "blocks\n":
-            pass
-        (file,) = tmp_path.glob("*.csv")
-        for _ in range(600):  # of 0.05 s, for a machine under load
-            if rows(file)[-1:] and rows(file)[-1][1] == 0.005 * 200:
-                break
-            time.sleep(0.05)
-        program.send_signal(signal.SIGKILL)
-    assert file.read_text(encoding="utf-8").endswith("\n")
-    table = rows(file)
-    assert table[-1][1] == 0.005 * 200 and np.allclose(np.diff(table, axis=0)[:, 1], 0.005)
-    assert len(load_demonstrations([str(file)], load_robot("planar3"))[0]) == len(table)
-
-
-def test_a_full_disk_keeps_what_it_has(tmp_path: Path):
+def test_a_full_disk_keeps_what_it_has(tmp_path: Path, planar3: Robot):
     """Where there is no more room, recording ends with a sentence, the arm is held, and the file is whole lines."""
     program = started(tmp_path, limit=9000)
     out, error = program.communicate(timeout=60.0)
@@ -217,26 +196,37 @@ def test_a_full_disk_keeps_what_it_has(tmp_path: Path):
     assert out.splitlines()[-1].startswith("the disk is full, make room; the samples before are kept in")
     content = file.read_text(encoding="utf-8")
     assert 8800 < len(content) <= 9000 and content.endswith("\n")
-    assert len(load_demonstrations([str(file)], load_robot("planar3"))[0]) == content.count("\n") - 1
+    assert len(load_demonstrations(file, planar3)[0]) == content.count("\n") - 1
 
 
 @pytest.mark.parametrize(
     ("name", "last", "said", "code"),
-    [("SIGINT", 10**9, ["held", "Ctrl-C"], 0), ("SIGTERM", 200, ["blocks", "held"], 143)],
+    [
+        ("SIGINT", 10**9, ["held", "Ctrl-C"], 0),
+        ("SIGTERM", 200, ["blocks", "held"], 143),
+        ("SIGKILL", 200, ["blocks"], -signal.SIGKILL),
+    ],
 )
-def test_signals_complete_the_file_and_hold_the_arm(name: str, last: int, said: list[str], code: int, tmp_path: Path):
-    """Without a traceback; a driver that does not return is given up; the exit code is the signal's."""
+def test_signals_complete_the_file_and_hold_the_arm(
+    name: str, last: int, said: list[str], code: int, tmp_path: Path, planar3: Robot
+):
+    """Without a traceback; a driver that does not return is given up; the exit code is the signal's. The file is
+    written while it grows: after kill -9, too, it has every sample read before, in whole lines.
+    """
     with started(tmp_path, last=last) as program:
         assert program.stdout is not None and program.stderr is not None
         heard = [program.stdout.readline() for _ in range(201)]
+        (file,) = tmp_path.glob("*.csv")
+        while name == "SIGKILL" and [row[1] for row in rows(file)[-1:]] != [0.005 * last]:
+            time.sleep(0.05)
         program.send_signal(signal.Signals[name])
         heard += program.stdout.readlines()
         error = program.stderr.read()
     lines = [line.strip() for line in heard]
     assert lines[-len(said) :] == said and program.returncode == code and not error
-    (file,) = tmp_path.glob("*.csv")
-    count = max(int(line) for line in lines if line.isdecimal())
-    assert rows(file)[-1][1] >= 0.005 * (count - 1) and file.read_text(encoding="utf-8").endswith("\n")
+    table, count = rows(file), max(int(line) for line in lines if line.isdecimal())
+    assert table[-1][1] >= 0.005 * (count - (name != "SIGKILL")) and np.allclose(np.diff(table, axis=0)[:, 1], 0.005)
+    assert file.read_text(encoding="utf-8").endswith("\n") and len(load_demonstrations(file, planar3)[0]) == len(table)
 
 
 REAL_ARM = """
@@ -326,7 +316,7 @@ class Stalling:
 
     joint_names, period = NAMES, 0.01
 
-    def __init__(self, stall: float = 0.0, wrong: float = 0.0):
+    def __init__(self, stall: float, wrong: float):
         self.stall, self.wrong, self.n, self.time = stall, wrong, 0, 50.0
 
     def now(self):
@@ -337,28 +327,22 @@ class Stalling:
 
     def read(self):
         self.n += 1
-        if self.n == 60:
-            self.time += self.stall
-        off = self.wrong if self.n in (80, 120) else 0.0
-        return 0.5 * np.ones(3) * (self.time - 50.0) + off, None, None
+        q = 0.5 * np.ones(3) * (self.time - 50.0) + self.wrong * (self.n in (80, 120))
+        self.time += self.stall * (self.n == 60)
+        return q, None, None
 
 
-@pytest.mark.parametrize(("stall", "lost"), [(0.104, 9), (1.6, 159)])
-def test_a_stall_is_said_as_long_as_it_was(stall: float, lost: int, tmp_path: Path):
-    """A reading that takes long leaves a hole of that length, and as many samples are lost; it goes on."""
-    arm = Stalling(stall)
+@pytest.mark.parametrize(("stall", "wrong", "lost"), [(0.104, 0.0, 9), (1.6, 0.0, 159), (0.0, 1.0, 2)])
+def test_a_stall_is_said_as_long_as_it_was(stall: float, wrong: float, lost: int, tmp_path: Path):
+    """A reading that takes long leaves a hole of that length, and as many samples are lost; it goes on. Zeros, or a
+    turn, between two samples of a slow motion are not written down, and are counted as lost.
+    """
+    arm = Stalling(stall, wrong)
     done = record(arm, tmp_path, duration=2.0 + stall, clock=arm)  # type: ignore[arg-type]
-    assert done.ordered and done.lost == lost and done.longest_gap == pytest.approx(stall)
-    assert f"{lost} samples lost" in done.sentence
-    assert np.max(np.diff(np.array(rows(done.files[0]))[:, 0])) == pytest.approx(stall)
-
-
-def test_a_sample_that_no_arm_can_reach_is_lost(tmp_path: Path):
-    """Zeros, or a turn, between two samples of a slow motion are not written down, and are counted as lost."""
-    arm = Stalling(wrong=1.0)
-    done = record(arm, tmp_path, duration=2.0, clock=arm)  # type: ignore[arg-type]
-    table = np.array(rows(done.files[0]))
-    assert done.lost == 2 and np.allclose(np.diff(table[:, 1]) / np.diff(table[:, 0]), 0.5)
+    assert done.ordered and done.lost == lost and f"{lost} samples lost" in done.sentence
+    steps = np.diff(rows(done.files[0]), axis=0)
+    assert done.longest_gap == pytest.approx(stall or 0.02) and np.max(steps[:, 0]) == pytest.approx(stall or 0.02)
+    assert np.allclose(steps[:, 1] / steps[:, 0], 0.5)
 
 
 def test_columns_are_the_joints_of_their_names(tmp_path: Path):
@@ -367,15 +351,12 @@ def test_columns_are_the_joints_of_their_names(tmp_path: Path):
     class Shuffled(Arm):
         def read(self):
             order = [NAMES[(j + self.k) % 3] for j in range(3)]
-            return tuple(
-                None if part is None else {name: part[NAMES.index(name)] for name in order} for part in super().read()
-            )
+            return tuple({name: part[NAMES.index(name)] for name in order} for part in super().read())
 
-    for named in (True, False):
+    for names in (NAMES, None):
         arm = Shuffled([(1.0, 2.0)], efforts=True)
-        if not named:
-            arm.joint_names = None  # type: ignore[assignment]
-        (file,) = record(arm, tmp_path / str(named), duration=6.0).files
+        arm.joint_names = names  # type: ignore[assignment]
+        (file,) = record(arm, tmp_path / str(names), duration=6.0).files
         header = file.read_text(encoding="utf-8").splitlines()[0].split(",")
         for row in rows(file)[::10]:
             arm.k = round(row[0] / arm.period)
