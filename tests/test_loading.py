@@ -85,7 +85,10 @@ def test_without_the_data_package(monkeypatch):
         example_robots.cache_clear()
 
 
-XACRO = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="r"><xacro:arg name="kind" default="six"/>' + (
+XMLNS = 'xmlns:xacro="http://www.ros.org/wiki/xacro" '
+XACRO_ARM = ARM.replace("<robot ", f"<robot {XMLNS}")
+PART = f'<robot {XMLNS} name="part">'
+XACRO = f'<robot {XMLNS} name="r"><xacro:arg name="kind" default="six"/>' + (
     '<link name="a"/><link name="$(arg kind)"/><joint name="j" type="revolute"><parent link="a"/>'
     '<child link="$(arg kind)"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>'
 )
@@ -101,13 +104,13 @@ def fetching(tmp_path, monkeypatch) -> Path:
     (package / "arm.urdf").write_text(ARM)
     (package / "six.urdf.xacro").write_text(XACRO)
     paths = f"print('Cloning')\nREPOSITORY_PATH = {str(package)!r}\n"
+    six = f"XACRO_PATH = {str(package / 'six.urdf.xacro')!r}\nXACRO_ARGS = {{'kind': 'tip'}}\n"
     for name, text in {
         "__init__": "",
         "_cache": "raise RuntimeError",
         "own_description": f"{paths}URDF_PATH = {str(package / 'arm.urdf')!r}\n",
         "own_mj_description": "raise RuntimeError",
-        "xarm6_description": f"{paths}XACRO_PATH = {str(package / 'six.urdf.xacro')!r}\n"
-        "XACRO_ARGS = {'kind': 'tip'}\n",
+        "xarm6_description": paths + six,
         "offline_description": "from git.exc import GitError\nraise GitError('could not resolve host')\n",
     }.items():
         (package / f"{name}.py").write_text(text)
@@ -167,19 +170,16 @@ def test_locked_joints_disappear():
 
 
 def test_locked_at_a_position(rng):
-    """A joint locked at a position stands where the free robot stands with that position."""
+    """A joint locked at a position stands where the free robot stands with that position; without one at zero, or at
+    the limit nearest to it: Panda's elbow cannot be straight.
+    """
     free, held = load_robot("panda"), load_robot("panda", locked={"panda_joint2": 0.3, "panda_finger_joint1": 0.02})
     q = free.random_configuration(rng)
     q[1], q[7] = 0.3, 0.02
     for frame in ("panda_hand_tcp", "panda_rightfinger"):
         pose = held.pose(np.delete(q, [1, 7]), held.frame(frame))
         np.testing.assert_allclose(pose, free.pose(q, free.frame(frame)), atol=rounding(8 * 9, q))
-
-
-def test_locked_stands_inside_its_limits():
-    """Zero where that is allowed, else the limit nearest to it: Panda's elbow cannot be straight."""
-    robot = load_robot("panda", locked=("panda_joint4",))
-    assert robot.locked["panda_joint4"] == load_robot("panda").position_upper[3] < 0
+    assert load_robot("panda", locked=("panda_joint4",)).locked["panda_joint4"] == free.position_upper[3] < 0
 
 
 def test_what_cannot_be_locked():
@@ -190,10 +190,9 @@ def test_what_cannot_be_locked():
         ({"panda_joint1": float("nan")}, "locked-position"),
         ({"panda_joint1": "left"}, "locked-position"),
     ]:
-        with case(locked, code):
-            with pytest.raises(RobotError) as caught:
-                load_robot("panda", locked=locked)
-            assert caught.value.code == code
+        with case(locked, code), pytest.raises(RobotError) as caught:
+            load_robot("panda", locked=locked)
+        assert caught.value.code == code
     with pytest.raises(UnknownNameError, match="panda_finger_joint1"):
         load_robot("panda", locked=("finger_joint1",))
 
@@ -208,19 +207,16 @@ def test_fingerprint_is_of_the_kinematics(tmp_path, arm):
         ARM.replace('xyz="0 0 0.3"', 'xyz="0.0 0 3e-1"'),
         ARM.replace('xyz="0 0 0.3"', 'xyz="0 0 0.30000000000000004"'),
     ]
-    other = [
-        ARM.replace("0 0 0.3", "0 0 0.31"),
-        ARM.replace("0 0 0.3", "0 0 0.300001"),
-        ARM.replace('"2"/>', '"2.1"/>'),
-    ]
-    paths = [tmp_path / f"{i}.urdf" for i in range(len(same + other))]
-    for path, text in zip(paths, same + other, strict=True):
-        path.write_text(text, encoding="utf-8", newline="")
-    seen = [load_robot(path).fingerprint for path in paths]
+    other = [ARM.replace("0 0 0.3", to) for to in ("0 0 0.31", "0 0 0.300001")] + [ARM.replace('"2"/>', '"2.1"/>')]
+
+    def fingerprint_of(text):
+        (tmp_path / "other.urdf").write_text(text, encoding="utf-8", newline="")
+        return load_robot(tmp_path / "other.urdf").fingerprint
+
     fingerprint = load_robot(arm).fingerprint
-    assert seen[: len(same)] == [fingerprint] * len(same)
+    assert {fingerprint_of(text) for text in same} == {fingerprint}
     options = [{"locked": ("elbow",)}, {"locked": {"elbow": 0.1}}, {"base": "floating"}, {"base": "planar"}]
-    different = {*seen[len(same) :], *(load_robot(arm, **o).fingerprint for o in options)}
+    different = {*map(fingerprint_of, other), *(load_robot(arm, **o).fingerprint for o in options)}
     assert len(different | {fingerprint}) == 1 + len(other) + len(options)
     script = f"from manip_learn.robot.loading import load_robot; print(load_robot({str(arm)!r}).fingerprint)"
     environment = {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(Path(__file__).parents[1])}
@@ -250,8 +246,8 @@ def test_package_dirs_must_exist(arm, tmp_path):
     """A mistyped package folder is found at once, not when meshes are missing."""
     with pytest.raises(RobotError, match="no such folder"):
         load_robot(arm, package_dirs=[tmp_path / "nowhere"])
-    assert load_robot(arm, package_dirs=str(tmp_path)).package_dirs == (tmp_path,)
-    assert load_robot(arm, package_dirs=tmp_path).package_dirs == (tmp_path,)
+    for given in (str(tmp_path), tmp_path):
+        assert load_robot(arm, package_dirs=given).package_dirs == (tmp_path,)
 
 
 def test_errors_survive_pickling(tmp_path):
@@ -266,15 +262,10 @@ def test_errors_survive_pickling(tmp_path):
 
 def test_xacro_only_when_asked(tmp_path):
     """A xacro file says how to opt in, and then is expanded; what it does wrong is a sentence."""
-    path = tmp_path / "arm.xacro"
-    text = ARM.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
-    path.write_text(
-        text.replace('<link name="base"/>', '<xacro:property name="h" value="0.25"/><link name="base"/>').replace(
-            "0 0 0.3", "0 0 ${2*h}"
-        ),
-        encoding="utf-8",
-    )
     pytest.importorskip("xacrodoc")
+    path = tmp_path / "arm.xacro"
+    text = XACRO_ARM.replace('<link name="base"/>', '<xacro:property name="h" value="0.25"/><link name="base"/>')
+    path.write_text(text.replace("0 0 0.3", "0 0 ${2*h}"), encoding="utf-8")
     robot = load_robot(path, xacro=True)
     assert robot.pose([0, 0], robot.frame("upper"))[2, 3] == pytest.approx(0.5)
     wrong = {
@@ -296,14 +287,13 @@ def test_expressions_of_xacro_files_have_limits(tmp_path, monkeypatch):
     """An expression that never ends, or wants gigabytes, is one sentence in the time and memory of its process."""
     pytest.importorskip("xacrodoc")
     path = tmp_path / "arm.xacro"
-    text = ARM.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
     for expression, words in {
         "${len([0]*10**9)}": r"\(there is not enough memory when evaluating",
         "${' '*15000000}": "15000... characters, at most 10000000",
         "${9**9**9}": "it took more than 1 s; its expressions may take 1 s and 1 GB",
     }.items():
         monkeypatch.setattr(xacro_expansion, "EXPANSION_SECONDS", 1 if "**9" in expression else 60)
-        path.write_text(text.replace("0 0 0.3", expression), encoding="utf-8")
+        path.write_text(XACRO_ARM.replace("0 0 0.3", expression), encoding="utf-8")
         with case(expression), pytest.raises(RobotError, match=words) as caught:
             load_robot(path, xacro=True)
         assert (caught.value.code, caught.value.path) == ("xacro-failed", path)
@@ -313,14 +303,11 @@ def test_arguments_and_packages_of_xacro_files(tmp_path):
     """Values are given to `<xacro:arg>`, a misspelt name is refused, and `$(find ...)` looks in package_dirs."""
     pytest.importorskip("xacrodoc")
     (tmp_path / "packages" / "heights").mkdir(parents=True)
-    head = '<robot name="part" xmlns:xacro="http://www.ros.org/wiki/xacro">'
     part = tmp_path / "packages" / "heights" / "h.xacro"
-    part.write_text(f'{head}<xacro:arg name="extra" default="0"/></robot>', encoding="utf-8")
-    arm = ARM.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    part.write_text(f'{PART}<xacro:arg name="extra" default="0"/></robot>', encoding="utf-8")
     include = '<xacro:arg name="height" default="0.5"/><xacro:include filename="$(find heights)/h.xacro"/>'
-    path = tmp_path / "robots" / "arm.xacro"
-    path.parent.mkdir()
-    arm = arm.replace('<link name="base"/>', include + '<link name="base"/>')
+    path = tmp_path / "arm.xacro"
+    arm = XACRO_ARM.replace('<link name="base"/>', include + '<link name="base"/>')
     path.write_text(arm.replace("0 0 0.3", "0 0 ${$(arg height)+$(arg extra)}"), encoding="utf-8")
 
     def height(**values):
@@ -332,30 +319,27 @@ def test_arguments_and_packages_of_xacro_files(tmp_path):
     with pytest.raises(RobotError, match="no argument 'hieght'; it has 'height'") as caught:
         height(hieght="0.25")
     assert caught.value.code == "xacro-arg"
-    with pytest.raises(RobotError, match="heights.*package_dirs"):
-        load_robot(path, xacro=True)
-    with pytest.raises(RobotError, match="a mapping"):
-        load_robot(path, xacro="ur5")
-    with pytest.raises(RobotError, match="no .xacro file"):
-        load_robot("planar3", xacro={"height": "1"})
+    for name, xacro, words in (
+        (path, True, "heights.*package_dirs"),
+        (path, "ur5", "a mapping"),
+        ("planar3", {"height": "1"}, "no .xacro file"),
+    ):
+        with pytest.raises(RobotError, match=words):
+            load_robot(name, xacro=xacro)
 
 
 def test_a_file_that_only_defines_a_macro_says_so(tmp_path):
     """The macros are named, and what to load or write; expanded from xacro, included, or called a URDF."""
-    head = '<robot name="part" xmlns:xacro="http://www.ros.org/wiki/xacro">'
     macro = '<xacro:macro name="{}" params="prefix"><link name="${{prefix}}base"/></xacro:macro>'
-    (tmp_path / "arm.xacro").write_text(f"{head}{macro.format('arm')}{macro.format('hand')}</robot>")
-    (tmp_path / "around.xacro").write_text(f'{head}<xacro:include filename="arm.xacro"/></robot>')
-    (tmp_path / "called.xacro").write_text(
-        f'{head}<xacro:include filename="arm.xacro"/><xacro:arm prefix="left_"/></robot>'
-    )
-    (tmp_path / "arm.urdf").write_text((tmp_path / "arm.xacro").read_text())
+    include = f'{PART}<xacro:include filename="arm.xacro"/>'
+    for name in ("arm.urdf", "arm.xacro"):
+        (tmp_path / name).write_text(f"{PART}{macro.format('arm')}{macro.format('hand')}</robot>")
+    (tmp_path / "around.xacro").write_text(f"{include}</robot>")
+    (tmp_path / "called.xacro").write_text(f'{include}<xacro:arm prefix="left_"/></robot>')
     for name in ("arm.urdf", "arm.xacro", "around.xacro"):
         if name.endswith(".xacro"):
             pytest.importorskip("xacrodoc")
-        words = (
-            "only defines the macros 'arm', 'hand'.*load the file that calls them, usually robot.urdf.xacro, or write"
-        )
+        words = "only defines the macros 'arm', 'hand'.*load the file that calls them, usually robot.urdf.xacro, or w"
         with case(name), pytest.raises(RobotError, match=words) as caught:
             load_robot(tmp_path / name, xacro=name.endswith(".xacro"))
         assert caught.value.code == "no-links"

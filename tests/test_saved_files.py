@@ -46,18 +46,15 @@ JOINT = """<joint name="{name}" type="revolute"><parent link="{parent}"/><child 
 def arm(path: Path, name: str = "arm", length: float = 1.0, joints: tuple[str, ...] = ("j1", "j2", "j3")) -> Path:
     """A planar arm; its name, its lengths and the names of its joints are what a mistake would confuse."""
     links = ("base", "a", "b", "tip")
-    parts = [
-        JOINT.format(name=n, parent=links[i], child=links[i + 1], length=length if i else 0.0)
-        for i, n in enumerate(joints)
-    ]
-    path.write_text(URDF.format(name=name, joints="".join(parts)), encoding="utf-8")
+    ends = zip(joints, links[:-1], links[1:], (0.0, length, length), strict=True)
+    parts = "".join(JOINT.format(name=n, parent=p, child=c, length=x) for n, p, c, x in ends)
+    path.write_text(URDF.format(name=name, joints=parts), encoding="utf-8")
     return path
 
 
 def rollout_of(robot: Robot, seconds: float = 0.5) -> Rollout:
     """A motion that moves every joint."""
-    constraint = Constraint([[1.0, 0.0, 0.0]], FrameJacobian(robot, "tip"))
-    controller = ResolvedRateController(constraint, Hold())
+    controller = ResolvedRateController(Constraint([[1.0, 0.0, 0.0]], FrameJacobian(robot, "tip")), Hold())
     made = simulate(robot, controller, np.full(robot.nv, 0.4), seconds, 0.01)
     q = 0.4 + 0.1 * np.sin(made.time[:, None] + np.arange(robot.nv)) / 3.0
     u = 0.1 * np.cos(made.time[:, None] + np.arange(robot.nv)) / 3.0
@@ -97,31 +94,28 @@ def test_a_rollout_comes_back_bit_for_bit(arms: Path) -> None:
             assert load_demonstrations(path, robot).notes == ()
 
 
-def wrong_robots(arms: Path) -> list[tuple[str, dict, str, dict]]:
-    """(made with, locked; used with, locked): ten mistakes, each of which the same names could hide."""
-    a, longer, renamed, joints = (str(arms / f"{n}.urdf") for n in ("arm", "longer", "renamed", "joints"))
-    return [
-        (a, {}, longer, {}),
-        (longer, {}, a, {}),
-        (a, {"j3": 1.2}, longer, {"j3": 1.2}),
-        (a, {}, renamed, {}),
-        (renamed, {"j1": 0.3}, a, {"j1": 0.3}),
-        (a, {}, joints, {}),
-        (a, {}, a, {"j2": None}),
-        (a, {"j2": 1.2}, a, {}),
-        (a, {"j2": 1.2}, a, {"j2": None}),
-        (a, {"j2": 1.2}, a, {"j3": None}),
-    ]
+# (made with, locked; used with, locked): ten mistakes, each of which the same names could hide
+WRONG_ROBOTS: list[tuple[str, dict, str, dict]] = [
+    ("arm", {}, "longer", {}),
+    ("longer", {}, "arm", {}),
+    ("arm", {"j3": 1.2}, "longer", {"j3": 1.2}),
+    ("arm", {}, "renamed", {}),
+    ("renamed", {"j1": 0.3}, "arm", {"j1": 0.3}),
+    ("arm", {}, "joints", {}),
+    ("arm", {}, "arm", {"j2": None}),
+    ("arm", {"j2": 1.2}, "arm", {}),
+    ("arm", {"j2": 1.2}, "arm", {"j2": None}),
+    ("arm", {"j2": 1.2}, "arm", {"j3": None}),
+]
 
 
 @pytest.mark.parametrize("case", range(10))
-def test_no_file_is_used_with_another_robot_in_silence(
-    case: int, arms: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_no_file_is_used_with_another_robot_in_silence(case: int, arms: Path, tmp_path: Path, capsys) -> None:
     """Ten files, each with a robot or locked joints that are not its own: Python refuses to load, learn from or replay
     them and names both robots; the command line restores the locked joints, or refuses too.
     """
-    made_with, locked, used_with, used_locked = wrong_robots(arms)[case]
+    made_with, locked, used_with, used_locked = WRONG_ROBOTS[case]
+    made_with, used_with = (str(arms / f"{name}.urdf") for name in (made_with, used_with))
     own, other = load_robot(made_with, locked=locked), load_robot(used_with, locked=used_locked)
     rollout = rollout_of(own)
     path = rollout.save(tmp_path / ("run.npz", "run.csv")[case % 2])
@@ -176,20 +170,17 @@ def test_files_without_a_robot(arms: Path, tmp_path: Path) -> None:
 
 def test_another_ending_is_refused(arms: Path, tmp_path: Path) -> None:
     """The ending says the format; one that says nothing is an error that lists the formats, as is one that went."""
-    rollout = rollout_of(load_robot(arms / "arm.urdf"))
-    with pytest.raises(OutputError, match=r"\.npz, \.csv, \.mcap"):
-        rollout.save(tmp_path / "run.xyz")
-    with pytest.raises(OutputError, match=r"JSON lines are not written any more; \.npz and \.csv"):
-        rollout.save(tmp_path / "run.jsonl")
-    motion = motion_of_trajectory(
-        Trajectory(rollout.time, rollout.q, None, rollout.joint_names), load_robot(arms / "arm.urdf")
-    )
-    for name, content in {
-        "run.mcap": rollout.save(tmp_path / "run.mcap").read_bytes(),
-        "old.jsonl": b'{"format": "manip_learn.rollout", "schema": 2}\n',
-        "run.yaml": joint_trajectory_bytes(motion),
-    }.items():
-        (tmp_path / name).write_bytes(content)
+    robot = load_robot(arms / "arm.urdf")
+    rollout = rollout_of(robot)
+    gone = r"JSON lines are not written any more; \.npz and \.csv"
+    for name, said in (("run.xyz", r"\.npz, \.csv, \.mcap"), ("run.jsonl", gone)):
+        with pytest.raises(OutputError, match=said):
+            rollout.save(tmp_path / name)
+    motion = motion_of_trajectory(Trajectory(rollout.time, rollout.q, None, rollout.joint_names), robot)
+    rollout.save(tmp_path / "run.mcap")
+    (tmp_path / "old.jsonl").write_bytes(b'{"format": "manip_learn.rollout", "schema": 2}\n')
+    (tmp_path / "run.yaml").write_bytes(joint_trajectory_bytes(motion))
+    for name in ("run.mcap", "old.jsonl", "run.yaml"):
         with pytest.raises(RecordingError, match=r"\.npz and \.csv|\.npz or \.csv") as caught:
             Rollout.load(tmp_path / name)
         assert caught.value.code == "not-a-rollout"
@@ -201,9 +192,8 @@ def test_a_rollout_keeps_what_guided_it(robot_of) -> None:
         with case(suffix) as tmp_path:
             robot = robot_of("sawyer")
             features = FrameJacobian(robot, "right_hand", "xyz")
-            constraint = Constraint(
-                [[0, 1, 0], [0, 0, 1]], features, {"kind": "motion-constrained", "phases": [["a", 0, 1, 0]]}
-            )
+            provenance = {"kind": "motion-constrained", "phases": [["a", 0, 1, 0]]}
+            constraint = Constraint([[0, 1, 0], [0, 0, 1]], features, provenance)
             controller = ResolvedRateController(constraint, PointAttractor([0.6, 0.2, 0.4]))
             rollout = simulate(robot, ServoLoop(controller, 0.01), robot.neutral(), 0.05, 0.01)
             assert rollout.following_error is not None and rollout.following_error.shape == rollout.time.shape
@@ -259,40 +249,39 @@ def rewritten(value: Any) -> Any:
     return value if not whole else int(value) if value else -0.0
 
 
-def saved_door(robot: Robot, path: Path) -> tuple[Constraint, Path]:
-    """A constraint and its file of format 2, with the steps of a skill, whole numbers and keys that are not sorted."""
+@pytest.fixture
+def door(planar3: Robot, tmp_path: Path) -> Path:
+    """The file of format 2 of a constraint, with steps of a skill, whole numbers and keys that are not sorted."""
     provenance = json.loads(OF_02.read_text())["provenance"] | {"kept": {"z": -0.0, "a": [1.0, 1e-7]}}
-    door = MechanismRows(robot, "tip", "radial axial", axis=(0, 0, 1), point=(0.4, 0.3, 0.0), radius=1.25)
-    constraint = Constraint([[0.6, 0.8]], door, provenance)
+    rows = MechanismRows(planar3, "tip", "radial axial", axis=(0, 0, 1), point=(0.4, 0.3, 0.0), radius=1.25)
+    constraint = Constraint([[0.6, 0.8]], rows, provenance)
     way = Step("way", constraint, constraint.shown, "close")
-    return constraint, Skill((constraint,), (Step("reach", constraint), way)).save(path)
+    return Skill((constraint,), (Step("reach", constraint), way)).save(tmp_path / "c.json")
 
 
-def test_a_constraint_file_comes_back_when_another_program_wrote_it_again(tmp_path: Path) -> None:
+def test_a_constraint_file_comes_back_when_another_program_wrote_it_again(
+    planar3: Robot, door: Path, tmp_path: Path
+) -> None:
     """The same A to the last bit and the same steps, as it was written and as another program writes it again: 1 for
     1.0, -0.0, keys in another order, no indentation. Files of format 2 and 1 alike; neither is called changed.
     """
-    robot = load_robot("planar3")
-    _, written = saved_door(robot, tmp_path / "new.json")
-    for path, schema in ((written, 2), (OF_02, 1)):
+    for path, schema in ((door, 2), (OF_02, 1)):
         content = json.loads(path.read_text())
         assert content["schema"] == schema and len(content["sha256"]) == 64
         again = tmp_path / "again.json"
         for text in (json.dumps(rewritten(content)), json.dumps(content, indent=7, sort_keys=True)):
             again.write_text(text)
-            first, other = Constraint.load(path, robot), Constraint.load(again, robot)
+            first, other = Constraint.load(path, planar3), Constraint.load(again, planar3)
             assert first.notes == other.notes == ()
             for q in ROWS_OF_02:
                 np.testing.assert_array_equal(other(q), first(q))
-            steps = Skill.load(again, robot).steps
+            steps = Skill.load(again, planar3).steps
             assert [(step.kind, step.gripper) for step in steps] == [("reach", None), ("way", "close")]
 
 
-def test_a_changed_number_of_a_constraint_file_is_noticed(tmp_path: Path) -> None:
+def test_a_changed_number_of_a_constraint_file_is_noticed(planar3: Robot, door: Path, tmp_path: Path) -> None:
     """In features, what was shown and the steps of a skill, in either format; not in what is only reported."""
-    robot = load_robot("planar3")
-    _, written = saved_door(robot, tmp_path / "new.json")
-    for path in (written, OF_02):
+    for path in (door, OF_02):
         for keys, value in (
             (("features", "radius"), 1.2500001),
             (("features", "point"), [0.4, 0.3, 1e-6]),
@@ -307,18 +296,17 @@ def test_a_changed_number_of_a_constraint_file_is_noticed(tmp_path: Path) -> Non
             changed.write_text(json.dumps(content))
             said = 'changed.json was changed after .* delete the entry "sha256"'
             with case(path.name, keys), pytest.raises(ConstraintMismatchError, match=said):
-                Constraint.load(changed, robot)
+                Constraint.load(changed, planar3)
         told = json.loads(path.read_text())
         told["provenance"]["sentence"] = "another one"
         changed.write_text(json.dumps(told))
-        assert Constraint.load(changed, robot).provenance["sentence"] == "another one"
+        assert Constraint.load(changed, planar3).provenance["sentence"] == "another one"
 
 
-def test_a_constraint_file_of_02_means_the_same(tmp_path: Path) -> None:
+def test_a_constraint_file_of_02_means_the_same(planar3: Robot, tmp_path: Path) -> None:
     """Its A(q) is what the version that wrote it computed, and saved again it is a file of format 2 with the same A."""
-    robot = load_robot("planar3")
-    old = Constraint.load(OF_02, robot, same_urdf=False)
-    new = Constraint.load(old.save(tmp_path / "new.json"), robot)
+    old = Constraint.load(OF_02, planar3, same_urdf=False)
+    new = Constraint.load(old.save(tmp_path / "new.json"), planar3)
     for q, rows in ROWS_OF_02.items():
         np.testing.assert_allclose(old(q), rows, rtol=0, atol=1e-14)
         np.testing.assert_array_equal(new(q), old(q))
@@ -326,29 +314,25 @@ def test_a_constraint_file_of_02_means_the_same(tmp_path: Path) -> None:
     assert new.provenance == old.provenance and new.shown is not None and new.shown.n == 3
 
 
-def test_a_constraint_file_of_a_newer_version_says_what_to_do(tmp_path: Path) -> None:
+def test_a_constraint_file_of_a_newer_version_says_what_to_do(planar3: Robot, door: Path) -> None:
     """An unknown number of the format is refused by its number, with a way out."""
-    robot = load_robot("planar3")
-    _, path = saved_door(robot, tmp_path / "c.json")
-    content = json.loads(path.read_text())
+    content = json.loads(door.read_text())
     for number in (3, 0, "2", None, [2]):
-        path.write_text(json.dumps(content | {"schema": number}))
+        door.write_text(json.dumps(content | {"schema": number}))
         said = re.escape(f"c.json has schema {number!r}, this version reads 1 and 2: load it with a newer")
         with case(number), pytest.raises(ConstraintMismatchError, match=said):
-            Constraint.load(path, robot)
+            Constraint.load(door, planar3)
 
 
-def test_a_constraint_file_holds_finite_numbers(tmp_path: Path) -> None:
+def test_a_constraint_file_holds_finite_numbers(planar3: Robot, door: Path, tmp_path: Path) -> None:
     """NaN and infinity are refused wherever they stand, also where no signature looks; and they are not written."""
-    robot = load_robot("planar3")
-    constraint, path = saved_door(robot, tmp_path / "c.json")
-    content = json.loads(path.read_text())
+    content, constraint = json.loads(door.read_text()), Constraint.load(door, planar3)
     for value in ("NaN", "Infinity", "-Infinity", "1e999"):
         for key in ("gap", "shown"):
             text = json.dumps(content | {"provenance": content["provenance"] | {key: ["HERE"]}})
-            path.write_text(text.replace('"HERE"', value))
+            door.write_text(text.replace('"HERE"', value))
             with case(value, key), pytest.raises(ConstraintMismatchError, match="c.json is damaged: .* finite number"):
-                Constraint.load(path, robot)
+                Constraint.load(door, planar3)
     for key in ("gap", "shown"):
         with pytest.raises(ValueError, match="float values|finite number"):
             Constraint(constraint.selection, constraint.features, {key: np.inf}).save(tmp_path / "none.json")
