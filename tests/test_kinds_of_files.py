@@ -26,15 +26,17 @@ SEC, PART = np.floor(STAMPS), STAMPS % 1
 NS = np.round(PART * 1e9)
 GIVEN = {"joint_names": N}
 NAMED = [[name] * len(T) for name in N]  # columns that hold the names of the joints
-ROWS = [dict(zip(N, q, strict=True)) for q in Q.tolist()]
+LISTS = list(zip(T.tolist(), Q.tolist(), strict=True))
+ROWS = [(t, dict(zip(N, q, strict=True))) for t, q in LISTS]
 
 Write = Callable[[Path], Any]  # writes a file, or returns what is given instead of one
-Kind = tuple[Write, str, dict[str, Any]]  # how it is written, words of the refusal ("" if it is read), options
+# how it is written, words of the refusal ("" if it is read), options that the refusal advises, options
+Kind = tuple[Write, str, dict[str, Any] | None, dict[str, Any]]
 
 
-def kind(write: Write, refusal: str = "", **options: Any) -> Kind:
+def kind(write: Write, refusal: str = "", advised: dict[str, Any] | None = None, **options: Any) -> Kind:
     """Return a row of the table."""
-    return write, refusal, options
+    return write, refusal, advised, options
 
 
 def table(header: list[str], *columns: Any, before: str = "", mark: str = ",") -> Write:
@@ -110,10 +112,8 @@ def dates(form: Callable[[pd.Timestamp], str]) -> list[str]:
 
 def trajectory() -> dict[str, Any]:
     """Return a JointTrajectory."""
-    points = [
-        {"positions": q, "velocities": [], "time_from_start": {"secs": int(t), "nsecs": round((t % 1) * 1e9)}}
-        for t, q in zip(T.tolist(), Q.tolist(), strict=True)
-    ]
+    stamps = ({"secs": int(t), "nsecs": round((t % 1) * 1e9)} for t in T.tolist())
+    points = [{"positions": q, "velocities": [], "time_from_start": t} for t, q in zip(stamps, Q.tolist(), strict=True)]
     return {"joint_trajectory": {"joint_names": N, "points": points}}
 
 
@@ -128,15 +128,15 @@ SECONDS = "sec,nanosec secs,nsecs seconds,nseconds stamp_sec,stamp_nanosec heade
 SECONDS += " tv_sec,tv_nsec header/stamp/sec,header/stamp/nanosec"
 COMMANDS = "action control target master leader command desired next_obs goal".split()
 POSES = {"transform_positions": 3, "tcp_pos": 3, "ee_pose": 7, "gripper_position": 1, "object_pos": 7}
+COPIED = {f"{group}__robot_state__joint_positions": Q for group in ("observation", "action")}
+COPIED |= {"action__joint_position": OTHER}
 EULER = ["x", "y", "z", "roll", "pitch", "yaw", "gripper"]
 FRANKA = ["time", *(f"{w}[{k}]" for w in ("q", "q_d", "O_T_EE") for k in range(7))]
 RTDE = ["timestamp", *each("actual_q_"), *each("target_q_"), *each("actual_TCP_pose_", 6)]
 ECHO_P = ["%time", "field.header.seq", *each("field.name"), *each("field.position")]
-ACTUATORS = [
-    {"time": t, "actuators": [{"position": p, "velocity": 0.0} for p in q]}
-    for t, q in zip(T.tolist(), np.degrees(Q).tolist(), strict=True)
-]
-SAMPLES = [{"time": t, "q": q} for t, q in zip(T.tolist(), Q.tolist(), strict=True)]
+MOTORS = [[{"position": np.degrees(p), "velocity": 0.0} for p in q] for q in Q.tolist()]
+ACTUATORS = [{"time": t, "actuators": motors} for t, motors in zip(T.tolist(), MOTORS, strict=True)]
+SAMPLES = [{"time": t, "q": q} for t, q in LISTS]
 
 KINDS: dict[str, Kind] = {
     **{f"stamps {s}": kind(table([*s.split(","), *N], SEC, NS, Q)) for s in SECONDS.split()},
@@ -150,8 +150,8 @@ KINDS: dict[str, Kind] = {
     "times that contradict each other": kind(
         table(["time", "stamp", *N], T, 2 * T, Q),
         "count 2.98 and 5.96: leave the wrong one out, ignore_columns=['stamp']",
+        {"ignore_columns": ["stamp"]},
     ),
-    "... as advised": kind(table(["time", "stamp", *N], T, 2 * T, Q), ignore_columns=["stamp"]),
     "dates in UTC": kind(table(["timestamp", *N], dates(lambda d: d.isoformat() + "Z"), Q)),
     "frames, counted": kind(table(["frame_index", *N], np.arange(150.0), Q), rate=50),
     "frames without a rate": kind(table(["frame_index", *N], np.arange(150.0), Q), "rate="),
@@ -175,25 +175,15 @@ KINDS: dict[str, Kind] = {
     "HDF5, two states": kind(
         hdf5(obs__arm__joint_pos=Q, obs__robot__joint_pos=OTHER, time=T),
         "of one recording: say which: rename={'obs/arm/joint_pos': 'q'}",
+        {"rename": {"obs/arm/joint_pos": "q"}},
         **GIVEN,
-    ),
-    "... two states, as advised": kind(
-        hdf5(obs__arm__joint_pos=Q, obs__robot__joint_pos=OTHER, time=T), **GIVEN, rename={"obs/arm/joint_pos": "q"}
     ),
     "HDF5, commands alone": kind(hdf5(action__joint_pos=Q, time=T), "only as commands", **GIVEN),
     "HDF5, leader and follower": kind(hdf5(leader__joint_pos=OTHER, follower__joint_pos=Q, time=T), **GIVEN),
     "HDF5, names in the file": kind(hdf5(q=Q, t=T, joint_names=np.array(N, dtype="S"))),
     "HDF5, an array for each joint": kind(hdf5(time=T, **dict(zip(N, Q.T, strict=True)))),
     "HDF5, qpos and action": kind(hdf5(observations__qpos=Q, action=OTHER), **GIVEN, rate=50),
-    "HDF5, states copied among commands": kind(
-        hdf5(
-            observation__robot_state__joint_positions=Q,
-            action__joint_position=OTHER,
-            action__robot_state__joint_positions=Q,
-        ),
-        **GIVEN,
-        rate=50,
-    ),
+    "HDF5, states copied among commands": kind(hdf5(**COPIED), **GIVEN, rate=50),
     "an archive with a pose as wide": kind(npz(timestamp=T, joint_angles=Q, ee_pose=OTHER, names=N)),
     "an archive, actual and desired": kind(npz(t=T, actual_positions=Q, desired_positions=OTHER), **GIVEN),
     "an archive of three dimensions": kind(npz(t=T, q=Q[None]), **GIVEN),
@@ -203,8 +193,7 @@ KINDS: dict[str, Kind] = {
     "ros2 topic echo": kind(echo(False)),
     "ros2 topic echo --flow-style": kind(echo()),
     "rostopic echo": kind(echo(words=("secs", "nsecs"))),
-    "topic echo without names": kind(echo(named=False), "joint_names="),
-    "topic echo without names, given": kind(echo(named=False), **GIVEN),
+    "topic echo without names": kind(echo(named=False), "joint_names=", GIVEN),
     "ros2 topic echo --csv": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *NAMED, Q)),
     "... with velocities": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *NAMED, Q, 0 * Q)),
     "... without names": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, Q), **GIVEN),
@@ -228,13 +217,9 @@ KINDS: dict[str, Kind] = {
     "JSON, columns beside a pose": kind(
         dumped({"timestamp": T.tolist(), "tcp_x": T.tolist()} | {n: q.tolist() for n, q in frame().items()})
     ),
-    "JSON, rows with names": kind(dumped([{"time": t, **row} for t, row in zip(T, ROWS, strict=True)])),
-    "JSON, rows with an object of joints": kind(
-        dumped([{"time": t, "positions": row} for t, row in zip(T, ROWS, strict=True)])
-    ),
-    "JSON, rows of lists": kind(
-        dumped([{"time": s["time"], "robot": {"joint_angle": s["q"]}} for s in SAMPLES]), **GIVEN
-    ),
+    "JSON, rows with names": kind(dumped([{"time": t, **row} for t, row in ROWS])),
+    "JSON, rows with an object of joints": kind(dumped([{"time": t, "positions": row} for t, row in ROWS])),
+    "JSON, rows of lists": kind(dumped([{"time": t, "robot": {"joint_angle": q}} for t, q in LISTS]), **GIVEN),
     "JSON, rows beside what the program says": kind(dumped({"fps": 50, "data": SAMPLES}), **GIVEN),
     "JSON, an object for each joint": kind(dumped(ACTUATORS), **GIVEN, degrees=True),
     "YAML of a JointTrajectory": kind(text(yaml.safe_dump(trajectory()))),
@@ -244,12 +229,11 @@ KINDS: dict[str, Kind] = {
     "more motors than joints": kind(table(["time", *each("motor_", 9)], T, Q, T, T), "motor_0"),
     "numbers from 0": kind(table(["time", *each("joint_")], T, Q), "joint_0 as right_j0"),
     "numbers from 1": kind(table(["time", *each("joint_", 8)[1:]], T, Q), "joint_1 as right_j0"),
-    "numbered": kind(table(["time", *each("q")], T, Q), "q0 as right_j0"),
-    "numbered, as advised": kind(table(["time", *each("q")], T, Q), columns="q{index}"),
-    "libfranka": kind(table(FRANKA, T, Q, OTHER, Q), "columns='q[{index}]'"),
-    "libfranka, as advised": kind(table(FRANKA, T, Q, OTHER, Q), columns="q[{index}]"),
-    "UR's RTDE": kind(table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), "columns='actual_q_{index}'"),
-    "UR's RTDE, as advised": kind(table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), columns="actual_q_{index}"),
+    "numbered": kind(table(["time", *each("q")], T, Q), "q0 as right_j0", {"columns": "q{index}"}),
+    "libfranka": kind(table(FRANKA, T, Q, OTHER, Q), "columns='q[{index}]'", {"columns": "q[{index}]"}),
+    "UR's RTDE": kind(
+        table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), "columns='actual_q_{index}'", {"columns": "actual_q_{index}"}
+    ),
     "degrees in the names": kind(table(["time", *(n + "_deg" for n in N)], T, np.degrees(Q)), "degrees"),
     "a frame with dates": kind(lambda _: pd.DataFrame({"time": pd.to_datetime(STAMPS, unit="s"), **frame()})),
     "a frame with times as its index": kind(lambda _: pd.DataFrame(frame(), index=pd.Index(T, name="time"))),
@@ -258,16 +242,19 @@ KINDS: dict[str, Kind] = {
 
 @pytest.mark.parametrize("name", KINDS)
 def test_kind(name: str, tmp_path: Path) -> None:
-    """Positions and times to the last digits that were written; or one sentence that never names joints falsely."""
-    write, refusal, options = KINDS[name]
+    """Positions and times to the last digits that were written, also as advised after a refusal; or one sentence that
+    never names joints falsely.
+    """
+    write, refusal, advised, options = KINDS[name]
     written = write(path := tmp_path / "recording")
     given = written if isinstance(written, pd.DataFrame) else path
     if refusal:
         with pytest.raises(ml.ManipLearnError) as caught:
             ml.load_demonstrations(given, ROBOT, **options)
         assert refusal in str(caught.value) and "=right_j" not in str(caught.value)
-        return
-    (demo,) = ml.load_demonstrations(given, ROBOT, **options)
+        if advised is None:
+            return
+    (demo,) = ml.load_demonstrations(given, ROBOT, **options, **(advised or {}))
     np.testing.assert_allclose(demo.q, Q, rtol=0, atol=1e-6)
     np.testing.assert_allclose(demo.time - demo.time[0], T, rtol=0, atol=2e-6)
 
