@@ -11,6 +11,7 @@ import unicodedata
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from test_playback import data_in
 
@@ -75,13 +76,18 @@ def learnt(tmp_path_factory):
     return constraint, rollout
 
 
+def run_program(*words, **options):
+    """Run a program until it ends."""
+    return subprocess.run(words, capture_output=True, text=True, timeout=100, **options)
+
+
 def test_learn_answers_with_one_json_document(answer):
     """All keys of the contract are there, the drawer's two held rows are found, and nothing else is printed."""
-    got = answer("learn", "sawyer", *DRAWER, *FRAME)
+    result = answer("learn", "sawyer", *DRAWER, *FRAME)
     keys = "selection n_constraints axes reference free_directions estimator gap held_out_residual uncertainty_deg"
-    assert {*keys.split(), "warnings"} <= set(got)
-    assert (got["n_constraints"], got["reference"], got["estimator"]) == (2, "world", "null-space")
-    (free,) = got["free_directions"]
+    assert {*keys.split(), "warnings"} <= set(result)
+    assert (result["n_constraints"], result["reference"], result["estimator"]) == (2, "world", "null-space")
+    (free,) = result["free_directions"]
     truth = [np.cos(np.radians(25)), np.sin(np.radians(25)), 0.0]
     assert np.degrees(np.arccos(min(1.0, abs(np.dot(free, truth))))) < 0.1
 
@@ -105,7 +111,7 @@ def test_the_next_line_does_the_task_when_it_is_pasted(run, tmp_path):
 
     def paste(said: str) -> str:
         (line,) = (line.removeprefix("next: ") for line in said.splitlines() if line.startswith("next: "))
-        done = subprocess.run(["sh", "-c", line], env=environment, capture_output=True, text=True, timeout=100)
+        done = run_program("sh", "-c", line, env=environment)
         assert (done.returncode, done.stderr) == (0, ""), line
         return done.stdout
 
@@ -117,10 +123,10 @@ def test_the_next_line_does_the_task_when_it_is_pasted(run, tmp_path):
 def test_control_answers(answer, learnt):
     """The keys of the contract are there and the target is reached."""
     control = ("control", "sawyer", learnt[0], "--start", "0 -1 0 1.5 0 1 0", "--target", "0.6,0.27,0.35")
-    got = answer(*control)
-    assert got["reached"] is True and got["final_error"] < 0.01 and got["max_velocity"] > 0.0
-    assert 0.0 < got["min_manipulability"] <= got["mean_manipulability"]
-    assert sum(got["status_counts"].values()) == 501
+    result = answer(*control)
+    assert result["reached"] is True and result["final_error"] < 0.01 and result["max_velocity"] > 0.0
+    assert 0.0 < result["min_manipulability"] <= result["mean_manipulability"]
+    assert sum(result["status_counts"].values()) == 501
     # a weak task has the time to come within half the tolerance: e^(-gain t) of the way is left
     slow = answer(*control, "--task-gain", "0.5", "--out", "slow.npz")
     error = Rollout.load("slow.npz").task_error[0]
@@ -146,13 +152,13 @@ def test_replay_shows_what_was_learnt(answer, refusal, learnt):
 
 def test_learn_writes_a_replay_of_the_recordings(answer):
     """`--html` plays every recording, with the phases that are in the answer."""
-    got = answer("learn", "panda", DATA / "panda_drawer_whole", "--frame", "panda_hand_tcp", "--html", "a.html")
+    result = answer("learn", "panda", DATA / "panda_drawer_whole", "--frame", "panda_hand_tcp", "--html", "a.html")
     data = data_in(Path("a.html"))
-    assert got["html"] == str(Path("a.html").resolve())
+    assert result["html"] == str(Path("a.html").resolve())
     shown = {r["name"]: r["phases"] for r in data["rollouts"]}
     assert len(shown) == 6
     for name, bands in shown.items():
-        told = [p for p in got["phases"] if p["trajectory"] == name]
+        told = [p for p in result["phases"] if p["trajectory"] == name]
         expected = [[p["start"], p["end"], -1 if p["constraint"] is None else p["constraint"]] for p in told]
         np.testing.assert_allclose(bands, expected)
     assert data["mechanisms"][0]["type"] == "line" and data["mechanisms"][0]["lines"]
@@ -174,12 +180,10 @@ def test_unrecorded_fingers_are_locked(answer):
     """A Panda's recordings without its fingers are enough, and `control` knows the same seven joints again."""
     pytest.importorskip("pinocchio")
     rows = np.cumsum(np.random.default_rng(0).uniform(0.5, 1.0, (60, 7)) * 0.004, axis=0)
-    header = ",".join(["time", *(f"panda_joint{i}" for i in range(1, 8))])
-    start = [0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.7]
-    table = np.column_stack([np.arange(60) * 0.01, rows + start])
-    np.savetxt("a.csv", table, delimiter=",", header=header, comments="", fmt="%.7g")
-    got = answer("learn", "panda", "a.csv", "--frame", "panda_hand_tcp", "--constraints", "1", "--out", "c.json")
-    assert any("panda_finger_joint1" in note and "locked" in note for note in got["notes"])
+    table = pd.DataFrame(rows + [0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.7], columns=[f"panda_joint{i}" for i in range(1, 8)])
+    table.assign(time=np.arange(60) * 0.01).to_csv("a.csv", index=False)
+    result = answer("learn", "panda", "a.csv", "--frame", "panda_hand_tcp", "--constraints", "1", "--out", "c.json")
+    assert any("panda_finger_joint1" in note and "locked" in note for note in result["notes"])
     answer("control", "panda", "c.json", "--duration", "0.1")
 
 
@@ -293,8 +297,8 @@ def test_a_refusal_to_learn_holds_its_evidence(run):
     time = np.arange(200) * 0.01
     for i in range(3):
         q = np.cumsum(rng.normal(0, 0.004, (200, 3)), axis=0) + [0.3, 0.6, 0.9]
-        rows = "\n".join(",".join(f"{x:.9f}" for x in row) for row in np.column_stack([time, q]))
-        Path(f"free_{i}.csv").write_text(f"time,joint1,joint2,joint3\n{rows}\n")
+        table = pd.DataFrame(np.column_stack([time, q]), columns=["time", "joint1", "joint2", "joint3"])
+        table.to_csv(f"free_{i}.csv", index=False)
     code, out, err = run("learn", "planar3", "free_0.csv", "free_1.csv", "free_2.csv", "--axes", "x y", "--json")
     error = json.loads(out)["error"]
     assert code == 2 and error["code"] in ("weak-gap", "no-evidence")
@@ -444,11 +448,11 @@ def test_exported_files_are_named_after_their_recordings(run, answer):
     names = [f"my demo ({k}) of {'x' * 90}.csv" for k in range(10, 21)] + ["last.1.csv"]
     for name in names:
         Path(name).write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
-    got = answer("export", "planar3", *names, "--to", "csv", "--out", "many")
+    result = answer("export", "planar3", *names, "--to", "csv", "--out", "many")
     expected = [f"{k:02d}_{f'my_demo_{k + 10}_of_' + 'x' * 90:.80}.csv" for k in range(11)] + ["11_last.1.csv"]
-    assert [Path(f).name for f in got["files"]] == expected
+    assert [Path(f).name for f in result["files"]] == expected
     assert sorted(p.name for p in Path("many").iterdir()) == sorted(expected)
-    assert (got["format"], got["trajectories"], got["samples"]) == ("csv", 12, 12 * len(lines))
+    assert (result["format"], result["trajectories"], result["samples"]) == ("csv", 12, 12 * len(lines))
     for words, shown in (("one --to csv", "one/last.1.csv"), ("one.CSV", "one.CSV")):
         code, out, _ = run("export", "planar3", "last.1.csv", "--out", *words.split())
         assert code == 0 and Path(shown).is_file() and f"1 trajectory, {len(lines)} samples" in out
@@ -516,8 +520,7 @@ def test_a_shell_is_offered_names_and_flags(shell, tmp_path):
         line, environment = f"manip-learn {line}", dict(os.environ, _MANIP_LEARN_COMPLETE=f"complete_{shell}")
         environment |= {"PYTHONPATH": os.pathsep.join(sys.path), "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
         environment |= {"_TYPER_COMPLETE_ARGS": line, "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
-        command = [sys.executable, "-m", "manip_learn"]
-        done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+        done = run_program(sys.executable, "-m", "manip_learn", env=environment, cwd=tmp_path)
         assert done.stderr == "" and expected in done.stdout.split()
 
 
@@ -541,8 +544,7 @@ sys.exit(main())
 def test_ctrl_c_leaves_no_traceback_from_the_first_moment_on():
     """At whichever import `main` is when it is interrupted: exit code 130, and at most one word."""
     for moment in (1, 20, 120, 300):
-        command = [sys.executable, "-c", INTERRUPTED_AT, str(moment), "inspect", "planar3"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        done = run_program(sys.executable, "-c", INTERRUPTED_AT, str(moment), "inspect", "planar3")
         assert done.returncode == 130 and done.stderr.strip() in ("", "interrupted"), (moment, done.stderr)
 
 
@@ -553,8 +555,7 @@ def test_closed_streams_are_as_no_terminal(closed: str, tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     said = {}
     for words in (line, line.replace("planar3_reach", "nothing")):
-        command = ["sh", "-c", words, sys.executable]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=100)
+        done = run_program("sh", "-c", words, sys.executable, cwd=tmp_path, env=environment)
         said[done.returncode] = done.stdout + done.stderr
     assert said.keys() == {0, 2} and "Error" not in said[0] + said[2]
     assert len(list((tmp_path / "out").iterdir())) == 20

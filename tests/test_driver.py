@@ -341,20 +341,8 @@ def test_a_stop_that_takes_too_long_ends_all_the_same(planar3: ml.Robot, monkeyp
 
 def test_a_driver_that_is_not_ready_yet_is_waited_for(planar3: ml.Robot) -> None:
     """Nothing for less than `stale_after` at the start is no reason to end; for longer it is, with the loop's words."""
-
-    class Mute(Arm):
-        def read(self) -> Any:
-            return None, None, None
-
-    class Waking(Arm):
-        calls = 0
-
-        def read(self) -> Any:
-            self.calls += 1
-            return (None, None, None) if self.calls <= 15 else super().read()
-
-    assert ml.run(loop_of(planar3), Waking(), 0.3).ordered
-    record = ml.run(loop_of(planar3), Mute(), 2.0)
+    assert ml.run(loop_of(planar3), Late(None, 15), 0.3).ordered
+    record = ml.run(loop_of(planar3), Late(None, np.inf), 2.0)
     assert not record.ordered and record.ended == "no posture: None" and record.cycles == round(0.1 / DT)
     assert len(record.rollout) == 0 and "late" in repr(record)
 
@@ -457,12 +445,8 @@ def test_first_readings_of_other_joints(robot_of: Any) -> None:
 
 def test_a_driver_of_other_sizes(planar3: ml.Robot) -> None:
     """A mapping without a joint, or one number too many, ends the run with a sentence."""
-
-    class Partial(Arm):
-        def read(self) -> Any:
-            return {planar3.joint_names[0]: 0.1}, None, None
-
-    assert f"no position of joint {planar3.joint_names[1]}" in ml.run(loop_of(planar3), Partial(), 1.0).ended
+    partial = Late({planar3.joint_names[0]: 0.1}, np.inf)
+    assert f"no position of joint {planar3.joint_names[1]}" in ml.run(loop_of(planar3), partial, 1.0).ended
     more = Arm(joint_names=(*planar3.joint_names, "gripper"))
     assert "4 joints are named, positions have shape (3,)" in ml.run(loop_of(planar3), more, 1.0).ended
 

@@ -100,29 +100,10 @@ def each(prefix: str, n: int = 7) -> list[str]:
     return [f"{prefix}{k}" for k in range(n)]
 
 
-def frame() -> dict[str, np.ndarray]:
-    """Return columns of a data frame."""
-    return dict(zip(N, Q.T, strict=True))
-
-
-def dates(form: Callable[[pd.Timestamp], str]) -> list[str]:
-    """Return stamps as text."""
-    return [form(pd.Timestamp("2026-01-01") + pd.Timedelta(seconds=t)) for t in T]
-
-
-def trajectory() -> dict[str, Any]:
-    """Return a JointTrajectory."""
-    stamps = ({"secs": int(t), "nsecs": round((t % 1) * 1e9)} for t in T.tolist())
-    points = [{"positions": q, "velocities": [], "time_from_start": t} for t, q in zip(stamps, Q.tolist(), strict=True)]
-    return {"joint_trajectory": {"joint_names": N, "points": points}}
-
-
-def turned(columns: list[int], tool: float) -> dict[str, Any]:
-    """Return joints in another order, and positions of the tool in axes and units of their own."""
-    at = np.array([ROBOT.pose(q, "right_hand") @ [0.0, 0.02, tool, 1.0] for q in WIDE])[:, :3]
-    return {"time": T, "joint_positions": WIDE[:, columns], "tcp_pose": np.hstack([1e3 * at[:, [1, 2, 0]], at])}
-
-
+FRAME = dict(zip(N, Q.T, strict=True))  # columns of a data frame
+DATES = [(pd.Timestamp("2026-01-01") + pd.Timedelta(seconds=t)).isoformat() + "Z" for t in T]
+DURATIONS = ({"secs": int(t), "nsecs": round((t % 1) * 1e9)} for t in T.tolist())
+POINTS = [{"positions": q, "velocities": [], "time_from_start": t} for t, q in zip(DURATIONS, Q.tolist(), strict=True)]
 WIDE = 0.8 * np.sin(T[:, None] * np.linspace(1.0, 2.5, 7) + np.arange(7))
 SECONDS = "sec,nanosec secs,nsecs seconds,nseconds stamp_sec,stamp_nanosec header.stamp.secs,header.stamp.nsecs"
 SECONDS += " tv_sec,tv_nsec header/stamp/sec,header/stamp/nanosec"
@@ -152,7 +133,7 @@ KINDS: dict[str, Kind] = {
         "count 2.98 and 5.96: leave the wrong one out, ignore_columns=['stamp']",
         {"ignore_columns": ["stamp"]},
     ),
-    "dates in UTC": kind(table(["timestamp", *N], dates(lambda d: d.isoformat() + "Z"), Q)),
+    "dates in UTC": kind(table(["timestamp", *N], DATES, Q)),
     "frames, counted": kind(table(["frame_index", *N], np.arange(150.0), Q), rate=50),
     "frames without a rate": kind(table(["frame_index", *N], np.arange(150.0), Q), "rate="),
     "stamps (T, 2) in an archive": kind(npz(stamps=np.column_stack([SEC, NS]), q=Q, joint_names=N)),
@@ -215,14 +196,14 @@ KINDS: dict[str, Kind] = {
     ),
     "... in a message": kind(text("\n".join(json.dumps({"js": state(k)}) for k in range(150)))),
     "JSON, columns beside a pose": kind(
-        dumped({"timestamp": T.tolist(), "tcp_x": T.tolist()} | {n: q.tolist() for n, q in frame().items()})
+        dumped({"timestamp": T.tolist(), "tcp_x": T.tolist()} | {n: q.tolist() for n, q in FRAME.items()})
     ),
     "JSON, rows with names": kind(dumped([{"time": t, **row} for t, row in ROWS])),
     "JSON, rows with an object of joints": kind(dumped([{"time": t, "positions": row} for t, row in ROWS])),
     "JSON, rows of lists": kind(dumped([{"time": t, "robot": {"joint_angle": q}} for t, q in LISTS]), **GIVEN),
     "JSON, rows beside what the program says": kind(dumped({"fps": 50, "data": SAMPLES}), **GIVEN),
     "JSON, an object for each joint": kind(dumped(ACTUATORS), **GIVEN, degrees=True),
-    "YAML of a JointTrajectory": kind(text(yaml.safe_dump(trajectory()))),
+    "YAML of a JointTrajectory": kind(text(yaml.safe_dump({"joint_trajectory": {"joint_names": N, "points": POINTS}}))),
     "a pose of angles": kind(table(["time", *EULER], T, Q), "coordinates of a pose"),
     "a pose of a quaternion": kind(table(["time", *"xyz", "qx", "qy", "qz", "qw"], T, Q), "of a pose"),
     "a pose beside joints": kind(table(["time", *N, "ee_x", "ee_y", "ee_z", "ee_qw"], T, Q, Q[:, :4])),
@@ -235,8 +216,8 @@ KINDS: dict[str, Kind] = {
         table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), "columns='actual_q_{index}'", {"columns": "actual_q_{index}"}
     ),
     "degrees in the names": kind(table(["time", *(n + "_deg" for n in N)], T, np.degrees(Q)), "degrees"),
-    "a frame with dates": kind(lambda _: pd.DataFrame({"time": pd.to_datetime(STAMPS, unit="s"), **frame()})),
-    "a frame with times as its index": kind(lambda _: pd.DataFrame(frame(), index=pd.Index(T, name="time"))),
+    "a frame with dates": kind(lambda _: pd.DataFrame({"time": pd.to_datetime(STAMPS, unit="s"), **FRAME})),
+    "a frame with times as its index": kind(lambda _: pd.DataFrame(FRAME, index=pd.Index(T, name="time"))),
 }
 
 
@@ -263,7 +244,8 @@ def test_a_recorded_tool_tells_an_order_of_joints(tmp_path: Path) -> None:
     """Where the tool was recorded, in any axes and units, a false order of the joints is said with the right one."""
     order = [1, 0, 2, 3, 4, 5, 6]
     path, right = tmp_path / "a.h5", [N[k] for k in order]
-    hdf5(**turned(order, 0.1))(path)
+    at = np.array([ROBOT.pose(q, "right_hand") @ [0.0, 0.02, 0.1, 1.0] for q in WIDE])[:, :3]
+    hdf5(time=T, joint_positions=WIDE[:, order], tcp_pose=np.hstack([1e3 * at[:, [1, 2, 0]], at]))(path)
     said = " ".join(ml.load_demonstrations(path, ROBOT, joint_names=N).notes)
     assert f"joint_names={right}" in said and " mm rms " in said
     demos = ml.load_demonstrations(path, ROBOT, joint_names=right)

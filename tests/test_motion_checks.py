@@ -35,8 +35,9 @@ def guided(robot: Robot, rng: np.random.Generator, n: int = 400, dt: float = 0.0
     return time, q, half * rate * np.cos(rate * time[:, None] + phase)
 
 
-def load(robot: Robot, folder: Path, time: Any, q: Any, u: Any = None, **options: Any) -> Demonstrations:
-    arrays = {"time": time, "q": q, "joint_names": np.array(robot.joint_names)} | ({} if u is None else {"u": u})
+def load(robot: Robot, folder: Path, time: Any, q: Any, u: Any = None, more="", **options: Any) -> Demonstrations:
+    names = np.array([*robot.joint_names, more][: np.shape(q)[1]])
+    arrays = {"time": time, "q": q, "joint_names": names} | ({} if u is None else {"u": u})
     np.savez(folder / "demo.npz", **arrays)
     return load_demonstrations(folder / "demo.npz", robot, **options)
 
@@ -160,19 +161,15 @@ def test_locked_and_mimic_joints_are_known_names(robot_of, tmp_path: Path) -> No
     leader = q[:, robot.joint_names.index(mimic.leader)]
     for off, said in ((0.019, False), (0.021, True)):
         follower = mimic.multiplier * leader + mimic.offset + off
-        names = [*robot.joint_names, mimic.joint]
-        np.savez(tmp_path / "demo.npz", time=time, q=np.column_stack([q, follower]), joint_names=np.array(names))
-        demos = load_demonstrations(tmp_path / "demo.npz", robot)
+        demos = load(robot, tmp_path, time, np.column_stack([q, follower]), more=mimic.joint)
         assert mimic.joint in demos.notes[0] and ("0.021 away" in demos.notes[0]) == said
     panda = robot_of("panda")
     middle = 0.5 * (panda.position_lower + panda.position_upper)
     q = middle + 0.1 * np.sin(time)[:, None] * np.arange(panda.nv)
     q = np.clip(q, panda.position_lower, panda.position_upper)
-    names = [*panda.joint_names, "panda_finger_joint1"]
     for span, said in ((0.019, False), (0.021, True)):
-        finger = np.linspace(0.0, span, 100)
-        np.savez(tmp_path / "demo.npz", time=time, q=np.column_stack([q, finger]), joint_names=np.array(names))
-        demos = load_demonstrations(tmp_path / "demo.npz", panda)
+        posture = np.column_stack([q, np.linspace(0.0, span, 100)])
+        demos = load(panda, tmp_path, time, posture, more="panda_finger_joint1")
         note = next(n for n in demos.notes if "panda_finger_joint1" in n)
         assert ("moves by 0.021" in note) == said
 
@@ -200,56 +197,49 @@ def said(folder: Path, robot: Robot, *arrays: Any, **options: Any) -> str:
 def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
     """Just inside nothing is said; just outside the note or the refusal comes."""
     robot, wrist = robot_of("gantry"), robot_of("wrist")  # limits of 2 rad, m; m/s and rad/s; two joints without limits
-    time, one = 0.02 * np.arange(200), np.ones(200)
+    time = 0.02 * np.arange(200)
     q = 0.3 * np.sin(time[:, None] + np.arange(5))
     u = 0.3 * np.cos(time[:, None] + np.arange(5))
 
     def raised(joint: int, top: float) -> np.ndarray:
         return q + (top - q[:, joint].max()) * (np.arange(5) == joint)
 
-    def late(gap: float, at: int = 100) -> np.ndarray:
-        return time + (gap - 1.0) * 0.02 * (np.arange(200) >= at)
+    def late(gap: float) -> np.ndarray:
+        return time + (gap - 1.0) * 0.02 * (np.arange(200) >= 100)
 
-    def turning(speed: float, joint: int = 0) -> np.ndarray:
-        return np.column_stack([speed * time * (i == joint) + 0.1 * np.sin(time + i) * (i != joint) for i in range(4)])
-
-    def fast(speed: float) -> np.ndarray:
-        return np.outer(speed * 0.1 * time - 1.2, np.eye(5)[2])
-
-    def jumping(size: float) -> np.ndarray:
-        return q + size * (np.arange(200) >= 100)[:, None] * (np.arange(5) == 2) - 0.5 * (np.arange(5) == 2)
+    def only(positions: np.ndarray) -> np.ndarray:
+        return np.outer(positions, np.eye(5)[2])
 
     def creeping(step: float, speed: float) -> tuple[np.ndarray, np.ndarray]:
         there_and_back = np.abs(np.arange(200.0) - 100.0)
-        return step * np.arange(200.0), np.outer(step * speed * there_and_back - 1.0, np.eye(5)[2])
+        return step * np.arange(200.0), only(step * speed * there_and_back - 1.0)
 
-    steps = 0.02 * np.arange(200)
     # what is made of a number -> the arrays; a number inside and one outside; what is said outside
     bounds: dict[str, tuple[Any, float, float, str]] = {
         "angle beyond its limit [rad]": (lambda x: (time, raised(2, 2.0 + x)), 0.099, 0.101, "outside-limits"),
         "length beyond its limit [m]": (lambda x: (time, raised(0, 2.0 + x)), 0.049, 0.051, "outside-limits"),
         "gap [steps]": (lambda x: (late(x), q, u), 9.9, 10.1, "split where no new"),
         "step [usual ones]": (lambda x: (late(x), q, u), 0.101, 0.099, "under a tenth of the usual"),
-        "three times the velocity limit": (lambda x: (0.1 * time, fast(x)), 5.9, 6.1, "its limit is 2"),
-        "jump [rad]": (lambda x: (time, jumping(x)), 1.5, 1.65, "jump"),
+        "speed [m/s]": (lambda x: (0.1 * time, only(0.1 * x * time - 1.2)), 5.9, 6.1, "its limit is 2"),
+        "jump [rad]": (lambda x: (time, q + only(x * (np.arange(200) >= 100) - 0.5)), 1.5, 1.65, "jump"),
         "milliseconds since 1970": (lambda x: (x + time, q), 0.99e11, 1.01e11, "as milliseconds"),
-        "microseconds since 1970": (lambda x: (x + 1e6 * steps, q), 0.99e14, 1.01e14, "read as microseconds"),
-        "nanoseconds since 1970": (lambda x: (x + 1e9 * steps, q), 0.99e17, 1.01e17, "as nanoseconds"),
+        "microseconds since 1970": (lambda x: (x + 1e6 * time, q), 0.99e14, 1.01e14, "read as microseconds"),
+        "nanoseconds since 1970": (lambda x: (x + 1e9 * time, q), 0.99e17, 1.01e17, "as nanoseconds"),
         "step [s]": (lambda x: creeping(x, 0.01), 0.98, 1.02, "as milliseconds"),
         "speed [rad/s]": (lambda x: creeping(1.5, x), 0.021, 0.019, "as milliseconds"),
     }
     normal = np.array([[50.0, 0.0, -50.0, 1.0, 2.0]]) * np.cos(time)[:, None]
     for top, is_refused in ((109.0, False), (111.0, True)):
-        values = normal * [top / 50.0, 1, 1, 1, 1]
-        assert ("normalised ones are" in said(tmp_path, robot, time, values, units="normalised")) == is_refused
+        noted = said(tmp_path, robot, time, normal * [top / 50.0, 1, 1, 1, 1], units="normalised")
+        assert ("normalised ones are" in noted) == is_refused
     assert "full turn" not in said(tmp_path, robot, time, raised(2, 2.2))
     for name, (made, inside, outside, expected) in bounds.items():
         with case(name):
             assert expected not in said(tmp_path, robot, *made(inside))
             assert expected in said(tmp_path, robot, *made(outside))
+    turning = 0.1 * np.column_stack([time, *(np.sin(time + i) for i in range(1, 4))])
     for size, is_refused in ((0.9e50, False), (1.1e50, True)):
-        u = np.outer(one, [0, 0, 0, size])
-        noted = said(tmp_path, wrist, time, turning(0.1), u, velocities="recorded")
+        noted = said(tmp_path, wrist, time, turning, np.tile([0, 0, 0, size], (200, 1)), velocities="recorded")
         assert ("is not a number" in noted) == is_refused
 
 
@@ -260,25 +250,21 @@ def test_places_without_a_number_are_listed(planar3: Robot, tmp_path: Path) -> N
         q[3 : 3 + n, 1] = np.nan
         sentence = str(refused(planar3, tmp_path, 0.01 * np.arange(40), q))
         assert f"in {n} sample" in sentence and (", ...;" in sentence) is more
-        assert re.findall(r"sample (\d+)", sentence.partition(": sample ")[2]) == [
-            str(3 + i) for i in range(1, min(n, 5))
-        ]
+        others = re.findall(r"sample (\d+)", sentence.partition(": sample ")[2])
+        assert others == [str(3 + i) for i in range(1, min(n, 5))]
 
 
 # ---- two publishers on one topic, and reads that failed: seen from the samples alone
 
 
-TURNS = ("strict", "phase", "rate", "random")
-
-
 def motion(rng: np.random.Generator, n_samples: int, nv: int, dt: float, speed: float) -> Float[np.ndarray, "T nv"]:
     """A smooth motion of some joints; the others stand still."""
     time = np.arange(n_samples)[:, None] * dt
-    parts = [
-        rng.uniform(0, speed, nv) * np.sin(2 * np.pi * rng.uniform(0.05, 0.5, nv) * time + rng.uniform(0, 6.3, nv))
-        for _ in range(3)
-    ]
-    return sum(parts) * (rng.random(nv) < 0.8)
+    total = np.zeros((n_samples, nv))
+    for _ in range(3):
+        size, rate, phase = (rng.uniform(low, high, nv) for low, high in ((0, speed), (0.05, 0.5), (0, 6.3)))
+        total += size * np.sin(2 * np.pi * rate * time + phase)
+    return total * (rng.random(nv) < 0.8)
 
 
 def turns(rng: np.random.Generator, n_samples: int, kind: str) -> np.ndarray:
@@ -296,7 +282,7 @@ def turns(rng: np.random.Generator, n_samples: int, kind: str) -> np.ndarray:
 
 def test_interleaved_motions_are_found(rng: np.random.Generator) -> None:
     """A moving robot and a GUI that stands elsewhere: at least 19 of 20 are found, however they take turns."""
-    for kind in TURNS:
+    for kind in ("strict", "phase", "rate", "random"):
         found = 0
         for _ in range(40):
             n, nv, dt = int(rng.integers(60, 1200)), int(rng.integers(2, 8)), float(rng.choice([0.002, 0.01, 0.02]))
@@ -334,25 +320,21 @@ def test_failed_reads_are_left_out(planar3: Robot, rng: np.random.Generator) -> 
             q = motion(rng, 1000, 3, 0.01, 0.3) + [0.4, 0.5, 0.6]
             failed = np.sort(rng.choice(998, n, replace=False)) + 1
             told = load_demonstrations(table(q, failed, -1.5), planar3)
-            assert (
-                told.n_samples == 1000 - n
-                and f"{n} failed reads left out (first: sample {failed[0]}; " in told.notes[0]
-            )
+            assert told.n_samples == 1000 - n
+            assert f"{n} failed reads left out (first: sample {failed[0]}; " in told.notes[0]
     rested = np.concatenate([q[:300], np.repeat(q[300:301], 200, axis=0), q[301:801]])
-    kept = load_demonstrations(table(rested, np.empty(0, dtype=int), 0.0), planar3)
+    kept = load_demonstrations(table(rested), planar3)
     assert kept.n_samples == 1000 and kept.notes == ()
 
     for irregular in (0, 3):  # written ten times as fast as the arm told, with large steps that are no failed reads
         lengths = 10 + rng.integers(-irregular, irregular + 1, 100)
         slow = motion(rng, 100, 3, 0.1, 3.0)
-        told = load_demonstrations(table(np.repeat(slow, lengths, axis=0), np.empty(0, dtype=int), 0.0), planar3)
+        told = load_demonstrations(table(np.repeat(slow, lengths, axis=0)), planar3)
         assert len(told) == 1 and {*map(tuple, told[0].q)} == {*map(tuple, slow)} and len(told[0].q) < 120
         assert "only repeat the posture before" in told.notes[0]
 
 
-def table(q: np.ndarray, at: np.ndarray, posture: float | np.ndarray) -> pd.DataFrame:
-    """Positions of three joints, of which some samples show a posture."""
-    shown = q.copy()
-    shown[at] = posture
-    columns = {f"joint{j + 1}": shown[:, j] for j in range(3)}
+def table(q: np.ndarray, at: Any = (), value: float = 0.0) -> pd.DataFrame:
+    """Return positions of three joints; samples `at` have one value."""
+    columns = {f"joint{j + 1}": put(q, j, value, np.array(at, dtype=int))[:, j] for j in range(3)}
     return pd.DataFrame({"time": 0.01 * np.arange(len(q)), **columns})

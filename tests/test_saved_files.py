@@ -251,7 +251,7 @@ def rewritten(value: Any) -> Any:
 
 @pytest.fixture
 def door(planar3: Robot, tmp_path: Path) -> Path:
-    """The file of format 2 of a constraint, with steps of a skill, whole numbers and keys that are not sorted."""
+    """Write a constraint file of format 2, with the steps of a skill, whole numbers and keys that are not sorted."""
     provenance = json.loads(OF_02.read_text())["provenance"] | {"kept": {"z": -0.0, "a": [1.0, 1e-7]}}
     rows = MechanismRows(planar3, "tip", "radial axial", axis=(0, 0, 1), point=(0.4, 0.3, 0.0), radius=1.25)
     constraint = Constraint([[0.6, 0.8]], rows, provenance)
@@ -259,9 +259,7 @@ def door(planar3: Robot, tmp_path: Path) -> Path:
     return Skill((constraint,), (Step("reach", constraint), way)).save(tmp_path / "c.json")
 
 
-def test_a_constraint_file_comes_back_when_another_program_wrote_it_again(
-    planar3: Robot, door: Path, tmp_path: Path
-) -> None:
+def test_a_constraint_file_comes_back_if_another_program_wrote_it(planar3: Robot, door: Path, tmp_path: Path) -> None:
     """The same A to the last bit and the same steps, as it was written and as another program writes it again: 1 for
     1.0, -0.0, keys in another order, no indentation. Files of format 2 and 1 alike; neither is called changed.
     """
