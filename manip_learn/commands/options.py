@@ -296,7 +296,7 @@ class TeachOptions(RobotOptions, work="teach.teach"):
     Attributes:
         robot: Which robot to teach.
         frame: The frame that takes hold, e.g. the tool's tip.
-        scene: First scene: drawer, door, loose-door, table or free.
+        scene: First scene: drawer, door, loose-door or table.
         out: Folder for recordings and what is learnt.
         seed: Random seed for the scene; by default the first scenes are always the same.
         no_browser: Print the page's address, and do not open it.

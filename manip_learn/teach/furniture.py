@@ -24,19 +24,22 @@ def facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Flo
     return pose
 
 
-def about(
-    axis: Float[np.ndarray, " 3"], point: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"], standoff: float
+def hinged(
+    out: Float[np.ndarray, " 3"], axis: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"], radius: float
 ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 3"]]:
-    """Pose of a handle that turns about an axis and stands off the leaf, which reaches to the axis; and that axis."""
-    arm = handle - point
-    arm = arm - (arm @ axis) * axis
-    radius = float(np.linalg.norm(arm))
-    right, out = arm / radius, np.cross(axis, arm / radius)
-    sine = min(standoff / radius, 0.5)
+    """Pose of a handle that turns about an axis, and where that is in its frame; the leaf reaches to the axis.
+
+    Args:
+        out: shape (3,), the way in which it opens, square to the axis.
+        axis: shape (3,), unit vector.
+        handle: shape (3,), its place [m].
+        radius: From the axis to the handle [m].
+    """
+    right, sine = np.cross(out, axis), min(0.03 / radius, 0.5)  # [m] from the leaf to the handle
     cosine = float(np.sqrt(1.0 - sine**2))
-    turned = np.column_stack([cosine * right - sine * out, sine * right + cosine * out, axis])
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turned, handle
+    pose[:3, :3] = np.column_stack([cosine * right - sine * out, sine * right + cosine * out, axis])
+    pose[:3, 3] = handle
     return pose, np.array([-cosine * radius, -sine * radius, 0.0])
 
 

@@ -33,6 +33,7 @@ from manip_learn.planning.repeat import Repetition
 from manip_learn.playback.live_viewer import LiveProcess
 from manip_learn.playback.palette import COLOURS
 from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import PERIOD, TeachingArm
 from manip_learn.teach.picture import TeachingPicture, answer_content, refusal_content, scene_content, truth_content
@@ -53,15 +54,13 @@ class TaughtRecording:
 
     Attributes:
         path: The file.
-        q: shape (T, nv), its postures [rad or m].
-        time: shape (T,) [s].
+        motion: What it shows.
         phases: Start [s], end [s] and number of the constraint, -1 for free motion.
         odd: Why it does not agree with the others.
     """
 
     path: Path
-    q: Float[np.ndarray, "T nv"]
-    time: Float[np.ndarray, " T"]
+    motion: Trajectory
     phases: list[list[float]] = field(default_factory=list)
     odd: str = ""
 
@@ -79,19 +78,18 @@ class TaughtRecording:
         Raises:
             ManipLearnError: It is no recording of this robot.
         """
-        (read,) = load_demonstrations([str(path)], robot)
-        return TaughtRecording(path, read.q, read.time)
+        return TaughtRecording(path, load_demonstrations([str(path)], robot)[0])
 
     @property
     def seconds(self) -> float:
         """Its duration [s]."""
-        return float(np.ptp(self.time)) if len(self.time) else 0.0
+        return float(np.ptp(self.motion.time))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the recording for the page, with times from its first sample on."""
-        first = float(self.time[0]) if len(self.time) else 0.0
+        first = float(self.motion.time[0])
         phases = [[start - first, end - first, k] for start, end, k in self.phases]
-        numbers = {"seconds": round(self.seconds, 2), "samples": len(self.time)}
+        numbers = {"seconds": round(self.seconds, 2), "samples": len(self.motion)}
         return {"name": self.path.stem, **numbers, "odd": self.odd, "phases": phases}
 
 
@@ -186,13 +184,7 @@ class TeachingSession:
         """Go on until the last page is closed, or `end`."""
         try:
             while not self._ended:
-                mode, self._mode, self._stop = self._mode, None, False
-                if mode is None:
-                    self._doing = "idle"
-                    self.arm.release()
-                    while self._mode is None and not self._ended:
-                        self.arm.wait()
-                    continue
+                mode, self._mode, self._stop = self._mode or self._idle, None, False
                 try:
                     mode()
                 except ManipLearnError as refusal:
@@ -200,6 +192,12 @@ class TeachingSession:
         finally:
             self._show("ended", True)
             self._worker.close()
+
+    def _idle(self) -> None:
+        self._doing = "idle"
+        self.arm.release()
+        while self._mode is None and not self._ended:
+            self.arm.wait()
 
     def _period(self) -> None:
         """Hear and show, between two periods of the physics."""
@@ -279,8 +277,8 @@ class TeachingSession:
             self._say("No handle is within reach of the gripper: take the hand to one first.")
 
     def _gripped(self) -> None:
-        handle = self.arm.scene.handles[0]
-        self._say(f"Holding the {handle.name}. {MOVES[handle.type]}.")
+        handle = self.arm.scene.handle
+        self._say(f"Holding the {handle.name}. {MOVES[handle.type][0]}.")
 
     def _start_or_stop(self) -> None:
         if self._doing == "recording":
@@ -312,7 +310,9 @@ class TeachingSession:
 
     def _replay(self, said: Mapping[str, Any]) -> None:
         one = self._shown_by(said["name"])
-        self._show_ghosts("replay", [ghost(self.robot, one.path.stem, COLOURS["vermilion"], one.time, one.q)])
+        self._show_ghosts(
+            "replay", [ghost(self.robot, one.path.stem, COLOURS["vermilion"], one.motion.time, one.motion.q)]
+        )
 
     def _drop(self, said: Mapping[str, Any]) -> None:
         """Add a recording that was dropped on the page, if it is one of this robot."""
@@ -329,7 +329,7 @@ class TeachingSession:
             self._say(f"{said['name']} is no recording of {self.robot.name!r}: {refusal}", wrong=True)
             return
         self._recordings.append(one)
-        self._say(f"{path.stem} is added: {counted(len(one.time), 'sample')}.")
+        self._say(f"{path.stem} is added: {counted(len(one.motion), 'sample')}.")
 
     # ---- scene ----------------------------------------------------------------------------------------------------
 
@@ -351,7 +351,7 @@ class TeachingSession:
         self._number += 1
         while (folder := self.keep / f"{self._number:02d}_{kind}").exists():
             self._number += 1
-        self.folder = folder
+        self.folder, self._file = folder, folder / "constraint.json"
         self._say("")
         self._show("scene", scene_content(scene, self._number))
         self._show("ghosts", None)
@@ -390,7 +390,7 @@ class TeachingSession:
         self._ended |= done.ended == "Ctrl-C"
         if not done.files or done.samples < 2:
             self._say("Nothing was recorded.", wrong=True)
-        elif self.arm.scene.handles and not self._touched:
+        elif not self._touched:
             done.files[0].unlink()
             self._say("The gripper took hold of nothing, so this was not kept. Record again.", wrong=True)
         else:
@@ -400,8 +400,8 @@ class TeachingSession:
     # ---- learn ----------------------------------------------------------------------------------------------------
 
     def _ask(self, job: str, step: str, **what: Any) -> None:
-        """Give the worker a job, which takes a while."""
-        self._worker.ask(job, **what)
+        """Give the worker a job about what was learnt, which takes a while."""
+        self._worker.ask(job, file=str(self._file), **what)
         self._progress = {"step": step, "share": 0.0}
 
     def _learn(self) -> None:
@@ -411,12 +411,8 @@ class TeachingSession:
             self._refused(f"From fewer than {FEW} recordings what is held cannot be told from how a person moves.")
         else:
             self._learnt_from = list(self._recordings)
-            self._ask("learn", "reading", files=[str(path) for path in self.files], out=str(self._constraint_file))
+            self._ask("learn", "reading", files=list(map(str, self.files)))
             self._say("Learning from " + counted(len(self._recordings), "recording") + ".")
-
-    @property
-    def _constraint_file(self) -> Path:
-        return self.folder / "constraint.json"
 
     def _answered(self, kind: str, what: Any) -> None:
         """Take what the worker says."""
@@ -432,20 +428,20 @@ class TeachingSession:
         elif job == "repeat":
             self._planned = answer
         elif job == "take":
-            name, path, says = answer
-            self._files[name] = Path(path), says, next(self._numbers)
+            path, says = answer
+            self._files[path.name] = path, says, next(self._numbers)
             self._shows.offer({name: path for name, (path, *_) in self._files.items()})
-            self._say(f"Ready to take home: {name}.")
+            self._say(f"Ready to take home: {path.name}.")
         else:
             self._show_ghosts(job, answer["rollouts"])
             self._say(answer["sentence"])
 
     def _refused(self, why: str) -> None:
-        self._forget(refusal_content(why, len(self._recordings), bool(self.arm.scene.handles)))
+        self._forget(refusal_content(why, len(self._recordings)))
         self._say(cast(Any, self._answer)["next"], wrong=True)
 
     def _learnt(self, content: Mapping[str, Any]) -> None:
-        skill, answer = Skill.load(self._constraint_file, self.robot), answer_content(content)
+        skill, answer = Skill.load(self._file, self.robot), answer_content(content)
         self._forget(answer)
         self.constraint, self._way = skill.constraints[0], first_way(skill)
         self._rows = None if self._way is None else motion(self._way).constraint
@@ -466,7 +462,7 @@ class TeachingSession:
         self.arm.shut()
         self.arm.hold()
         self._say("Planning the whole motion.")
-        self._ask("repeat", "planning", file=str(self._constraint_file), start=self.arm.q, scene=self.arm.scene.around)
+        self._ask("repeat", "planning", start=self.arm.q, scene=self.arm.scene.around)
         while self._worker.busy and not self._stop:
             self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
         again = self._planned
@@ -521,17 +517,15 @@ class TeachingSession:
         if self._way is None or (start := self.arm.scene.hard_start) is None:
             self._say("There is nothing to compare yet: learn first.", wrong=True)
         else:
-            scene = self.arm.scene.around
-            self._ask("compare", "planning", file=str(self._constraint_file), start=start, scene=scene)
+            self._ask("compare", "planning", start=start, scene=self.arm.scene.around)
 
     def _take(self, said: Mapping[str, Any]) -> None:
         if not self._recordings:
             self._say(FIRST.format("take home"), wrong=True)
             return
-        learnt = self.constraint is not None and self._constraint_file.exists()
-        lesson = {"files": [str(path) for path in self.files], "file": str(self._constraint_file) if learnt else None}
         start = None if self._way is None else self.arm.scene.start
-        self._ask("take", "writing", what=str(said["what"]), **lesson, start=start, out=self.folder)
+        lesson = {"files": list(map(str, self.files)), "learnt": self.constraint is not None, "start": start}
+        self._ask("take", "writing", what=str(said["what"]), **lesson)
 
     # ---- pictures -------------------------------------------------------------------------------------------------
 
