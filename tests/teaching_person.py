@@ -61,7 +61,7 @@ class Person:
         for _ in range(round(seconds / PERIOD)):
             if done():
                 return
-            if self.session.waits_for_worker:
+            if self.state["progress"] is not None:
                 time.sleep(PERIOD)  # the other process has the processor
             yield None
         raise AssertionError(f"it did not come to pass; the page said {self.said[-3:]}")

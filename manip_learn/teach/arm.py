@@ -57,23 +57,20 @@ class _Hand:
         self._mujoco: Any = physics()
         self._linear, self._angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
         self.pull: Pull | None = None
-        self._goal = self._first = None
+        self._goal, self._first = np.zeros(3), np.eye(3)  # where it pulls to now, and how the body was turned at first
         self.force, self.limited, self.at = np.zeros(3), False, np.zeros(3)
 
     def take(self, pull: Pull | None, data: Any) -> None:
         """Pull there from now on; None lets go."""
-        if pull is None or self.pull is None or pull.body != self.pull.body:
-            self._goal = None
-        if pull is not None and self._goal is None:
-            self._goal, self._first = pull.held_at(data)
-        self.pull = pull
         if pull is None:
             self.force, self.limited = np.zeros(3), False
+        elif self.pull is None or pull.body != self.pull.body:
+            self._goal, self._first = pull.held_at(data)
+        self.pull = pull
 
     def __call__(self, model: Any, data: Any) -> None:
         """Add the hand's force to `data.qfrc_applied`."""
-        pull = self.pull
-        if pull is None or self._goal is None or self._first is None:
+        if (pull := self.pull) is None:
             return
         self.at, rotation = pull.held_at(data)
         self._mujoco.mj_jac(model, data, self._linear, self._angular, self.at, pull.body)
@@ -195,19 +192,9 @@ class TeachingArm:
         return self.data.site_xpos[self._tip].copy()
 
     @property
-    def handle_pose(self) -> list[float]:
-        """Place and quaternion (real part first) of the handle's body [m]."""
-        return [*self.handle_place.tolist(), *self.data.xquat[self._handle.id].tolist()]
-
-    @property
     def handle_place(self) -> Float[np.ndarray, " 3"]:
         """Where the handle is [m]."""
         return self.data.xpos[self._handle.id].copy()
-
-    @property
-    def touches(self) -> list[list[float]]:
-        """Where links of the arm touch the furniture [m]."""
-        return [contact.pos.tolist() for contact in self.data.contact[: self.data.ncon] if contact.dist < 0.0]
 
     @property
     def opening(self) -> float:
@@ -244,8 +231,12 @@ class TeachingArm:
     def grip(self, closed: bool) -> bool:
         """Close the gripper on the handle within reach, or open it; whether it holds one now."""
         if closed and not self.held and self.is_near:
-            if self.scene.handle.firm:
-                self._turn_handle()
+            if self.scene.handle.firm:  # its site is turned as the hand is, so that closing turns neither
+                site, back, turn = self.model.site("handle"), np.zeros(4), np.zeros(4)
+                self.model.site_sameframe[site.id] = 0  # else MuJoCo takes the body's frame for it without a look
+                self._mujoco.mju_negQuat(back, self.data.xquat[self._handle.id])
+                self._mujoco.mju_mat2Quat(turn, self.data.site_xmat[self._tip])
+                self._mujoco.mju_mulQuat(self.model.site_quat[site.id], back, turn)
             self.held, self._closed = True, self.time
             self.model.equality("grip").solref[0] = SOFT
         elif not closed and self.held:
@@ -267,11 +258,3 @@ class TeachingArm:
         self._opened = False
         joints = self._handle.jntadr[0] + np.arange(self._handle.jntnum[0])
         self.data.qpos[self.model.jnt_qposadr[joints]] = self.data.qvel[self.model.jnt_dofadr[joints]] = 0.0
-
-    def _turn_handle(self) -> None:
-        """Turn the handle's site as the hand is turned, so that closing turns neither."""
-        site, back, turn = self.model.site("handle"), np.zeros(4), np.zeros(4)
-        self.model.site_sameframe[site.id] = 0  # else MuJoCo takes the body's frame for the site's without a look
-        self._mujoco.mju_negQuat(back, self.data.xquat[self._handle.id])
-        self._mujoco.mju_mat2Quat(turn, self.data.site_xmat[self._tip])
-        self._mujoco.mju_mulQuat(self.model.site_quat[site.id], back, turn)

@@ -49,9 +49,12 @@ def drawer_boards(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[
     height = 0.42 * width
     inner, face = width - 4.0 * BOARD, -STANDOFF
     low = 0.5 * BOARD - 0.4 * height
+    bar = 0.36 * width  # across, at which the hand is
+    feet = ((x * 0.42 * bar, -0.5 * STANDOFF, 0.0, 0.01, STANDOFF, 0.01, HANDLE) for x in (-1.0, 1.0))
     sides = (-0.5 * (inner - BOARD), 0.5 * (inner - BOARD))
     moving = (
-        *_handle(0.36 * width),
+        (0.0, 0.0, 0.0, bar, 0.014, 0.014, HANDLE),
+        *feet,
         (0.0, face - 0.5 * BOARD, 0.0, width, BOARD, height, _FRONT),
         (0.0, face - 0.5 * depth, low, inner, depth - BOARD, BOARD, BODY),
         *((x, face - 0.5 * depth, 0.0, BOARD, depth - BOARD, 0.8 * height, BODY) for x in sides),
@@ -86,9 +89,3 @@ def _case(left: float, right: float, low: float, high: float, depth: float, fron
         *((end, y, z, BOARD, depth, tall, BODY) for end in (left - 0.5 * BOARD, right + 0.5 * BOARD)),
         (x, front - depth + 0.5 * BOARD, z, wide, BOARD, tall, BODY),
     )
-
-
-def _handle(width: float) -> tuple[Board, ...]:
-    """A bar across, at which the hand is, and its two feet."""
-    feet = ((x * 0.42 * width, -0.5 * STANDOFF, 0.0, 0.01, STANDOFF, 0.01, HANDLE) for x in (-1.0, 1.0))
-    return ((0.0, 0.0, 0.0, width, 0.014, 0.014, HANDLE), *feet)

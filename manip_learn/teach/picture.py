@@ -21,12 +21,8 @@ from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import TeachingArm
 from manip_learn.teach.scene import MOVES, TITLES, TeachingScene
 
-WEAK = 0.2  # least over largest singular value of the tip's translation, below which the weak direction is drawn
-AT_LIMIT = 0.01  # [rad or m] from a joint's limit at which the arm feels it
 ENOUGH = 5  # recordings that a person is asked for
-MOST_TOUCHES = 3  # places at a time where the arm is said to touch: an edge gives a dozen
 RECORD = {"say": "Record another one", "said": {"do": "record"}}  # button, and what it says to the program
-_SEEN = 20  # random postures that show in how many directions the tip can move
 
 # type of a mechanism -> the answer in a line
 LINES = {
@@ -78,8 +74,8 @@ class TeachingPicture:
     def __init__(self, robot: Robot, tip: str):
         self._robot, self._tip, self._tree = robot, tip, kinematic_tree(robot)
         rng = np.random.default_rng(0)
-        drawn = (robot.random_configuration(rng) for _ in range(_SEEN))
-        # directions in which the tip can move at all: two for an arm in a plane
+        # directions in which the tip can move at all, in any of 20 random postures: two for an arm in a plane
+        drawn = (robot.random_configuration(rng) for _ in range(20))
         self._rank = int(np.linalg.matrix_rank(np.hstack([robot.jacobian(q, tip)[:3] for q in drawn]), tol=1e-9))
 
     def pose(self, arm: TeachingArm, constraint: Constraint | None, rows: Constraint | None) -> dict[str, Any]:
@@ -93,6 +89,7 @@ class TeachingPicture:
         robot, hand, q = self._robot, arm.hand, arm.q
         U, sizes, _ = np.linalg.svd(robot.jacobian(q, self._tip)[:3], full_matrices=False)
         last = min(self._rank, len(sizes)) - 1
+        # of the tip's translation, least over largest singular value: below 0.2 the weak direction is drawn
         share = float(sizes[last] / max(sizes[0], 1e-12))
         held = hand.pull and {
             "at": hand.at.tolist(),
@@ -100,20 +97,22 @@ class TeachingPicture:
             "force": float(np.linalg.norm(hand.force)),
             "limited": bool(hand.limited),
         }
+        touches = [at.pos.tolist() for at in arm.data.contact[: arm.data.ncon] if at.dist < 0.0]
+        # [rad or m] from a joint's limit: within 0.01 the arm feels it
         gaps = np.minimum(q - robot.position_lower, robot.position_upper - q)
         return {
             "time": arm.time,
             "values": joint_tracks(robot, self._tree, q[None])[0].tolist(),
-            "furniture": [arm.handle_pose],
+            "furniture": [[*arm.handle_place.tolist(), *arm.data.body("handle").xquat.tolist()]],  # real part first
             "held": [arm.held],
             "near": 0 if arm.is_near else None,
             "hand": held,
-            "weak": {"direction": U[:, last].tolist(), "share": share} if share < WEAK else None,
+            "weak": {"direction": U[:, last].tolist(), "share": share} if share < 0.2 else None,
             "mu": float(np.prod(sizes[: last + 1])) if rows is None else float(manipulability(rows, q)),
             "marks": None if constraint is None else self._marks(constraint, q, arm.place),
-            "limit": [name for name, gap in zip(robot.joint_names, gaps, strict=True) if gap < AT_LIMIT],
+            "limit": [name for name, gap in zip(robot.joint_names, gaps, strict=True) if gap < 0.01],
             "opening": [arm.opening],
-            "touches": arm.touches[:MOST_TOUCHES],
+            "touches": touches[:3],  # an edge gives a dozen
         }
 
     def _marks(self, constraint: Constraint, q: np.ndarray, place: np.ndarray) -> dict[str, Any] | None:

@@ -110,6 +110,17 @@ class Handle:
             pose[:3, 3] += by * self.axis
         return pose
 
+    @property
+    def around(self) -> Scene:
+        """What stands still and stops an arm, in the base; its hand may touch that."""
+        boxes = []
+        for *at, wide, deep, high, what in self.fixed:
+            if what != HANDLE:
+                pose = self.pose.copy()
+                pose[:3, 3] += pose[:3, :3] @ at
+                boxes.append(Box((wide, deep, high), pose, f"{self.name} {len(boxes) + 1}"))
+        return Scene(boxes=boxes, handled=[box.name for box in boxes])
+
     def stations(self) -> list[Float[np.ndarray, "4 4"]]:
         """Poses all over its motion, each near the one before."""
         if self.type == "plane":
@@ -140,28 +151,12 @@ class TeachingScene:
     notes: tuple[str, ...]
 
     @property
-    def around(self) -> Scene:
-        """What stands still, and stops an arm; its hand may touch that."""
-        return around(self.handle)
-
-    @property
     def hard_start(self) -> tuple[float, ...] | None:
         """Posture at the handle from which only a planned motion does the task [rad]; None where none is known."""
         if (start := HARD_STARTS.get((self.robot.name, self.kind))) is None:
             return None
         gap = self.robot.position(start, self.tip) - self.handle.pose[:3, 3]
         return start if np.linalg.norm(gap) <= 0.01 else None  # [m]
-
-
-def around(handle: Handle) -> Scene:
-    """Return the boxes that stand still around a handle, in the robot's base."""
-    boxes = []
-    for *at, wide, deep, high, what in handle.fixed:
-        if what != HANDLE:
-            pose = handle.pose.copy()
-            pose[:3, 3] += pose[:3, :3] @ at
-            boxes.append(Box((wide, deep, high), pose, f"{handle.name} {len(boxes) + 1}"))
-    return Scene(boxes=boxes, handled=[box.name for box in boxes])
 
 
 def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) -> TeachingScene:
@@ -264,7 +259,7 @@ class _Reach:
         begin[:3, 3] += 0.16 * away  # [m], so that a recording has a way to the handle
         if (start := self._posture_at(q, begin, False)) is None:
             return None
-        solids = around(handle).obstacles(self._robot)
+        solids = handle.around.obstacles(self._robot)
         clear = self._links.with_obstacles([replace(one, may_touch=self._hand) for one in solids], False)
         # [m] of room while the hand moves it: a person's elbow swings by more
         return (handle, start) if all(clear.is_clear(x, 0.01) for x in (*way, start)) else None
@@ -346,7 +341,7 @@ def scene_model(scene: TeachingScene) -> object:
     spec.option.tolerance = 1e-10
     _add_arm(mujoco, spec, scene)
     _add_handle(mujoco, spec, scene.handle)
-    for box in scene.around.boxes:
+    for box in scene.handle.around.boxes:
         made = _add_geom(mujoco, spec, spec.worldbody, np.asarray(box.pose), box.shape, box.name)
         made.contype, made.conaffinity = 0, 1
     return spec.compile()

@@ -42,9 +42,6 @@ from manip_learn.teach.worker import TeachingWorker, distance_in_words, first_wa
 
 LEFT = 30.0  # [s] without a page after which the program ends: who pressed Back by mistake comes back in less
 FEW = 3  # recordings below which no evidence can be had
-BY_HAND = "stopped by hand"  # why a motion ended
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,60}")
-FIRST = "There is nothing to {} yet: record the task first."
 
 
 @final
@@ -64,32 +61,11 @@ class TaughtRecording:
     phases: list[list[float]] = field(default_factory=list)
     odd: str = ""
 
-    @staticmethod
-    def load(path: Path, robot: Robot) -> TaughtRecording:
-        """Read a recording.
-
-        Args:
-            path: The file.
-            robot: Whose recording it is.
-
-        Returns:
-            The recording, without phases.
-
-        Raises:
-            ManipLearnError: It is no recording of this robot.
-        """
-        return TaughtRecording(path, load_demonstrations([str(path)], robot)[0])
-
-    @property
-    def seconds(self) -> float:
-        """Its duration [s]."""
-        return float(np.ptp(self.motion.time))
-
     def to_dict(self) -> dict[str, Any]:
         """Return the recording for the page, with times from its first sample on."""
         first = float(self.motion.time[0])
         phases = [[start - first, end - first, k] for start, end, k in self.phases]
-        numbers = {"seconds": round(self.seconds, 2), "samples": len(self.motion)}
+        numbers = {"seconds": round(self.motion.duration, 2), "samples": len(self.motion)}
         return {"name": self.path.stem, **numbers, "odd": self.odd, "phases": phases}
 
 
@@ -175,11 +151,6 @@ class TeachingSession:
         """The answer about this scene; empty without one."""
         return "" if self._answer is None else str(self._answer["sentence"])
 
-    @property
-    def waits_for_worker(self) -> bool:
-        """True if the process that learns has a job."""
-        return bool(self._worker.busy)
-
     def run(self) -> None:
         """Go on until the last page is closed, or `end`."""
         try:
@@ -203,27 +174,24 @@ class TeachingSession:
         """Hear and show, between two periods of the physics."""
         while not self._heard.empty():
             heard = self._heard.get()
+            self._ended |= "end" in heard
             if "pages" in heard:
                 self._pages_are(heard["pages"])
-            elif "end" in heard:
-                self._finish()
-            else:
-                self._obey(str(heard.get("page", "")), heard.get("said"))
+            self._obey(str(heard.get("page", "")), heard.get("said"))
         self._touched |= self.arm.held
-        if time.monotonic() - self._left > LEFT:
-            self._finish()
+        self._ended |= time.monotonic() - self._left > LEFT
+        self._stop |= self._ended
         for kind, what in self._worker.heard():
             self._answered(kind, what)
         if self.arm.hand.pull is not None and self._doing in ("idle", "recording") and self.arm.close_when_near():
             self._gripped()
-        self._show_pose()
+        pose = self._picture.pose(self.arm, self.constraint, self._rows)
+        pose |= {"seq": self._seq, "trail": self._doing == "recording"}
+        self._shows.put(lambda: json.dumps(pose, allow_nan=False), "pose")
         now = time.monotonic()
         if now - self._looked > 0.1 or not self._real:  # [s] between two states: only a pose is needed more often
             self._looked = now
             self._show_state()
-
-    def _finish(self) -> None:
-        self._ended = self._stop = True
 
     def _pages_are(self, pages: list[str]) -> None:
         if pages or self._pages:
@@ -292,15 +260,18 @@ class TeachingSession:
                 return one
         raise ValueError(f"there is no recording {name!r}")
 
+    def _read(self, path: Path) -> TaughtRecording:
+        self._recordings.append(one := TaughtRecording(path, load_demonstrations([str(path)], self.robot)[0]))
+        return one
+
     def _rename(self, said: Mapping[str, Any]) -> None:
         one, to = self._shown_by(said["name"]), str(said["to"]).strip()
         path = one.path.with_name(f"{to}.csv")
-        if not NAME.fullmatch(to):
-            self._say("A name has letters, digits, spaces, dots and dashes, up to 60 of them.", wrong=True)
-        elif path.exists():
-            self._say(f"There is a recording {to!r} already: choose another name.", wrong=True)
-        else:
-            one.path = one.path.rename(path)
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,60}", to):
+            raise ManipLearnError("A name has letters, digits, spaces, dots and dashes, up to 60 of them.")
+        if path.exists():
+            raise ManipLearnError(f"There is a recording {to!r} already: choose another name.")
+        one.path = one.path.rename(path)
 
     def _delete(self, said: Mapping[str, Any]) -> None:
         one = self._shown_by(said["name"])
@@ -310,9 +281,8 @@ class TeachingSession:
 
     def _replay(self, said: Mapping[str, Any]) -> None:
         one = self._shown_by(said["name"])
-        self._show_ghosts(
-            "replay", [ghost(self.robot, one.path.stem, COLOURS["vermilion"], one.motion.time, one.motion.q)]
-        )
+        shown = ghost(self.robot, one.path.stem, COLOURS["vermilion"], one.motion.time, one.motion.q)
+        self._show_ghosts("replay", [shown])
 
     def _drop(self, said: Mapping[str, Any]) -> None:
         """Add a recording that was dropped on the page, if it is one of this robot."""
@@ -323,12 +293,10 @@ class TeachingSession:
             path, number = self.folder / f"{stem}_{number}.csv", number + 1
         write_atomically(path, str(said["text"]))
         try:
-            one = TaughtRecording.load(path, self.robot)
+            one = self._read(path)
         except ManipLearnError as refusal:
             path.unlink()
-            self._say(f"{said['name']} is no recording of {self.robot.name!r}: {refusal}", wrong=True)
-            return
-        self._recordings.append(one)
+            raise ManipLearnError(f"{said['name']} is no recording of {self.robot.name!r}: {refusal}") from refusal
         self._say(f"{path.stem} is added: {counted(len(one.motion), 'sample')}.")
 
     # ---- scene ----------------------------------------------------------------------------------------------------
@@ -389,13 +357,12 @@ class TeachingSession:
         done = record(self.arm, self.folder, "shown", by="key", motions=1, key=key)
         self._ended |= done.ended == "Ctrl-C"
         if not done.files or done.samples < 2:
-            self._say("Nothing was recorded.", wrong=True)
-        elif not self._touched:
+            raise ManipLearnError("Nothing was recorded.")
+        if not self._touched:
             done.files[0].unlink()
-            self._say("The gripper took hold of nothing, so this was not kept. Record again.", wrong=True)
-        else:
-            self._recordings.append(one := TaughtRecording.load(done.files[0], self.robot))
-            self._say(f"{one.path.stem} is kept, {one.seconds:.1f} s.")
+            raise ManipLearnError("The gripper took hold of nothing, so this was not kept. Record again.")
+        one = self._read(done.files[0])
+        self._say(f"{one.path.stem} is kept, {one.motion.duration:.1f} s.")
 
     # ---- learn ----------------------------------------------------------------------------------------------------
 
@@ -406,8 +373,8 @@ class TeachingSession:
 
     def _learn(self) -> None:
         if not self._recordings:
-            self._say(FIRST.format("learn from"), wrong=True)
-        elif len(self._recordings) < FEW:
+            raise ManipLearnError("There is nothing to learn from yet: record the task first.")
+        if len(self._recordings) < FEW:
             self._refused(f"From fewer than {FEW} recordings what is held cannot be told from how a person moves.")
         else:
             self._learnt_from = list(self._recordings)
@@ -456,13 +423,12 @@ class TeachingSession:
     def _run(self) -> None:
         """Do again what was shown, with everything shut at first, planned as `repeat` does it."""
         if self._way is None:
-            self._say("There is no way to do yet: learn from recordings that hold something and move it.", wrong=True)
-            return
+            raise ManipLearnError("There is no way to do yet: learn from recordings that hold something and move it.")
         self._doing, self._planned, self._outcome = "planning", None, None
         self.arm.shut()
         self.arm.hold()
         self._say("Planning the whole motion.")
-        self._ask("repeat", "planning", start=self.arm.q, scene=self.arm.scene.around)
+        self._ask("repeat", "planning", start=self.arm.q, scene=self.arm.scene.handle.around)
         while self._worker.busy and not self._stop:
             self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
         again = self._planned
@@ -501,7 +467,7 @@ class TeachingSession:
                 done, wanted = abs(task.progress(self.arm.q)), abs(task.wanted)
                 self._outcome = {"done": done, "wanted": wanted, "unit": task.unit, "ended": "", "ordered": True}
             if self._stop:
-                return BY_HAND
+                return "stopped by hand"
             if laws.gripper == "close" and not self.arm.held:
                 return "the gripper found no handle: reset the arm, and try again"
             at_rest = float(np.max(np.abs(loop.state.velocity))) < 1e-3  # [rad/s or m/s]
@@ -515,14 +481,12 @@ class TeachingSession:
 
     def _compare(self) -> None:
         if self._way is None or (start := self.arm.scene.hard_start) is None:
-            self._say("There is nothing to compare yet: learn first.", wrong=True)
-        else:
-            self._ask("compare", "planning", start=start, scene=self.arm.scene.around)
+            raise ManipLearnError("There is nothing to compare yet: learn first.")
+        self._ask("compare", "planning", start=start, scene=self.arm.scene.handle.around)
 
     def _take(self, said: Mapping[str, Any]) -> None:
         if not self._recordings:
-            self._say(FIRST.format("take home"), wrong=True)
-            return
+            raise ManipLearnError("There is nothing to take home yet: record the task first.")
         start = None if self._way is None else self.arm.scene.start
         lesson = {"files": list(map(str, self.files)), "learnt": self.constraint is not None, "start": start}
         self._ask("take", "writing", what=str(said["what"]), **lesson)
@@ -538,11 +502,6 @@ class TeachingSession:
 
     def _show_ghosts(self, kind: str, rollouts: list[dict[str, Any]]) -> None:
         self._show("ghosts", {"number": next(self._numbers), "kind": kind, "rollouts": rollouts})
-
-    def _show_pose(self) -> None:
-        pose = self._picture.pose(self.arm, self.constraint, self._rows)
-        pose |= {"seq": self._seq, "trail": self._doing == "recording"}
-        self._shows.put(lambda: json.dumps(pose, allow_nan=False), "pose")
 
     def _show_state(self) -> None:
         arm, can_run = self.arm, self._way is not None

@@ -140,11 +140,9 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], file: str
     skill.save(file)
     names = [c.mechanism.type if c.mechanism is not None else "" for c in learner.constraints_]
     evidence, mechanism, shown = evidence_of(report), report.mechanism, skill.constraints[0].shown
-    uncertain = report.uncertainty_deg
-    if uncertain is None and mechanism is not None:
-        uncertain = mechanism.uncertainty.get("axis")
-    drawn = None
+    uncertain, drawn = report.uncertainty_deg, None
     if mechanism is not None:
+        uncertain = mechanism.uncertainty.get("axis") if uncertain is None else uncertain
         places = [robot.position(q, tip) for t in demos for q in t.q[::50]] if shown is None else shown.points
         drawn = mechanism_drawing(mechanism, np.array(places), shown).to_dict()
     answer = {
