@@ -54,8 +54,8 @@ def test_names_do_not_run_in_the_script(tmp_path, monkeypatch):
     robot = ml.load_robot(path, locked=[f"a {name}"])
     tip = f"tip {name}"
     ml.Constraint(np.eye(3)[:1], ml.FrameJacobian(robot, tip)).save(tmp_path / "constraint.json")
-    lesson = {"files": [f"a/{name}.csv"], "file": str(tmp_path / "constraint.json"), "start": [0.0, 0.0]}
-    file, _ = taken_home(robot, tip, lambda step, share: None, what="script", learnt=True, **lesson)
+    lesson: dict[str, Any] = {"what": "script", "learnt": True, "files": [f"a/{name}.csv"], "start": np.zeros(2)}
+    file, _ = taken_home(robot, tip, lambda step, share: None, file=str(tmp_path / "constraint.json"), **lesson)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "manip_learn", library := MagicMock())
     exec(compile(file.read_text(encoding="utf-8"), file, "exec"), {})

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from jaxtyping import Float
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
@@ -63,7 +63,7 @@ def taken_home(
     files: Sequence[str],
     file: str,
     learnt: bool,
-    start: ArrayLike | None,
+    start: Float[np.ndarray, " nv"] | None,
 ) -> tuple[Path, str]:
     """Write a file to take home into the folder of the constraint's file, and return it and what it is.
 
@@ -75,7 +75,7 @@ def taken_home(
         files: The recordings, in that folder.
         file: Of the constraint.
         learnt: Whether there is one.
-        start: Posture in which the arm stood before it did the task [rad or m]; None where there is none to do.
+        start: shape (nv,), posture in which the arm stood before it did the task [rad or m]; None where there is none to do.
 
     Raises:
         OutputError: Nothing was learnt that could be taken, or a word that is none of these.
