@@ -75,7 +75,7 @@ def taken_home(
         files: The recordings, in that folder.
         file: Of the constraint.
         learnt: Whether there is one.
-        start: shape (nv,), posture in which the arm stood before it did the task [rad or m]; None where there is none to do.
+        start: shape (nv,), posture in which the arm stood before it did the task [rad or m]; None where there is none.
 
     Raises:
         OutputError: Nothing was learnt that could be taken, or a word that is none of these.
