@@ -61,7 +61,7 @@ class Person:
         for _ in range(round(seconds / PERIOD)):
             if done():
                 return
-            if self.session.waits_for_worker:
+            if self.state["progress"] is not None:
                 time.sleep(PERIOD)  # the other process has the processor
             yield None
         raise AssertionError(f"it did not come to pass; the page said {self.said[-3:]}")
@@ -103,14 +103,9 @@ class Person:
         yield from self.press(do="record")
         yield from self.wait(float(rng.uniform(0.3, 0.7)))
         home = arm.place
-        if not arm.scene.handles:
-            places = [home, *(home + rng.normal(0.0, 0.12, 3) for _ in range(4)), home]
-            for a, b in zip(places[:-1], places[1:], strict=True):
-                yield from self.drag(lambda s, a=a, b=b: a + _smooth(s) * (b - a), float(rng.uniform(0.8, 1.5)))
-        for handle in arm.scene.handles:
-            yield from self._move(handle)
-            a = arm.place
-            yield from self.drag(lambda s, a=a: a + _smooth(s) * (home - a), float(rng.uniform(0.8, 1.3)))
+        yield from self._move(arm.scene.handle)
+        a = arm.place
+        yield from self.drag(lambda s: a + _smooth(s) * (home - a), float(rng.uniform(0.8, 1.3)))
         yield {"do": "release"}
         yield from self.wait(float(rng.uniform(0.3, 0.6)))
         recorded = len(self.state["recordings"])

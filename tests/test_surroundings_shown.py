@@ -70,7 +70,7 @@ def test_furniture_stops_an_arm_that_is_drawn_through_it(sawyer: ml.Robot, kind:
     from manip_learn.teach.scene import place_scene
 
     scene = place_scene(kind, sawyer, default_tip(sawyer), np.random.default_rng(4))  # type: ignore[arg-type]
-    handle, arm = scene.handles[0], TeachingArm(scene, np.random.default_rng(0), in_real_time=False)
+    handle, arm = scene.handle, TeachingArm(scene, np.random.default_rng(0), in_real_time=False)
     start = arm.place
     behind = -0.35 * handle.axis if kind == "table" else -0.6 * handle.pose[:3, 1]
     goal = handle.pose[:3, 3] + behind

@@ -16,6 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from teaching_person import Person
 
 import manip_learn as ml
@@ -24,7 +25,7 @@ from manip_learn.errors import ConfigurationError
 pytest.importorskip("mujoco")
 from manip_learn.robot.tips import default_tip  # noqa: E402
 from manip_learn.teach.arm import STRONGEST, TeachingArm  # noqa: E402
-from manip_learn.teach.files import HOMES, Lesson  # noqa: E402
+from manip_learn.teach.files import taken_home  # noqa: E402
 from manip_learn.teach.scene import FIRST_SEED, HARD_STARTS, TITLES, place_scene  # noqa: E402
 from manip_learn.teach.session import FEW, TeachingSession  # noqa: E402
 
@@ -53,11 +54,11 @@ def test_names_do_not_run_in_the_script(tmp_path, monkeypatch):
     robot = ml.load_robot(path, locked=[f"a {name}"])
     tip = f"tip {name}"
     ml.Constraint(np.eye(3)[:1], ml.FrameJacobian(robot, tip)).save(tmp_path / "constraint.json")
-    lesson = Lesson(robot, tip, [f"a/{name}.csv"], str(tmp_path / "constraint.json"), tmp_path, [0.0, 0.0])
-    _, file, _ = HOMES["script"](lesson)
+    lesson: dict[str, Any] = {"what": "script", "learnt": True, "files": [f"a/{name}.csv"], "start": np.zeros(2)}
+    file, _ = taken_home(robot, tip, lambda step, share: None, file=str(tmp_path / "constraint.json"), **lesson)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "manip_learn", library := MagicMock())
-    exec(compile(Path(file).read_text(encoding="utf-8"), file, "exec"), {})
+    exec(compile(file.read_text(encoding="utf-8"), file, "exec"), {})
     assert not Path("ran").exists()
     assert library.load_robot.call_args == call(str(path), locked={f"a {name}": 0.0})
     assert library.load_demonstrations.call_args.args[0] == [f"{name}.csv"]
@@ -115,7 +116,7 @@ def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path, kind):
 
     person, session = taught(sawyer, kind, 11, tmp_path, script)
     answer, off = person.state["answer"], errors_of(person)
-    assert not answer["refused"] and answer["mechanism"]["type"] == session.arm.scene.handles[0].type
+    assert not answer["refused"] and answer["mechanism"]["type"] == session.arm.scene.handle.type
     assert off["axis"] < 1.0 and off["place"] < 5.0
     ran = person.state["run"]
     assert ran["ordered"] and ran["done"] == pytest.approx(ran["wanted"], rel=0.02), person.said[-3:]
@@ -144,7 +145,7 @@ def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_pat
         seen["away"] = np.linalg.norm(person.session.arm.place - person.session.arm.handle_place)
         yield from person.press(do="run")
         yield from person.wait_for(lambda: person.pose["opening"][0] > 0.03 and person.pose["held"][0], 100.0)
-        away = person.session.arm.place - 0.5 * person.session.arm.scene.handles[0].axis
+        away = person.session.arm.place - 0.5 * person.session.arm.scene.handle.axis
         for _ in range(300):
             if person.state["doing"] == "idle":
                 break
@@ -211,15 +212,27 @@ def test_a_scene_without_a_stored_start_offers_no_comparison(sawyer):
 
 @pytest.mark.slow
 def test_nothing_is_claimed_in_free_space_and_two_recordings_are_too_few(sawyer, tmp_path):
-    """Free motion is refused, in words that say what to show next, with a button that the page offers for it; after too
-    few recordings the button records.
+    """Recordings of free motion are refused, in words that say what to show next, and so are too few of any; the button
+    that the page offers records.
     """
-    person, _ = taught(sawyer, "free", 5, tmp_path / "free", lambda person: lesson(person, 5))
-    answer = person.state["answer"]
-    assert answer["refused"] and "Nothing" in answer["sentence"] and answer["offer"]["said"]["do"] == "scene"
-    assert not person.state["can"]["run"] and person.state["truth"]["sentence"].startswith("In truth nothing")
+    rng = np.random.default_rng(5)
 
-    person, _ = taught(sawyer, "free", 6, tmp_path / "few", lambda person: lesson(person, 1))
+    def free_motions(person: Person) -> Iterator[Any]:
+        header = ",".join(["time", *sawyer.joint_names])
+        for k in range(5):
+            ways = CubicSpline(np.arange(6.0), person.session.arm.q + rng.normal(0.0, 0.3, (6, sawyer.nv)))
+            times = np.arange(0.0, 5.0, 0.01)
+            text = "\n".join([header, *(",".join(map(repr, [t, *ways(t).tolist()])) for t in times.tolist())])
+            yield from person.press(do="drop", name=f"free_{k}.csv", text=text)
+        yield from person.learn()
+
+    person, _ = taught(sawyer, "drawer", 5, tmp_path / "free", free_motions)
+    answer = person.state["answer"]
+    assert len(person.state["recordings"]) == 5, person.said
+    assert answer["refused"] and "Nothing" in answer["sentence"] and answer["offer"]["said"] == {"do": "record"}
+    assert not person.state["can"]["run"]
+
+    person, _ = taught(sawyer, "drawer", 6, tmp_path / "few", lambda person: lesson(person, 1))
     answer = person.state["answer"]
     assert answer["refused"] and "4 times more" in answer["next"] and answer["offer"]["said"] == {"do": "record"}
 
@@ -321,7 +334,7 @@ def test_one_page_leads_another_may_take_over_and_without_any_the_session_ends(s
     one; the session ends some time after the last is gone, what was being recorded is kept, and pages are told.
     """
     monkeypatch.setattr("manip_learn.teach.session.LEFT", left := 1.0)
-    session = TeachingSession(sawyer, TIP, tmp_path, "free", 1, person := Person(1), in_real_time=True)
+    session = TeachingSession(sawyer, TIP, tmp_path, "drawer", 1, person := Person(1), in_real_time=True)
     pull = {"do": "pull", "to": (session.arm.place + 0.1).tolist(), "seq": 7}
 
     def script() -> Iterator[Any]:
@@ -336,6 +349,9 @@ def test_one_page_leads_another_may_take_over_and_without_any_the_session_ends(s
         session.hear({"page": "b", "said": {"do": "lead"}})
         yield from person.wait(0.3)
         assert person.state["leader"] == "b" and session.arm.hand.pull is None
+        while not session.arm.held:
+            session.hear({"page": "b", "said": pull | {"to": session.arm.handle_place.tolist()}})
+            yield None
         session.hear({"page": "b", "said": {"do": "record"}})
         yield from person.wait(0.5)
         session.hear({"pages": ["a"], "loading": 0})
@@ -374,21 +390,20 @@ def test_scenes_are_within_reach_of_other_robots(robot_of, name):
         for _ in range(20):
             arm.wait()
         assert np.allclose(arm.q, scene.start, atol=1e-3)
-        if scene.handles:
-            for _ in range(600):
-                arm.pull(None, None, arm.handle_place)
-                arm.wait()
-                if arm.close_when_near():
-                    break
-            assert arm.held, (kind, np.linalg.norm(arm.handle_place - arm.place))
-    assert {"drawer", "loose-door", "free"} <= set(could)
+        for _ in range(600):
+            arm.pull(None, None, arm.handle_place)
+            arm.wait()
+            if arm.close_when_near():
+                break
+        assert arm.held, (kind, np.linalg.norm(arm.handle_place - arm.place))
+    assert {"drawer", "loose-door"} <= set(could)
 
 
 def test_a_robot_without_masses_and_limits_is_taught_with_defaults_that_are_told(tmp_path):
     """What the description lacks is named; a free base is refused with what to do."""
     path = tmp_path / "bare.urdf"
     path.write_text(NO_LIMITS)
-    scene = place_scene("free", ml.load_robot(str(path)), "tip", np.random.default_rng(0))
+    scene = place_scene("drawer", ml.load_robot(str(path)), "tip", np.random.default_rng(0))
     assert any("without mass" in note for note in scene.notes)
     assert any("without a velocity limit" in note for note in scene.notes)
     arm = TeachingArm(scene, np.random.default_rng(1), in_real_time=False, shown=bool)
@@ -404,18 +419,15 @@ def test_a_robot_without_masses_and_limits_is_taught_with_defaults_that_are_told
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_twenty_random_scenes(sawyer, tmp_path):
-    """Of twenty drawers, tables, loose doors and free spaces at least nineteen are right, each within a minute."""
+    """Of twenty drawers, tables and loose doors at least nineteen are right, each within a minute."""
     right, wrong = 0, []
     for number in range(20):
-        kind = ("drawer", "table", "loose-door", "free")[number % 4]
+        kind = ("drawer", "table", "loose-door")[number % 3]
         seed = 700 + number
         person, _ = taught(sawyer, kind, seed, tmp_path / str(seed), lambda person: lesson(person, 5))
         answer, off = person.state["answer"], errors_of(person)
-        if kind == "free":
-            good = answer["refused"]
-        else:
-            good = not answer["refused"] and off["axis"] < (1.0 if kind == "loose-door" else 0.5)
-            good = good and off.get("place", 0.0) < 5.0
+        good = not answer["refused"] and off["axis"] < (1.0 if kind == "loose-door" else 0.5)
+        good = good and off.get("place", 0.0) < 5.0
         right += good
         wrong += [] if good else [(kind, seed, answer["sentence"], off)]
     assert right >= 19, wrong
@@ -427,7 +439,7 @@ def test_a_recording_begins_with_everything_shut(sawyer, tmp_path):
 
     def script(person: Person) -> Iterator[Any]:
         arm = person.session.arm
-        handle = arm.scene.handles[0]
+        handle = arm.scene.handle
         for let_go in (True, False):
             for _ in range(400):
                 if arm.held:

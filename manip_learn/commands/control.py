@@ -95,8 +95,7 @@ def control(options: ControlOptions, progress: Progress) -> Answer:
     if options.check and not answer.content["reached"]:
         because = f": stopped by {answer.content['stopped_by']}" if isinstance(task, ml.FreeDirection) else ""
         raise TargetError(f"{answer.title}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
-    answer = replace(answer, sentences=[begins, *answer.sentences])
-    return with_rollout(answer, rollout, robot, "control", options)
+    return with_rollout(replace(answer, sentences=[begins, *answer.sentences]), rollout, robot, "control", options)
 
 
 def run(

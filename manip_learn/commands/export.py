@@ -27,7 +27,6 @@ _FORMATS: dict[str, tuple[tuple[str, ...], Callable[[SavedMotion], bytes]]] = {
     "csv": ((".csv",), csv_bytes),
     "trajectory": ((".yaml", ".yml", ".json"), joint_trajectory_bytes),
 }
-_KINDS = [*_FORMATS, "lerobot"]
 
 
 def export(options: ExportOptions, progress: Progress) -> Answer:
@@ -43,8 +42,9 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
     out = options.out
     by_ending = next((name for name, (endings, _) in _FORMATS.items() if out.suffix.lower() in endings), None)
     kind = options.to or by_ending or "lerobot"
-    if kind not in _KINDS:
-        raise OutputError(f"--to must be one of {', '.join([*_KINDS, *TASK_WRITERS])}, not {options.to!r}")
+    if kind not in (*_FORMATS, "lerobot"):
+        known = ", ".join([*_FORMATS, "lerobot", *TASK_WRITERS])
+        raise OutputError(f"--to must be one of {known}, not {options.to!r}")
     if (options.to is None and by_ending is None and out.suffix) or by_ending not in (None, kind):
         raise OutputError(
             f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .yaml or .json; "

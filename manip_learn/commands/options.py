@@ -144,13 +144,9 @@ class RobotOptions(Options, kw_only=True):
     @property
     def words(self) -> list[str]:
         """The options that were given, as they are typed."""
-        given = {
-            "lock": self.lock,
-            "package-dir": self.package_dir,
-            "object": self.objects,
-            "xacro-arg": self.xacro_arg,
-        }
-        typed = [word for name, values in given.items() for value in values or () for word in (f"--{name}", value)]
+        flags = ("--lock", "--package-dir", "--object", "--xacro-arg")
+        given = zip(flags, (self.lock, self.package_dir, self.objects, self.xacro_arg), strict=True)
+        typed = [word for flag, values in given for value in values or () for word in (flag, value)]
         return [*typed, *(["--xacro"] if self.xacro else [])]
 
     def load(self, name: str, locked: Locks | None = None, objects: Sequence[str] | None = None) -> Robot:
@@ -296,7 +292,7 @@ class TeachOptions(RobotOptions, work="teach.teach"):
     Attributes:
         robot: Which robot to teach.
         frame: The frame that takes hold, e.g. the tool's tip.
-        scene: First scene: drawer, door, loose-door, table or free.
+        scene: First scene: drawer, door, loose-door or table.
         out: Folder for recordings and what is learnt.
         seed: Random seed for the scene; by default the first scenes are always the same.
         no_browser: Print the page's address, and do not open it.

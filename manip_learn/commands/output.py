@@ -19,9 +19,8 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]  # called with what is being done and the share of it that is done, in 0 .. 1
 # keys of sentences, for people; what other keys hold is for programs, which need names and paths as they are
-SENTENCES = {"message", "sentence", "notes", "warnings", "advice", "evidence", "reason", "reasons", "refused"} | {
-    *("stopped_by", "why", "helps", "hint", "story")
-}
+SENTENCES = {"message", "sentence", "notes", "warnings", "advice", "evidence", "reason", "reasons", "refused"}
+SENTENCES |= {"stopped_by", "why", "helps", "hint", "story"}
 
 
 def for_json(value: object, sentence: bool = False) -> Any:

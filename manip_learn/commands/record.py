@@ -143,10 +143,7 @@ def _is_driver(found: object) -> bool:
 
 def _keys(opened: ExitStack) -> Callable[[], Key]:
     """Return a function for enter or space and q as they are pressed; of a terminal before the end of a line."""
-    source, meanings = (
-        sys.stdin.fileno(),
-        dict[bytes, Key]({b"q": "end", b"": "end"}),
-    )  # or nobody is there to press one
+    source, meanings = sys.stdin.fileno(), dict[bytes, Key]({b"q": "end", b"": "end"})  # b"": nobody is there
     meanings |= dict.fromkeys((b"\n", b"\r", b" "), "start or stop")
     if os.isatty(source):
         import termios

@@ -33,8 +33,7 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
     physics()
     robot = options.load(options.robot)
     tip = choose_frame(robot, options.frame)
-    moving = [name for name in robot.joint_names if robot.moves(name, tip)]
-    robot = with_joints(robot, moving, options.robot, options)
+    robot = with_joints(robot, [name for name in robot.joint_names if robot.moves(name, tip)], options.robot, options)
     if options.out.exists() and not options.out.is_dir():
         raise OutputError(f"--out {options.out} is a file: name a folder")
     name = known_as(robot.source) or robot.name or "robot"
@@ -54,11 +53,11 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
             handlers.callback(signal.signal, number, signal.signal(number, lambda *_: session.end()))
         session.run()
         time.sleep(0.2)  # [s] in which open pages hear that the program has ended
-    content = {"folder": session.folder, "recordings": session.files, "sentence": session.sentence}
+    notes = session.arm.scene.notes
     kept = f"{counted(len(session.files), 'recording')} kept in: {session.folder}"
     return Answer(
-        content | {"notes": session.arm.scene.notes},
+        {"folder": session.folder, "recordings": session.files, "sentence": session.sentence, "notes": notes},
         title=session.sentence,
-        notes=session.arm.scene.notes,
+        notes=notes,
         written=[kept if session.files else "nothing was recorded"],
     )

@@ -57,23 +57,20 @@ class _Hand:
         self._mujoco: Any = physics()
         self._linear, self._angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
         self.pull: Pull | None = None
-        self._goal = self._first = None
+        self._goal, self._first = np.zeros(3), np.eye(3)  # where it pulls to now, and how the body was turned at first
         self.force, self.limited, self.at = np.zeros(3), False, np.zeros(3)
 
     def take(self, pull: Pull | None, data: Any) -> None:
         """Pull there from now on; None lets go."""
-        if pull is None or self.pull is None or pull.body != self.pull.body:
-            self._goal = None
-        if pull is not None and self._goal is None:
-            self._goal, self._first = pull.held_at(data)
-        self.pull = pull
         if pull is None:
             self.force, self.limited = np.zeros(3), False
+        elif self.pull is None or pull.body != self.pull.body:
+            self._goal, self._first = pull.held_at(data)
+        self.pull = pull
 
     def __call__(self, model: Any, data: Any) -> None:
         """Add the hand's force to `data.qfrc_applied`."""
-        pull = self.pull
-        if pull is None or self._goal is None or self._first is None:
+        if (pull := self.pull) is None:
             return
         self.at, rotation = pull.held_at(data)
         self._mujoco.mj_jac(model, data, self._linear, self._angular, self.at, pull.body)
@@ -129,7 +126,7 @@ class TeachingArm:
         self.model, self.data = model, self._arm.data
         self.release, self.hold = self._arm.release, self._arm.hold  # let the arm be guided, or hold it where it is
         self._tip = model.site("tip").id
-        self._handle = model.body("handle") if scene.handles else None
+        self._handle = model.body("handle")
         self.held, self._closed, self._opened = False, 0.0, False  # when it closed [s]; True where it was opened last
         self._due = time.perf_counter()
         self.release()
@@ -195,31 +192,23 @@ class TeachingArm:
         return self.data.site_xpos[self._tip].copy()
 
     @property
-    def handle_pose(self) -> list[float]:
-        """Place and quaternion (real part first) of the handle's body [m]; empty without one."""
-        return [] if self._handle is None else [*self.handle_place.tolist(), *self.data.xquat[self._handle.id].tolist()]
-
-    @property
     def handle_place(self) -> Float[np.ndarray, " 3"]:
-        """Where the handle is [m]; infinitely far away without one."""
-        return np.full(3, np.inf) if self._handle is None else self.data.xpos[self._handle.id].copy()
-
-    @property
-    def touches(self) -> list[list[float]]:
-        """Where links of the arm touch the furniture [m]."""
-        return [contact.pos.tolist() for contact in self.data.contact[: self.data.ncon] if contact.dist < 0.0]
+        """Where the handle is [m]."""
+        return self.data.xpos[self._handle.id].copy()
 
     @property
     def opening(self) -> float:
         """How far the handle has been moved [m or rad]; of a plane along its first direction."""
-        return float(self.data.joint("handle_x").qpos[0]) if self._handle is not None else 0.0
+        return float(self.data.joint("handle_x").qpos[0])
 
     @property
     def is_near(self) -> bool:
         """True if the handle is within reach of the gripper."""
         return bool(np.linalg.norm(self.handle_place - self.place) < REACHES)
 
-    def pull(self, link: str | None, at: Any, to: Any, turn: Any = None) -> None:
+    def pull(
+        self, link: str | None, at: Any, to: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"] | None = None
+    ) -> None:
         """Take a link of the arm, or the tip, and pull it.
 
         Args:
@@ -228,11 +217,11 @@ class TeachingArm:
             to: shape (3,), where it is to be, in the base [m].
             turn: shape (3,), rotation vector by which the hand turns it [rad], or None.
         """
-        body = int(self.model.site_bodyid[self._tip]) if link is None else self.model.body(link).id
-        point = self.model.site_pos[self._tip] if link is None else np.asarray(at, dtype=np.float64)
-        turned = None if turn is None else np.asarray(turn, dtype=np.float64)
-        pull = Pull(body, np.array(point), np.asarray(to, dtype=np.float64), turned, time.perf_counter())
-        self.hand.take(pull, self.data)
+        if link is None:
+            body, at = int(self.model.site_bodyid[self._tip]), self.model.site_pos[self._tip].copy()
+        else:
+            body = self.model.body(link).id
+        self.hand.take(Pull(body, at, to, turn, time.perf_counter()), self.data)
 
     def let_go(self) -> None:
         """Let the arm go; the gripper stays as it is."""
@@ -242,13 +231,17 @@ class TeachingArm:
     def grip(self, closed: bool) -> bool:
         """Close the gripper on the handle within reach, or open it; whether it holds one now."""
         if closed and not self.held and self.is_near:
-            self._turn_handle()
+            if self.scene.handle.firm:  # its site is turned as the hand is, so that closing turns neither
+                site, back, turn = self.model.site("handle"), np.zeros(4), np.zeros(4)
+                self.model.site_sameframe[site.id] = 0  # else MuJoCo takes the body's frame for it without a look
+                self._mujoco.mju_negQuat(back, self.data.xquat[self._handle.id])
+                self._mujoco.mju_mat2Quat(turn, self.data.site_xmat[self._tip])
+                self._mujoco.mju_mulQuat(self.model.site_quat[site.id], back, turn)
             self.held, self._closed = True, self.time
             self.model.equality("grip").solref[0] = SOFT
         elif not closed and self.held:
             self._opened, self.held = True, False
-        if self._handle is not None:
-            self.data.eq_active[self.model.equality("grip").id] = self.held
+        self.data.eq_active[self.model.equality("grip").id] = self.held
         return self.held
 
     def close_when_near(self) -> bool:
@@ -263,15 +256,5 @@ class TeachingArm:
         """Open the gripper, and put what it moved back to where it was at first."""
         self.grip(False)
         self._opened = False
-        if self._handle is not None:
-            joints = self._handle.jntadr[0] + np.arange(self._handle.jntnum[0])
-            self.data.qpos[self.model.jnt_qposadr[joints]] = self.data.qvel[self.model.jnt_dofadr[joints]] = 0.0
-
-    def _turn_handle(self) -> None:
-        """Turn a firm handle's site as the hand is turned, so that closing turns neither."""
-        site, back, turn = self.model.site("handle"), np.zeros(4), np.zeros(4)
-        if self._handle is not None and self.scene.handles[0].firm:
-            self.model.site_sameframe[site.id] = 0  # else MuJoCo takes the body's frame for the site's without a look
-            self._mujoco.mju_negQuat(back, self.data.xquat[self._handle.id])
-            self._mujoco.mju_mat2Quat(turn, self.data.site_xmat[self._tip])
-            self._mujoco.mju_mulQuat(self.model.site_quat[site.id], back, turn)
+        joints = self._handle.jntadr[0] + np.arange(self._handle.jntnum[0])
+        self.data.qpos[self.model.jnt_qposadr[joints]] = self.data.qvel[self.model.jnt_dofadr[joints]] = 0.0

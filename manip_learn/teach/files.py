@@ -5,17 +5,18 @@ from __future__ import annotations
 import io
 import shutil
 import zipfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, final
 
 import numpy as np
+from jaxtyping import Float
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.skill import Skill
+from manip_learn.errors import OutputError
 from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.load import Progress
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.robot import Robot
@@ -43,96 +44,86 @@ print(again)
 # 3. and in the browser
 ml.replay(robot, {{"as shown": again.rollout}}, html="again.html")
 """
-Taken = tuple[str, str, str]  # name, path, and what it is
+# what -> what it is
+HOMES = {
+    "constraint": "what was learnt, for `manip-learn control` and `ml.Constraint.load`",
+    "csv": "the recordings, one CSV file each",
+    "lerobot": "the recordings as a LeRobot data set",
+    "replay": "the replay, one file that needs no network",
+    "script": "the same steps in Python; run it in {}",
+}
 
 
-@final
-@dataclass(frozen=True)
-class Lesson:
-    """What was shown and learnt.
+def taken_home(
+    robot: Robot,
+    tip: str,
+    said: Progress,
+    *,
+    what: str,
+    files: Sequence[str],
+    file: str,
+    learnt: bool,
+    start: Float[np.ndarray, " nv"] | None,
+) -> tuple[Path, str]:
+    """Write a file to take home into the folder of the constraint's file, and return it and what it is.
 
-    Attributes:
+    Args:
         robot: The arm.
         tip: Its frame that was guided.
-        files: The recordings.
-        file: The constraint, or None if nothing was learnt.
-        out: Folder of what is taken home.
-        start: Posture in which the arm stood before it did the task [rad or m]; None where there is none to do.
+        said: Told how far it is.
+        what: constraint, csv, lerobot, replay or script.
+        files: The recordings, in that folder.
+        file: Of the constraint.
+        learnt: Whether there is one.
+        start: shape (nv,), posture in which the arm stood before it did the task [rad or m]; None where there is none.
+
+    Raises:
+        OutputError: Nothing was learnt that could be taken, or a word that is none of these.
     """
+    if what not in HOMES:
+        raise OutputError(f"what can be taken home is {', '.join(HOMES)}, not {what!r}")
+    if not learnt and what not in ("csv", "lerobot"):
+        raise OutputError("nothing has been learnt yet: press Learn first; the recordings can be taken as they are")
+    said("writing", 0.3)
+    made, out = Path(file), Path(file).parent
+    match what:
+        case "csv":
+            made = _zipped(out, what, map(Path, files))
+        case "lerobot":
+            from manip_learn.recordings.writers.lerobot_writer import write_lerobot
 
-    robot: Robot
-    tip: str
-    files: Sequence[str]
-    file: str | None
-    out: Path
-    start: Any = None
+            shutil.rmtree(folder := out / "lerobot", ignore_errors=True)  # of a press before
+            write_lerobot(folder, [motion_of_trajectory(t, robot) for t in load_demonstrations(files, robot)])
+            made = _zipped(out, what, (path for path in sorted(folder.rglob("*")) if path.is_file()))
+        case "replay":
+            from manip_learn.planning.repeat import repeat
+            from manip_learn.playback.replay_page import replay
 
-
-def _constraint(lesson: Lesson) -> Taken:
-    return "constraint.json", str(lesson.file), "what was learnt, for `manip-learn control` and `ml.Constraint.load`"
-
-
-def _csv(lesson: Lesson) -> Taken:
-    return _zipped(lesson, "csv", [Path(f) for f in lesson.files], "the recordings, one CSV file each")
-
-
-def _lerobot(lesson: Lesson) -> Taken:
-    from manip_learn.recordings.writers.lerobot_writer import write_lerobot
-
-    robot, folder = lesson.robot, lesson.out / "lerobot"
-    shutil.rmtree(folder, ignore_errors=True)  # of a press before
-    write_lerobot(folder, [motion_of_trajectory(t, robot) for t in load_demonstrations(list(lesson.files), robot)])
-    inside = [path for path in sorted(folder.rglob("*")) if path.is_file()]
-    return _zipped(lesson, "lerobot", inside, "the recordings as a LeRobot data set")
-
-
-def _replay(lesson: Lesson) -> Taken:
-    from manip_learn.planning.repeat import repeat
-    from manip_learn.playback.replay_page import replay
-
-    robot, skill = lesson.robot, Skill.load(str(lesson.file), lesson.robot)
-    recordings = load_demonstrations(list(lesson.files), robot)
-    shown: dict[str, Any] = {Path(f).stem: t for f, t in zip(lesson.files, recordings, strict=True)}
-    constraints = skill.constraints
-    if lesson.start is not None:
-        shown, constraints = {"as shown": repeat(skill, lesson.start).rollout}, None
-    html = lesson.out / "replay.html"
-    page = replay(robot, shown, html, tip=lesson.tip, constraint=constraints, open_browser=False)
-    return "replay.html", str(page.html), "the replay, one file that needs no network"
+            skill, made = Skill.load(file, robot), out / "replay.html"
+            if start is None:
+                recordings = load_demonstrations(files, robot)
+                shown = {Path(f).stem: t for f, t in zip(files, recordings, strict=True)}
+                replay(robot, shown, made, tip=tip, constraint=skill.constraints, open_browser=False)
+            else:
+                replay(robot, {"as shown": repeat(skill, start).rollout}, made, tip=tip, open_browser=False)
+        case "script":
+            found = Constraint.load(file, robot).mechanism
+            text = SCRIPT.format(
+                robot=known_as(robot.source) or str(robot.source or robot.name),
+                locked=f", locked={dict(robot.locked)!r}" if robot.locked else "",
+                files=[Path(f).name for f in files],
+                tip=tip,
+                axes="pose" if found is not None and found.grip == "firm" else "xyz",
+                run="" if start is None else RUN.format(start=np.round(start, 4).tolist()),
+            )
+            made = write_atomically(out / "taught.py", text)
+    return made, HOMES[what].format(out)
 
 
-def _script(lesson: Lesson) -> Taken:
-    robot, run = lesson.robot, ""
-    learnt = Constraint.load(str(lesson.file), robot)
-    firm = learnt.mechanism is not None and learnt.mechanism.grip == "firm"
-    if lesson.start is not None:
-        run = RUN.format(start=np.round(np.asarray(lesson.start), 4).tolist())
-    text = SCRIPT.format(
-        robot=known_as(robot.source) or (str(robot.source) if robot.source else robot.name),
-        locked=f", locked={dict(robot.locked)!r}" if robot.locked else "",
-        files=[Path(f).name for f in lesson.files],
-        tip=lesson.tip,
-        axes="pose" if firm else "xyz",
-        run=run,
-    )
-    path = write_atomically(lesson.out / "taught.py", text)
-    return "taught.py", str(path), f"the same steps in Python; run it in {lesson.out}"
-
-
-def _zipped(lesson: Lesson, kind: str, files: Sequence[Path], says: str) -> Taken:
-    """Write files into one archive, under their places in the lesson's folder, or else by their names."""
-    content, out = io.BytesIO(), lesson.out
+def _zipped(out: Path, kind: str, files: Iterable[Path]) -> Path:
+    """Write files in a folder into one archive there, under their places in the folder."""
+    content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in files:
-            archive.write(path, path.relative_to(out) if kind == "lerobot" else path.name)
-    path = write_atomically(out / f"recordings_{kind}.zip", content.getvalue())
-    return path.name, str(path), says
-
-
-HOMES: dict[str, Callable[[Lesson], Taken]] = {
-    "constraint": _constraint,
-    "csv": _csv,
-    "lerobot": _lerobot,
-    "replay": _replay,
-    "script": _script,
-}
+            archive.write(path, path.relative_to(out))
+    return write_atomically(out / f"recordings_{kind}.zip", content.getvalue())

@@ -24,19 +24,22 @@ def facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Flo
     return pose
 
 
-def about(
-    axis: Float[np.ndarray, " 3"], point: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"], standoff: float
+def hinged(
+    out: Float[np.ndarray, " 3"], axis: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"], radius: float
 ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 3"]]:
-    """Pose of a handle that turns about an axis and stands off the leaf, which reaches to the axis; and that axis."""
-    arm = handle - point
-    arm = arm - (arm @ axis) * axis
-    radius = float(np.linalg.norm(arm))
-    right, out = arm / radius, np.cross(axis, arm / radius)
-    sine = min(standoff / radius, 0.5)
+    """Pose of a handle that turns about an axis, and where that is in its frame; the leaf reaches to the axis.
+
+    Args:
+        out: shape (3,), the way in which it opens, square to the axis.
+        axis: shape (3,), unit vector.
+        handle: shape (3,), its place [m].
+        radius: From the axis to the handle [m].
+    """
+    right, sine = np.cross(out, axis), min(0.03 / radius, 0.5)  # [m] from the leaf to the handle
     cosine = float(np.sqrt(1.0 - sine**2))
-    turned = np.column_stack([cosine * right - sine * out, sine * right + cosine * out, axis])
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turned, handle
+    pose[:3, :3] = np.column_stack([cosine * right - sine * out, sine * right + cosine * out, axis])
+    pose[:3, 3] = handle
     return pose, np.array([-cosine * radius, -sine * radius, 0.0])
 
 
@@ -46,9 +49,12 @@ def drawer_boards(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[
     height = 0.42 * width
     inner, face = width - 4.0 * BOARD, -STANDOFF
     low = 0.5 * BOARD - 0.4 * height
+    bar = 0.36 * width  # across, at which the hand is
+    feet = ((x * 0.42 * bar, -0.5 * STANDOFF, 0.0, 0.01, STANDOFF, 0.01, HANDLE) for x in (-1.0, 1.0))
     sides = (-0.5 * (inner - BOARD), 0.5 * (inner - BOARD))
     moving = (
-        *_handle(0.36 * width),
+        (0.0, 0.0, 0.0, bar, 0.014, 0.014, HANDLE),
+        *feet,
         (0.0, face - 0.5 * BOARD, 0.0, width, BOARD, height, _FRONT),
         (0.0, face - 0.5 * depth, low, inner, depth - BOARD, BOARD, BODY),
         *((x, face - 0.5 * depth, 0.0, BOARD, depth - BOARD, 0.8 * height, BODY) for x in sides),
@@ -83,9 +89,3 @@ def _case(left: float, right: float, low: float, high: float, depth: float, fron
         *((end, y, z, BOARD, depth, tall, BODY) for end in (left - 0.5 * BOARD, right + 0.5 * BOARD)),
         (x, front - depth + 0.5 * BOARD, z, wide, BOARD, tall, BODY),
     )
-
-
-def _handle(width: float) -> tuple[Board, ...]:
-    """A bar across, at which the hand is, and its two feet."""
-    feet = ((x * 0.42 * width, -0.5 * STANDOFF, 0.0, 0.01, STANDOFF, 0.01, HANDLE) for x in (-1.0, 1.0))
-    return ((0.0, 0.0, 0.0, width, 0.014, 0.014, HANDLE), *feet)

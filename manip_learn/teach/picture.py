@@ -19,13 +19,10 @@ from manip_learn.playback.live_viewer import live_page
 from manip_learn.playback.page_writer import REPLAY, packed
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import TeachingArm
-from manip_learn.teach.scene import MOVES, TASKS, TITLES, TeachingScene
+from manip_learn.teach.scene import MOVES, TITLES, TeachingScene
 
-WEAK = 0.2  # least over largest singular value of the tip's translation, below which the weak direction is drawn
-AT_LIMIT = 0.01  # [rad or m] from a joint's limit at which the arm feels it
 ENOUGH = 5  # recordings that a person is asked for
-MOST_TOUCHES = 3  # places at a time where the arm is said to touch: an edge gives a dozen
-_SEEN = 20  # random postures that show in how many directions the tip can move
+RECORD = {"say": "Record another one", "said": {"do": "record"}}  # button, and what it says to the program
 
 # type of a mechanism -> the answer in a line
 LINES = {
@@ -77,8 +74,8 @@ class TeachingPicture:
     def __init__(self, robot: Robot, tip: str):
         self._robot, self._tip, self._tree = robot, tip, kinematic_tree(robot)
         rng = np.random.default_rng(0)
-        drawn = (robot.random_configuration(rng) for _ in range(_SEEN))
-        # directions in which the tip can move at all: two for an arm in a plane
+        # directions in which the tip can move at all, in any of 20 random postures: two for an arm in a plane
+        drawn = (robot.random_configuration(rng) for _ in range(20))
         self._rank = int(np.linalg.matrix_rank(np.hstack([robot.jacobian(q, tip)[:3] for q in drawn]), tol=1e-9))
 
     def pose(self, arm: TeachingArm, constraint: Constraint | None, rows: Constraint | None) -> dict[str, Any]:
@@ -89,10 +86,10 @@ class TeachingPicture:
             constraint: The learnt one, or None.
             rows: Rows whose manipulability counts, or None for the tip's translation.
         """
-        robot, hand, handles = self._robot, arm.hand, arm.scene.handles
-        q, place = arm.q, arm.place
+        robot, hand, q = self._robot, arm.hand, arm.q
         U, sizes, _ = np.linalg.svd(robot.jacobian(q, self._tip)[:3], full_matrices=False)
         last = min(self._rank, len(sizes)) - 1
+        # of the tip's translation, least over largest singular value: below 0.2 the weak direction is drawn
         share = float(sizes[last] / max(sizes[0], 1e-12))
         held = hand.pull and {
             "at": hand.at.tolist(),
@@ -100,20 +97,22 @@ class TeachingPicture:
             "force": float(np.linalg.norm(hand.force)),
             "limited": bool(hand.limited),
         }
+        touches = [at.pos.tolist() for at in arm.data.contact[: arm.data.ncon] if at.dist < 0.0]
+        # [rad or m] from a joint's limit: within 0.01 the arm feels it
         gaps = np.minimum(q - robot.position_lower, robot.position_upper - q)
         return {
             "time": arm.time,
             "values": joint_tracks(robot, self._tree, q[None])[0].tolist(),
-            "furniture": [arm.handle_pose for _ in handles],
-            "held": [arm.held for _ in handles],
+            "furniture": [[*arm.handle_place.tolist(), *arm.data.body("handle").xquat.tolist()]],  # real part first
+            "held": [arm.held],
             "near": 0 if arm.is_near else None,
             "hand": held,
-            "weak": {"direction": U[:, last].tolist(), "share": share} if share < WEAK else None,
+            "weak": {"direction": U[:, last].tolist(), "share": share} if share < 0.2 else None,
             "mu": float(np.prod(sizes[: last + 1])) if rows is None else float(manipulability(rows, q)),
-            "marks": None if constraint is None else self._marks(constraint, q, place),
-            "limit": [name for name, gap in zip(robot.joint_names, gaps, strict=True) if gap < AT_LIMIT],
-            "opening": [arm.opening for _ in handles],
-            "touches": arm.touches[:MOST_TOUCHES],
+            "marks": None if constraint is None else self._marks(constraint, q, arm.place),
+            "limit": [name for name, gap in zip(robot.joint_names, gaps, strict=True) if gap < 0.01],
+            "opening": [arm.opening],
+            "touches": touches[:3],  # an edge gives a dozen
         }
 
     def _marks(self, constraint: Constraint, q: np.ndarray, place: np.ndarray) -> dict[str, Any] | None:
@@ -134,19 +133,16 @@ def _directions(projector: Float[np.ndarray, "..."]) -> Float[np.ndarray, "k 3"]
 
 def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
     """The furniture for the page."""
+    handle, (move, task) = scene.handle, MOVES[scene.handle.type]
+    at, unit = handle.pose[:3, 3].tolist(), "rad" if handle.turns else "m"
     return {
         "number": number,
         "kind": scene.kind,
         "title": TITLES[scene.kind],
-        "task": TASKS[scene.handles[0].type if scene.handles else "free"],
-        "handles": [
-            {"name": h.name, "unit": "rad" if h.turns else "m", "at": h.pose[:3, 3].tolist(), "firm": h.firm}
-            | {"move": MOVES[h.type]}
-            for h in scene.handles
-        ],
+        "task": task,
+        "handles": [{"name": handle.name, "unit": unit, "at": at, "firm": handle.firm, "move": move}],
         "furniture": [
-            {"fixed": {"pose": h.pose.ravel().tolist(), "boxes": h.fixed}, "moving": {"boxes": h.moving}}
-            for h in scene.handles
+            {"fixed": {"pose": handle.pose.ravel().tolist(), "boxes": handle.fixed}, "moving": {"boxes": handle.moving}}
         ],
         "notes": list(scene.notes),
     }
@@ -154,9 +150,7 @@ def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
 
 def truth_content(scene: TeachingScene, constraint: Constraint | None) -> dict[str, Any]:
     """Return what the physics have, and how far off the learnt mechanism is."""
-    if not scene.handles:
-        return {"sentence": "In truth nothing holds the hand here.", "errors": [], "lines": []}
-    (handle,), known, errors = scene.handles, None if constraint is None else constraint.mechanism, []
+    handle, known, errors = scene.handle, None if constraint is None else constraint.mechanism, []
     if known is not None and known.axis is not None:
         axis = np.asarray(known.axis)
         errors.append(["axis", f"{np.degrees(np.arccos(min(1.0, abs(float(axis @ handle.axis))))):.2g} degrees off"])
@@ -176,16 +170,14 @@ def truth_content(scene: TeachingScene, constraint: Constraint | None) -> dict[s
     }
 
 
-def refusal_content(why: str, recordings: int, handles: bool) -> dict[str, Any]:
+def refusal_content(why: str, recordings: int) -> dict[str, Any]:
     """What the page says where nothing was learnt, and what to do next.
 
     Args:
         why: The learner's reason.
         recordings: How many there were.
-        handles: Whether there is something to take hold of.
     """
     few = recordings < ENOUGH
-    drawer = {"say": "Try a drawer", "said": {"do": "scene", "kind": "drawer"}}
     return {
         "sentence": "This was not understood." if few else "Nothing holds the hand, as far as can be seen.",
         "line": "",
@@ -197,7 +189,7 @@ def refusal_content(why: str, recordings: int, handles: bool) -> dict[str, Any]:
         if few
         else "Nothing that you showed holds the hand firmly. Take hold of something, move it as far as it goes and "
         "back, and begin each time from another posture.",
-        "offer": {"say": "Record another one", "said": {"do": "record"}} if handles or few else drawer,
+        "offer": RECORD,
     }
 
 
@@ -212,5 +204,5 @@ def answer_content(content: Mapping[str, Any]) -> dict[str, Any]:
     return answer | {
         "line": answer["sentence"] if kind is None else f"{kind}{told}.",
         "next": f"It is known well enough: {then}" if known else f"{further}until it is known to 1 degree.",
-        "offer": None if sure else {"say": "Record another one", "said": {"do": "record"}},
+        "offer": None if sure else RECORD,
     }

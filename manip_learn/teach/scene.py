@@ -8,7 +8,7 @@ furniture stops the arm's links, but for the hand; what is moved does not.
 # (the compiled parts of MuJoCo have no complete stubs)
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any, Literal, final
@@ -27,23 +27,20 @@ from manip_learn.robot.collision import collision_shapes, known_shapes
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 from manip_learn.robot.visuals.visual_shapes import Solid
-from manip_learn.teach.furniture import BODY, HANDLE, Board, about, door_boards, drawer_boards, facing
+from manip_learn.teach.furniture import BODY, HANDLE, Board, door_boards, drawer_boards, facing, hinged
 
-Kind = Literal["drawer", "door", "loose-door", "table", "free"]
+Kind = Literal["drawer", "door", "loose-door", "table"]
 TITLES: dict[Kind, str] = {
     "drawer": "A drawer",
     "door": "A door, its handle held firmly",
     "loose-door": "A door, held by a finger",
     "table": "A table to wipe",
-    "free": "Nothing at all: free space",
 }
 # type of a handle -> what to do with it, and with the whole scene
-MOVES = {"line": "Pull it open", "hinge": "Swing it open", "plane": "Wipe to and fro"}
-TASKS = {
-    "line": "Take the hand to the handle, pull the drawer open and push it shut.",
-    "hinge": "Take the hand to the handle, swing the door open and shut it.",
-    "plane": "Take the hand to the sponge and wipe the table to and fro, in both directions.",
-    "free": "There is nothing to learn here: move the hand about.",
+MOVES = {
+    "line": ("Pull it open", "Take the hand to the handle, pull the drawer open and push it shut."),
+    "hinge": ("Swing it open", "Take the hand to the handle, swing the door open and shut it."),
+    "plane": ("Wipe to and fro", "Take the hand to the sponge and wipe the table to and fro, in both directions."),
 }
 
 FIRST_SEED = 3  # of the first scenes: what stands there stands beside the arm, so that neither hides the other
@@ -113,6 +110,17 @@ class Handle:
             pose[:3, 3] += by * self.axis
         return pose
 
+    @property
+    def around(self) -> Scene:
+        """What stands still and stops an arm, in the base; its hand may touch that."""
+        boxes = []
+        for *at, wide, deep, high, what in self.fixed:
+            if what != HANDLE:
+                pose = self.pose.copy()
+                pose[:3, 3] += pose[:3, :3] @ at
+                boxes.append(Box((wide, deep, high), pose, f"{self.name} {len(boxes) + 1}"))
+        return Scene(boxes=boxes, handled=[box.name for box in boxes])
+
     def stations(self) -> list[Float[np.ndarray, "4 4"]]:
         """Poses all over its motion, each near the one before."""
         if self.type == "plane":
@@ -130,7 +138,7 @@ class TeachingScene:
         kind: Which scene.
         robot: The arm.
         tip: Its frame that takes hold.
-        handles: What there is to take hold of.
+        handle: What there is to take hold of.
         start: shape (nv,), first posture [rad or m].
         notes: What had to be assumed of the robot, a sentence each.
     """
@@ -138,33 +146,17 @@ class TeachingScene:
     kind: Kind
     robot: Robot
     tip: str
-    handles: tuple[Handle, ...]  # none, or one
+    handle: Handle
     start: Float[np.ndarray, " nv"]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def around(self) -> Scene:
-        """What stands still, and stops an arm; its hand may touch that."""
-        return around(self.handles)
+    notes: tuple[str, ...]
 
     @property
     def hard_start(self) -> tuple[float, ...] | None:
         """Posture at the handle from which only a planned motion does the task [rad]; None where none is known."""
         if (start := HARD_STARTS.get((self.robot.name, self.kind))) is None:
             return None
-        gap = self.robot.position(start, self.tip) - self.handles[0].pose[:3, 3]
+        gap = self.robot.position(start, self.tip) - self.handle.pose[:3, 3]
         return start if np.linalg.norm(gap) <= 0.01 else None  # [m]
-
-
-def around(handles: Iterable[Handle]) -> Scene:
-    """Return the boxes that stand still around handles, in the robot's base."""
-    boxes = []
-    for handle, (*at, wide, deep, high, what) in ((h, board) for h in handles for board in h.fixed):
-        if what != HANDLE:
-            pose = handle.pose.copy()
-            pose[:3, 3] += pose[:3, :3] @ at
-            boxes.append(Box((wide, deep, high), pose, f"{handle.name} {len(boxes) + 1}"))
-    return Scene(boxes=boxes, handled=[box.name for box in boxes])
 
 
 def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) -> TeachingScene:
@@ -188,13 +180,9 @@ def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) ->
             "lock it, or load the robot without it"
         )
     reach = _Reach(robot, tip, rng)
-    notes = tuple(_assumed(robot))
-    if kind == "free":
-        start = next(reach.postures(None))
-        return TeachingScene(kind, robot, tip, (), start, notes)
     for _ in range(400):  # random places: one in three to one in thirty are within reach
         if (placed := reach.place(kind)) is not None:
-            return TeachingScene(kind, robot, tip, placed[:1], placed[1], notes)
+            return TeachingScene(kind, robot, tip, *placed, tuple(_assumed(robot)))
     raise ConfigurationError(
         f"no place was found where {robot.name!r} can do this with {tip!r}: {TITLES[kind].lower()}; try another scene, "
         "or another frame with --frame"
@@ -223,7 +211,6 @@ class _Reach:
         places = np.array([robot.position(self._drawn(), tip) for _ in range(200)])
         self._far = float(np.quantile(np.linalg.norm(places, axis=1), 0.95))
         self._flat = bool(np.ptp(places[:, 2]) < 1e-6)
-        self._rank = 2 if self._flat else 6
         frames = robot.pinocchio_model.frames  # all moving links but the first are to be above the floor
         self._links_above = [f.name for f in frames if f.parentJoint > 1 and f.name in robot.frame_names]
         hand = robot.pinocchio_model.frames[robot.frame(tip).index].placement
@@ -237,8 +224,8 @@ class _Reach:
     def _drawn(self) -> Float[np.ndarray, " nv"]:
         return self._robot.positions(self._robot.random_configuration(self._rng))
 
-    def postures(self, toward: Literal["ahead", "down"] | None) -> Iterator[Float[np.ndarray, " nv"]]:
-        """Random postures at a comfortable distance, above the floor, the hand pointing ahead or down."""
+    def _posture(self, down: bool) -> Float[np.ndarray, " nv"]:
+        """A random posture at a comfortable distance, above the floor, the hand pointing down or ahead."""
         while True:
             q = self._drawn()
             pose = self._robot.pose(q, self._tip)
@@ -251,8 +238,8 @@ class _Reach:
                 continue
             flat = np.linalg.norm(x[:2])
             outward = float(points[:2] @ x[:2]) / flat if flat > 1e-6 else 0.0
-            if self._flat or toward is None or (outward > 0.6 if toward == "ahead" else points[2] < -0.7):
-                yield q
+            if self._flat or (points[2] < -0.7 if down else outward > 0.6):
+                return q
 
     def _margin_of(self, q: np.ndarray) -> float:
         robot = self._robot
@@ -260,17 +247,19 @@ class _Reach:
 
     def place(self, kind: Kind) -> tuple[Handle, Float[np.ndarray, " nv"]] | None:
         """A handle at the tip of a random posture, and where the arm begins; None if it cannot be done."""
-        q = next(self.postures("down" if kind == "table" else "ahead"))
+        q = self._posture(down=kind == "table")
         pose = self._robot.pose(q, self._tip)
         handle, away = self._handle(kind, pose[:3, 3], pose[:3, :3] @ self._points)
-        way = self._along(handle, q, pose)
-        if way is None:
-            return None
+        way, grip = [q], np.linalg.inv(handle.pose) @ pose
+        for station in handle.stations():
+            if (found := self._posture_at(way[-1], station @ grip, handle.firm)) is None:
+                return None
+            way.append(found)
         begin = pose.copy()
         begin[:3, 3] += 0.16 * away  # [m], so that a recording has a way to the handle
         if (start := self._posture_at(q, begin, False)) is None:
             return None
-        solids = around([handle]).obstacles(self._robot)
+        solids = handle.around.obstacles(self._robot)
         clear = self._links.with_obstacles([replace(one, may_touch=self._hand) for one in solids], False)
         # [m] of room while the hand moves it: a person's elbow swings by more
         return (handle, start) if all(clear.is_clear(x, 0.01) for x in (*way, start)) else None
@@ -288,9 +277,7 @@ class _Reach:
             return Handle("drawer", "line", pose, out, at, False, travel, play, friction, *boards), out
         if kind in ("door", "loose-door"):
             axis = float(rng.choice([-1.0, 1.0])) * up
-            right = np.cross(out, axis)
-            radius = float(rng.uniform(0.25, 0.4)) * size
-            pose, pivot = about(axis, at - radius * right, at, 0.03)
+            pose, pivot = hinged(out, axis, at, float(rng.uniform(0.25, 0.4)) * size)
             travel, friction = float(rng.uniform(0.6, 1.1)), float(rng.uniform(0.1, 0.5))
             point, boards = pose[:3, :3] @ pivot + at, door_boards(pivot)
             return Handle("door", "hinge", pose, axis, point, kind == "door", travel, play, friction, *boards), out
@@ -302,47 +289,25 @@ class _Reach:
         sponge = ((0.0, 0.0, -0.015, 0.09, 0.06, 0.03, HANDLE),)
         return Handle("sponge", "plane", pose, normal, at, False, travel, play, 2.0, fixed, sponge), normal
 
-    def _along(self, handle: Handle, q: np.ndarray, hand: np.ndarray) -> list[np.ndarray] | None:
-        """Postures of the arm along the handle's whole motion; None where limits or singularities are near."""
-        out = [q]
-        grip = np.linalg.inv(handle.pose) @ hand
-        for pose in handle.stations():
-            if (found := self._posture_at(out[-1], pose @ grip, handle.firm)) is None:
-                return None
-            out.append(found)
-        return out
+    def _posture_at(
+        self, q: Float[np.ndarray, " nv"], wanted: Float[np.ndarray, "4 4"], firm: bool
+    ) -> Float[np.ndarray, " nv"] | None:
+        """The next posture with the tip at a pose, by Newton steps; None near limits, singularities, or out of reach.
 
-    def _posture_at(self, q: np.ndarray, wanted: np.ndarray, firm: bool) -> np.ndarray | None:
-        """As the function of this name; None near limits as well."""
-        found = posture_at(self._robot, self._tip, q, wanted, firm, self._rank)
-        return None if found is None or self._margin_of(found) < 0.0 else found
-
-
-def posture_at(
-    robot: Robot,
-    tip: str,
-    q: Float[np.ndarray, " nv"],
-    wanted: Float[np.ndarray, "4 4"],
-    firm: bool,
-    rank: int = 6,
-) -> Float[np.ndarray, " nv"] | None:
-    """The next posture with the tip at a pose, by Newton steps; None where that is singular or out of reach.
-
-    Args:
-        robot: The robot.
-        tip: Its frame.
-        q: From where.
-        wanted: Pose of the tip in the base [m].
-        firm: Whether the hand is turned as well; else its place alone counts.
-        rank: Number of directions in which the tip can move at all: three for an arm in a plane.
-    """
-    for _ in range(12):
-        error = pose_error(robot.pose(q, tip), wanted, own_axes=False)[: 6 if firm else 3]
-        step, _, _, sizes = np.linalg.lstsq(robot.jacobian(q, tip)[: len(error)], error, rcond=1e-3)
-        if np.linalg.norm(error) < 1e-4:  # [m or rad]: below what encoders tell
-            return q if sizes[min(len(sizes), rank) - 1] >= 0.075 else None  # [m/rad]: away from a singularity
-        q = q + step * min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-12))  # [rad]: linearised they are near enough
-    return None
+        Args:
+            q: From where.
+            wanted: Pose of the tip in the base [m].
+            firm: Whether the hand is turned as well; else its place alone counts.
+        """
+        for _ in range(12):
+            error = pose_error(self._robot.pose(q, self._tip), wanted, own_axes=False)[: 6 if firm else 3]
+            rows = self._robot.jacobian(q, self._tip)[: len(error)]
+            step, _, _, sizes = np.linalg.lstsq(rows, error, rcond=1e-3)
+            if np.linalg.norm(error) < 1e-4:  # [m or rad]: below what encoders tell
+                least = sizes[min(len(sizes), 2 if self._flat else 6) - 1]  # an arm in a plane can go two ways only
+                return q if least >= 0.075 and self._margin_of(q) >= 0.0 else None  # [m/rad]
+            q = q + step * min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-12))  # [rad]: linearised, near enough
+        return None
 
 
 # ---- as MuJoCo sees it --------------------------------------------------------------------------------------------
@@ -375,9 +340,8 @@ def scene_model(scene: TeachingScene) -> object:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.tolerance = 1e-10
     _add_arm(mujoco, spec, scene)
-    for handle in scene.handles:
-        _add_handle(mujoco, spec, handle)
-    for box in scene.around.boxes:
+    _add_handle(mujoco, spec, scene.handle)
+    for box in scene.handle.around.boxes:
         made = _add_geom(mujoco, spec, spec.worldbody, np.asarray(box.pose), box.shape, box.name)
         made.contype, made.conaffinity = 0, 1
     return spec.compile()
@@ -389,9 +353,7 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
     limits = dict(zip(robot.joint_names, zip(robot.position_lower, robot.position_upper, strict=True), strict=True))
     frame = model.frames[robot.frame(scene.tip).index]
     chain = [i for i in model.supports[frame.parentJoint] if i]
-    for i, joint in enumerate(kinematic_tree(robot)):
-        if i == 0:
-            continue
+    for i, joint in enumerate(kinematic_tree(robot)[1:], start=1):
         body = bodies[joint.parent].add_body(name=joint.name, pos=joint.placement[:3, 3])
         body.quat = _quaternion(joint.placement[:3, :3])
         inertia = model.inertias[i]
@@ -412,7 +374,7 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
             made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
         bodies.append(body)
     hand = hand_of(robot, robot.frame(scene.tip))
-    shapes = collision_shapes(robot, known_shapes(robot)) if scene.handles else ()
+    shapes = collision_shapes(robot, known_shapes(robot))
     for k, shape in enumerate(one for one in shapes if one.joint and one.link not in hand):
         made = _add_geom(mujoco, spec, bodies[shape.joint], shape.placement, shape.shape, f"link_{k}")
         made.contype, made.conaffinity = 1, 0

@@ -33,6 +33,7 @@ from manip_learn.planning.repeat import Repetition
 from manip_learn.playback.live_viewer import LiveProcess
 from manip_learn.playback.palette import COLOURS
 from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import PERIOD, TeachingArm
 from manip_learn.teach.picture import TeachingPicture, answer_content, refusal_content, scene_content, truth_content
@@ -41,9 +42,6 @@ from manip_learn.teach.worker import TeachingWorker, distance_in_words, first_wa
 
 LEFT = 30.0  # [s] without a page after which the program ends: who pressed Back by mistake comes back in less
 FEW = 3  # recordings below which no evidence can be had
-BY_HAND = "stopped by hand"  # why a motion ended
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,60}")
-FIRST = "There is nothing to {} yet: record the task first."
 
 
 @final
@@ -53,45 +51,21 @@ class TaughtRecording:
 
     Attributes:
         path: The file.
-        q: shape (T, nv), its postures [rad or m].
-        time: shape (T,) [s].
+        motion: What it shows.
         phases: Start [s], end [s] and number of the constraint, -1 for free motion.
         odd: Why it does not agree with the others.
     """
 
     path: Path
-    q: Float[np.ndarray, "T nv"]
-    time: Float[np.ndarray, " T"]
+    motion: Trajectory
     phases: list[list[float]] = field(default_factory=list)
     odd: str = ""
 
-    @staticmethod
-    def load(path: Path, robot: Robot) -> TaughtRecording:
-        """Read a recording.
-
-        Args:
-            path: The file.
-            robot: Whose recording it is.
-
-        Returns:
-            The recording, without phases.
-
-        Raises:
-            ManipLearnError: It is no recording of this robot.
-        """
-        (read,) = load_demonstrations([str(path)], robot)
-        return TaughtRecording(path, read.q, read.time)
-
-    @property
-    def seconds(self) -> float:
-        """Its duration [s]."""
-        return float(np.ptp(self.time)) if len(self.time) else 0.0
-
     def to_dict(self) -> dict[str, Any]:
         """Return the recording for the page, with times from its first sample on."""
-        first = float(self.time[0]) if len(self.time) else 0.0
+        first = float(self.motion.time[0])
         phases = [[start - first, end - first, k] for start, end, k in self.phases]
-        numbers = {"seconds": round(self.seconds, 2), "samples": len(self.time)}
+        numbers = {"seconds": round(self.motion.duration, 2), "samples": len(self.motion)}
         return {"name": self.path.stem, **numbers, "odd": self.odd, "phases": phases}
 
 
@@ -177,22 +151,11 @@ class TeachingSession:
         """The answer about this scene; empty without one."""
         return "" if self._answer is None else str(self._answer["sentence"])
 
-    @property
-    def waits_for_worker(self) -> bool:
-        """True if the process that learns has a job."""
-        return bool(self._worker.busy)
-
     def run(self) -> None:
         """Go on until the last page is closed, or `end`."""
         try:
             while not self._ended:
-                mode, self._mode, self._stop = self._mode, None, False
-                if mode is None:
-                    self._doing = "idle"
-                    self.arm.release()
-                    while self._mode is None and not self._ended:
-                        self.arm.wait()
-                    continue
+                mode, self._mode, self._stop = self._mode or self._idle, None, False
                 try:
                     mode()
                 except ManipLearnError as refusal:
@@ -201,31 +164,34 @@ class TeachingSession:
             self._show("ended", True)
             self._worker.close()
 
+    def _idle(self) -> None:
+        self._doing = "idle"
+        self.arm.release()
+        while self._mode is None and not self._ended:
+            self.arm.wait()
+
     def _period(self) -> None:
         """Hear and show, between two periods of the physics."""
         while not self._heard.empty():
             heard = self._heard.get()
+            self._ended |= "end" in heard
             if "pages" in heard:
                 self._pages_are(heard["pages"])
-            elif "end" in heard:
-                self._finish()
-            else:
-                self._obey(str(heard.get("page", "")), heard.get("said"))
+            self._obey(str(heard.get("page", "")), heard.get("said"))
         self._touched |= self.arm.held
-        if time.monotonic() - self._left > LEFT:
-            self._finish()
+        self._ended |= time.monotonic() - self._left > LEFT
+        self._stop |= self._ended
         for kind, what in self._worker.heard():
             self._answered(kind, what)
         if self.arm.hand.pull is not None and self._doing in ("idle", "recording") and self.arm.close_when_near():
             self._gripped()
-        self._show_pose()
+        pose = self._picture.pose(self.arm, self.constraint, self._rows)
+        pose |= {"seq": self._seq, "trail": self._doing == "recording"}
+        self._shows.put(lambda: json.dumps(pose, allow_nan=False), "pose")
         now = time.monotonic()
         if now - self._looked > 0.1 or not self._real:  # [s] between two states: only a pose is needed more often
             self._looked = now
             self._show_state()
-
-    def _finish(self) -> None:
-        self._ended = self._stop = True
 
     def _pages_are(self, pages: list[str]) -> None:
         if pages or self._pages:
@@ -279,8 +245,8 @@ class TeachingSession:
             self._say("No handle is within reach of the gripper: take the hand to one first.")
 
     def _gripped(self) -> None:
-        handle = self.arm.scene.handles[0]
-        self._say(f"Holding the {handle.name}. {MOVES[handle.type]}.")
+        handle = self.arm.scene.handle
+        self._say(f"Holding the {handle.name}. {MOVES[handle.type][0]}.")
 
     def _start_or_stop(self) -> None:
         if self._doing == "recording":
@@ -294,15 +260,18 @@ class TeachingSession:
                 return one
         raise ValueError(f"there is no recording {name!r}")
 
+    def _read(self, path: Path) -> TaughtRecording:
+        self._recordings.append(one := TaughtRecording(path, load_demonstrations([str(path)], self.robot)[0]))
+        return one
+
     def _rename(self, said: Mapping[str, Any]) -> None:
         one, to = self._shown_by(said["name"]), str(said["to"]).strip()
         path = one.path.with_name(f"{to}.csv")
-        if not NAME.fullmatch(to):
-            self._say("A name has letters, digits, spaces, dots and dashes, up to 60 of them.", wrong=True)
-        elif path.exists():
-            self._say(f"There is a recording {to!r} already: choose another name.", wrong=True)
-        else:
-            one.path = one.path.rename(path)
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,60}", to):
+            raise ManipLearnError("A name has letters, digits, spaces, dots and dashes, up to 60 of them.")
+        if path.exists():
+            raise ManipLearnError(f"There is a recording {to!r} already: choose another name.")
+        one.path = one.path.rename(path)
 
     def _delete(self, said: Mapping[str, Any]) -> None:
         one = self._shown_by(said["name"])
@@ -312,7 +281,8 @@ class TeachingSession:
 
     def _replay(self, said: Mapping[str, Any]) -> None:
         one = self._shown_by(said["name"])
-        self._show_ghosts("replay", [ghost(self.robot, one.path.stem, COLOURS["vermilion"], one.time, one.q)])
+        shown = ghost(self.robot, one.path.stem, COLOURS["vermilion"], one.motion.time, one.motion.q)
+        self._show_ghosts("replay", [shown])
 
     def _drop(self, said: Mapping[str, Any]) -> None:
         """Add a recording that was dropped on the page, if it is one of this robot."""
@@ -323,13 +293,11 @@ class TeachingSession:
             path, number = self.folder / f"{stem}_{number}.csv", number + 1
         write_atomically(path, str(said["text"]))
         try:
-            one = TaughtRecording.load(path, self.robot)
+            one = self._read(path)
         except ManipLearnError as refusal:
             path.unlink()
-            self._say(f"{said['name']} is no recording of {self.robot.name!r}: {refusal}", wrong=True)
-            return
-        self._recordings.append(one)
-        self._say(f"{path.stem} is added: {counted(len(one.time), 'sample')}.")
+            raise ManipLearnError(f"{said['name']} is no recording of {self.robot.name!r}: {refusal}") from refusal
+        self._say(f"{path.stem} is added: {counted(len(one.motion), 'sample')}.")
 
     # ---- scene ----------------------------------------------------------------------------------------------------
 
@@ -351,7 +319,7 @@ class TeachingSession:
         self._number += 1
         while (folder := self.keep / f"{self._number:02d}_{kind}").exists():
             self._number += 1
-        self.folder = folder
+        self.folder, self._file = folder, folder / "constraint.json"
         self._say("")
         self._show("scene", scene_content(scene, self._number))
         self._show("ghosts", None)
@@ -389,34 +357,29 @@ class TeachingSession:
         done = record(self.arm, self.folder, "shown", by="key", motions=1, key=key)
         self._ended |= done.ended == "Ctrl-C"
         if not done.files or done.samples < 2:
-            self._say("Nothing was recorded.", wrong=True)
-        elif self.arm.scene.handles and not self._touched:
+            raise ManipLearnError("Nothing was recorded.")
+        if not self._touched:
             done.files[0].unlink()
-            self._say("The gripper took hold of nothing, so this was not kept. Record again.", wrong=True)
-        else:
-            self._recordings.append(one := TaughtRecording.load(done.files[0], self.robot))
-            self._say(f"{one.path.stem} is kept, {one.seconds:.1f} s.")
+            raise ManipLearnError("The gripper took hold of nothing, so this was not kept. Record again.")
+        one = self._read(done.files[0])
+        self._say(f"{one.path.stem} is kept, {one.motion.duration:.1f} s.")
 
     # ---- learn ----------------------------------------------------------------------------------------------------
 
     def _ask(self, job: str, step: str, **what: Any) -> None:
-        """Give the worker a job, which takes a while."""
-        self._worker.ask(job, **what)
+        """Give the worker a job about what was learnt, which takes a while."""
+        self._worker.ask(job, file=str(self._file), **what)
         self._progress = {"step": step, "share": 0.0}
 
     def _learn(self) -> None:
         if not self._recordings:
-            self._say(FIRST.format("learn from"), wrong=True)
-        elif len(self._recordings) < FEW:
+            raise ManipLearnError("There is nothing to learn from yet: record the task first.")
+        if len(self._recordings) < FEW:
             self._refused(f"From fewer than {FEW} recordings what is held cannot be told from how a person moves.")
         else:
             self._learnt_from = list(self._recordings)
-            self._ask("learn", "reading", files=[str(path) for path in self.files], out=str(self._constraint_file))
+            self._ask("learn", "reading", files=list(map(str, self.files)))
             self._say("Learning from " + counted(len(self._recordings), "recording") + ".")
-
-    @property
-    def _constraint_file(self) -> Path:
-        return self.folder / "constraint.json"
 
     def _answered(self, kind: str, what: Any) -> None:
         """Take what the worker says."""
@@ -432,20 +395,20 @@ class TeachingSession:
         elif job == "repeat":
             self._planned = answer
         elif job == "take":
-            name, path, says = answer
-            self._files[name] = Path(path), says, next(self._numbers)
+            path, says = answer
+            self._files[path.name] = path, says, next(self._numbers)
             self._shows.offer({name: path for name, (path, *_) in self._files.items()})
-            self._say(f"Ready to take home: {name}.")
+            self._say(f"Ready to take home: {path.name}.")
         else:
             self._show_ghosts(job, answer["rollouts"])
             self._say(answer["sentence"])
 
     def _refused(self, why: str) -> None:
-        self._forget(refusal_content(why, len(self._recordings), bool(self.arm.scene.handles)))
+        self._forget(refusal_content(why, len(self._recordings)))
         self._say(cast(Any, self._answer)["next"], wrong=True)
 
     def _learnt(self, content: Mapping[str, Any]) -> None:
-        skill, answer = Skill.load(self._constraint_file, self.robot), answer_content(content)
+        skill, answer = Skill.load(self._file, self.robot), answer_content(content)
         self._forget(answer)
         self.constraint, self._way = skill.constraints[0], first_way(skill)
         self._rows = None if self._way is None else motion(self._way).constraint
@@ -460,13 +423,12 @@ class TeachingSession:
     def _run(self) -> None:
         """Do again what was shown, with everything shut at first, planned as `repeat` does it."""
         if self._way is None:
-            self._say("There is no way to do yet: learn from recordings that hold something and move it.", wrong=True)
-            return
+            raise ManipLearnError("There is no way to do yet: learn from recordings that hold something and move it.")
         self._doing, self._planned, self._outcome = "planning", None, None
         self.arm.shut()
         self.arm.hold()
         self._say("Planning the whole motion.")
-        self._ask("repeat", "planning", file=str(self._constraint_file), start=self.arm.q, scene=self.arm.scene.around)
+        self._ask("repeat", "planning", start=self.arm.q, scene=self.arm.scene.handle.around)
         while self._worker.busy and not self._stop:
             self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
         again = self._planned
@@ -505,7 +467,7 @@ class TeachingSession:
                 done, wanted = abs(task.progress(self.arm.q)), abs(task.wanted)
                 self._outcome = {"done": done, "wanted": wanted, "unit": task.unit, "ended": "", "ordered": True}
             if self._stop:
-                return BY_HAND
+                return "stopped by hand"
             if laws.gripper == "close" and not self.arm.held:
                 return "the gripper found no handle: reset the arm, and try again"
             at_rest = float(np.max(np.abs(loop.state.velocity))) < 1e-3  # [rad/s or m/s]
@@ -519,19 +481,15 @@ class TeachingSession:
 
     def _compare(self) -> None:
         if self._way is None or (start := self.arm.scene.hard_start) is None:
-            self._say("There is nothing to compare yet: learn first.", wrong=True)
-        else:
-            scene = self.arm.scene.around
-            self._ask("compare", "planning", file=str(self._constraint_file), start=start, scene=scene)
+            raise ManipLearnError("There is nothing to compare yet: learn first.")
+        self._ask("compare", "planning", start=start, scene=self.arm.scene.handle.around)
 
     def _take(self, said: Mapping[str, Any]) -> None:
         if not self._recordings:
-            self._say(FIRST.format("take home"), wrong=True)
-            return
-        learnt = self.constraint is not None and self._constraint_file.exists()
-        lesson = {"files": [str(path) for path in self.files], "file": str(self._constraint_file) if learnt else None}
+            raise ManipLearnError("There is nothing to take home yet: record the task first.")
         start = None if self._way is None else self.arm.scene.start
-        self._ask("take", "writing", what=str(said["what"]), **lesson, start=start, out=self.folder)
+        lesson = {"files": list(map(str, self.files)), "learnt": self.constraint is not None, "start": start}
+        self._ask("take", "writing", what=str(said["what"]), **lesson)
 
     # ---- pictures -------------------------------------------------------------------------------------------------
 
@@ -544,11 +502,6 @@ class TeachingSession:
 
     def _show_ghosts(self, kind: str, rollouts: list[dict[str, Any]]) -> None:
         self._show("ghosts", {"number": next(self._numbers), "kind": kind, "rollouts": rollouts})
-
-    def _show_pose(self) -> None:
-        pose = self._picture.pose(self.arm, self.constraint, self._rows)
-        pose |= {"seq": self._seq, "trail": self._doing == "recording"}
-        self._shows.put(lambda: json.dumps(pose, allow_nan=False), "pose")
 
     def _show_state(self) -> None:
         arm, can_run = self.arm, self._way is not None

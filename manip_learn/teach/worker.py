@@ -16,10 +16,11 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.skill import Skill
-from manip_learn.errors import ManipLearnError, OutputError
+from manip_learn.errors import ManipLearnError
 from manip_learn.playback.live_server import end_with_parent
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
+from manip_learn.teach.files import taken_home
 
 STEP = 0.01  # [s] of a simulation, as the arm's period
 
@@ -118,7 +119,7 @@ def _serve(pipe: Connection, robot: Robot, tip: str, parent: int) -> None:
 # ---- jobs ---------------------------------------------------------------------------------------------------------
 
 
-def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], out: str) -> dict[str, Any]:
+def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], file: str) -> dict[str, Any]:
     """Learn from recordings; the skill goes to a file.
 
     Returns:
@@ -136,14 +137,12 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], out: str)
     learner = ConstraintLearner(rows).fit(demos, progress=said)
     report = learner.report_
     skill = with_gripper(learner.skill_)
-    skill.save(out)
+    skill.save(file)
     names = [c.mechanism.type if c.mechanism is not None else "" for c in learner.constraints_]
     evidence, mechanism, shown = evidence_of(report), report.mechanism, skill.constraints[0].shown
-    uncertain = report.uncertainty_deg
-    if uncertain is None and mechanism is not None:
-        uncertain = mechanism.uncertainty.get("axis")
-    drawn = None
+    uncertain, drawn = report.uncertainty_deg, None
     if mechanism is not None:
+        uncertain = mechanism.uncertainty.get("axis") if uncertain is None else uncertain
         places = [robot.position(q, tip) for t in demos for q in t.q[::50]] if shown is None else shown.points
         drawn = mechanism_drawing(mechanism, np.array(places), shown).to_dict()
     answer = {
@@ -276,27 +275,4 @@ def ghost(
     }
 
 
-def take(robot: Robot, tip: str, said: Progress, *, what: str, **lesson: Any) -> tuple[str, str, str]:
-    """Write a file to take home, and return its name, its path and what it is.
-
-    Args:
-        robot: The robot.
-        tip: Its frame that is guided.
-        said: Told how far it is.
-        what: constraint, csv, lerobot, replay or script.
-        lesson: The other fields of `Lesson`.
-
-    Raises:
-        OutputError: Nothing was learnt that could be taken, or a word that is none of these.
-    """
-    from manip_learn.teach.files import HOMES, Lesson
-
-    if what not in HOMES:
-        raise OutputError(f"what can be taken home is {', '.join(HOMES)}, not {what!r}")
-    if lesson["file"] is None and what not in ("csv", "lerobot"):
-        raise OutputError("nothing has been learnt yet: press Learn first; the recordings can be taken as they are")
-    said("writing", 0.3)
-    return HOMES[what](Lesson(robot, tip, **lesson))
-
-
-JOBS: dict[str, Callable[..., Any]] = {"learn": learn, "repeat": _repeat, "compare": _compare, "take": take}
+JOBS: dict[str, Callable[..., Any]] = {"learn": learn, "repeat": _repeat, "compare": _compare, "take": taken_home}
