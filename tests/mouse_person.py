@@ -15,6 +15,7 @@ import numpy as np
 from test_playback_browser import wait_until
 
 ASTRAY = 3.0  # [px] of the pointer from where it is meant to be, standard deviation
+READY = "window.manipLearnReady && manipLearnTeach.allowed && manipLearnTeach.pose !== null"
 MOVES = 0.016  # [s] between two moves of a mouse
 
 
