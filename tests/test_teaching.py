@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
-from teaching_person import Person
+from teaching_person import Person, pull
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
@@ -47,20 +47,19 @@ EVIL = 'x"""; __import__("os").mkdir("ran"); """ {robot} \'\\ #'  # runs where i
 def test_names_do_not_run_in_the_script(tmp_path, monkeypatch):
     """Whatever robot, joints, frames and files are called, the script has these words and runs none of them."""
     (folder := tmp_path / f"{EVIL}\n").mkdir()
-    name = EVIL
-    text = NO_LIMITS.replace('"bare"', quoteattr(name)).replace('"tip"', quoteattr(f"tip {name}"))
-    (path := folder / f"{name}.urdf").write_text(text.replace('name="a"', f"name={quoteattr(f'a {name}')}"))
-    robot = ml.load_robot(path, locked=[f"a {name}"])
-    tip = f"tip {name}"
+    tip, joint = f"tip {EVIL}", f"a {EVIL}"
+    text = NO_LIMITS.replace('"bare"', quoteattr(EVIL)).replace('"tip"', quoteattr(tip))
+    (path := folder / f"{EVIL}.urdf").write_text(text.replace('name="a"', f"name={quoteattr(joint)}"))
+    robot = ml.load_robot(path, locked=[joint])
     ml.Constraint(np.eye(3)[:1], ml.FrameJacobian(robot, tip)).save(tmp_path / "constraint.json")
-    lesson = Lesson(robot, tip, [f"a/{name}.csv"], str(tmp_path / "constraint.json"), tmp_path, [0.0, 0.0])
+    lesson = Lesson(robot, tip, [f"a/{EVIL}.csv"], str(tmp_path / "constraint.json"), tmp_path, [0.0, 0.0])
     _, file, _ = HOMES["script"](lesson)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "manip_learn", library := MagicMock())
     exec(compile(Path(file).read_text(encoding="utf-8"), file, "exec"), {})
     assert not Path("ran").exists()
-    assert library.load_robot.call_args == call(str(path), locked={f"a {name}": 0.0})
-    assert library.load_demonstrations.call_args.args[0] == [f"{name}.csv"]
+    assert library.load_robot.call_args == call(str(path), locked={joint: 0.0})
+    assert library.load_demonstrations.call_args.args[0] == [f"{EVIL}.csv"]
     assert library.FrameJacobian.call_args.args[1] == tip
 
 
@@ -100,8 +99,8 @@ def errors_of(person: Person) -> dict[str, float]:
     return {name: float(said.split()[0]) for name, said in person.state["truth"]["errors"] if name != "kind"}
 
 
-@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) for k in ("loose-door",)])
-def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path, kind):
+@pytest.mark.slow
+def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path):
     """Five unsteady demonstrations give the axis to 1 degree and 5 mm; the arm then goes to the handle and does all of
     the way by itself, and what it moved is moved so far.
     """
@@ -113,7 +112,7 @@ def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path, kind):
         yield from done(person, do="run")
         moved.append(person.pose["opening"][0])
 
-    person, session = taught(sawyer, kind, 11, tmp_path, script)
+    person, session = taught(sawyer, "loose-door", 11, tmp_path, script)
     answer, off = person.state["answer"], errors_of(person)
     assert not answer["refused"] and answer["mechanism"]["type"] == session.arm.scene.handles[0].type
     assert off["axis"] < 1.0 and off["place"] < 5.0
@@ -121,9 +120,6 @@ def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path, kind):
     assert ran["ordered"] and ran["done"] == pytest.approx(ran["wanted"], rel=0.02), person.said[-3:]
     assert abs(moved[0]) == pytest.approx(ran["done"], rel=0.05)
     assert all(one["phases"] for one in person.state["recordings"])
-
-
-HOMES_OF = {"constraint.json", "recordings_csv.zip", "recordings_lerobot.zip", "replay.html", "taught.py"}
 
 
 def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_path):
@@ -148,7 +144,7 @@ def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_pat
         for _ in range(300):
             if person.state["doing"] == "idle":
                 break
-            yield {"do": "pull", "to": away.tolist(), "turn": None, "seq": 0}
+            yield pull(away)
         yield from person.press(do="release")
         yield from person.wait_for(lambda: person.state["doing"] == "idle", 30.0)
         seen["tripped"] = person.state["run"]
@@ -171,7 +167,8 @@ def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_pat
     without, with_it = (one["share"] for one in seen["compare"])
     assert without <= 1.0 / 3.0 and with_it >= 0.97
     assert re.fullmatch(r"Without: stops after \d.* cm. With: all \d.* cm.", seen["said"])
-    assert set(person.files) == {one["name"] for one in person.state["files"]} == HOMES_OF
+    homes = {"constraint.json", "recordings_csv.zip", "recordings_lerobot.zip", "replay.html", "taught.py"}
+    assert set(person.files) == {one["name"] for one in person.state["files"]} == homes
     assert ml.Constraint.load(person.files["constraint.json"], sawyer).mechanism.type == "line"
     for name, found in (("recordings_csv.zip", "*.csv"), ("recordings_lerobot.zip", "lerobot")):
         with zipfile.ZipFile(person.files[name]) as archive:
@@ -285,7 +282,7 @@ def test_a_hand_out_of_reach_and_odd_messages_do_no_harm(sawyer, tmp_path):
 
     def script(person: Person) -> Iterator[Any]:
         for _ in range(200):
-            yield {"do": "pull", "to": [5.0, 0.0, 3.0], "turn": None, "seq": 1}
+            yield pull(np.array([5.0, 0.0, 3.0]))
             strongest.append(float(np.linalg.norm(person.session.arm.hand.force)))
         assert person.pose["hand"]["limited"]
         for odd in (
@@ -322,15 +319,15 @@ def test_one_page_leads_another_may_take_over_and_without_any_the_session_ends(s
     """
     monkeypatch.setattr("manip_learn.teach.session.LEFT", left := 1.0)
     session = TeachingSession(sawyer, TIP, tmp_path, "free", 1, person := Person(1), in_real_time=True)
-    pull = {"do": "pull", "to": (session.arm.place + 0.1).tolist(), "seq": 7}
+    pulled = pull(session.arm.place + 0.1, seq=7)
 
     def script() -> Iterator[Any]:
         session.hear({"pages": ["a", "b"], "loading": 0})
         yield from person.wait(0.1)
-        session.hear({"page": "b", "said": pull})
+        session.hear({"page": "b", "said": pulled})
         yield from person.wait(0.1)
         assert person.pose["seq"] == 0 and session.arm.hand.pull is None
-        session.hear({"page": "a", "said": pull})
+        session.hear({"page": "a", "said": pulled})
         yield from person.wait(0.1)
         assert person.pose["seq"] == 7 and session.arm.hand.pull is not None
         session.hear({"page": "b", "said": {"do": "lead"}})
@@ -405,20 +402,18 @@ def test_a_robot_without_masses_and_limits_is_taught_with_defaults_that_are_told
 @pytest.mark.timeout(3600)
 def test_twenty_random_scenes(sawyer, tmp_path):
     """Of twenty drawers, tables, loose doors and free spaces at least nineteen are right, each within a minute."""
-    right, wrong = 0, []
+    wrong = []
     for number in range(20):
         kind = ("drawer", "table", "loose-door", "free")[number % 4]
-        seed = 700 + number
-        person, _ = taught(sawyer, kind, seed, tmp_path / str(seed), lambda person: lesson(person, 5))
+        person, _ = taught(sawyer, kind, 700 + number, tmp_path / str(number), lambda person: lesson(person, 5))
         answer, off = person.state["answer"], errors_of(person)
         if kind == "free":
             good = answer["refused"]
         else:
             good = not answer["refused"] and off["axis"] < (1.0 if kind == "loose-door" else 0.5)
             good = good and off.get("place", 0.0) < 5.0
-        right += good
-        wrong += [] if good else [(kind, seed, answer["sentence"], off)]
-    assert right >= 19, wrong
+        wrong += [] if good else [(kind, number, answer["sentence"], off)]
+    assert len(wrong) <= 1, wrong
 
 
 def test_a_recording_begins_with_everything_shut(sawyer, tmp_path):
@@ -429,13 +424,9 @@ def test_a_recording_begins_with_everything_shut(sawyer, tmp_path):
         arm = person.session.arm
         handle = arm.scene.handles[0]
         for let_go in (True, False):
-            for _ in range(400):
-                if arm.held:
-                    break
-                yield {"do": "pull", "to": arm.handle_place.tolist(), "turn": None, "seq": 0}
+            yield from person.hold(4.0)
             for k in range(150):
-                to = handle.pose[:3, 3] + min(k / 100.0, 1.0) * 0.1 * handle.axis
-                yield {"do": "pull", "to": to.tolist(), "turn": None, "seq": 0}
+                yield pull(handle.pose[:3, 3] + min(k / 100.0, 1.0) * 0.1 * handle.axis)
             if let_go:
                 yield {"do": "grip", "closed": False}
                 yield from person.press(do="release")
