@@ -84,9 +84,8 @@ def link_pose(page, rollout, link):
 
 
 def seek(page, t):
-    """Move the replay to a time; the time that it is then at."""
+    """Move the replay to a time."""
     page.evaluate("t => manipLearn.seek(t)", float(t))
-    return page.evaluate("manipLearn.time")
 
 
 def wait_for_rest(page):
@@ -334,30 +333,26 @@ def test_what_was_shown_is_drawn_and_what_was_done_is_told(robot_of, tmp_path, o
         assert told in table
 
 
-def library_values(robot, constraint, rollout, t) -> dict[str, dict[str, float]]:
-    """Track -> curve -> value at time t, straight between the samples."""
-    at = lambda values: float(np.interp(t, rollout.time, values))  # noqa: E731
-    sigma = np.array([np.linalg.svd(constraint(q), compute_uv=False) for q in rollout.q])
-    low, span, names = robot.position_lower, robot.position_upper - robot.position_lower, robot.joint_names
-    return {
-        "singular": {f"σ{k + 1}": at(sigma[:, k]) for k in range(sigma.shape[1])},
-        "velocity": {n: at(rollout.u[:, i] / robot.velocity_limit[i]) for i, n in enumerate(names)},
-        "position": {n: at((rollout.q[:, i] - low[i]) / span[i]) for i, n in enumerate(names)},
-        "task-error": {"": at(rollout.task_error)},
-        "following-error": {"": at(rollout.following_error)},
-    }
-
-
 def test_values_and_marks_are_the_librarys(robot_of, drawer, rollout, address, opened):
     """Every curve of every track, directions held and free, and semi-axes that are the singular values."""
     robot = robot_of("sawyer")
     slipping = replace(rollout, following_error=np.linspace(0.0, 0.02, len(rollout)) ** 2)
     page = opened(address("slipping", "sawyer", lambda _: {"a": slipping}))
+    sigma = np.array([np.linalg.svd(drawer(q), compute_uv=False) for q in rollout.q])
+    low, span, names = robot.position_lower, robot.position_upper - robot.position_lower, robot.joint_names
+    tracks = {
+        "singular": {f"σ{k + 1}": values for k, values in enumerate(sigma.T)},
+        "velocity": dict(zip(names, (rollout.u / robot.velocity_limit).T, strict=True)),
+        "position": dict(zip(names, ((rollout.q - low) / span).T, strict=True)),
+        "task-error": {"": rollout.task_error},
+        "following-error": {"": slipping.following_error},
+    }
     for t in BETWEEN:
-        shown, expected = page.evaluate("t => manipLearn.trackValues(t)", t), library_values(robot, drawer, slipping, t)
-        assert shown.keys() == expected.keys()
-        for kind, curves in expected.items():
-            assert shown[kind]["a"] == pytest.approx(curves, rel=1e-5, abs=1e-6), f"{kind} at {t} s"
+        shown = page.evaluate("t => manipLearn.trackValues(t)", t)
+        assert shown.keys() == tracks.keys()
+        for kind, curves in tracks.items():
+            expected = {name: np.interp(t, rollout.time, values) for name, values in curves.items()}
+            assert shown[kind]["a"] == pytest.approx(expected, rel=1e-5, abs=1e-6), f"{kind} at {t} s"
         seek(page, t)
         marks = page.evaluate("t => manipLearn.marks('a', t)", t)
         i = int(np.searchsorted(rollout.time, t + 1e-9) - 1)
@@ -586,25 +581,17 @@ for (const P of [WebGLRenderingContext.prototype, WebGL2RenderingContext.prototy
 """
 
 
-@pytest.fixture(scope="module")
-def demo_page(tmp_path_factory):
-    """The page that `manip-learn demo` writes."""
-    folder = tmp_path_factory.mktemp("demo")
-    assert manip_learn(["demo", "--no-browser", "--out", str(folder)]) == 0
-    return folder / "replay.html"
-
-
 @pytest.mark.parametrize("name", ["demo", "panda", "ur5e"])
-def test_a_frame_is_cheap(name, request, address, opened):
+def test_a_frame_is_cheap(name, tmp_path, address, opened):
     """With a graphics card, where all is drawn: two arms side by side of the demo, or a solid one and a ghost."""
-    most = 300_000
     if name == "demo":
-        page, most = request.getfixturevalue("demo_page"), 150_000
-        assert page.stat().st_size < 2_500_000
-        page = page.as_uri()
+        assert manip_learn(["demo", "--no-browser", "--out", str(tmp_path)]) == 0
+        path, most = tmp_path / "replay.html", 150_000
+        assert path.stat().st_size < 2_500_000
+        of = path.as_uri()
     else:
-        page = address(name, name, lambda robot: {"a": waving(robot), "b": waving(robot, phase=0.8)})
-    page = opened(page, 1280, 800, before=COUNTED + CARD)
+        of, most = address(name, name, lambda robot: {"a": waving(robot), "b": waving(robot, phase=0.8)}), 300_000
+    page = opened(of, 1280, 800, before=COUNTED + CARD)
     duration = page.evaluate("manipLearn.duration")
     for share in (0.0, 0.5, 1.0):
         page.evaluate("frames3d.length = 0")
@@ -637,7 +624,6 @@ def test_without_a_graphics_card_frames_are_simpler_while_something_moves(openin
 
 # ---- on a phone, and for screen readers ----------------------------------------
 
-PHONE_WIDTH = 390  # [px]
 FINGER = 40  # least width and height of what a finger must hit [px]
 # a check box or a choice is hit by its label
 CONTROLS = "button, select, summary, input[type=range], label:has(input)"
@@ -650,9 +636,6 @@ REPORT = {
 ALL_TRACKS = "document.querySelectorAll('#sheets input').forEach(box => { if (!box.checked) box.click(); })"
 # one of the lists and cards open, the others closed; a number beyond them closes all
 OPEN_ONE = "n => document.querySelectorAll('details').forEach((list, i) => { list.open = i === n; })"
-
-
-PHONE = {"phone": True, "width": PHONE_WIDTH, "height": 844}
 
 
 @pytest.fixture
@@ -681,13 +664,13 @@ def test_phones_show_everything_without_sideways_scrolling(phased, opened):
     """On a phone nothing is wider than the screen, and every control is large enough for a finger; robot and curve are
     there before anything is scrolled, names and notes below.
     """
-    page = opened(phased, **PHONE)
+    width = 390
+    page = opened(phased, width, 844, phone=True)
     (_, top, *_), (_, floor, *_) = (page.locator(s).bounding_box().values() for s in ("#scene", "#transport"))
     chart, legend = (page.locator(s).bounding_box() for s in ("#chart", "#legend"))
     assert 0.0 < top < chart["y"] < chart["y"] + chart["height"] <= floor + 2.0
     assert legend["y"] >= chart["y"] + chart["height"]
     page.evaluate(ALL_TRACKS)
-    width = PHONE_WIDTH
     for list_open in range(page.locator("details").count()):
         page.evaluate(OPEN_ONE, list_open)
         assert page.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [width, width]

@@ -11,7 +11,6 @@ import signal
 import socket
 import subprocess
 import sys
-import textwrap
 import threading
 import webbrowser
 from pathlib import Path
@@ -246,9 +245,8 @@ input()
 @pytest.mark.parametrize("then", ["time.sleep(60)", "raise SystemExit(3)"])
 def test_server_ends_with_the_program(then):
     """However the program ends, killed or without closing its viewer, no server stays behind."""
-    code = textwrap.dedent(PROGRAM).format(then=then)
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", code], **pipes, text=True) as program:
+    with subprocess.Popen([sys.executable, "-c", PROGRAM.format(then=then)], **pipes, text=True) as program:
         program.stdout.readline()
         pid = server_pid(program.pid)
         program.stdin.write("\n")
@@ -372,30 +370,24 @@ def test_files_are_those_offered(process, tmp_path):
         assert answer(process.url, "files/" + odd)[0] == 404, odd
 
 
-def test_failures_of_the_program_are_told(monkeypatch):
+def test_failures_of_the_program_are_told(process, monkeypatch):
     """Where the program fails to make a message, Python tells it once, and the program and its page go on."""
-    failures, told = [], threading.Event()
-
-    def hook(failure):
-        failures.append(failure.exc_type)
-        told.set()
-
-    monkeypatch.setattr(threading, "excepthook", hook)
-    process = LiveProcess(lambda token: HELLO.decode(), 10.0)
+    failures = Heard()
+    monkeypatch.setattr(threading, "excepthook", lambda failure: failures(failure.exc_type))
     for _ in range(3):
         process.put(lambda: str(1 / 0))
-    assert told.wait(20.0)
+    failures.until(len)
     process.put(lambda: str(1 / 0))
     assert process.is_open and answer(process.url) == (200, HELLO)
     process.close()
     assert failures == [ZeroDivisionError]
 
 
-def test_busy_program_holds_up_nobody():
+def test_busy_program_holds_up_nobody(heard):
     """While the program does not take what it hears, pages are served and streams go on; then it hears everything, and
     closing ends the process.
     """
-    go_on, heard, statuses = threading.Event(), Heard(), []
+    go_on, statuses = threading.Event(), []
 
     def busy(line):
         go_on.wait(60.0)

@@ -321,28 +321,23 @@ def test_one_page_leads_another_may_take_over_and_without_any_the_session_ends(s
     session = TeachingSession(sawyer, TIP, tmp_path, "free", 1, person := Person(1), in_real_time=True)
     pulled = pull(session.arm.place + 0.1, seq=7)
 
+    def hears(seconds: float, **line: Any) -> Iterator[Any]:
+        session.hear(line)
+        yield from person.wait(seconds)
+
     def script() -> Iterator[Any]:
-        session.hear({"pages": ["a", "b"], "loading": 0})
-        yield from person.wait(0.1)
-        session.hear({"page": "b", "said": pulled})
-        yield from person.wait(0.1)
+        yield from hears(0.1, pages=["a", "b"], loading=0)
+        yield from hears(0.1, page="b", said=pulled)
         assert person.pose["seq"] == 0 and session.arm.hand.pull is None
-        session.hear({"page": "a", "said": pulled})
-        yield from person.wait(0.1)
+        yield from hears(0.1, page="a", said=pulled)
         assert person.pose["seq"] == 7 and session.arm.hand.pull is not None
-        session.hear({"page": "b", "said": {"do": "lead"}})
-        yield from person.wait(0.3)
+        yield from hears(0.3, page="b", said={"do": "lead"})
         assert person.state["leader"] == "b" and session.arm.hand.pull is None
-        session.hear({"page": "b", "said": {"do": "record"}})
-        yield from person.wait(0.5)
-        session.hear({"pages": ["a"], "loading": 0})
-        yield from person.wait(0.3)
+        yield from hears(0.5, page="b", said={"do": "record"})
+        yield from hears(0.3, pages=["a"], loading=0)
         assert person.state["leader"] == "a"
-        session.hear({"pages": [], "loading": 1})
-        yield from person.wait(left + 0.3)
-        session.hear({"pages": [], "loading": 0})
-        while True:
-            yield None
+        yield from hears(left + 0.3, pages=[], loading=1)
+        yield from hears(1e6, pages=[], loading=0)
 
     person.session, person.script = session, script()
     session.run()
@@ -407,11 +402,9 @@ def test_twenty_random_scenes(sawyer, tmp_path):
         kind = ("drawer", "table", "loose-door", "free")[number % 4]
         person, _ = taught(sawyer, kind, 700 + number, tmp_path / str(number), lambda person: lesson(person, 5))
         answer, off = person.state["answer"], errors_of(person)
-        if kind == "free":
-            good = answer["refused"]
-        else:
-            good = not answer["refused"] and off["axis"] < (1.0 if kind == "loose-door" else 0.5)
-            good = good and off.get("place", 0.0) < 5.0
+        good = answer["refused"] == (kind == "free")
+        if good and kind != "free":
+            good = off["axis"] < (1.0 if kind == "loose-door" else 0.5) and off.get("place", 0.0) < 5.0
         wrong += [] if good else [(kind, number, answer["sentence"], off)]
     assert len(wrong) <= 1, wrong
 

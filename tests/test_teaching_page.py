@@ -167,9 +167,9 @@ def tip_on_screen(page):
     return np.array(list(page.evaluate("manipLearnTeach.tipOnScreen()").values()))
 
 
-def drag(page, by, keys=(), steps=8):
-    """Take the tip, press keys, move, let go of nothing yet."""
-    x, y = tip_on_screen(page)
+def drag(page, by, keys=(), steps=8, start=None):
+    """Take the tip, or what is elsewhere, press keys, move, let go of nothing yet."""
+    x, y = tip_on_screen(page) if start is None else start
     page.mouse.move(x, y)
     page.mouse.down()
     for key in keys:
@@ -254,9 +254,7 @@ def test_a_link_is_taken_where_it_is_hit(program, page):
     assert np.linalg.norm(taken[:3] - middle) < 0.1
     until(page, lambda: program.all("release"), "no release")
     eye, count = page.evaluate("manipLearnTeach.toEye()"), len(program.heard)
-    page.mouse.move(60, 300)
-    page.mouse.down()
-    page.mouse.move(200, 260, steps=4)
+    drag(page, (140, -40), start=(60, 300))
     page.mouse.up()
     assert np.linalg.norm(np.subtract(page.evaluate("manipLearnTeach.toEye()"), eye)) > 0.05
     assert len(program.heard) == count
@@ -437,11 +435,6 @@ def test_another_tab_has_the_arm(program, page):
     wait_until(page, "manipLearnTeach.allowed && !document.getElementById('banner').checkVisibility()")
 
 
-def next_button(page):
-    """What the large button says."""
-    return page.locator("#actions .next").inner_text().split("\n")[0].strip()
-
-
 def test_the_next_step_and_the_cards(program, page):
     """One button is large: record, stop, learn, let the arm do it, reset; the card at hand is open, the others are a
     line, and the answer stands above the arm. A key that the page knows works whatever has the focus.
@@ -466,7 +459,7 @@ def test_the_next_step_and_the_cards(program, page):
         program.state = STATE
         program.say(leader=page.evaluate("manipLearnTeach.id"), said=button, **state)
         wait_until(page, f"document.getElementById('said').textContent === {button!r}")
-        assert next_button(page) == button
+        assert page.locator("#actions .next").inner_text().split("\n")[0].strip() == button
         assert page.evaluate("[...document.querySelectorAll('.step[open]')].map(s => s.id)") == [f"step-{step}"]
     assert page.locator("#headline").inner_text() == "It slides."
     assert "20.0 cm of 20.0 cm" in page.locator("#step-do summary").inner_text()
@@ -482,9 +475,7 @@ def test_a_turned_view_and_an_end_are_told(chromium, robot_of):
     """
     with running(chromium, robot_of("planar3"), before="window.errors = 1") as (program, page):
         scene = page.locator("#scene").bounding_box()
-        page.mouse.move(scene["x"] + 20, scene["y"] + 40)
-        page.mouse.down()
-        page.mouse.move(scene["x"] + 220, scene["y"] + 40, steps=6)
+        drag(page, (200, 0), start=(scene["x"] + 20, scene["y"] + 40))
         page.mouse.up()
         wait_until(page, "document.getElementById('hand-hint').checkVisibility()")
         assert "That turned the view" in page.locator("#hand-hint").inner_text()
