@@ -177,6 +177,12 @@ def drag(page, by, keys=(), steps=8, start=None):
     page.mouse.move(x + by[0], y + by[1], steps=steps)
 
 
+def let_go(program, page):
+    """Release the mouse, and wait until that was heard."""
+    page.mouse.up()
+    until(page, lambda: program.all("release"), "no release")
+
+
 def unfold(page, step):
     """Open a card."""
     page.locator(f"#step-{step}:not([inert])").evaluate("card => { card.open = true; }")
@@ -203,8 +209,7 @@ def test_dragging_the_tip_pulls_it_in_the_plane_of_the_view(program, page):
     pulls = program.all("pull")
     count = len(pulls)
     until(page, lambda: len(program.all("pull")) > count + 2, "a pull that is held is not said again")
-    page.mouse.up()
-    until(page, lambda: program.all("release"), "no release")
+    let_go(program, page)
     pulls = program.all("pull")
     np.testing.assert_allclose(pulls[0]["to"], tip, atol=1e-9)
     for pull in pulls:
@@ -227,8 +232,7 @@ def test_a_key_binds_the_pull_to_an_axis(program, page):
         drag(page, (60, -50), keys=key)
         until(page, lambda: len(program.all("pull")) > 2, "no pull")
         page.keyboard.up(key)
-        page.mouse.up()
-        until(page, lambda: program.all("release"), "no release")
+        let_go(program, page)
         moved = np.array(program.last("pull")["to"]) - program.all("pull")[0]["to"]
         assert abs(moved[axis]) > 0.01
         np.testing.assert_allclose(np.delete(moved, axis), 0.0, atol=1e-9)
@@ -322,8 +326,7 @@ def test_a_hand_over_a_handle_comes_to_its_depth(program, page):
     until(page, lambda: not np.allclose(program.last("pull")["to"], program.handle, atol=1e-3), "it sticks")
     moved = np.array(program.last("pull")["to"]) - program.handle
     assert abs(moved @ page.evaluate("manipLearnTeach.toEye()")) < 1e-6
-    page.mouse.up()
-    until(page, lambda: program.all("release"), "no release")
+    let_go(program, page)
 
 
 def test_names_and_answers_are_text(program, page):
