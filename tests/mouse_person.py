@@ -8,13 +8,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from teaching_person import Unsteady, smooth
 from test_playback_browser import wait_until
 
 ASTRAY = 3.0  # [px] of the pointer from where it is meant to be, standard deviation
+READY = "window.manipLearnReady && manipLearnTeach.allowed && manipLearnTeach.pose !== null"
 MOVES = 0.016  # [s] between two moves of a mouse
 
 
@@ -24,19 +27,12 @@ def program(folder: Path, *more: str) -> Iterator[tuple[subprocess.Popen[str], s
     command = [sys.executable, "-m", "manip_learn", "teach", *more, "--no-browser", "--out", str(folder)]
     child = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     try:
-        said = [line for line in _until_address(child)]
-        yield child, re.search(r"http://\S+", said[-1])[0]
+        said = next((line for line in child.stderr if "http://" in line), "")
+        assert said, "the program ended without a page"
+        yield child, re.search(r"http://\S+", said)[0]
     finally:
         child.terminate()
         child.communicate(timeout=20)
-
-
-def _until_address(child: subprocess.Popen[str]) -> Iterator[str]:
-    for line in child.stderr:
-        yield line
-        if "http://" in line:
-            return
-    raise AssertionError("the program ended without a page")
 
 
 class MousePerson:
@@ -46,10 +42,7 @@ class MousePerson:
         self.page, self.rng = page, np.random.default_rng(seed)
         self.at = np.zeros(2)
         self._home = self.teach("tip()")
-        size = self.rng.uniform(0.5, 1.5, (2, 4))
-        self._size = size * ASTRAY / np.sqrt(0.5 * np.sum(size**2, axis=1, keepdims=True))
-        self._speed = 2.0 * np.pi * self.rng.uniform(0.3, 1.2, (2, 4))
-        self._lag = self.rng.uniform(0.0, 2.0 * np.pi, (2, 4))
+        self._unsteady = Unsteady(self.rng, 2, ASTRAY)
 
     def teach(self, what: str) -> Any:
         """What the page knows of."""
@@ -58,10 +51,6 @@ class MousePerson:
     def screen(self, place: Any) -> np.ndarray:
         """Where a place is on the page [px]."""
         return np.array(list(self.page.evaluate("p => manipLearnTeach.screenOf(p)", list(map(float, place))).values()))
-
-    def unsteady(self) -> np.ndarray:
-        """How far the pointer is from where it is meant to be [px]."""
-        return np.sum(self._size * np.sin(self._speed * time.monotonic() + self._lag), axis=1)
 
     def take(self) -> None:
         """Press the button on the tip."""
@@ -73,8 +62,8 @@ class MousePerson:
         """Draw the pointer there, at most in this time."""
         start, began = self.at, time.monotonic()
         while (share := (time.monotonic() - began) / seconds) < 1.0:
-            self.at = start + share * share * (3.0 - 2.0 * share) * (to - start)
-            self.page.mouse.move(*(self.at + self.unsteady()))
+            self.at = start + smooth(share) * (to - start)
+            self.page.mouse.move(*(self.at + self._unsteady.at(time.monotonic())))
             if until is not None and until():
                 return
             self.page.wait_for_timeout(1000 * MOVES)
@@ -84,17 +73,10 @@ class MousePerson:
         """Do nothing for a moment."""
         self.page.wait_for_timeout(float(self.rng.uniform(200, 500)))
 
-    def handle(self, number: int = 0) -> np.ndarray:
-        """Where a handle is."""
-        return np.array(self.teach(f"pose.furniture[{number}]")[:3])
-
     def reach(self, number: int = 0) -> None:
         """Draw the hand over a handle and wait until the gripper has closed."""
-
-        def held() -> bool:
-            return bool(self.teach(f"pose.held[{number}]"))
-
-        self.drag(self.screen(self.handle(number)), float(self.rng.uniform(0.9, 1.4)), held)
+        held = partial(self.teach, f"pose.held[{number}]")
+        self.drag(self.screen(self.teach(f"pose.furniture[{number}]")[:3]), float(self.rng.uniform(0.9, 1.4)), held)
         wait_until(self.page, f"manipLearnTeach.pose.held[{number}]")
         self.pause()
 

@@ -16,6 +16,26 @@ Said = dict[str, Any] | None
 Script = Generator[Said, None, None]
 
 
+class Unsteady:
+    """Slow waves about where a hand is meant to be, a new set for each.
+
+    Args:
+        rng: Of sizes, speeds and phases.
+        size: Number of directions.
+        astray: Standard deviation.
+    """
+
+    def __init__(self, rng: np.random.Generator, size: int, astray: float):
+        waves = rng.uniform(0.5, 1.5, (size, 4))
+        self._waves = waves * astray / np.sqrt(0.5 * np.sum(waves**2, axis=1, keepdims=True))
+        self._speed = 2.0 * np.pi * rng.uniform(0.3, 1.2, (size, 4))
+        self._phase = rng.uniform(0.0, 2.0 * np.pi, (size, 4))
+
+    def at(self, time: float) -> np.ndarray:
+        """How far the hand is from where it is meant to be."""
+        return np.sum(self._waves * np.sin(self._speed * time + self._phase), axis=1)
+
+
 class Person:
     """Sees what the session shows, and says what its script says, once a period; takes the place of server and page."""
 
@@ -75,25 +95,20 @@ class Person:
         """Drag the tip along a path over [0, 1], unsteadily."""
         n = round(seconds / PERIOD)
         for k in range(n):
-            to = path((k + 1) / n) + self.unsteady()
-            yield {
-                "do": "pull",
-                "to": to.tolist(),
-                "turn": None if turn is None else turn((k + 1) / n).tolist(),
-                "seq": k,
-            }
-
-    def unsteady(self) -> np.ndarray:
-        """How far the hand is from where it is meant to be [m]: slow waves, a new set for each demonstration."""
-        self._time += PERIOD
-        return np.sum(self._size * np.sin(self._speed * self._time + self._phase), axis=1)
+            self._time += PERIOD
+            to = path((k + 1) / n) + self._unsteady.at(self._time)
+            yield pull(to, None if turn is None else turn((k + 1) / n).tolist(), k)
 
     def other_hand(self) -> None:
         """Be unsteady in another way from now on."""
-        size = self.rng.uniform(0.5, 1.5, (3, 4))
-        self._size = size * ASTRAY / np.sqrt(0.5 * np.sum(size**2, axis=1, keepdims=True))
-        self._speed = 2.0 * np.pi * self.rng.uniform(0.3, 1.2, (3, 4))
-        self._phase, self._time = self.rng.uniform(0.0, 2.0 * np.pi, (3, 4)), 0.0
+        self._unsteady, self._time = Unsteady(self.rng, 3, ASTRAY), 0.0
+
+    def hold(self, seconds: float) -> Script:
+        """Draw the hand to the first handle until the gripper holds it, at most so long."""
+        for _ in range(round(seconds / PERIOD)):
+            if self.session.arm.held:
+                return
+            yield pull(self.session.arm.handle_place)
 
     def demonstrate(self) -> Script:
         """Record one motion: to the handle, all of its way and back, away again; pauses between."""
@@ -105,7 +120,7 @@ class Person:
         home = arm.place
         yield from self._move(arm.scene.handle)
         a = arm.place
-        yield from self.drag(lambda s: a + _smooth(s) * (home - a), float(rng.uniform(0.8, 1.3)))
+        yield from self.drag(lambda s: a + smooth(s) * (home - a), float(rng.uniform(0.8, 1.3)))
         yield {"do": "release"}
         yield from self.wait(float(rng.uniform(0.3, 0.6)))
         recorded = len(self.state["recordings"])
@@ -117,11 +132,8 @@ class Person:
         """Go to a handle, move it as far as it goes and back, and let it go."""
         arm, rng = self.session.arm, self.rng
         a, b = arm.place, arm.handle_place
-        yield from self.drag(lambda s: a + _smooth(1.15 * s) * (b - a), float(rng.uniform(1.0, 1.6)))
-        for _ in range(round(5.0 / PERIOD)):
-            if arm.held:
-                break
-            yield {"do": "pull", "to": arm.handle_place.tolist(), "turn": None, "seq": 0}
+        yield from self.drag(lambda s: a + smooth(1.15 * s) * (b - a), float(rng.uniform(1.0, 1.6)))
+        yield from self.hold(5.0)
         assert arm.held, "the hand did not come to the handle"
         yield from self.drag(lambda _: b, float(rng.uniform(0.3, 0.6)))
         far, turn = float(rng.uniform(0.75, 1.0)) * handle.travel, None
@@ -129,12 +141,12 @@ class Person:
             lag = float(rng.uniform(0.0, 6.0))
 
             def wiped(s: float) -> np.ndarray:
-                size = far * _smooth(4.0 * s) * _smooth(4.0 * (1.0 - s))
+                size = far * smooth(4.0 * s) * smooth(4.0 * (1.0 - s))
                 return handle.moved(size * np.sin(12.0 * s + lag), size * np.sin(19.0 * s + 2.0 * lag))[:3, 3]
 
             yield from self.drag(wiped, float(rng.uniform(5.0, 7.0)))
         else:
-            there, back = (lambda s: _smooth(s) * far), (lambda s: (1.0 - _smooth(s)) * far)
+            there, back = (lambda s: smooth(s) * far), (lambda s: (1.0 - smooth(s)) * far)
             ways = (there, 1.5, 2.5), (lambda s: far, 0.2, 0.6), (back, 1.5, 2.5)
             for way, least, most in ways:
                 if handle.firm:
@@ -150,6 +162,12 @@ class Person:
         yield from self.wait_for(lambda: self.state["progress"] is None and self.state["answer"] is not None, 1e5)
 
 
-def _smooth(share: float) -> float:
+def pull(to: np.ndarray, turn: list[float] | None = None, seq: int = 0) -> dict[str, Any]:
+    """What is posted for a pull of the tip."""
+    return {"do": "pull", "to": to.tolist(), "turn": turn, "seq": seq}
+
+
+def smooth(share: float) -> float:
+    """Share of the way [0, 1] at a share of the time, slow at both ends."""
     x = min(max(share, 0.0), 1.0)
     return x * x * (3.0 - 2.0 * x)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -27,41 +28,39 @@ from manip_learn.recordings.trajectory import Trajectory
 
 pytestmark = pytest.mark.browser
 # ruff: noqa: F811  fixtures of another file are arguments here
+READY = "window.manipLearnReady === true"
 POSES = 1e-9  # 1e-6 is required; the page computes in double precision
 BETWEEN = [0.0, 0.1, 0.105, 0.4637, 0.73, 0.999, 1.0]  # at key frames, at other samples, between samples
 PHASES = [("a", 0.5, 1.0, None), ("a", 1.0, 3.0, 0), ("a", 3.0, 3.5, 1), ("b", 0.0, 2.0, 1)]
 
 
-@pytest.fixture
-def opened(chromium):
-    """Open a page of ours, on a phone if asked; what goes wrong in it, or wants the network, fails the test at last.
+@contextmanager
+def browser_page(chromium, address, width=1000, height=700, phone=False, before="", ready=READY, **more):
+    """A page of ours, on a phone if asked; what goes wrong in it, or wants the network, fails the test at last.
 
     Motion is unwelcome there, so that no page plays unless it is told to.
     """
     trouble: list[str] = []
-    contexts = []
-
-    def open_page(address, width=1000, height=700, phone=False, before="", **more):
-        context = chromium.new_context(
-            viewport={"width": width, "height": height},
-            **{"has_touch": phone, "is_mobile": phone, "reduced_motion": "reduce", **more},
-        )
-        contexts.append(context)
-        page = context.new_page()
-        ours = (address.partition("#")[0], "data:", "blob:")
-        page.on("pageerror", lambda error: trouble.append(str(error)))
-        page.on("console", lambda m: trouble.append(m.text) if m.type == "error" and not before else None)
-        page.on("request", lambda r: trouble.append(r.url) if not r.url.startswith(ours) else None)
-        if before:
-            page.add_init_script(before)
-        page.goto(address)
-        wait_until(page, "window.manipLearnReady === true")
-        return page
-
-    yield open_page
-    for context in contexts:
-        context.close()
+    looks = {"has_touch": phone, "is_mobile": phone, "reduced_motion": "reduce", **more}
+    context = chromium.new_context(viewport={"width": width, "height": height}, **looks)
+    page = context.new_page()
+    ours = (address.partition("#")[0], "data:", "blob:")
+    page.on("pageerror", lambda error: trouble.append(str(error)))
+    page.on("console", lambda m: trouble.append(m.text) if m.type == "error" and not before else None)
+    page.on("request", lambda r: trouble.append(r.url) if not r.url.startswith(ours) else None)
+    page.add_init_script(before or "0")
+    page.goto(address)
+    wait_until(page, ready)
+    yield page
+    context.close()
     assert trouble == []
+
+
+@pytest.fixture
+def opened(chromium):
+    """Opens pages that stay open during the test."""
+    with ExitStack() as pages:
+        yield lambda *where, **more: pages.enter_context(browser_page(chromium, *where, **more))
 
 
 def wait_until(page, expression, seconds=60.0):
@@ -85,15 +84,8 @@ def link_pose(page, rollout, link):
 
 
 def seek(page, t):
-    """Move the replay to a time; the time that it is then at."""
+    """Move the replay to a time."""
     page.evaluate("t => manipLearn.seek(t)", float(t))
-    return page.evaluate("manipLearn.time")
-
-
-def links_of(robot):
-    """Names of all links."""
-    frames = robot.pinocchio_model.frames
-    return [n for n in robot.frame_names if frames[robot.frame(n).index].type == pin.FrameType.BODY]
 
 
 def wait_for_rest(page):
@@ -126,6 +118,8 @@ def address(robot_of, tmp_path_factory):
 def test_links_are_where_kinematics_puts_them(robot_of, tmp_path, opened, name):
     """At key frames, and between them, every link of every rollout is within 1e-9 of forward kinematics."""
     robot = robot_of(name)
+    frames = robot.pinocchio_model.frames
+    links = [n for n in robot.frame_names if frames[robot.frame(n).index].type == pin.FrameType.BODY]
     rollouts = {"one": waving(robot), "two": waving(robot, phase=1.0)}
     page = opened(replay(robot, rollouts, tmp_path / "a.html").html.as_uri())
     assert page.evaluate("manipLearn.drawing"), "the page has no 3D graphics"
@@ -137,7 +131,7 @@ def test_links_are_where_kinematics_puts_them(robot_of, tmp_path, opened, name):
         for which, motion in rollouts.items():
             ends = [robot.positions(motion.q[k]) for k in (i, j)]
             q = robot.configuration(ends[0] + share * (ends[1] - ends[0]))
-            for link in links_of(robot)[:: 1 if share == 0.0 else 3]:
+            for link in links[:: 1 if share == 0.0 else 3]:
                 error = np.abs(link_pose(page, which, link) - robot.pose(q, robot.frame(link))).max()
                 assert error <= POSES, f"{which}, {link}, sample {i} + {share}: {error:.1e}"
 
@@ -151,7 +145,7 @@ def test_time_obeys_keys_speed_and_curve(robot_of, address, opened):
     wait_until(page, "manipLearn.time > 0.1")
     page.evaluate("manipLearn.pause()")
     held = now()
-    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    wait_for_frames(page)
     assert now() == held > 0.0
     keys = motion.time[key_frames(motion.time)]
     for key, expected in (
@@ -218,7 +212,7 @@ def test_hostile_names_do_nothing(tmp_path, opened):
     span = f"0.00 s to {motion.time[-1]:.2f} s"
     assert page.locator("#chart rect title").all_text_contents() == [f"{EVIL}: slowed ({EVIL}), {span}"]
     np.testing.assert_allclose(link_pose(page, EVIL, EVIL), robot.pose(motion.q[0], robot.frame(EVIL)), atol=POSES)
-    hinge = {"type": "hinge", "axis": [0, 0, 1], "point": [0.5, 0.5, 0.1], "radius": 0.6, "sentence": f"a hinge {EVIL}"}
+    hinge = HINGE | {"sentence": f"a hinge {EVIL}"}
     recording, phases = {EVIL: motion.trajectory(EVIL)}, [(EVIL, 0.0, 2.0, 0)]
     phased = opened(replay(robot, recording, tmp_path / "b.html", phases=phases, mechanism=hinge).html.as_uri())
     assert phased.locator("#phase").inner_text() == f"{EVIL}: constraint 1: hinge"
@@ -339,30 +333,26 @@ def test_what_was_shown_is_drawn_and_what_was_done_is_told(robot_of, tmp_path, o
         assert told in table
 
 
-def library_values(robot, constraint, rollout, t) -> dict[str, dict[str, float]]:
-    """Track -> curve -> value at time t, straight between the samples."""
-    at = lambda values: float(np.interp(t, rollout.time, values))  # noqa: E731
-    sigma = np.array([np.linalg.svd(constraint(q), compute_uv=False) for q in rollout.q])
-    low, span, names = robot.position_lower, robot.position_upper - robot.position_lower, robot.joint_names
-    return {
-        "singular": {f"σ{k + 1}": at(sigma[:, k]) for k in range(sigma.shape[1])},
-        "velocity": {n: at(rollout.u[:, i] / robot.velocity_limit[i]) for i, n in enumerate(names)},
-        "position": {n: at((rollout.q[:, i] - low[i]) / span[i]) for i, n in enumerate(names)},
-        "task-error": {"": at(rollout.task_error)},
-        "following-error": {"": at(rollout.following_error)},
-    }
-
-
 def test_values_and_marks_are_the_librarys(robot_of, drawer, rollout, address, opened):
     """Every curve of every track, directions held and free, and semi-axes that are the singular values."""
     robot = robot_of("sawyer")
     slipping = replace(rollout, following_error=np.linspace(0.0, 0.02, len(rollout)) ** 2)
     page = opened(address("slipping", "sawyer", lambda _: {"a": slipping}))
+    sigma = np.array([np.linalg.svd(drawer(q), compute_uv=False) for q in rollout.q])
+    low, span, names = robot.position_lower, robot.position_upper - robot.position_lower, robot.joint_names
+    tracks = {
+        "singular": {f"σ{k + 1}": values for k, values in enumerate(sigma.T)},
+        "velocity": dict(zip(names, (rollout.u / robot.velocity_limit).T, strict=True)),
+        "position": dict(zip(names, ((rollout.q - low) / span).T, strict=True)),
+        "task-error": {"": rollout.task_error},
+        "following-error": {"": slipping.following_error},
+    }
     for t in BETWEEN:
-        shown, expected = page.evaluate("t => manipLearn.trackValues(t)", t), library_values(robot, drawer, slipping, t)
-        assert shown.keys() == expected.keys()
-        for kind, curves in expected.items():
-            assert shown[kind]["a"] == pytest.approx(curves, rel=1e-5, abs=1e-6), f"{kind} at {t} s"
+        shown = page.evaluate("t => manipLearn.trackValues(t)", t)
+        assert shown.keys() == tracks.keys()
+        for kind, curves in tracks.items():
+            expected = {name: np.interp(t, rollout.time, values) for name, values in curves.items()}
+            assert shown[kind]["a"] == pytest.approx(expected, rel=1e-5, abs=1e-6), f"{kind} at {t} s"
         seek(page, t)
         marks = page.evaluate("t => manipLearn.marks('a', t)", t)
         i = int(np.searchsorted(rollout.time, t + 1e-9) - 1)
@@ -591,25 +581,17 @@ for (const P of [WebGLRenderingContext.prototype, WebGL2RenderingContext.prototy
 """
 
 
-@pytest.fixture(scope="module")
-def demo_page(tmp_path_factory):
-    """The page that `manip-learn demo` writes."""
-    folder = tmp_path_factory.mktemp("demo")
-    assert manip_learn(["demo", "--no-browser", "--out", str(folder)]) == 0
-    return folder / "replay.html"
-
-
 @pytest.mark.parametrize("name", ["demo", "panda", "ur5e"])
-def test_a_frame_is_cheap(name, request, address, opened):
+def test_a_frame_is_cheap(name, tmp_path, address, opened):
     """With a graphics card, where all is drawn: two arms side by side of the demo, or a solid one and a ghost."""
-    most = 300_000
     if name == "demo":
-        page, most = request.getfixturevalue("demo_page"), 150_000
-        assert page.stat().st_size < 2_500_000
-        page = page.as_uri()
+        assert manip_learn(["demo", "--no-browser", "--out", str(tmp_path)]) == 0
+        path, most = tmp_path / "replay.html", 150_000
+        assert path.stat().st_size < 2_500_000
+        of = path.as_uri()
     else:
-        page = address(name, name, lambda robot: {"a": waving(robot), "b": waving(robot, phase=0.8)})
-    page = opened(page, 1280, 800, before=COUNTED + CARD)
+        of, most = address(name, name, lambda robot: {"a": waving(robot), "b": waving(robot, phase=0.8)}), 300_000
+    page = opened(of, 1280, 800, before=COUNTED + CARD)
     duration = page.evaluate("manipLearn.duration")
     for share in (0.0, 0.5, 1.0):
         page.evaluate("frames3d.length = 0")
@@ -642,7 +624,6 @@ def test_without_a_graphics_card_frames_are_simpler_while_something_moves(openin
 
 # ---- on a phone, and for screen readers ----------------------------------------
 
-PHONE_WIDTH = 390  # [px]
 FINGER = 40  # least width and height of what a finger must hit [px]
 # a check box or a choice is hit by its label
 CONTROLS = "button, select, summary, input[type=range], label:has(input)"
@@ -657,27 +638,15 @@ ALL_TRACKS = "document.querySelectorAll('#sheets input').forEach(box => { if (!b
 OPEN_ONE = "n => document.querySelectorAll('details').forEach((list, i) => { list.open = i === n; })"
 
 
-PHONE = {"phone": True, "width": PHONE_WIDTH, "height": 844}
-
-
 @pytest.fixture
 def phased(robot_of, tmp_path):
     """Address of a page that has all that a page can have."""
     robot = robot_of("planar3")
     guided = Constraint(np.eye(2), FrameJacobian(robot, tip_of(robot.name), "x y"))
-    motions = {"a": waving(robot, 4.0).trajectory("a"), "b": waving(robot, 2.0, phase=1.0).trajectory("b")}
     more = {"phases": PHASES, "mechanism": HINGE, "constraint": (guided, guided), "report": REPORT}
     notes = ["a note about a_very_long_file_name_that_has_no_space_in_it_and_goes_on_and_on.mcap"]
     path, more = tmp_path / "phases.html", more | {"target": [0.4, 0.3], "notes": notes}
-    return replay(robot, motions, path, title="drawer, 3 times", **more).html.as_uri()
-
-
-@pytest.fixture
-def plain(robot_of, tmp_path):
-    """Address of a page of three rollouts with long names."""
-    robot = robot_of("planar3")
-    rollouts = {f"a rather long name of a rollout, number {i}": waving(robot, 3.0 + i, phase=i) for i in range(3)}
-    return replay(robot, rollouts, tmp_path / "plain.html", title="drawer, 3 times").html.as_uri()
+    return replay(robot, recordings(robot), path, title="drawer, 3 times", **more).html.as_uri()
 
 
 def boxes(page, selector):
@@ -695,13 +664,13 @@ def test_phones_show_everything_without_sideways_scrolling(phased, opened):
     """On a phone nothing is wider than the screen, and every control is large enough for a finger; robot and curve are
     there before anything is scrolled, names and notes below.
     """
-    page = opened(phased, **PHONE)
+    width = 390
+    page = opened(phased, width, 844, phone=True)
     (_, top, *_), (_, floor, *_) = (page.locator(s).bounding_box().values() for s in ("#scene", "#transport"))
     chart, legend = (page.locator(s).bounding_box() for s in ("#chart", "#legend"))
     assert 0.0 < top < chart["y"] < chart["y"] + chart["height"] <= floor + 2.0
     assert legend["y"] >= chart["y"] + chart["height"]
     page.evaluate(ALL_TRACKS)
-    width = PHONE_WIDTH
     for list_open in range(page.locator("details").count()):
         page.evaluate(OPEN_ONE, list_open)
         assert page.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [width, width]
@@ -711,23 +680,31 @@ def test_phones_show_everything_without_sideways_scrolling(phased, opened):
             assert left >= -0.5 and right <= width + 0.5, (width, name)
 
 
-def test_nothing_keeps_readers_out(phased, opened):
-    """Axe finds no violation that is serious or worse, light and dark, with all that can be shown."""
+def keeps_no_reader_out(page):
+    """Axe finds no violation that is serious or worse, light and dark."""
     base = pytest.importorskip("axe_playwright_python.base", reason="NO AXE: ACCESSIBILITY IS NOT TESTED")
-    page = opened(phased)
     page.evaluate(base.AXE_SCRIPT)
-    page.evaluate(ALL_TRACKS)
-    page.evaluate("document.querySelectorAll('details').forEach(list => { list.open = true; })")
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
+        wait_for_frames(page)
         found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
         serious = [v for v in found["violations"] if v["impact"] in ("serious", "critical")]
         assert [(v["id"], [n["target"] for n in v["nodes"]]) for v in serious] == [], scheme
 
 
-def test_no_3d_graphics_says_what_to_do(plain, opened):
+def test_nothing_keeps_readers_out(phased, opened):
+    """Axe finds no violation that is serious or worse, light and dark, with all that can be shown."""
+    page = opened(phased)
+    page.evaluate(ALL_TRACKS)
+    page.evaluate("document.querySelectorAll('details').forEach(list => { list.open = true; })")
+    keeps_no_reader_out(page)
+
+
+def test_no_3d_graphics_says_what_to_do(address, opened):
     """Without WebGL the page says what to do, and its curves and numbers still play."""
-    page = opened(plain, before="HTMLCanvasElement.prototype.getContext = () => null")
+    names = [f"a rather long name of a rollout, number {i}" for i in range(3)]
+    of = address("plain", "planar3", lambda robot: {name: waving(robot, 3.0) for name in names})
+    page = opened(of, before="HTMLCanvasElement.prototype.getContext = () => null")
     assert not page.evaluate("manipLearn.drawing")
     words = page.locator("#no-webgl").inner_text()
     assert "WebGL" in words and "hardware acceleration" in words and "another browser" in words

@@ -11,7 +11,6 @@ import signal
 import socket
 import subprocess
 import sys
-import textwrap
 import threading
 import webbrowser
 from pathlib import Path
@@ -57,12 +56,16 @@ def viewer(robot_of):
 
 
 @pytest.fixture
-def talk():
-    """A process that hears, and what it has heard."""
-    heard = Heard()
-    process = LiveProcess(lambda token: HELLO.decode(), 10.0, heard)
-    yield process, heard
-    process.close()
+def heard():
+    """What the process has heard."""
+    return Heard()
+
+
+@pytest.fixture
+def process(heard):
+    """A process that hears."""
+    with contextlib.closing(LiveProcess(lambda token: HELLO.decode(), 10.0, heard)) as process:
+        yield process
 
 
 @contextlib.contextmanager
@@ -147,9 +150,8 @@ def test_page_and_stream(viewer):
     assert viewer.is_open
 
 
-def test_strangers_get_nothing_and_are_not_heard(talk):
+def test_strangers_get_nothing_and_are_not_heard(process, heard):
     """Another host (DNS rebinding) or origin and a wrong address are refused, whatever is asked or said."""
-    process, heard = talk
     url, port, token = process.url, urlsplit(process.url).port, urlsplit(process.url).path
     assert answer(url) == (200, HELLO)
     assert answer(url, Host=f"localhost:{port}", Origin=f"http://localhost:{port}")[0] == 200
@@ -159,16 +161,8 @@ def test_strangers_get_nothing_and_are_not_heard(talk):
         with case(headers):
             assert [answer(url, path, **headers)[0] for path in ("", "events?page=a", "files/x")] == [403, 403, 403]
             assert post(url, **headers) == 403
-    for path in (
-        "/",
-        "/events",
-        "/said?page=a-1",
-        "/x/",
-        "/files/x",
-        token + "../etc/passwd",
-        token[:-1],
-        token + "?x",
-    ):
+    elsewhere = "/", "/events", "/said?page=a-1", "/x/", "/files/x", token + "../etc/passwd", token[:-1], token + "?x"
+    for path in elsewhere:
         with case(path):
             assert answer(url, path)[0] == 404
     assert post(url, path="/said?page=a-1") == 404 and answer(url, method="PUT")[0] == 501
@@ -193,9 +187,9 @@ def test_only_this_machine_can_connect(viewer):
         assert listening == [f"0100007F:{port:04X}"]
 
 
-def test_show_does_not_wait(talk):
+def test_show_does_not_wait(process):
     """Putting returns even when the server is frozen and its pipe is full; closing then ends the server."""
-    process, begun, made = talk[0], threading.Event(), []
+    begun, made = threading.Event(), []
     pid = server_pid()
     os.kill(pid, signal.SIGSTOP)
 
@@ -251,9 +245,8 @@ input()
 @pytest.mark.parametrize("then", ["time.sleep(60)", "raise SystemExit(3)"])
 def test_server_ends_with_the_program(then):
     """However the program ends, killed or without closing its viewer, no server stays behind."""
-    code = textwrap.dedent(PROGRAM).format(then=then)
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", code], **pipes, text=True) as program:
+    with subprocess.Popen([sys.executable, "-c", PROGRAM.format(then=then)], **pipes, text=True) as program:
         program.stdout.readline()
         pid = server_pid(program.pid)
         program.stdin.write("\n")
@@ -264,11 +257,10 @@ def test_server_ends_with_the_program(then):
     assert ends(pid)
 
 
-def test_slow_clients_lock_nobody_out(talk):
+def test_slow_clients_lock_nobody_out(process):
     """A hundred connections that say nothing, and streams that nobody reads: the page is served, and whoever says
     nothing is closed after a few seconds.
     """
-    process, _ = talk
     address = urlsplit(process.url)
     with contextlib.ExitStack() as kept:
         streams = [kept.enter_context(stream(process.url, f"a{n}")) for n in range(10)]
@@ -292,11 +284,10 @@ def test_server_that_does_not_start_is_an_error(robot_of, monkeypatch, tmp_path,
         LiveViewer(robot_of("planar3"), open_browser=False, timeout=0.5)
 
 
-def test_slots_are_newest_only(talk):
+def test_slots_are_newest_only(process):
     """Whoever comes late gets the newest of each slot at once; of many poses the last arrives, and whatever was put
     before it in another slot.
     """
-    process, _ = talk
     process.put(lambda: '{"n": -1}')
     for n in range(50):
         process.put(lambda: '{"n": 0}', "scene")
@@ -315,9 +306,8 @@ def test_slots_are_newest_only(talk):
         assert next(events) == ("state", {"n": 50})  # the others have not changed
 
 
-def test_pages_are_heard(talk):
+def test_pages_are_heard(process, heard):
     """What a page says is heard with its id, in order, over one connection, long or short, and on one line."""
-    process, heard = talk
     address = urlsplit(process.url)
     connection = http.client.HTTPConnection(address.hostname, address.port, timeout=20.0)
     bodies = [{"do": "pull", "seq": 1}, {"do": "drop", "text": "1,2\n" * 100_000}, {}, {"do": "rename", "to": "\u00e4"}]
@@ -335,11 +325,10 @@ def test_pages_are_heard(talk):
         assert connection.getresponse().read() == HELLO
 
 
-def test_pages_are_counted(talk):
+def test_pages_are_counted(process, heard):
     """Pages that are opened, closed and opened again are told, oldest first, though nothing moves; one that comes
     again before the server has seen its first stream end counts once.
     """
-    process, heard = talk
     open_pages = {}
     for page, pages in (
         *(("one", ["one"]), ("two", ["one", "two"]), ("one", ["two"]), ("one", ["two", "one"])),
@@ -358,9 +347,8 @@ def test_pages_are_counted(talk):
         assert heard.until(lambda all_: all_[-1] == {"pages": ["one"]})
 
 
-def test_files_are_those_offered(talk, tmp_path):
+def test_files_are_those_offered(process, tmp_path):
     """A file that is offered can be kept under its name, and nothing else is found, by whatever detour."""
-    process, _ = talk
     (tmp_path / "secret.csv").write_text("secret")
     (tmp_path / "q.csv").write_bytes(bytes(range(256)) * 3000)
     (tmp_path / "page.html").write_text("<script>")
@@ -382,30 +370,24 @@ def test_files_are_those_offered(talk, tmp_path):
         assert answer(process.url, "files/" + odd)[0] == 404, odd
 
 
-def test_failures_of_the_program_are_told(monkeypatch):
+def test_failures_of_the_program_are_told(process, monkeypatch):
     """Where the program fails to make a message, Python tells it once, and the program and its page go on."""
-    failures, told = [], threading.Event()
-
-    def hook(failure):
-        failures.append(failure.exc_type)
-        told.set()
-
-    monkeypatch.setattr(threading, "excepthook", hook)
-    process = LiveProcess(lambda token: HELLO.decode(), 10.0)
+    failures = Heard()
+    monkeypatch.setattr(threading, "excepthook", lambda failure: failures(failure.exc_type))
     for _ in range(3):
         process.put(lambda: str(1 / 0))
-    assert told.wait(20.0)
+    failures.until(len)
     process.put(lambda: str(1 / 0))
     assert process.is_open and answer(process.url) == (200, HELLO)
     process.close()
     assert failures == [ZeroDivisionError]
 
 
-def test_busy_program_holds_up_nobody():
+def test_busy_program_holds_up_nobody(heard):
     """While the program does not take what it hears, pages are served and streams go on; then it hears everything, and
     closing ends the process.
     """
-    go_on, heard, statuses = threading.Event(), Heard(), []
+    go_on, statuses = threading.Event(), []
 
     def busy(line):
         go_on.wait(60.0)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import base64
-import json
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from test_playback import data_in, unpacked
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
@@ -29,24 +26,13 @@ START = np.array([0.3, -0.9, 0.2, 1.6, 0.1, 0.7, 0.4])
 TARGET = (0.6, 0.27, 0.35)
 
 
-def data_in(path: Path) -> dict:
-    """What the page's program reads."""
-    text = path.read_text(encoding="utf-8")
-    return json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])
-
-
-def numbers(text: str, dtype: str = "<f4") -> np.ndarray:
-    """Unpacked."""
-    return np.frombuffer(base64.b64decode(text), dtype)
-
-
 def curves_of(rollout: dict, kind: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Curve -> times and values of a track in the page."""
     measures = rollout["measures"]
-    clocks = [numbers(clock, "<f8") for clock in measures["clocks"]]
+    clocks = [unpacked(clock) for clock in measures["clocks"]]
     track = next(t for t in measures["tracks"] if t["kind"] == kind)
     return {
-        c["name"]: (clocks[c["clock"]] if "clock" in c else numbers(c["times"]), numbers(c["values"]))
+        c["name"]: (clocks[c["clock"]] if "clock" in c else unpacked(c["times"], "<f4"), unpacked(c["values"], "<f4"))
         for c in track["curves"]
     }
 

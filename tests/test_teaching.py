@@ -17,7 +17,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
-from teaching_person import Person
+from teaching_person import Person, pull
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
@@ -48,20 +48,19 @@ EVIL = 'x"""; __import__("os").mkdir("ran"); """ {robot} \'\\ #'  # runs where i
 def test_names_do_not_run_in_the_script(tmp_path, monkeypatch):
     """Whatever robot, joints, frames and files are called, the script has these words and runs none of them."""
     (folder := tmp_path / f"{EVIL}\n").mkdir()
-    name = EVIL
-    text = NO_LIMITS.replace('"bare"', quoteattr(name)).replace('"tip"', quoteattr(f"tip {name}"))
-    (path := folder / f"{name}.urdf").write_text(text.replace('name="a"', f"name={quoteattr(f'a {name}')}"))
-    robot = ml.load_robot(path, locked=[f"a {name}"])
-    tip = f"tip {name}"
+    tip, joint = f"tip {EVIL}", f"a {EVIL}"
+    text = NO_LIMITS.replace('"bare"', quoteattr(EVIL)).replace('"tip"', quoteattr(tip))
+    (path := folder / f"{EVIL}.urdf").write_text(text.replace('name="a"', f"name={quoteattr(joint)}"))
+    robot = ml.load_robot(path, locked=[joint])
     ml.Constraint(np.eye(3)[:1], ml.FrameJacobian(robot, tip)).save(tmp_path / "constraint.json")
-    lesson: dict[str, Any] = {"what": "script", "learnt": True, "files": [f"a/{name}.csv"], "start": np.zeros(2)}
+    lesson: dict[str, Any] = {"what": "script", "learnt": True, "files": [f"a/{EVIL}.csv"], "start": np.zeros(2)}
     file, _ = taken_home(robot, tip, lambda step, share: None, file=str(tmp_path / "constraint.json"), **lesson)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "manip_learn", library := MagicMock())
     exec(compile(file.read_text(encoding="utf-8"), file, "exec"), {})
     assert not Path("ran").exists()
-    assert library.load_robot.call_args == call(str(path), locked={f"a {name}": 0.0})
-    assert library.load_demonstrations.call_args.args[0] == [f"{name}.csv"]
+    assert library.load_robot.call_args == call(str(path), locked={joint: 0.0})
+    assert library.load_demonstrations.call_args.args[0] == [f"{EVIL}.csv"]
     assert library.FrameJacobian.call_args.args[1] == tip
 
 
@@ -101,30 +100,25 @@ def errors_of(person: Person) -> dict[str, float]:
     return {name: float(said.split()[0]) for name, said in person.state["truth"]["errors"] if name != "kind"}
 
 
-@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) for k in ("loose-door",)])
-def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path, kind):
+@pytest.mark.slow
+def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path):
     """Five unsteady demonstrations give the axis to 1 degree and 5 mm; the arm then goes to the handle and does all of
     the way by itself, and what it moved is moved so far.
     """
-    moved: list[float] = []
 
     def script(person: Person) -> Iterator[Any]:
         yield from lesson(person, 5)
         yield from done(person, do="home")
         yield from done(person, do="run")
-        moved.append(person.pose["opening"][0])
 
-    person, session = taught(sawyer, kind, 11, tmp_path, script)
+    person, session = taught(sawyer, "loose-door", 11, tmp_path, script)
     answer, off = person.state["answer"], errors_of(person)
     assert not answer["refused"] and answer["mechanism"]["type"] == session.arm.scene.handle.type
     assert off["axis"] < 1.0 and off["place"] < 5.0
     ran = person.state["run"]
     assert ran["ordered"] and ran["done"] == pytest.approx(ran["wanted"], rel=0.02), person.said[-3:]
-    assert abs(moved[0]) == pytest.approx(ran["done"], rel=0.05)
+    assert abs(person.pose["opening"][0]) == pytest.approx(ran["done"], rel=0.05)
     assert all(one["phases"] for one in person.state["recordings"])
-
-
-HOMES_OF = {"constraint.json", "recordings_csv.zip", "recordings_lerobot.zip", "replay.html", "taught.py"}
 
 
 def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_path):
@@ -149,7 +143,7 @@ def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_pat
         for _ in range(300):
             if person.state["doing"] == "idle":
                 break
-            yield {"do": "pull", "to": away.tolist(), "turn": None, "seq": 0}
+            yield pull(away)
         yield from person.press(do="release")
         yield from person.wait_for(lambda: person.state["doing"] == "idle", 30.0)
         seen["tripped"] = person.state["run"]
@@ -172,7 +166,8 @@ def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_pat
     without, with_it = (one["share"] for one in seen["compare"])
     assert without <= 1.0 / 3.0 and with_it >= 0.97
     assert re.fullmatch(r"Without: stops after \d.* cm. With: all \d.* cm.", seen["said"])
-    assert set(person.files) == {one["name"] for one in person.state["files"]} == HOMES_OF
+    homes = {"constraint.json", "recordings_csv.zip", "recordings_lerobot.zip", "replay.html", "taught.py"}
+    assert set(person.files) == {one["name"] for one in person.state["files"]} == homes
     assert ml.Constraint.load(person.files["constraint.json"], sawyer).mechanism.type == "line"
     for name, found in (("recordings_csv.zip", "*.csv"), ("recordings_lerobot.zip", "lerobot")):
         with zipfile.ZipFile(person.files[name]) as archive:
@@ -241,7 +236,6 @@ def test_recordings_are_renamed_deleted_replayed_and_dropped(sawyer, tmp_path, r
     """A name that is taken or no name is refused in a sentence; a recording of another robot too, and nothing of it is
     kept; one of this robot is taken in.
     """
-    said: list[str] = []
     planar = "time,joint1,joint2,joint3\n" + "\n".join(f"{0.01 * k},{0.1 * k},0,0" for k in range(50))
 
     def script(person: Person) -> Iterator[Any]:
@@ -256,7 +250,7 @@ def test_recordings_are_renamed_deleted_replayed_and_dropped(sawyer, tmp_path, r
         yield from person.press(do="replay", name="my drawer")
         assert person.slots["ghosts"]["kind"] == "replay"
         yield from person.press(do="drop", name="planar.csv", text=planar)
-        said.append(person.state["said"])
+        assert "planar.csv is no recording of" in person.state["said"] and "right_j0" in person.state["said"]
         text = (person.session.folder / "my drawer.csv").read_text()
         yield from person.press(do="drop", name="../../again.csv", text=text)
         assert [one["name"] for one in person.state["recordings"]][2:] == ["again"]
@@ -265,18 +259,16 @@ def test_recordings_are_renamed_deleted_replayed_and_dropped(sawyer, tmp_path, r
         assert person.state["wrong"] and len(person.state["recordings"]) == 2
 
     _, session = taught(sawyer, "drawer", 14, tmp_path, script)
-    assert "planar.csv is no recording of" in said[0] and "right_j0" in said[0]
     kept = sorted(p.name for p in tmp_path.rglob("*.csv"))
     assert kept == sorted(path.name for path in session.files) and "planar.csv" not in kept
 
 
 def test_a_recording_that_took_hold_of_nothing_is_not_kept(sawyer, tmp_path):
     """Free motion beside a drawer is not kept, in words that say why; what waits to be learnt is counted."""
-    seen: list[int] = []
 
     def script(person: Person) -> Iterator[Any]:
         yield from person.demonstrate()
-        seen.append(person.state["unlearnt"])
+        assert person.state["unlearnt"] == 1
         yield from person.press(do="record")
         person.other_hand()
         at = person.session.arm.place
@@ -287,7 +279,7 @@ def test_a_recording_that_took_hold_of_nothing_is_not_kept(sawyer, tmp_path):
 
     person, session = taught(sawyer, "drawer", 16, tmp_path, script)
     assert "took hold of nothing" in person.state["said"]
-    assert seen == [1] and len(session.files) == len(list(tmp_path.rglob("*.csv"))) == 1
+    assert len(session.files) == len(list(tmp_path.rglob("*.csv"))) == 1
 
 
 def test_a_hand_out_of_reach_and_odd_messages_do_no_harm(sawyer, tmp_path):
@@ -298,7 +290,7 @@ def test_a_hand_out_of_reach_and_odd_messages_do_no_harm(sawyer, tmp_path):
 
     def script(person: Person) -> Iterator[Any]:
         for _ in range(200):
-            yield {"do": "pull", "to": [5.0, 0.0, 3.0], "turn": None, "seq": 1}
+            yield pull(np.array([5.0, 0.0, 3.0]))
             strongest.append(float(np.linalg.norm(person.session.arm.hand.force)))
         assert person.pose["hand"]["limited"]
         for odd in (
@@ -335,33 +327,28 @@ def test_one_page_leads_another_may_take_over_and_without_any_the_session_ends(s
     """
     monkeypatch.setattr("manip_learn.teach.session.LEFT", left := 1.0)
     session = TeachingSession(sawyer, TIP, tmp_path, "drawer", 1, person := Person(1), in_real_time=True)
-    pull = {"do": "pull", "to": (session.arm.place + 0.1).tolist(), "seq": 7}
+    pulled = pull(session.arm.place + 0.1, seq=7)
+
+    def hears(seconds: float, **line: Any) -> Iterator[Any]:
+        session.hear(line)
+        yield from person.wait(seconds)
 
     def script() -> Iterator[Any]:
-        session.hear({"pages": ["a", "b"], "loading": 0})
-        yield from person.wait(0.1)
-        session.hear({"page": "b", "said": pull})
-        yield from person.wait(0.1)
+        yield from hears(0.1, pages=["a", "b"], loading=0)
+        yield from hears(0.1, page="b", said=pulled)
         assert person.pose["seq"] == 0 and session.arm.hand.pull is None
-        session.hear({"page": "a", "said": pull})
-        yield from person.wait(0.1)
+        yield from hears(0.1, page="a", said=pulled)
         assert person.pose["seq"] == 7 and session.arm.hand.pull is not None
-        session.hear({"page": "b", "said": {"do": "lead"}})
-        yield from person.wait(0.3)
+        yield from hears(0.3, page="b", said={"do": "lead"})
         assert person.state["leader"] == "b" and session.arm.hand.pull is None
         while not session.arm.held:
-            session.hear({"page": "b", "said": pull | {"to": session.arm.handle_place.tolist()}})
+            session.hear({"page": "b", "said": pulled | {"to": session.arm.handle_place.tolist()}})
             yield None
-        session.hear({"page": "b", "said": {"do": "record"}})
-        yield from person.wait(0.5)
-        session.hear({"pages": ["a"], "loading": 0})
-        yield from person.wait(0.3)
+        yield from hears(0.5, page="b", said={"do": "record"})
+        yield from hears(0.3, pages=["a"], loading=0)
         assert person.state["leader"] == "a"
-        session.hear({"pages": [], "loading": 1})
-        yield from person.wait(left + 0.3)
-        session.hear({"pages": [], "loading": 0})
-        while True:
-            yield None
+        yield from hears(left + 0.3, pages=[], loading=1)
+        yield from hears(1e6, pages=[], loading=0)
 
     person.session, person.script = session, script()
     session.run()
@@ -420,41 +407,32 @@ def test_a_robot_without_masses_and_limits_is_taught_with_defaults_that_are_told
 @pytest.mark.timeout(3600)
 def test_twenty_random_scenes(sawyer, tmp_path):
     """Of twenty drawers, tables and loose doors at least nineteen are right, each within a minute."""
-    right, wrong = 0, []
+    wrong = []
     for number in range(20):
         kind = ("drawer", "table", "loose-door")[number % 3]
-        seed = 700 + number
-        person, _ = taught(sawyer, kind, seed, tmp_path / str(seed), lambda person: lesson(person, 5))
+        person, _ = taught(sawyer, kind, 700 + number, tmp_path / str(number), lambda person: lesson(person, 5))
         answer, off = person.state["answer"], errors_of(person)
         good = not answer["refused"] and off["axis"] < (1.0 if kind == "loose-door" else 0.5)
-        good = good and off.get("place", 0.0) < 5.0
-        right += good
-        wrong += [] if good else [(kind, seed, answer["sentence"], off)]
-    assert right >= 19, wrong
+        wrong += [] if good and off.get("place", 0.0) < 5.0 else [(kind, number, answer["sentence"], off)]
+    assert len(wrong) <= 1, wrong
 
 
 def test_a_recording_begins_with_everything_shut(sawyer, tmp_path):
     """A drawer that a person has left open is shut when the next recording begins, unless the gripper holds it."""
-    seen: list[float] = []
 
     def script(person: Person) -> Iterator[Any]:
         arm = person.session.arm
         handle = arm.scene.handle
-        for let_go in (True, False):
-            for _ in range(400):
-                if arm.held:
-                    break
-                yield {"do": "pull", "to": arm.handle_place.tolist(), "turn": None, "seq": 0}
+        for let_go, least, most in ((True, -1e-3, 1e-3), (False, 0.05, np.inf)):
+            yield from person.hold(4.0)
             for k in range(150):
-                to = handle.pose[:3, 3] + min(k / 100.0, 1.0) * 0.1 * handle.axis
-                yield {"do": "pull", "to": to.tolist(), "turn": None, "seq": 0}
+                yield pull(handle.pose[:3, 3] + min(k / 100.0, 1.0) * 0.1 * handle.axis)
             if let_go:
                 yield {"do": "grip", "closed": False}
                 yield from person.press(do="release")
             yield from person.press(do="record")
-            seen.append(arm.opening)
+            assert least < arm.opening < most
             yield from person.press(do="record")
             yield from person.wait_for(lambda: person.state["doing"] == "idle")
 
     taught(sawyer, "drawer", 14, tmp_path, script)
-    assert abs(seen[0]) < 1e-3 and seen[1] > 0.05
