@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from test_playback_browser import boxes, wait_until
 
-from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
+from manip_learn.playback.appearance import joint_tracks
 from manip_learn.playback.page_writer import packed
 from manip_learn.teach.picture import teaching_page
 
@@ -85,7 +85,7 @@ class Program:
     def pose(self, q, **more):
         """A posture, with the rest as it is when nothing happens."""
         self.q = q
-        values = joint_tracks(self.robot, kinematic_tree(self.robot), np.array([q]))[0].tolist()
+        values = joint_tracks(self.robot, np.array([q]))[0].tolist()
         calm = {"time": 1.0, "held": [False], "near": None, "hand": None, "weak": None, "mu": 0.2, "marks": None,
                 "limit": [], "touches": [], "opening": [0.0], "seq": self.last("pull").get("seq", 0),
                 "trail": False, "furniture": [[*self.handle, 1, 0, 0, 0]]}  # fmt: skip
@@ -592,7 +592,7 @@ def test_ghosts_are_played_beside_the_arm(program, page):
     end they stay, the one that failed with its centimetres in the picture.
     """
     times = np.linspace(0.0, 1.0, 5)
-    ways = joint_tracks(program.robot, kinematic_tree(program.robot), START + times[:, None] * [0.3, 0.0, 0.1])
+    ways = joint_tracks(program.robot, START + times[:, None] * [0.3, 0.0, 0.1])
     numbers = {"keyTimes": times, "tracks": ways, "curveTimes": times, "curve": 0.1 + times}
     ghost = {"duration": 1.0, "ended": "20.0 of 20.0 cm"} | {name: packed(x, "<f8") for name, x in numbers.items()}
     program.say(**LEARNT)

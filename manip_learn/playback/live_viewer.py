@@ -23,9 +23,8 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
-from manip_learn.playback.appearance import appearance
-from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
-from manip_learn.playback.mechanism_drawing import mechanism_drawing
+from manip_learn.playback.appearance import appearance, joint_tracks
+from manip_learn.playback.constraint_marks import mechanism_drawing
 from manip_learn.playback.page_writer import LIVE, PageKind, page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.recorded_motion import guided_motion, recorded_motion
@@ -200,7 +199,6 @@ class LiveViewer:
         timeout: float = 10.0,
     ):
         self._robot = robot
-        self._tree = kinematic_tree(robot)
         name = title or known_as(robot.source) or robot.name or "robot"
         self._process = LiveProcess(
             lambda token: live_page(robot, name, token, constraint=constraint, target=target), timeout
@@ -236,10 +234,10 @@ class LiveViewer:
         mu = None if manipulability is None else float(manipulability)
         if not np.isfinite([now, mu or 0.0]).all():
             raise ConfigurationError(f"manipulability {mu} at time {now}: finite numbers are needed")
-        robot, tree = self._robot, self._tree
+        robot = self._robot
 
         def message() -> str:
-            values = joint_tracks(robot, tree, posture[None])[0]
+            values = joint_tracks(robot, posture[None])[0]
             return json.dumps({"time": now, "values": values.tolist(), "mu": mu}, allow_nan=False)
 
         self._process.put(message)
@@ -278,17 +276,17 @@ def live_page(
         ConstraintMismatchError: A constraint of another robot.
         TargetError: A target that is not finite numbers.
     """
-    rng, tree, rest = np.random.default_rng(0), kinematic_tree(robot), Trajectory(np.zeros(1), robot.neutral()[None])
+    rng, rest = np.random.default_rng(0), Trajectory(np.zeros(1), robot.neutral()[None])
     postures = np.array([*rest.q, *(robot.random_configuration(rng) for _ in range(119))])  # for the camera
     motion, twist = guided_motion(robot, name, rest, constraint, target), constraint and constraint.features.twist
     tip = robot.frame(default_tip(robot)) if twist is None else twist.frame
     ((_, colour),) = rollout_colours([name], {})
-    still = replace(recorded_motion(robot, tree, tip, motion, colour), postures=postures, measures=())
+    still = replace(recorded_motion(robot, tip, motion, colour), postures=postures, measures=())
     drawings = []
     if constraint is not None and (constraint.mechanism is not None or constraint.shown is not None):
         path = still.path if constraint.shown is None else constraint.shown.points
         drawings.append(mechanism_drawing(constraint.mechanism, path, constraint.shown))
-    looks = appearance(robot, tree)
-    data = scene_data(robot, tree, looks, tip.name, [still], looks.notes, mechanisms=drawings)
+    looks = appearance(robot)
+    data = scene_data(robot, looks, tip.name, [still], looks.notes, mechanisms=drawings)
     data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, arms do not
     return page(data, robot=name, subtitle="", kind=kind)

@@ -19,7 +19,7 @@ from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, RecordingError, TargetError, listed
 from manip_learn.linalg import finite
-from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
+from manip_learn.playback.appearance import joint_tracks
 from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import WAY, PhaseBand, own_bands, own_kinds
 from manip_learn.recordings.trajectory import Trajectory, evenly
@@ -322,7 +322,6 @@ class RecordedMotion:
 
 def recorded_motion(
     robot: Robot,
-    tree: tuple[TreeJoint, ...],
     tip: Frame,
     motion: GuidedMotion,
     colour: str = "",
@@ -333,7 +332,6 @@ def recorded_motion(
 
     Args:
         robot: Whose joints move.
-        tree: Its joints as the page moves them.
         tip: Frame whose path is drawn.
         motion: What is played.
         colour: Its colour, hexadecimal.
@@ -346,7 +344,7 @@ def recorded_motion(
     """
     recording, name, time, q = motion.recording, motion.name, motion.samples.time, motion.samples.q
     keys = key_frames(time)
-    tracks = joint_tracks(robot, tree, q[keys])  # first: it refuses postures of the wrong size
+    tracks = joint_tracks(robot, q[keys])  # first: it refuses postures of the wrong size
     path_keys = keys[evenly(keys.size, MAX_PATH_POINTS)]
     path_times, poses = time[path_keys], robot.frame_kinematics(tip).poses(q[path_keys])
     curve_times, curve, status, own, held, around = np.zeros(0), np.zeros(0), [], (), {}, ()

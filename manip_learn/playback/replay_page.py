@@ -22,8 +22,7 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.linalg import finite
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.mechanism_drawing import MechanismDrawing, mechanism_drawing
+from manip_learn.playback.constraint_marks import MechanismDrawing, mechanism_drawing
 from manip_learn.playback.page_writer import in_cell, page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.phase_bands import WAY, Phase, phase_bands, phase_kinds, phases_from_json
@@ -223,11 +222,10 @@ def replay(
     if not isinstance(first, Mapping | None):  # as in a damaged file
         sentence = f"the mechanism must be a dictionary, got {first!r:.60}: learn it again"
         raise RecordingError(sentence, code="mechanism")
-    tip_name, tree, bands = _shown_tip(robot, tip, guided), kinematic_tree(robot), phase_bands(phases, list(named))
-    frame, looks = robot.frame(tip_name), appearance(robot, tree)
+    tip_name, bands, looks = _shown_tip(robot, tip, guided), phase_bands(phases, list(named)), appearance(robot)
     colouring = rollout_colours(list(named), colours or {}, neutral=bool(phases))
     motions = [
-        recorded_motion(robot, tree, frame, m, colour, bands[m.name], first)
+        recorded_motion(robot, robot.frame(tip_name), m, colour, bands[m.name], first)
         for m, (_, colour) in zip(guided, colouring, strict=True)
     ]
     drawings = _drawings(first, motions)
@@ -237,7 +235,7 @@ def replay(
     rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guided[0].constraints]
     words = zip(drawings, rows or [""] * len(drawings), strict=False)
     kinds = phase_kinds(phases, [(drawn and drawn.type) or row for drawn, row in words]) if phases else ()
-    data = scene_data(robot, tree, looks, tip_name, motions, all_notes, kinds, drawings) | {
+    data = scene_data(robot, looks, tip_name, motions, all_notes, kinds, drawings) | {
         "evidence": evidence if learnt else None,
         "zero": zero,
         "made": next((made for provenance in kept if (made := provenance.get("made"))), None),
