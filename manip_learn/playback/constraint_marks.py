@@ -25,8 +25,6 @@ from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
 COUPLED = 0.1  # part of a learnt unit row that turns, up to which it counts as one that only moves, and the other way
-MAX_NUMBER = 1e9  # [m] what is farther away cannot be drawn
-_MAX_TEXT = 400
 SIX = np.triu_indices(3)  # xx xy xz yy yz zz of a symmetric matrix
 
 
@@ -236,14 +234,13 @@ def mechanism_drawing(
         RecordingError: Numbers of a wrong size or not finite.
     """
     described = mechanism.to_dict() if isinstance(mechanism, Mechanism) else dict(mechanism or {})
-    kind = str(described.get("type") or "mechanism")[:_MAX_TEXT] if described or shown is None else ""
-    way, hold = np.zeros((0, 3)), False
+    # 400 characters are as many as there is room for
+    kind = str(described.get("type") or "mechanism")[:400] if described or shown is None else ""
+    way, hold, told = np.zeros((0, 3)), False, "" if shown is None else shown.sentence
     if isinstance(shown, Shown) and not described.get("relative_to"):
         way, hold = shown.points, shown.hold is not None
-    sentence = str(described.get("sentence") or kind)[:_MAX_TEXT]
-    return MechanismDrawing(
-        kind, sentence, *_form(kind, described, held), "" if shown is None else shown.sentence, way, hold
-    )
+    sentence = str(described.get("sentence") or kind)[:400]
+    return MechanismDrawing(kind, sentence, *_form(kind, described, held), told, way, hold)
 
 
 def _form(
@@ -254,8 +251,9 @@ def _form(
     for name, shape in {"axis": (3,), "point": (3,), "radius": (), "pitch": ()}.items():
         given = described.get(name)
         known[name] = None if given is None else finite(given, *shape)
-        if given is not None and (known[name] is None or not np.all(np.abs(known[name]) < MAX_NUMBER)):
-            wanted = f"{'three finite numbers' if shape else 'a finite number'} below {MAX_NUMBER:g}"
+        # [m] what is farther away than 1e9 cannot be drawn
+        if given is not None and (known[name] is None or not np.all(np.abs(known[name]) < 1e9)):
+            wanted = f"{'three finite numbers' if shape else 'a finite number'} below 1e+09"
             raise RecordingError(f"the mechanism's {name} must be {wanted}, got {given!r:.80}", code="mechanism")
     axis, point, radius, pitch = known["axis"], known["point"], float(known["radius"] or 0), float(known["pitch"] or 0)
     if kind == "ball" and point is not None and radius:

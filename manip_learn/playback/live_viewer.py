@@ -14,6 +14,7 @@ import weakref
 import webbrowser
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, final
@@ -75,14 +76,13 @@ class LiveProcess:
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._feed, self._listen)]
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         try:  # in a session of its own: Ctrl-C is for the program, which then closes us
-            self._process = subprocess.Popen([sys.executable, "-I", SERVER], **pipes, start_new_session=True)
+            self._process: Any = subprocess.Popen([sys.executable, "-I", SERVER], **pipes, start_new_session=True)
         except OSError as error:
             raise OutputError(f"the live view's server cannot be started: {error}") from error
-        self._stdin: Any = self._process.stdin
-        self._stdout: Any = self._process.stdout
         self._wake.set()
         self._threads[0].start()
-        port = self._stdout.readline().decode().strip() if select.select([self._stdout], [], [], timeout)[0] else ""
+        stdout = self._process.stdout
+        port = stdout.readline().decode().strip() if select.select([stdout], [], [], timeout)[0] else ""
         if not port.isdigit():
             self.close()
             raise OutputError(
@@ -140,7 +140,7 @@ class LiveProcess:
 
     def _listen(self) -> None:
         """Hand on each line of the server until it ends."""
-        for line in iter(self._stdout.readline, b""):
+        for line in iter(self._process.stdout.readline, b""):
             self._heard(json.loads(line))
             if not self.is_open:
                 return
@@ -156,8 +156,8 @@ class LiveProcess:
             for slot, message in newest.items():
                 line = f"{slot} {message()}\n".encode()
                 with contextlib.suppress(OSError, ValueError):  # the server is gone, or the pipe was closed
-                    self._stdin.write(line)
-                    self._stdin.flush()
+                    self._process.stdin.write(line)
+                    self._process.stdin.flush()
             clock.sleep(max(due - clock.monotonic(), 0.0))
 
 
@@ -200,9 +200,7 @@ class LiveViewer:
     ):
         self._robot = robot
         name = title or known_as(robot.source) or robot.name or "robot"
-        self._process = LiveProcess(
-            lambda token: live_page(robot, name, token, constraint=constraint, target=target), timeout
-        )
+        self._process = LiveProcess(partial(live_page, robot, name, constraint=constraint, target=target), timeout)
         self._start = clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
         if open_browser:

@@ -97,10 +97,8 @@ def _draw_arm(arm: Any, robot: Robot) -> None:
 def _draw_constraint(scene: Any, robot: Robot, constraint: Constraint, q: ArrayLike) -> None:
     """Draw the mechanism of a constraint, the path that was shown along it, where hands began, and its end."""
     shown, twist, mechanism = constraint.shown, constraint.features.twist, scene["mechanism"]
-    if shown is None:
-        path = robot.position(q, default_tip(robot) if twist is None else twist.frame)[None]
-    else:
-        path = shown.points
+    tip = default_tip(robot) if twist is None else twist.frame
+    path = robot.position(q, tip)[None] if shown is None else shown.points
     blue, vermilion = (tuple(x / 255.0 for x in rgb_of(COLOURS[name])) for name in ("blue", "vermilion"))
     if constraint.mechanism is not None:
         drawing = mechanism_drawing(constraint.mechanism, path)

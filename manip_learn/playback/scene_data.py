@@ -13,7 +13,7 @@ from jaxtyping import Float
 from manip_learn.playback.appearance import Appearance, Shape, kinematic_tree
 from manip_learn.playback.constraint_marks import MechanismDrawing, constraint_marks, ellipsoid_scale
 from manip_learn.playback.page_writer import packed
-from manip_learn.playback.phase_bands import PhaseKind
+from manip_learn.playback.palette import PhaseKind
 from manip_learn.playback.recorded_motion import MOST_OF_A_CURVE, RecordedMotion, track_data
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import Mesh
@@ -63,8 +63,7 @@ def scene_data(
         constraints, measures = m.motion.constraints, track_data(m.measures, most)
         each = places // max(len(constraints), 1)
         marks = [constraint_marks(robot, m.motion, c, each) for c in constraints]
-        around = [thing for thing, _ in things]
-        rollouts.append({**m.content, "measures": measures, "marks": marks, "around": around})
+        rollouts.append({**m.content, "measures": measures, "marks": marks, "around": [thing for thing, _ in things]})
     longest = max((mark.pop("longest") for r in rollouts for mark in r["marks"] if mark is not None), default=0.0)
     return {
         "robot": _robot(robot, looks, tip),

@@ -127,7 +127,7 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], out: str)
     from manip_learn.constraint.features import FrameJacobian
     from manip_learn.learning import ConstraintLearner
     from manip_learn.playback.constraint_marks import mechanism_drawing
-    from manip_learn.playback.phase_bands import phase_kinds
+    from manip_learn.playback.palette import phase_kinds
     from manip_learn.playback.replay_page import evidence_of
     from manip_learn.recordings import load_demonstrations
 
