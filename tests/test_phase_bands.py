@@ -12,7 +12,7 @@ from test_playback import data_in, waving
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.playback import replay
-from manip_learn.playback.phase_bands import PhaseBand, phase_bands, phases_from_json
+from manip_learn.playback.palette import PhaseBand, phase_bands, phases_from_json
 from manip_learn.recordings.trajectory import Trajectory
 
 FREE, FIRST, SECOND = ("a", 0.0, 1.0, None), ("a", 1.0, 2.0, 0), ("b", 0.5, 1.5, 1)

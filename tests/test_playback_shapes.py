@@ -9,8 +9,7 @@ from conftest import URDFS
 from test_meshes import BOUND, painted
 from test_playback import unpacked, waving
 
-from manip_learn.playback.appearance import appearance, decimated
-from manip_learn.playback.kinematic_tree import kinematic_tree
+from manip_learn.playback.appearance import appearance, decimated, kinematic_tree
 from manip_learn.playback.recorded_motion import guided_motion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.robot.loading import load_robot
@@ -65,7 +64,7 @@ def test_robots_without_meshes_get_shells(robot_of, name):
     """Closed shells lead from each joint to those that it carries, and something is drawn at every joint."""
     robot = robot_of(name)
     tree = kinematic_tree(robot)
-    looks = appearance(robot, tree)
+    looks = appearance(robot)
     assert {s.joint for s in looks.shapes} == set(range(len(tree)))
     assert all(np.isfinite(s.pose).all() for s in looks.shapes) and len(looks.meshes) > 0
     for mesh in looks.meshes:
@@ -86,11 +85,10 @@ def solid_of(looks, joint):
 def test_few_triangles_look_round(robot_of):
     """A link has under a thousand triangles on average; its normals are those of the round itself, also in the page."""
     robot = robot_of("sawyer")
-    tree = kinematic_tree(robot)
-    looks = appearance(robot, tree)
+    looks = appearance(robot)
     assert sum(len(m.faces) for m in looks.meshes) < 1000 * len(looks.meshes)
-    motion = recorded_motion(robot, tree, robot.frame("right_hand"), guided_motion(robot, "a", waving(robot)))
-    data = scene_data(robot, tree, looks, "right_hand", [motion], ())
+    motion = recorded_motion(robot, robot.frame("right_hand"), guided_motion(robot, "a", waving(robot)))
+    data = scene_data(robot, looks, "right_hand", [motion], ())
     number = next(s.mesh for s in looks.shapes if s.joint == 3 and s.mesh is not None)
     forearm = looks.meshes[number]
     sent = unpacked(data["robot"]["meshes"][number]["normals"], "i1").reshape(-1, 3) / 127.0
@@ -103,7 +101,7 @@ def test_few_triangles_look_round(robot_of):
 
 def test_shells_take_the_thickness_of_what_they_stand_for(robot_of):
     """A link of the shipped Sawyer is as thick as its cylinder; head and jaws, which no bone goes through, stay."""
-    looks = appearance(robot_of("sawyer"), kinematic_tree(robot_of("sawyer")))
+    looks = appearance(robot_of("sawyer"))
     forearm = solid_of(looks, 3)[0]
     middle = forearm[np.abs(forearm[:, 2] - 0.13) < 0.03]
     np.testing.assert_allclose(np.hypot(middle[:, 0], middle[:, 1]), 0.06, atol=0.004)
@@ -117,18 +115,17 @@ def test_chassis_and_wheels_are_drawn_as_they_are(tmp_path):
     path = tmp_path / "cart.urdf"
     path.write_text(URDFS["gantry"].replace('<link name="link2">', f'<link name="link2">{chassis}'), encoding="utf-8")
     robot = load_robot(path)
-    assert (0.6, 0.4, 0.3) in [s.size for s in appearance(robot, kinematic_tree(robot)).shapes]
+    assert (0.6, 0.4, 0.3) in [s.size for s in appearance(robot).shapes]
 
 
 def test_meshes_are_packed(robot_of):
     """Panda's meshes stay within the budget, say so, and come back from 16 bits to within 10 micrometres."""
     robot = robot_of("panda")
-    looks = appearance(robot, kinematic_tree(robot), max_triangles=5000)
+    looks = appearance(robot, max_triangles=5000)
     assert sum(len(m.faces) for m in looks.meshes) <= 5000
     assert any("simplified from" in note for note in looks.notes)
-    tree = kinematic_tree(robot)
-    motion = recorded_motion(robot, tree, robot.frame("panda_hand"), guided_motion(robot, "a", waving(robot)))
-    data = scene_data(robot, tree, looks, "panda_hand", [motion], looks.notes)
+    motion = recorded_motion(robot, robot.frame("panda_hand"), guided_motion(robot, "a", waving(robot)))
+    data = scene_data(robot, looks, "panda_hand", [motion], looks.notes)
     for packed, mesh in zip(data["robot"]["meshes"], looks.meshes, strict=True):
         steps = unpacked(packed["positions"], "<u2").reshape(-1, 3)
         np.testing.assert_allclose(packed["origin"] + steps * packed["step"], mesh.vertices, atol=1e-5)
@@ -140,7 +137,7 @@ def test_each_part_is_drawn_in_its_colour(robot_of):
     """Panda's hand is drawn in its white, black and grey, also where it is simplified; all parts are where it is."""
     robot = load_robot("panda")
     for most in (10**6, 3000):
-        looks = appearance(robot, kinematic_tree(robot), max_triangles=most)
+        looks = appearance(robot, max_triangles=most)
         hand = next(v for v in visual_shapes(robot) if v.link == "panda_hand")
         drawn = [s for s in looks.shapes if np.array_equal(s.pose, hand.placement) and s.joint == hand.joint]
         known = {tuple(c) for c in hand.shape.colours}
@@ -161,7 +158,7 @@ def test_parts_that_have_no_area_are_left_out(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(URDFS["gantry"].replace('<link name="link2">', f'<link name="link2">{visual}'), encoding="utf-8")
     robot = load_robot(path)
-    looks = appearance(robot, kinematic_tree(robot))
+    looks = appearance(robot)
     assert [(s.kind, s.colour) for s in looks.shapes] == [("mesh", (0.0, 0.0, 1.0, 1.0))]
 
 
@@ -171,7 +168,7 @@ def test_missing_meshes_are_told(tmp_path, robot_of):
     path = tmp_path / "bare.urdf"
     path.write_text(URDFS["gantry"].replace('<link name="link2">', f'<link name="link2">{visual}'), encoding="utf-8")
     robot = load_robot(path)
-    looks = appearance(robot, kinematic_tree(robot))
+    looks = appearance(robot)
     assert len(looks.notes) == 1
     assert "link2" in looks.notes[0] and "arm.stl" in looks.notes[0]
     assert looks.shapes

@@ -16,7 +16,6 @@ from urdf_corpus import edited, stl
 from manip_learn.errors import RobotError
 from manip_learn.planning.clearance import Clearance, Surroundings
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.robot.collision import SelfCollision, collision_shapes, describe_shapes, known_shapes
 from manip_learn.robot.loading import load_robot, robot_from_text
 from manip_learn.robot.robot_summary import inspect_robot
@@ -188,7 +187,7 @@ def test_a_lost_mesh_costs_its_own_link_only(tmp_path, tag: str):
     assert len(why) == 1 and why[0].startswith("Plain shapes stand in for panda_link3, panda_link5: mesh '")
     assert known_shapes(robot) == "collision"
     planned = Clearance(robot, True, Surroundings(), q).notes
-    drawn = appearance(robot, kinematic_tree(robot)).notes
+    drawn = appearance(robot).notes
     assert (why[0] in planned, why[0] in drawn) == (tag == "collision", tag == "visual")
     assert why[0] in inspect_robot(robot).warnings
 
@@ -236,7 +235,7 @@ def test_a_bad_shape_costs_its_own_link_only(tmp_path, tag: str, kind: str):
     cubes = {s.link for s in shapes if isinstance(s.shape, Solid) and s.shape.size == (0.1, 0.1, 0.1)}
     assert cubes == {"base", "link0", "link2"}
     planned = Clearance(robot, True, Surroundings(), robot.positions(robot.neutral())).notes
-    drawn = list(appearance(robot, kinematic_tree(robot)).notes)
+    drawn = list(appearance(robot).notes)
     assert len(planned) == bool(why)
     assert all(note.startswith("Plain shapes stand in for link1: ") and why in note for note in planned)
     assert tag == "collision" or drawn == planned

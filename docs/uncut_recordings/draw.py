@@ -19,7 +19,7 @@ from PIL import Image
 
 import manip_learn as ml
 from manip_learn.learning import LearningReport
-from manip_learn.playback.phase_bands import phase_kinds
+from manip_learn.playback.palette import phase_kinds
 
 HERE = Path(__file__).parent
 RECORDINGS = HERE.parents[1] / "examples" / "data"

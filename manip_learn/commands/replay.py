@@ -12,7 +12,7 @@ from manip_learn.commands.loading import load_constraint, load_for_files, locks_
 from manip_learn.commands.options import ReplayOptions
 from manip_learn.commands.output import Answer, Progress
 from manip_learn.errors import ConstraintMismatchError, RecordingError
-from manip_learn.playback.phase_bands import phases_from_json
+from manip_learn.playback.palette import phases_from_json
 from manip_learn.recordings.files import recording_path
 from manip_learn.recordings.options import flag_of
 from manip_learn.recordings.saved_motion import FileHeader, file_header

@@ -1,10 +1,14 @@
-"""Robot -> what is drawn: its own shapes and meshes, or shells made from its kinematics; each rides on one joint."""
+"""Robot -> what is drawn: its own shapes and meshes, or shells made from its kinematics; each rides on one joint.
+
+The browser does the forward kinematics: it needs the parent of each joint, and how it moves.
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import groupby
 from typing import Literal, NamedTuple, final
 
@@ -13,8 +17,8 @@ import pinocchio as pin
 from jaxtyping import Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 
-from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.robot.description.mjcf import turn_z_to
+from manip_learn.robot.joints import joint_motions
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.figure import Bone, bones, link_radii
 from manip_learn.robot.visuals.meshes import Colour, Mesh, by_colour, compact
@@ -25,6 +29,65 @@ Distance = Callable[[Points], Float[np.ndarray, " P"]]  # [m], negative inside
 # red, green, blue and opacity
 PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
 DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TreeJoint:
+    """One moving joint, mimic joints included.
+
+    Attributes:
+        name: Name in the URDF.
+        parent: Index of the parent joint; the world is 0.
+        placement: shape (4, 4), from the joint at rest to its parent [m].
+        motion: `"revolute"` and `"prismatic"` move along `axis` by one number; `"free"` is given as a whole pose of
+            seven (x, y, z, quaternion x, y, z, w); only the world is `"fixed"`.
+        axis: shape (3,), unit vector in the joint's own frame; zero for `"free"` and `"fixed"`.
+    """
+
+    name: str
+    parent: int
+    placement: Float[np.ndarray, "4 4"]
+    motion: Literal["fixed", "revolute", "prismatic", "free"]
+    axis: Float[np.ndarray, " 3"]
+
+
+@lru_cache(maxsize=8)  # robots do not change, and a live view asks for each picture
+def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
+    """Return the joints of a robot, parents first; entry 0 is the world."""
+    model, tree = robot.pinocchio_model, [TreeJoint("", 0, np.eye(4), "fixed", np.zeros(3))]
+    for i, along in list(enumerate(joint_motions(model)))[1:]:
+        motion, axis = "free", np.zeros(3)
+        if along is not None and np.isclose(np.linalg.norm(along[1]), 1.0):
+            motion, axis = ("revolute" if along[0] == "R" else "prismatic"), along[1]
+        placement = model.jointPlacements[i].homogeneous
+        tree.append(TreeJoint(model.names[i], int(model.parents[i]), placement, motion, axis))
+    return tuple(tree)
+
+
+def joint_tracks(robot: Robot, postures: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "K w"]:
+    """Return postures as the numbers that move the tree, joint after joint (see `TreeJoint.motion`).
+
+    Angles of continuous joints are unwrapped, so that a motion between two key frames takes the short way.
+
+    Raises:
+        ConfigurationError: A posture of the wrong size or with NaN.
+    """
+    model, columns = robot.pinocchio_model, [np.zeros((len(postures), 0))]
+    full = np.array([robot.pinocchio_configuration(q) for q in postures])
+    for node, joint in list(zip(kinematic_tree(robot), model.joints, strict=True))[1:]:
+        part = full[:, joint.idx_q : joint.idx_q + joint.nq]
+        if node.motion == "free":
+            data, poses = joint.createData(), np.empty((len(full), 7))
+            for k, q in enumerate(full):
+                joint.calc(data, q)
+                poses[k] = pin.SE3ToXYZQUAT(data.M)
+                if k and poses[k, 3:] @ poses[k - 1, 3:] < 0.0:  # q and -q turn alike: keep the signs continuous
+                    poses[k, 3:] *= -1.0
+            columns.append(poses)
+        else:
+            columns.append(part if joint.nq == 1 else np.unwrap(np.arctan2(part[:, 1:], part[:, :1]), axis=0))
+    return np.concatenate(columns, axis=1)
 
 
 @final
@@ -77,9 +140,7 @@ class Appearance:
     notes: tuple[str, ...] = ()
 
 
-def shells(
-    robot: Robot, tree: tuple[TreeJoint, ...], own: Sequence[Shape], joints: Collection[int], meshes: list[Mesh]
-) -> list[Shape]:
+def shells(robot: Robot, own: Sequence[Shape], joints: Collection[int], meshes: list[Mesh]) -> list[Shape]:
     """Return shells around the bones of links, with rings where they turn, and own shapes that no shell stands for.
 
     A shell takes the place of own shapes that a bone goes through, as long as they are no fatter than links are; it
@@ -87,13 +148,12 @@ def shells(
 
     Args:
         robot: The robot.
-        tree: Its joints.
         own: Plain shapes of its description.
-        joints: Those whose shapes are made.
+        joints: Joints whose shapes are made.
         meshes: To which those of the shells are added.
     """
     model, usual = robot.pinocchio_model, link_radii(robot.pinocchio_model)
-    radius, colours, kept, hands = usual.copy(), [PLAIN] * len(tree), list(own), dict[int, np.ndarray]()
+    radius, colours, kept, hands = usual.copy(), [PLAIN] * model.njoints, list(own), dict[int, np.ndarray]()
     for i, limb in groupby(bones(model, usual), key=lambda bone: bone.joint):
         line = np.concatenate([np.linspace(b.ends[0], b.ends[1], 9) for b in limb])
         # a body of twice the radius is none of a link's
@@ -106,7 +166,7 @@ def shells(
             hands[i] = max((s.pose[:3, 3] for s in stood_for), key=lambda at: float(np.linalg.norm(at)))
     drawn = bones(model, radius)
     shapes = list[Shape]()
-    for i, joint in enumerate(tree):
+    for i, joint in enumerate(kinematic_tree(robot)):
         limb = [b for b in drawn if b.joint == i]
         if len(limb) == 1 and not limb[0].child and i in hands and any(s.joint == i for s in kept):
             limb = [limb[0]._replace(ends=np.array([limb[0].ends[0], hands[i]]))]  # what is kept goes on from there
@@ -154,12 +214,11 @@ def _hub(
     return [], [Shape(i, "disc", (1.12 * r, 0.34 * r), pose, DARK, accent=True)]
 
 
-def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = 50_000) -> Appearance:
-    """The robot's own meshes, and the shapes beside them; shells where it has none that can be used.
+def appearance(robot: Robot, max_triangles: int = 50_000) -> Appearance:
+    """Return the robot's own meshes, and the shapes beside them; shells where it has none that can be used.
 
     Args:
         robot: The robot.
-        tree: Its joints.
         max_triangles: Meshes are simplified until they have no more than this; 50,000 are about 0.8 MB in the page, and
             two such arms and their shadows are drawn at 60 frames a second.
     """
@@ -167,9 +226,9 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = 5
     notes = [] if robot.source is None else list(losses(visuals))
     shapes, meshes, mesh_notes = _own_shapes(visuals, max_triangles)
     if not meshes:
-        shapes = shells(robot, tree, shapes, range(len(tree)), meshes)
+        shapes = shells(robot, shapes, range(robot.pinocchio_model.njoints), meshes)
     elif bare := set(bare_links(visuals).values()):
-        shapes += shells(robot, tree, (), bare, meshes)
+        shapes += shells(robot, (), bare, meshes)
     return Appearance(tuple(shapes), tuple(meshes), tuple(notes + mesh_notes))
 
 

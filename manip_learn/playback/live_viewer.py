@@ -14,6 +14,7 @@ import weakref
 import webbrowser
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, final
@@ -23,9 +24,8 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
-from manip_learn.playback.appearance import appearance
-from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
-from manip_learn.playback.mechanism_drawing import mechanism_drawing
+from manip_learn.playback.appearance import appearance, joint_tracks
+from manip_learn.playback.constraint_marks import mechanism_drawing
 from manip_learn.playback.page_writer import LIVE, PageKind, page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.recorded_motion import guided_motion, recorded_motion
@@ -76,14 +76,13 @@ class LiveProcess:
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._feed, self._listen)]
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         try:  # in a session of its own: Ctrl-C is for the program, which then closes us
-            self._process = subprocess.Popen([sys.executable, "-I", SERVER], **pipes, start_new_session=True)
+            self._process: Any = subprocess.Popen([sys.executable, "-I", SERVER], **pipes, start_new_session=True)
         except OSError as error:
             raise OutputError(f"the live view's server cannot be started: {error}") from error
-        self._stdin: Any = self._process.stdin
-        self._stdout: Any = self._process.stdout
         self._wake.set()
         self._threads[0].start()
-        port = self._stdout.readline().decode().strip() if select.select([self._stdout], [], [], timeout)[0] else ""
+        stdout = self._process.stdout
+        port = stdout.readline().decode().strip() if select.select([stdout], [], [], timeout)[0] else ""
         if not port.isdigit():
             self.close()
             raise OutputError(
@@ -141,7 +140,7 @@ class LiveProcess:
 
     def _listen(self) -> None:
         """Hand on each line of the server until it ends."""
-        for line in iter(self._stdout.readline, b""):
+        for line in iter(self._process.stdout.readline, b""):
             self._heard(json.loads(line))
             if not self.is_open:
                 return
@@ -157,8 +156,8 @@ class LiveProcess:
             for slot, message in newest.items():
                 line = f"{slot} {message()}\n".encode()
                 with contextlib.suppress(OSError, ValueError):  # the server is gone, or the pipe was closed
-                    self._stdin.write(line)
-                    self._stdin.flush()
+                    self._process.stdin.write(line)
+                    self._process.stdin.flush()
             clock.sleep(max(due - clock.monotonic(), 0.0))
 
 
@@ -200,11 +199,8 @@ class LiveViewer:
         timeout: float = 10.0,
     ):
         self._robot = robot
-        self._tree = kinematic_tree(robot)
         name = title or known_as(robot.source) or robot.name or "robot"
-        self._process = LiveProcess(
-            lambda token: live_page(robot, name, token, constraint=constraint, target=target), timeout
-        )
+        self._process = LiveProcess(partial(live_page, robot, name, constraint=constraint, target=target), timeout)
         self._start = clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
         if open_browser:
@@ -236,10 +232,10 @@ class LiveViewer:
         mu = None if manipulability is None else float(manipulability)
         if not np.isfinite([now, mu or 0.0]).all():
             raise ConfigurationError(f"manipulability {mu} at time {now}: finite numbers are needed")
-        robot, tree = self._robot, self._tree
+        robot = self._robot
 
         def message() -> str:
-            values = joint_tracks(robot, tree, posture[None])[0]
+            values = joint_tracks(robot, posture[None])[0]
             return json.dumps({"time": now, "values": values.tolist(), "mu": mu}, allow_nan=False)
 
         self._process.put(message)
@@ -278,17 +274,17 @@ def live_page(
         ConstraintMismatchError: A constraint of another robot.
         TargetError: A target that is not finite numbers.
     """
-    rng, tree, rest = np.random.default_rng(0), kinematic_tree(robot), Trajectory(np.zeros(1), robot.neutral()[None])
+    rng, rest = np.random.default_rng(0), Trajectory(np.zeros(1), robot.neutral()[None])
     postures = np.array([*rest.q, *(robot.random_configuration(rng) for _ in range(119))])  # for the camera
     motion, twist = guided_motion(robot, name, rest, constraint, target), constraint and constraint.features.twist
     tip = robot.frame(default_tip(robot)) if twist is None else twist.frame
     ((_, colour),) = rollout_colours([name], {})
-    still = replace(recorded_motion(robot, tree, tip, motion, colour), postures=postures, measures=())
+    still = replace(recorded_motion(robot, tip, motion, colour), postures=postures, measures=())
     drawings = []
     if constraint is not None and (constraint.mechanism is not None or constraint.shown is not None):
         path = still.path if constraint.shown is None else constraint.shown.points
         drawings.append(mechanism_drawing(constraint.mechanism, path, constraint.shown))
-    looks = appearance(robot, tree)
-    data = scene_data(robot, tree, looks, tip.name, [still], looks.notes, mechanisms=drawings)
+    looks = appearance(robot)
+    data = scene_data(robot, looks, tip.name, [still], looks.notes, mechanisms=drawings)
     data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, arms do not
     return page(data, robot=name, subtitle="", kind=kind)

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.mechanism_drawing import mechanism_drawing
+from manip_learn.playback.constraint_marks import mechanism_drawing
 from manip_learn.playback.palette import COLOURS, rgb_of
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
@@ -83,7 +82,7 @@ def show(
 
 def _draw_arm(arm: Any, robot: Robot) -> None:
     """Draw the shapes of each link below the joint that carries it."""
-    looks = appearance(robot, kinematic_tree(robot))
+    looks = appearance(robot)
     for k, shape in enumerate(looks.shapes):
         kind, size, pose = shape.kind.title(), shape.size, shape.pose
         if shape.mesh is not None:
@@ -98,10 +97,8 @@ def _draw_arm(arm: Any, robot: Robot) -> None:
 def _draw_constraint(scene: Any, robot: Robot, constraint: Constraint, q: ArrayLike) -> None:
     """Draw the mechanism of a constraint, the path that was shown along it, where hands began, and its end."""
     shown, twist, mechanism = constraint.shown, constraint.features.twist, scene["mechanism"]
-    if shown is None:
-        path = robot.position(q, default_tip(robot) if twist is None else twist.frame)[None]
-    else:
-        path = shown.points
+    tip = default_tip(robot) if twist is None else twist.frame
+    path = robot.position(q, tip)[None] if shown is None else shown.points
     blue, vermilion = (tuple(x / 255.0 for x in rgb_of(COLOURS[name])) for name in ("blue", "vermilion"))
     if constraint.mechanism is not None:
         drawing = mechanism_drawing(constraint.mechanism, path)

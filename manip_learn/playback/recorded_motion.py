@@ -19,9 +19,9 @@ from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, RecordingError, TargetError, listed
 from manip_learn.linalg import finite
-from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
+from manip_learn.playback.appearance import joint_tracks
 from manip_learn.playback.page_writer import packed
-from manip_learn.playback.phase_bands import WAY, PhaseBand, own_bands, own_kinds
+from manip_learn.playback.palette import WAY, PhaseBand, own_bands, own_kinds
 from manip_learn.recordings.trajectory import Trajectory, evenly
 from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.robot.joints import Frame
@@ -121,8 +121,7 @@ def guided_motion(
         if recording.robot is not None:
             recording.robot.refuse_another(robot, f"rollout {name!r}")
         # one that was made by hand is not checked: its times and postures as those of a trajectory are
-        u = recording.u if np.all(np.isfinite(recording.u)) else None
-        checked = Trajectory(recording.time, recording.q, u, recording.joint_names, f"rollout {name!r}")
+        checked = Trajectory(recording.time, recording.q, recording.u, recording.joint_names, f"rollout {name!r}")
     for c in given:
         other = c.robot
         if c.nv != robot.nv or (other is not None and other.joint_names != robot.joint_names):
@@ -154,8 +153,7 @@ def _kept_constraints(robot: Robot, name: str, rollout: Rollout) -> tuple[Constr
     kept = [way.get("constraint") for way in rollout.ways]
     kept = [rollout.constraint] if not kept or None in kept else kept
     try:
-        source = f"the constraint of rollout {name!r}"
-        return tuple(Constraint.from_dict(c, robot, source=source) for c in kept if c)
+        return tuple(Constraint.from_dict(c, robot, source=f"the constraint of rollout {name!r}") for c in kept if c)
     except ConstraintMismatchError as error:
         sentence = f"rollout {name!r} was not made with robot {robot.name!r}: {error}"
         raise RecordingError(sentence, code="other-robot") from error
@@ -209,12 +207,9 @@ def tracks_of(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
     if isinstance(recording, Rollout):
         features = None if motion.constraint is None else motion.constraint.features
         units = "" if features is None else " or ".join(sorted({u.removesuffix("/s") for u in features.row_units}))
-        joint_unit = " or ".join(sorted(set(robot.joint_units), reverse=True))
-        errors = (
-            ("task-error", recording.task_error, units),
-            ("following-error", recording.following_error, joint_unit),
-        )
-        for kind, values, unit in errors:
+        joints = " or ".join(sorted(set(robot.joint_units), reverse=True))
+        errors = {"task-error": (recording.task_error, units), "following-error": (recording.following_error, joints)}
+        for kind, (values, unit) in errors.items():
             if values is not None and values.shape == time.shape:
                 tracks.append(_track(kind, [("", time, np.where(np.isfinite(values), values, np.nan))], unit))
     elif recording.effort is not None:  # each over its largest, since those at the base dwarf the others
@@ -322,7 +317,6 @@ class RecordedMotion:
 
 def recorded_motion(
     robot: Robot,
-    tree: tuple[TreeJoint, ...],
     tip: Frame,
     motion: GuidedMotion,
     colour: str = "",
@@ -333,7 +327,6 @@ def recorded_motion(
 
     Args:
         robot: Whose joints move.
-        tree: Its joints as the page moves them.
         tip: Frame whose path is drawn.
         motion: What is played.
         colour: Its colour, hexadecimal.
@@ -346,7 +339,7 @@ def recorded_motion(
     """
     recording, name, time, q = motion.recording, motion.name, motion.samples.time, motion.samples.q
     keys = key_frames(time)
-    tracks = joint_tracks(robot, tree, q[keys])  # first: it refuses postures of the wrong size
+    tracks = joint_tracks(robot, q[keys])  # first: it refuses postures of the wrong size
     path_keys = keys[evenly(keys.size, MAX_PATH_POINTS)]
     path_times, poses = time[path_keys], robot.frame_kinematics(tip).poses(q[path_keys])
     curve_times, curve, status, own, held, around = np.zeros(0), np.zeros(0), [], (), {}, ()

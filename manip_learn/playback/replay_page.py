@@ -22,11 +22,9 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.linalg import finite
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.mechanism_drawing import MechanismDrawing, mechanism_drawing
+from manip_learn.playback.constraint_marks import MechanismDrawing, mechanism_drawing
 from manip_learn.playback.page_writer import in_cell, page
-from manip_learn.playback.palette import rollout_colours
-from manip_learn.playback.phase_bands import WAY, Phase, phase_bands, phase_kinds, phases_from_json
+from manip_learn.playback.palette import WAY, Phase, phase_bands, phase_kinds, phases_from_json, rollout_colours
 from manip_learn.playback.recorded_motion import GuidedMotion, RecordedMotion, guided_motion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
@@ -77,22 +75,15 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
 def _facts(content: Mapping[str, Any]) -> list[list[str]]:
     """Return name, number and meaning of what the report knows."""
     gap, angle, estimator = finite(content.get("gap")), finite(content.get("uncertainty_deg")), content.get("estimator")
+    large, precision = gap is not None and gap >= 1000, "" if angle is None else error_in_words(float(angle), "degrees")
     n, samples, recordings = (content.get(k) for k in ("n_constraints", "n_samples", "n_trajectories"))
     asked = counted(n, "row") if isinstance(n, int) else "this number of rows"
     scale = "1.5 and above is clear" if estimator == "joint" else "10 and above is clear, below 3 says little"
     left = _in_words("{:.2g} %", content.get("held_out_residual"), 100.0)
     facts = [
-        [
-            "Gap",
-            _in_words("{:,.3g}" if gap is None or gap < 1000 else "{:,.0f}", gap),
-            f"how clearly the data ask for {asked}: {scale}",
-        ],
+        ["Gap", _in_words("{:,.0f}" if large else "{:,.3g}", gap), f"how clearly the data ask for {asked}: {scale}"],
         ["Residual", left, "share of the motion left unexplained in recordings not learnt from"],
-        [
-            "Direction",
-            "" if angle is None else error_in_words(float(angle), "degrees"),
-            "68 % of repetitions with other recordings stay within it",
-        ],
+        ["Direction", precision, "68 % of repetitions with other recordings stay within it"],
     ]
     if isinstance(samples, int) and isinstance(recordings, int):
         meaning = f"of {counted(recordings, 'recording')}" + (f"; estimator: {_text(estimator)}" if estimator else "")
@@ -223,11 +214,10 @@ def replay(
     if not isinstance(first, Mapping | None):  # as in a damaged file
         sentence = f"the mechanism must be a dictionary, got {first!r:.60}: learn it again"
         raise RecordingError(sentence, code="mechanism")
-    tip_name, tree, bands = _shown_tip(robot, tip, guided), kinematic_tree(robot), phase_bands(phases, list(named))
-    frame, looks = robot.frame(tip_name), appearance(robot, tree)
+    tip_name, bands, looks = _shown_tip(robot, tip, guided), phase_bands(phases, list(named)), appearance(robot)
     colouring = rollout_colours(list(named), colours or {}, neutral=bool(phases))
     motions = [
-        recorded_motion(robot, tree, frame, m, colour, bands[m.name], first)
+        recorded_motion(robot, robot.frame(tip_name), m, colour, bands[m.name], first)
         for m, (_, colour) in zip(guided, colouring, strict=True)
     ]
     drawings = _drawings(first, motions)
@@ -237,7 +227,7 @@ def replay(
     rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guided[0].constraints]
     words = zip(drawings, rows or [""] * len(drawings), strict=False)
     kinds = phase_kinds(phases, [(drawn and drawn.type) or row for drawn, row in words]) if phases else ()
-    data = scene_data(robot, tree, looks, tip_name, motions, all_notes, kinds, drawings) | {
+    data = scene_data(robot, looks, tip_name, motions, all_notes, kinds, drawings) | {
         "evidence": evidence if learnt else None,
         "zero": zero,
         "made": next((made for provenance in kept if (made := provenance.get("made"))), None),
@@ -319,10 +309,12 @@ def _done(shown: RecordedMotion, several: bool) -> list[list[str]]:
         joint = way.get("fastest_joint")
         name, share = (joint.get("name"), joint.get("share_of_limit")) if isinstance(joint, Mapping) else ("", None)
         fastest = _in_words("{:.0f} % of its limit", share, 100.0)
-        numbers = _in_words("{:.1f} mm", way.get("deviation"), 1e3), fastest and f"{fastest} ({_text(name)})"
-        rows.append(
-            [whose, place, "".join(_way_in_words(way)), *numbers, _in_words("{:.0f} %", way.get("margin"), 1e2)]
+        deviation, margin = (
+            _in_words("{:.1f} mm", way.get("deviation"), 1e3),
+            _in_words("{:.0f} %", way.get("margin"), 1e2),
         )
+        fastest = fastest and f"{fastest} ({_text(name)})"
+        rows.append([whose, place, "".join(_way_in_words(way)), deviation, fastest, margin])
     return rows
 
 
@@ -345,14 +337,12 @@ def _drawings(
         places = np.concatenate(held if any(map(len, held)) else [m.path for m in motions])
         if described is not None and described.get("type") == "line":
             # a line is drawn where hands took hold, or where that of a rollout does: its direction alone was learnt
-            begin = next(
-                (m.path[np.searchsorted(m.path_times, s[0][0])] for m in motions for s in m.content["handles"][:1]),
-                None,
-            )
+            holding = [(m, m.content["handles"][0][0][0]) for m in motions if m.content["handles"]]
             if isinstance(shown, Shown) and shown.hold is not None:
                 described, places = {**described, "point": shown.hold}, np.vstack([shown.points, places])
-            elif k == 0 and begin is not None:
-                described = {**described, "point": begin}
+            elif k == 0 and holding:
+                m, begin = holding[0]
+                described = {**described, "point": m.path[np.searchsorted(m.path_times, begin)]}
         drawn.append(mechanism_drawing(described, places, shown))
     return tuple(drawn)
 
@@ -368,19 +358,17 @@ def _shown_tip(robot: Robot, tip: str | None, motions: Sequence[GuidedMotion]) -
 
 
 def named_recordings(rollouts: Mapping[str, Recording] | Recording) -> dict[str, Recording]:
-    """Name -> rollout or recording, of one or of many.
+    """Return the rollouts or recordings by their names, given one or many.
 
     Raises:
         RecordingError: None at all, or something else.
     """
-    if isinstance(rollouts, Rollout | Trajectory):
-        rollouts = {getattr(rollouts, "name", "rollout"): rollouts}
     if not isinstance(rollouts, Mapping):
-        raise RecordingError(f"rollouts must be a dictionary from names to rollouts, got {rollouts!r:.80}", code="type")
+        rollouts = {getattr(rollouts, "name", "rollout"): rollouts}
     if not rollouts:
         raise RecordingError("there is nothing to replay: give at least one rollout", code="empty")
     for name, rollout in rollouts.items():
         if not isinstance(name, str) or not isinstance(rollout, Rollout | Trajectory):
-            sentence = f"rollout {name!r} must be a Rollout or a Trajectory under a name, got {rollout!r:.80}"
-            raise RecordingError(sentence, code="type")
+            wanted = "must be a Rollout or a Trajectory; of several, give a dictionary from names to rollouts"
+            raise RecordingError(f"rollout {name!r} {wanted}, got {rollout!r:.80}", code="type")
     return dict(rollouts)

@@ -10,12 +10,10 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.playback.appearance import Appearance, Shape
-from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale
-from manip_learn.playback.kinematic_tree import TreeJoint
-from manip_learn.playback.mechanism_drawing import MechanismDrawing
+from manip_learn.playback.appearance import Appearance, Shape, kinematic_tree
+from manip_learn.playback.constraint_marks import MechanismDrawing, constraint_marks, ellipsoid_scale
 from manip_learn.playback.page_writer import packed
-from manip_learn.playback.phase_bands import PhaseKind
+from manip_learn.playback.palette import PhaseKind
 from manip_learn.playback.recorded_motion import MOST_OF_A_CURVE, RecordedMotion, track_data
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import Mesh
@@ -27,7 +25,6 @@ CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # of a cube with sides
 
 def scene_data(
     robot: Robot,
-    tree: tuple[TreeJoint, ...],
     looks: Appearance,
     tip: str,
     motions: Sequence[RecordedMotion],
@@ -39,7 +36,6 @@ def scene_data(
 
     Args:
         robot: The robot.
-        tree: Its joints as the page moves them.
         looks: How it is drawn.
         tip: Name of the frame whose path is drawn.
         motions: What is played.
@@ -67,16 +63,15 @@ def scene_data(
         constraints, measures = m.motion.constraints, track_data(m.measures, most)
         each = places // max(len(constraints), 1)
         marks = [constraint_marks(robot, m.motion, c, each) for c in constraints]
-        around = [thing for thing, _ in things]
-        rollouts.append({**m.content, "measures": measures, "marks": marks, "around": around})
+        rollouts.append({**m.content, "measures": measures, "marks": marks, "around": [thing for thing, _ in things]})
     longest = max((mark.pop("longest") for r in rollouts for mark in r["marks"] if mark is not None), default=0.0)
     return {
-        "robot": _robot(robot, tree, looks, tip),
+        "robot": _robot(robot, looks, tip),
         "bounds": [cloud.min(axis=0).tolist(), cloud.max(axis=0).tolist()],
         "outline": _outline(cloud).round(5).tolist(),
         "azimuth": _azimuth(motions),
         "floor": float(min(cloud[:, 2].min(), 0.0)),
-        "view": "top" if _is_flat(tree) else "iso",
+        "view": "top" if _is_flat(robot) else "iso",
         "rollouts": rollouts,
         # the longest semi-axis takes 8 % of the scene
         "ellipsoidScale": ellipsoid_scale(longest, 0.08 * _extent(cloud)),
@@ -101,9 +96,9 @@ def _outline(cloud: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
     return cloud[np.unique(np.argmax(cloud @ np.array([ring * np.cos(turn), ring * np.sin(turn), height]), axis=0))]
 
 
-def _is_flat(tree: tuple[TreeJoint, ...]) -> bool:
-    """True if all motion of the arm is in the horizontal plane: it is seen from above."""
-    rotation = [np.eye(3)]
+def _is_flat(robot: Robot) -> bool:
+    """Return True if all motion of the arm is in the horizontal plane: it is seen from above."""
+    rotation, tree = [np.eye(3)], kinematic_tree(robot)
     for joint in tree[1:]:
         rotation.append(rotation[joint.parent] @ joint.placement[:3, :3])
         upright = abs(float((rotation[-1] @ joint.axis)[2]))
@@ -112,8 +107,8 @@ def _is_flat(tree: tuple[TreeJoint, ...]) -> bool:
     return len(tree) > 1
 
 
-def _robot(robot: Robot, tree: tuple[TreeJoint, ...], looks: Appearance, tip: str) -> dict[str, Any]:
-    frames = robot.pinocchio_model.frames
+def _robot(robot: Robot, looks: Appearance, tip: str) -> dict[str, Any]:
+    frames, tree = robot.pinocchio_model.frames, kinematic_tree(robot)
     links = {name: frames[robot.frame(name).index] for name in robot.frame_names}
     return {
         "tip": tip,

@@ -13,8 +13,8 @@ from jaxtyping import Float
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.errors import counted
+from manip_learn.playback.appearance import joint_tracks
 from manip_learn.playback.constraint_marks import held_directions
-from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
 from manip_learn.playback.live_viewer import live_page
 from manip_learn.playback.page_writer import REPLAY, packed
 from manip_learn.robot.robot import Robot
@@ -72,7 +72,7 @@ class TeachingPicture:
     """
 
     def __init__(self, robot: Robot, tip: str):
-        self._robot, self._tip, self._tree = robot, tip, kinematic_tree(robot)
+        self._robot, self._tip = robot, tip
         rng = np.random.default_rng(0)
         # directions in which the tip can move at all, in any of 20 random postures: two for an arm in a plane
         drawn = (robot.random_configuration(rng) for _ in range(20))
@@ -102,7 +102,7 @@ class TeachingPicture:
         gaps = np.minimum(q - robot.position_lower, robot.position_upper - q)
         return {
             "time": arm.time,
-            "values": joint_tracks(robot, self._tree, q[None])[0].tolist(),
+            "values": joint_tracks(robot, q[None])[0].tolist(),
             "furniture": [[*arm.handle_place.tolist(), *arm.data.body("handle").xquat.tolist()]],  # real part first
             "held": [arm.held],
             "near": 0 if arm.is_near else None,

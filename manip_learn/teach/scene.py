@@ -22,7 +22,7 @@ from manip_learn.constraint.place import across
 from manip_learn.errors import ConfigurationError, MissingExtraError, counted, few
 from manip_learn.planning.clearance import hand_of, links_of
 from manip_learn.planning.scene import Box, Scene
-from manip_learn.playback.kinematic_tree import kinematic_tree
+from manip_learn.playback.appearance import kinematic_tree
 from manip_learn.robot.collision import collision_shapes, known_shapes
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix

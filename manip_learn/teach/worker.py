@@ -127,8 +127,8 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], file: str
     """
     from manip_learn.constraint.features import FrameJacobian
     from manip_learn.learning import ConstraintLearner
-    from manip_learn.playback.mechanism_drawing import mechanism_drawing
-    from manip_learn.playback.phase_bands import phase_kinds
+    from manip_learn.playback.constraint_marks import mechanism_drawing
+    from manip_learn.playback.palette import phase_kinds
     from manip_learn.playback.replay_page import evidence_of
     from manip_learn.recordings import load_demonstrations
 
@@ -256,7 +256,7 @@ def ghost(
         curve: shape (T,), manipulability, or None.
         ended: How it ended, in words.
     """
-    from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
+    from manip_learn.playback.appearance import joint_tracks
     from manip_learn.playback.page_writer import packed
     from manip_learn.recordings.trajectory import evenly
 
@@ -268,7 +268,7 @@ def ghost(
         "colour": colour,
         "duration": float(times[-1]),
         "keyTimes": packed(times, "<f8"),
-        "tracks": packed(joint_tracks(robot, kinematic_tree(robot), np.asarray(q)[kept]), "<f8"),
+        "tracks": packed(joint_tracks(robot, np.asarray(q)[kept]), "<f8"),
         "curveTimes": packed(times if len(mu) else mu, "<f8"),
         "curve": packed(mu, "<f8"),
         "ended": ended,
