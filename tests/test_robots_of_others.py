@@ -183,14 +183,13 @@ def test_inspect_says_first_what_one_must_know(tmp_path: Path, capsys) -> None:
     tips = likely_tips(gripper(tmp_path / "a.urdf"))  # the propeller has one joint more above it
     assert "gripper_prop_link" not in tips and tips[0] == "ee_gripper_link"
     assert main(["inspect", str(tmp_path / "a.urdf")]) == 0
-    said = capsys.readouterr().out.replace("\n", " ")
+    said = " ".join(capsys.readouterr().out.split())
     for words in (
-        "likely tips: ee_gripper_link",
-        "moving ee_gripper_link: shoulder, elbow",
-        "not: gripper, left_finger",
+        "likely tips ee_gripper_link",
+        "moving ee_gripper_link shoulder, elbow; not: gripper, left_finger",
+        "no position limits gripper",
     ):
         assert words in said, said
-    assert "without position limits: gripper" in said
 
 
 def test_the_hand_that_stood_still_is_not_learnt_about(tmp_path: Path) -> None:
