@@ -58,6 +58,7 @@ LAST_LINES_OF_DEFENCE = (
     *("cli.py", "control/servo_loop.py", "control/driver.py"),
     *("robot/visuals/meshes.py", "robot/description/xacro_expansion.py"),
     *("drivers/record.py", "commands/record.py", "teach/worker.py"),
+    "playback/live_viewer.py",
 )
 
 

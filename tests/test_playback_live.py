@@ -151,7 +151,7 @@ def test_page_and_stream(viewer):
 
 
 def test_strangers_get_nothing_and_are_not_heard(process, heard):
-    """Another host (DNS rebinding) or origin and a wrong address are refused, whatever is asked or said."""
+    """Another host (DNS rebinding) or origin, a wrong address, another kind of body, no page, no JSON object."""
     url, port, token = process.url, urlsplit(process.url).port, urlsplit(process.url).path
     assert answer(url) == (200, HELLO)
     assert answer(url, Host=f"localhost:{port}", Origin=f"http://localhost:{port}")[0] == 200
@@ -165,7 +165,22 @@ def test_strangers_get_nothing_and_are_not_heard(process, heard):
     for path in elsewhere:
         with case(path):
             assert answer(url, path)[0] == 404
-    assert post(url, path="/said?page=a-1") == 404 and answer(url, method="PUT")[0] == 501
+    for headers, status in (
+        ({"path": "/said?page=a-1"}, 404),
+        ({"Origin": None}, 403),
+        *(({"Content_Type": kind}, 415) for kind in (None, "text/plain", "text/plain; application/json")),
+        *(({"Content_Length": length}, 411) for length in (None, "-1")),
+        ({"Content_Length": None, "Transfer_Encoding": "chunked"}, 411),
+        *(({"Content_Length": length}, 413) for length in (16 * 2**20 + 1, 10**4000)),
+        *(({"path": path}, 400) for path in ("said?page=", "said?page=a%0ab", "said?page=" + 65 * "a")),
+        *(({"path": path}, 404) for path in ("", "events?page=a", "files/x", "said/?page=a", "../said?page=a")),
+    ):
+        with case(headers):
+            assert post(url, **headers) == status
+    for body in (b"", b"{", b"[]", b"1", b"null", b"{}{}", b"\xff", b'{"to": NaN}', b'{"to": 1e999}',
+                 b'{"to": ' + 10_000 * b"9" + b"}", b'{"a":' * 3_000 + b"1" + b"}" * 3_000):  # fmt: skip
+        assert post(url, body) == 400, body[:20]
+    assert answer(url, method="PUT")[0] == 501 and answer(url, "events")[0] == 400
     assert heard == []
     assert post(url) == 204
     assert heard.until(len) == [{"page": "a-1", "said": {"do": "stop"}}]
@@ -177,9 +192,9 @@ def test_strangers_get_nothing_and_are_not_heard(process, heard):
 
 
 def test_only_this_machine_can_connect(viewer):
-    """The server listens on 127.0.0.1 and on no other address."""
+    """The server listens on 127.0.0.1 and on no other address; pages of a viewer say nothing."""
     port = urlsplit(viewer.url).port
-    assert urlsplit(viewer.url).hostname == "127.0.0.1"
+    assert urlsplit(viewer.url).hostname == "127.0.0.1" and post(viewer.url) == 501
     if sys.platform == "linux":
         with open("/proc/net/tcp") as table, open("/proc/net/tcp6") as table6:
             rows = [line.split() for line in [*table, *table6][1:]]
@@ -272,6 +287,9 @@ def test_slow_clients_lock_nobody_out(process):
             connection.settimeout(20.0)
             with contextlib.suppress(ConnectionError):
                 assert connection.recv(1) == b""
+        for n in range(10, 50):
+            kept.enter_context(stream(process.url, f"a{n}"))
+        assert answer(process.url, "events?page=b")[0] == 503
 
 
 @pytest.mark.parametrize("code", ["raise SystemExit(1)", "import time; time.sleep(60)", "print('no port', flush=True)"])
@@ -353,7 +371,7 @@ def test_files_are_those_offered(process, tmp_path):
     (tmp_path / "q.csv").write_bytes(bytes(range(256)) * 3000)
     (tmp_path / "page.html").write_text("<script>")
     name = 'a "b"\r\nX: \u00e4.html'
-    files = {"take.csv": tmp_path / "q.csv", name: tmp_path / "page.html", "gone": tmp_path / "x"}
+    files = {"take.csv": tmp_path / "q.csv", name: tmp_path / "page.html", "gone": tmp_path / "x", "dir": tmp_path}
     process.offer(files)
     process.put(lambda: "{}", "state")
     with stream(process.url) as events:
@@ -366,21 +384,30 @@ def test_files_are_those_offered(process, tmp_path):
     with asked(process.url, "files/" + quote(name)) as given:
         assert given.read() == b"<script>" and given.headers["Content-Disposition"] == "attachment"
     outside = ("secret.csv", "../secret.csv", "%2e%2e/secret.csv", "..%2fsecret.csv", f"{tmp_path}/secret.csv", "q.csv")
-    for odd in (*outside, "", ".", "..", "take.csv/", "take.csv%00", "gone", "take.csv/../secret.csv"):
+    for odd in (*outside, "", ".", "..", "take.csv/", "take.csv%00", "gone", "dir", "take.csv/../secret.csv"):
         assert answer(process.url, "files/" + odd)[0] == 404, odd
 
 
-def test_failures_of_the_program_are_told(process, monkeypatch):
-    """Where the program fails to make a message, Python tells it once, and the program and its page go on."""
-    failures = Heard()
-    monkeypatch.setattr(threading, "excepthook", lambda failure: failures(failure.exc_type))
+def test_failures_of_the_program_are_told(heard, caplog):
+    """Where the program fails on what it hears, or to make a message, that is logged once and the rest goes on."""
+
+    def failing(line):
+        heard(line)
+        if "said" in line:
+            raise KeyError("nobody knows this")
+
+    process = LiveProcess(lambda token: HELLO.decode(), 10.0, failing)
     for _ in range(3):
-        process.put(lambda: str(1 / 0))
-    failures.until(len)
-    process.put(lambda: str(1 / 0))
-    assert process.is_open and answer(process.url) == (200, HELLO)
+        assert post(process.url) == 204
+        process.put(lambda: str(1 / 0), "state")
+    heard.until(lambda all_: len(all_) == 3)
+    with stream(process.url) as events:
+        process.put(lambda: "1", "pose")
+        assert next(events) == ("pose", 1)
+        heard.until(lambda all_: len(all_) == 4)
     process.close()
-    assert failures == [ZeroDivisionError]
+    assert sorted(record.exc_info[0].__name__ for record in caplog.records) == ["KeyError", "ZeroDivisionError"]
+    assert all(record.name == "manip_learn" and record.levelname == "ERROR" for record in caplog.records)
 
 
 def test_busy_program_holds_up_nobody(heard):
@@ -404,6 +431,7 @@ def test_busy_program_holds_up_nobody(heard):
             while next(events) != ("pose", n):
                 pass
             assert answer(process.url) == (200, HELLO)
+    assert len(statuses) < len(speakers)  # a pipe holds a few
     go_on.set()
     for speaker in speakers:
         speaker.join()

@@ -94,9 +94,9 @@ def test_path_and_status_are_the_rollouts(robot_of, tmp_path):
     """The path goes through the tip at its times; the strip says when each status begins."""
     robot = robot_of("sawyer")
     tip, rollout = robot.frame("right_hand"), waving(robot)
-    _, _, _, path, times = played(robot, rollout, tmp_path, tip="right_hand")
-    at = np.searchsorted(rollout.time, times - 1e-5)
-    np.testing.assert_allclose(path, [robot.position(rollout.q[i], tip) for i in at], atol=1e-7)  # of float32
+    motion = recorded_motion(robot, tip, guided_motion(robot, "a", rollout))
+    at = np.searchsorted(rollout.time, motion.path_times - 1e-9)
+    np.testing.assert_allclose(motion.path, [robot.position(rollout.q[i], tip) for i in at], atol=1e-12)
     robot, time, words = robot_of("one"), np.arange(6.0), ("ok", "ok", "damped", "ok", "ok", "singular")
     rollout = Rollout(time, np.zeros((6, 1)), np.zeros((6, 1)), time, words, robot.joint_names, time)
     changes = [(t, word) for t, word, _ in played(robot, rollout, tmp_path)[0]["status"]]

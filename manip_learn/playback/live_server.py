@@ -1,7 +1,8 @@
 """The process behind a live view; run as a script with nothing but the standard library, never imported.
 
 It reads from stdin lines `SLOT JSON`, of which the newest of each slot counts; the first has `{"page": HTML, "token":
-text}`. On 127.0.0.1 it serves the page, a stream of the newest slots, and the files of the slot `files`.
+text, "hears": whether pages may say something}`. On 127.0.0.1 it serves the page, a stream of the newest slots, and the
+files of the slot `files`.
 To stdout it writes its port, and then a line for each thing that a page says (`{"page": its id, "said": {...}}`) and
 `{"pages": [ids]}` whenever one comes or goes. It ends when stdin closes or its parent is gone. Each connection has a
 thread of its own and a limit of time for whatever it does. stderr is read by nobody: the messages of `http.server` end
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import select
 import sys
 import threading
@@ -20,6 +22,10 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import unquote
 
 HOST = "127.0.0.1"
+SLOWEST = 5.0  # [s] that a browser or the program may take for a part of what is said
+MOST_STREAMS = 50  # browsers at a time
+MOST_SAID = 16 * 2**20  # [bytes] of a body: recordings are dropped on the page
+PAGE_ID = re.compile("[A-Za-z0-9-]{1,64}")
 HEADERS = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
@@ -44,9 +50,9 @@ class LiveServer(ThreadingHTTPServer):
 
     request_queue_size = 128  # connections that wait for a thread
 
-    def __init__(self, page: str, token: str):
+    def __init__(self, page: str, token: str, hears: bool):
         super().__init__((HOST, 0), _Answer)
-        self.root = f"/{token}/"
+        self.root, self.hears = f"/{token}/", hears
         self.origins = {f"http://{name}:{self.server_port}" for name in (HOST, "localhost")}
         self.pages = {"": ("html", page.encode()), "afterwards.js": ("javascript", AFTERWARDS)}
         self.slots: dict[bytes, tuple[int, bytes]] = {}  # each with the number of its change, the newest last
@@ -81,7 +87,7 @@ class _Answer(SimpleHTTPRequestHandler):
     """The requests of one connection."""
 
     protocol_version = "HTTP/1.1"
-    timeout = 5.0  # [s] that a browser may take for an event, the page or a part of its request, before it is dropped
+    timeout = SLOWEST
     path, page = "", ""  # below the secret address, and the id of the page that asks
     server: LiveServer
 
@@ -120,18 +126,49 @@ class _Answer(SimpleHTTPRequestHandler):
 
     def translate_path(self, path: str) -> str:
         """Return the file that was offered under this path, or an empty name, which no file has."""
-        return self.server.files.get(unquote(path), "")
+        offered = self.server.files.get(unquote(path), "")
+        return offered if os.path.isfile(offered) else ""
 
     def do_POST(self) -> None:
-        """Hear what a page says."""
-        said = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-        self.server.tell({"page": self.page, "said": said})
+        """Hear what a page says: a JSON object of finite numbers, with its length."""
+        headers, length = self.headers, self.headers["Content-Length"] or ""
+        is_counted = length.isascii() and length.isdigit() and headers["Transfer-Encoding"] is None
+        is_long = is_counted and (len(length) > len(str(MOST_SAID)) or int(length) > MOST_SAID)
+        is_json = headers["Content-Type"] is not None and headers.get_content_type() == "application/json"
+        refusals = {
+            501: not self.server.hears,
+            403: headers["Origin"] is None,  # only a page of this address may say something
+            404: self.path != "said",
+            415: not is_json,
+            400: not PAGE_ID.fullmatch(self.page),
+            411: not is_counted,
+            413: is_long,
+        }
+        if (refused := next((code for code, applies in refusals.items() if applies), None)) is not None:
+            return self.send_error(refused)
+        try:
+            said = json.loads(self.rfile.read(int(length)).decode())
+            json.dumps(said, allow_nan=False)
+        except (ValueError, RecursionError):
+            said = None
+        if not isinstance(said, dict):
+            return self.send_error(400)
+        if not self.server.speaking.acquire(timeout=SLOWEST):
+            return self.send_error(503)  # the program has not taken the lines before
+        try:
+            self.server.tell({"page": self.page, "said": said})
+        finally:
+            self.server.speaking.release()
         self.send_response(204)
         self.end_headers()
 
     def _stream(self) -> None:
         """Send the newest of each slot that has changed until the browser leaves, which its end tells."""
         server, seen = self.server, 0
+        if (server.hears or self.page) and not PAGE_ID.fullmatch(self.page):
+            return self.send_error(400)
+        if len(server.streams) >= MOST_STREAMS:
+            return self.send_error(503)
         server.streams.append(self.page)
         try:
             server.tell_pages()

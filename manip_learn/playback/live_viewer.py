@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import secrets
 import select
 import subprocess
 import sys
 import threading
 import time as clock
+import traceback
 import weakref
 import webbrowser
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,6 +37,7 @@ from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
+_LOGGER = logging.getLogger("manip_learn")
 SERVER = Path(__file__).with_name("live_server.py")
 
 
@@ -44,15 +47,16 @@ class LiveProcess:
 
     Messages have slots. The pages get the newest of each, and one that is opened later gets them all at once. `put`
     never waits: the thread writes the newest ones as often as a screen shows pictures, and only the thread waits if the
-    server is slow. No message is written after one that was put later. Where a function of the program fails, Python
-    reports the failure of the thread, which ends; the program goes on.
+    server is slow. No message is written after one that was put later. Where a function of the program fails, that is
+    logged once, and the rest goes on.
 
     Args:
         make_page: Token -> the page to serve.
         timeout: How long the server may take to start [s].
         heard: Called in a thread of its own, for one line after the other, with `{"page": id, "said": {...}}` for what
             a page has posted, and with `{"pages": [ids]}` whenever one comes or goes: the ids of the pages that are
-            open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s.
+            open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s. None:
+            pages may say nothing.
         frames_per_second: How often the newest messages are written at most; as most screens show pictures.
 
     Raises:
@@ -63,12 +67,13 @@ class LiveProcess:
         self,
         make_page: Callable[[str], str],
         timeout: float,
-        heard: Callable[[Mapping[str, Any]], object] = lambda line: None,
+        heard: Callable[[Mapping[str, Any]], object] | None = None,
         frames_per_second: float = 60.0,
     ):
         token = secrets.token_urlsafe(18)
-        header = json.dumps({"page": make_page(token), "token": token})
+        header = json.dumps({"page": make_page(token), "token": token, "hears": heard is not None})
         self._heard, self._interval = heard, 1.0 / frames_per_second
+        self._failed = set[tuple[Any, ...]]()
         self._newest = {"begin": lambda: header}  # message of each slot, in the order in which they were put
         self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
         self._wake = threading.Event()
@@ -141,7 +146,9 @@ class LiveProcess:
     def _listen(self) -> None:
         """Hand on each line of the server until it ends."""
         for line in iter(self._process.stdout.readline, b""):
-            self._heard(json.loads(line))
+            with self._logged():
+                if self._heard is not None:
+                    self._heard(json.loads(line))
             if not self.is_open:
                 return
 
@@ -154,11 +161,24 @@ class LiveProcess:
             with self._lock:
                 newest, self._newest = self._newest, {}
             for slot, message in newest.items():
-                line = f"{slot} {message()}\n".encode()
-                with contextlib.suppress(OSError, ValueError):  # the server is gone, or the pipe was closed
-                    self._process.stdin.write(line)
-                    self._process.stdin.flush()
+                with self._logged():
+                    line = f"{slot} {message()}\n".encode()
+                    with contextlib.suppress(OSError, ValueError):  # the server is gone, or the pipe was closed
+                        self._process.stdin.write(line)
+                        self._process.stdin.flush()
             clock.sleep(max(due - clock.monotonic(), 0.0))
+
+    @contextlib.contextmanager
+    def _logged(self) -> Iterator[None]:
+        """Log a failure of the program in this block, once for each place: 60 a second would hide the first."""
+        try:
+            yield
+        except Exception as error:  # whatever a function of the program raises in our thread: the rest goes on
+            *_, (frame, number) = traceback.walk_tb(error.__traceback__)
+            place = type(error), frame.f_code.co_filename, number
+            if place not in self._failed:
+                self._failed.add(place)
+                _LOGGER.exception("live view: the program failed on a message or on what a page said; told once")
 
 
 @final

@@ -309,10 +309,8 @@ def _done(shown: RecordedMotion, several: bool) -> list[list[str]]:
         joint = way.get("fastest_joint")
         name, share = (joint.get("name"), joint.get("share_of_limit")) if isinstance(joint, Mapping) else ("", None)
         fastest = _in_words("{:.0f} % of its limit", share, 100.0)
-        deviation, margin = (
-            _in_words("{:.1f} mm", way.get("deviation"), 1e3),
-            _in_words("{:.0f} %", way.get("margin"), 1e2),
-        )
+        deviation = _in_words("{:.1f} mm", way.get("deviation"), 1e3)
+        margin = _in_words("{:.0f} %", way.get("margin"), 1e2)
         fastest = fastest and f"{fastest} ({_text(name)})"
         rows.append([whose, place, "".join(_way_in_words(way)), deviation, fastest, margin])
     return rows

@@ -41,7 +41,7 @@ class TeachLink {
   // In the order in which it was said.
   say(said) {
     this.spoken = this.spoken.then(() => this.post(said)).then(
-      (answer) => { if (!answer.ok) this.onRefused(`The program did not accept that (${answer.status}).`); },
+      (answer) => { if (!answer.ok) this.onRefused(answer.status === 413 ? "That is too much at once: at most 16 MB." : `The program did not accept that (${answer.status}).`); },
       () => this.onRefused("The program did not hear that: is it still running?"),
     );
     return this.spoken;
