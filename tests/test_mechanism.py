@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from mechanism_motions import T, about, along, ball, demonstrate, wave
+from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
@@ -155,6 +156,18 @@ def test_too_short_an_arc_is_not_called_straight_without_a_word(robot_of):
         assert any("hinge would fit as well" in w for w in report.warnings)
     elif report.mechanism is not None:
         assert report.mechanism.uncertainty["radius"] > 0.005
+
+
+def test_a_hand_that_turns_alike_each_time_is_no_screw(robot_of):
+    """A drawer drawn three times along one path, the hand turning with the way: a line, not a helix near it."""
+
+    def path(pose, rng):
+        p, _ = along(AXIS[None], 0.25, False)(pose, rng)
+        turn = Rotation.from_rotvec(0.8 * np.outer((p - pose[:3, 3]) @ AXIS, across(AXIS)[0]))  # 11 degrees
+        return p, turn.as_matrix() @ pose[:3, :3]
+
+    m = find(robot_of, "panda", record(robot_of, "panda", path, n=3, grip=0.02))
+    assert m.type == "line" and degrees_between(m.axis, AXIS) < 0.25
 
 
 def test_free_motion_is_no_mechanism(robot_of):

@@ -24,6 +24,7 @@ from manip_learn.learning.repeats import once_each
 from manip_learn.learning.search import SAME, Explanation, broken_energy, explain, lone_contacts
 from manip_learn.learning.table import (
     CLEAR_GAP,
+    FARTHEST,
     LEAST_GAIN,
     LEAST_MOTION,
     OVER_NOISE,
@@ -458,9 +459,8 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     told = known is not None and known.kind.type == "ball" and (known.mechanism.radius or 0.0) > ON_THE_AXIS
     if whole and fit.motion.J is not None and not told:
         firm = whole_fit(whole, fit, spans, settings, gate)
-        if firm and known is not None and held_kind(known, fit.motion)[0] is not known.kind:
-            # a grip that gives way turns more than it slides: where the place tells as much, it tells it better
-            firm = firm if firm.variance <= OVER_NOISE * fit.variance else None
+        # a grip that gives way turns more than it slides, and a hand that is free to turn may turn alike each time
+        firm = None if firm and known is not None and firm.variance > OVER_NOISE * fit.variance else firm
     sizes, _, gaps = levels_on(view, spans)
     a = Answer(view, spans, fit.rows, sizes, gaps, evidence=evidence, fit=fit, firm=firm)
     inside = table.inside(spans, learnt_from=True)
@@ -541,6 +541,12 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
         out.append(f"{leaves} in the same way in all recordings: the true shape is another one")
     elif left > LEAST_MOTION and fit.alike > 2.0 and a.over_noise > OVER_NOISE:
         out.append(f"{leaves}, {a.over_noise:.0f} times the encoders' noise: it gives way, or has another shape")
+    if a.placed is not None and a.placed.kind.type == "line":
+        far = float(np.linalg.norm(np.ptp(fit.motion.poses[:, :3, 3], axis=0)))
+        # three standard deviations of the curvature of a parabola through evenly spaced samples
+        bend = np.sqrt(fit.dof / fit.alike) * far**2 / (3.0 * np.sqrt(720.0) * max(left, 1e-12))
+        if bend < FARTHEST:
+            out.append(f"move it farther than {1e3 * far:.2g} mm: a hinge would fit as well, {bend:.2g} m away or more")
     if a.view.curved and kind_of(fit) is None:
         out.append("what holds the hand is a curved surface of no simple kind: its rows are right only where shown")
     return out
@@ -558,8 +564,8 @@ def completed(a: Answer, settings: Settings) -> Answer:
         kind, rms, apart = held_kind(known, fit.motion)
         kept = rms < min(KEPT, apart / WEAK_GAP)
         grip: Grip = "firm" if kind.orientation != "free" else "kept" if kept else "loose"
-        held: dict[str, Any] = {"orientation": kind.orientation, "name": kind.name, "orientation_rms": rms}
-        a.mechanism = replace(known.mechanism, grip=grip, **held)
+        held = replace(known.mechanism, grip=grip, orientation_rms=rms)
+        a.mechanism = replace(held, orientation=kind.orientation, name=kind.name)
         a.placed = replace(known, kind=kind, mechanism=a.mechanism)
         # constant rows that were asked for say all of a knob
         is_knob = kind.kind == "hinge" and any(str(f) == str(view.features) for f in settings.asked)
@@ -642,8 +648,6 @@ def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | Not
     fit = best_fit([v], v, np.eye(s, v.r), table.wholes, settings)
     a = answered(_Part(fit, 1.0, table.wholes), gate, (), settings)
     if isinstance(a, Answer) and len(table.moved) < FEWEST:
-        few, rows = counted(len(table.moved), "recording"), counted(s, "row")
-        a.warnings.append(
-            f"record 3, better 5, that differ: {few} cannot show that {rows} held rather than never tried"
-        )
+        few = f"{len(table.moved)} cannot show that {counted(s, 'row')} held rather than never tried"
+        a.warnings.append(f"record 3, better 5, that differ: {few}")
     return Found([a]) if isinstance(a, Answer) else a

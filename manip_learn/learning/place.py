@@ -40,6 +40,7 @@ from manip_learn.learning.fit import LEAST_RAD, STATED, Errors, Motion, RowFit, 
 from manip_learn.learning.gate import Gate
 from manip_learn.learning.table import (
     CLEAR_GAP,
+    FARTHEST,
     LEAST_GAIN,
     LEAST_MOTION,
     OVER_NOISE,
@@ -56,7 +57,6 @@ POOR = 1.0  # [deg] error of the direction, or of the place as seen from the han
 PIECES = (2, 4, 8, 16, 32)  # of a spline; as many as foretell the other recordings best
 KNOWN = {"axis": slice(0, 3), "point": slice(3, 6), "point-across": slice(3, 6), "pitch": slice(6, 7)}
 Places = Float[np.ndarray, "n 3"]
-FARTHEST = 3.0  # [m] beyond this an axis or a centre is not told from a line or a plane
 # [deg] RMS orientation of a firmly held hand about the mechanism: grips of a weld in simulation give way by 0.03
 # to 1.5, hands kept straight by habit by 1.6 to 5
 GIVES_WAY = 1.5

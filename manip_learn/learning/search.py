@@ -370,9 +370,8 @@ def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
             continue
         for rows in proposed(views[number].thin, now.states, views[number].largest, bool(np.isinf(switch))):
             tried = [Hypothesis(number, one) for one in rows]
-            gains = scored(
-                views, tried, ((2.0, 0.1), (2.0, 0.01)), baseline, switch
-            )  # two scales tell enough to compare
+            # two scales tell enough to compare
+            gains = scored(views, tried, ((2.0, 0.1), (2.0, 0.01)), baseline, switch)
             support = (gains.sum(axis=0) - (gains.max(axis=0) if len(gains) > 1 else 0.0)).max(axis=1)
             order = np.argsort(-support, kind="stable")
             order = order[support[order] > 0.0]

@@ -40,6 +40,7 @@ from manip_learn.robot.tips import likely_tips
 BELIEVED = 1.8
 SWITCH = 16.0  # [nats] a change of state: a chance of exp(-16) for each tenth of a second
 CHANGE = 0.1  # [s] samples closer together tell the same story; a change of what is held takes as long
+FARTHEST = 3.0  # [m] beyond this an axis or a centre is not told from a line or a plane
 OVER_NOISE = 4.0  # standard deviations beyond which it is motion
 SCAN_RATE = 25.0  # samples a second that are enough to judge a hypothesis
 SHORTEST = 3.0 * CHANGE  # [s] a stretch shorter than this is chance
