@@ -291,6 +291,14 @@ def test_refusals_are_json_too(run):
         assert error.get("near") == (["sawyer"] if code == "unknown-name" else None)
 
 
+def test_a_misspelt_shipped_recording_is_named(refusal):
+    """The near names are in the sentence about the missing file; without any, it ends as for every other file."""
+    for command in ("learn sawyer", "replay sawyer", "export sawyer --out x.csv"):
+        err = refusal(*command.split(), "sawyer_drawr")
+        assert "sawyer_drawr: there is no such file; check the path, or did you mean 'sawyer_drawer', " in err, command
+    assert refusal("learn", "sawyer", "nowhere.csv").endswith("nowhere.csv: there is no such file; check the path\n")
+
+
 def test_a_refusal_to_learn_holds_its_evidence(run):
     """The gaps and the advice are there for a program: free motion shows no constraint."""
     rng = np.random.default_rng(0)

@@ -193,6 +193,8 @@ def test_a_page_says_every_warning_of_the_terminal(
     ):
         assert main([*words, "--html", str(page)]) == 0, words
         printed, notes = (" ".join(t.split()) for t in (capsys.readouterr().out, " ".join(data_in(page)["notes"])))
-        doubts = [" ".join(doubt.removeprefix("warning: ").split()) for doubt in answers[-1].doubts]
+        doubts = [
+            " ".join(doubt.removeprefix("warning: ").split()) for doubt in (*answers[-1].warnings, *answers[-1].notes)
+        ]
         assert doubts and all(doubt in printed and doubt in notes for doubt in doubts), words
     assert answers[1].warnings and answers[-2].warnings  # there is something to say

@@ -142,16 +142,17 @@ def run(
             length = enough if options.duration is None else options.duration
             rollout = ml.simulate(robot, law, q0, length, dt, progress=progress)
     aim = aim_of(constraint, task, rollout) if options.target and isinstance(task, ml.PointAttractor) else None
-    return rollout, outcome(constraint, rollout, options.tolerance, way, aim, found)
+    answer = outcome(constraint, rollout, options.tolerance, way, aim)
+    if found is not None:
+        clear = f"; clear of {', '.join(found.around.names)}" if found.around.names else ""
+        said = f"plan: {found.sentence}; of {counted(found.candidates, 'posture')} that take hold{clear}"
+        content, warnings = answer.content | {"plan": found.to_dict()}, [*found.notes, *answer.warnings]
+        answer = replace(answer, content=content, remarks=[said, *answer.remarks], warnings=warnings)
+    return rollout, answer
 
 
 def outcome(
-    constraint: ml.Constraint,
-    rollout: ml.Rollout,
-    tolerance: float,
-    way: WayDone | None = None,
-    aim: Aim | None = None,
-    found: ml.Plan | None = None,
+    constraint: ml.Constraint, rollout: ml.Rollout, tolerance: float, way: WayDone | None = None, aim: Aim | None = None
 ) -> Answer:
     """Say what a rollout did, in numbers and in words.
 
@@ -161,7 +162,6 @@ def outcome(
         tolerance: Final error that counts as reached [m or rad].
         way: What became of a way along the mechanism; None without one.
         aim: What became of a typed target; None without one.
-        found: The plan that was followed; None without one.
     """
     r, error = rollout, float(rollout.task_error[-1])
     done = way is not None and way.is_done
@@ -176,7 +176,7 @@ def outcome(
         "final_error": error,
         "tolerance": tolerance,
         **(dict.fromkeys(("wanted", "done", "deviation", "seconds", "stopped_by")) if way is None else way.to_dict()),
-        "plan": None if found is None else found.to_dict(),
+        "plan": None,
         "margin": r.ways[-1].get("margin") if r.ways else None,
         "hold": None,
         "min_manipulability": float(r.manipulability.min()),
@@ -198,17 +198,13 @@ def outcome(
         far, wanted = (f"{abs(content[key]):.{digits}f}" for key in ("done", "wanted"))
         content["sentence"] = f"{verb} {far} of {wanted} {unit}"
         facts = {verb: f"{far} {content['unit']}"} | cells(content | {"millimetres": 1e3 * way.deviation}, _WAY)
-    remarks = [f"steps: {', '.join(f'{status} {n}' for status, n in r.status_counts.items())}"]
-    if found is not None:
-        clear = f"; clear of {', '.join(found.around.names)}" if found.around.names else ""
-        remarks.insert(0, f"plan: {found.sentence}; of {counted(found.candidates, 'posture')} that take hold{clear}")
     return Answer(
         content,
         title=content["sentence"],
         sentences=[f"the hand took hold at {place(content['hold'])}" if content["hold"] else ""],
         facts=facts,
-        remarks=remarks,
-        warnings=[*(() if found is None else found.notes), *_obstacles(content, way, aim)],
+        remarks=[f"steps: {', '.join(f'{status} {n}' for status, n in r.status_counts.items())}"],
+        warnings=list(_obstacles(content, way, aim)),
         notes=constraint.notes,
     )
 

@@ -15,8 +15,7 @@ from manip_learn.commands.loading import load_constraint, load_for_files, locks_
 from manip_learn.commands.options import ExportOptions, vector
 from manip_learn.commands.output import Answer, Progress
 from manip_learn.constraint.constraint import read_constraint_file
-from manip_learn.control.interop.force_control import WRITERS as TASK_WRITERS
-from manip_learn.control.interop.force_control import as_json
+from manip_learn.control.interop.force_control import WRITERS, as_json
 from manip_learn.errors import OutputError, counted
 from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
 from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, mcap_bytes
@@ -37,13 +36,13 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
         ManipLearnError: Anything that is wrong with the robot or the recordings.
     """
     progress("writing", 0.0)
-    if options.to is not None and options.to in TASK_WRITERS:
-        return _export_task(options, TASK_WRITERS[options.to])
+    if options.to is not None and options.to in WRITERS:
+        return _export_task(options, WRITERS[options.to])
     out = options.out
     by_ending = next((name for name, (endings, _) in _FORMATS.items() if out.suffix.lower() in endings), None)
     kind = options.to or by_ending or "lerobot"
     if kind not in (*_FORMATS, "lerobot"):
-        known = ", ".join([*_FORMATS, "lerobot", *TASK_WRITERS])
+        known = ", ".join([*_FORMATS, "lerobot", *WRITERS])
         raise OutputError(f"--to must be one of {known}, not {options.to!r}")
     if (options.to is None and by_ending is None and out.suffix) or by_ending not in (None, kind):
         raise OutputError(
@@ -59,16 +58,14 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
         files = [write_lerobot(out, motions)]
     else:
         endings, content_of = _FORMATS[kind]
-        is_file = out.suffix.lower() in endings
-        if is_file and len(motions) > 1:
-            raise OutputError(
-                f"cannot write {counted(len(motions), 'trajectory')} to one file, {out}: name a folder, and --to {kind}"
-            )
+        if by_ending and len(motions) > 1:
+            several = counted(len(motions), "trajectory")
+            raise OutputError(f"cannot write {several} to one file, {out}: name a folder, and --to {kind}")
         stems = [Path(m.name).stem if Path(m.name).suffix else m.name for m in motions]
         safe = [re.sub(r"[^A-Za-z0-9_.-]+", "_", stem)[:80] for stem in stems]
         if len(motions) > 1:  # `demo_01.csv` -> `0_demo_01`
             safe = [f"{i:0{len(str(len(motions) - 1))}d}_{name}" for i, name in enumerate(safe)]
-        names = [out if is_file else out / (name + endings[0]) for name in safe]
+        names = [out if by_ending else out / (name + endings[0]) for name in safe]
         refuse_to_replace([("--out", name) for name in names], options.files)
         written = [content_of(m) for m in motions]  # nothing is written unless all can be
         files = list(map(write_atomically, names, written))

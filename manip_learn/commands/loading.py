@@ -13,6 +13,7 @@ from manip_learn.constraint.constraint import locks_in_words, read_constraint_fi
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, UnknownNameError, named
 from manip_learn.recordings.options import unmoved_joint_names
 from manip_learn.recordings.saved_motion import file_header
+from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.tips import distance_to_last_joint
 
 
@@ -26,12 +27,11 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml
     if header is None or header.robot is None:
         return loading.load(name)
     made_with = header.robot
-    plain = loading.load(name, objects=loading.objects or made_with.objects)
-    known = {*plain.joint_names, *plain.locked, *unmoved_joint_names(plain)}
-    free = set(loading.lock or ()).difference(made_with.locked)
-    if free or not known >= {*made_with.joint_names, *made_with.locked} or plain.objects != made_with.objects:
-        made_with.refuse_another(plain, file.name, file)
-    robot = loading.load(name, made_with.locked, made_with.objects)
+    robot = loading.load(name, objects=loading.objects or made_with.objects)
+    known = {*robot.joint_names, *robot.locked, *unmoved_joint_names(robot)}
+    as_made = known >= {*made_with.joint_names, *made_with.locked} and robot.objects == made_with.objects
+    if as_made and made_with.locked.keys() >= set(loading.lock or ()):
+        robot = loading.load(name, made_with.locked, made_with.objects)
     made_with.refuse_another(robot, file.name, file)
     return robot
 
@@ -54,12 +54,9 @@ def with_joints(robot: ml.Robot, joints: Sequence[str], name: str, loading: Robo
     Raises:
         UnknownNameError: The robot lacks one of the joints.
     """
-    if tuple(robot.joint_names) == tuple(joints):
-        return robot
-    if lacking := [joint for joint in joints if joint not in robot.joint_names]:
-        raise UnknownNameError("joint", lacking[0], robot.joint_names, f"robot {robot.name!r}")
-    others = [joint for joint in robot.joint_names if joint not in joints]
-    return loading.load(name, {**robot.locked, **dict.fromkeys(others)}, robot.objects)
+    moving = {robot.joint_index(joint) for joint in joints}
+    others = [joint for i, joint in enumerate(robot.joint_names) if i not in moving]
+    return loading.load(name, {**robot.locked, **dict.fromkeys(others)}, robot.objects) if others else robot
 
 
 def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> ml.Robot:
@@ -70,13 +67,12 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
             objects than the options name.
     """
     try:
-        described = read_constraint_file(Path(constraint_file)).get("robot") or {}
-        joints, locked = list(described["joint_names"]), dict(described.get("locked", {}))
-        saved = [str(name) for name in described.get("objects", [])]
+        made_with = RobotIdentity.from_dict(read_constraint_file(Path(constraint_file))["robot"])
     except (*DAMAGE, ConstraintMismatchError):
         # Constraint.load says what is wrong with the file
         return loading.load(robot_name)
-    wrong = [f"joint {joint!r} moving, --lock would hold it still" for joint in (loading.lock or ()) if joint in joints]
+    joints, saved, locks = made_with.joint_names, made_with.objects, loading.lock or ()
+    wrong = [f"joint {joint!r} moving, --lock would hold it still" for joint in locks if joint in joints]
     if loading.objects and sorted(loading.objects) != sorted(saved):
         had, asked = (named("object", map(repr, names)) if names else "no object" for names in (saved, loading.objects))
         wrong.insert(0, f"{had}, --object names {asked}")
@@ -84,14 +80,13 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
         known = "leave --object and --lock out, the file knows which objects it saw and which joints were locked"
         raise ConstraintMismatchError(f"{constraint_file} was learnt with {wrong[0]}: {known}")
     try:
-        return with_joints(loading.load(robot_name, locked, saved), joints, robot_name, loading)
+        return with_joints(loading.load(robot_name, made_with.locked, saved), joints, robot_name, loading)
     except UnknownNameError as error:
         if error.kind != "joint":
             raise
-        raise ConstraintMismatchError(
-            f"{constraint_file} was made for robot {described.get('name')!r} with the joints "
-            f"{', '.join(map(str, joints))}, {robot_name!r} lacks {error.name!r}: name the robot that it was learnt on"
-        ) from error
+        made = f"{constraint_file} was made for robot {made_with.name!r} with the joints {', '.join(joints)}"
+        remedy = "name the robot that it was learnt on"
+        raise ConstraintMismatchError(f"{made}, {robot_name!r} lacks {error.name!r}: {remedy}") from error
 
 
 def load_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> tuple[ml.Constraint, ml.Robot]:

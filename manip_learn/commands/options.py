@@ -7,15 +7,10 @@ inherits, under their headings. `--help` explains the options that are not keywo
 
 Attributes:
     robot: A name (see `robots`) or a URDF file.
-    recordings: Files, a folder of them, or shipped ones such as sawyer_drawer.
-    constraint: Written by `learn --out`.
     task: Written by `learn --out`.
     start: Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.
-    scene: What stands around (JSON, URDF, MJCF); none: nothing. Else a floor is assumed.
     out: Rollout file to write: .npz, .csv or .mcap (for ROS).
     html: Replay to write.
-    dask: Scheduler address, or local: work on a dask cluster.
-    explain: Say what the words in the tables mean.
 """
 
 from __future__ import annotations
@@ -76,6 +71,16 @@ class Options:
             COMMANDS[cls.__name__.removesuffix("Options").lower()] = work, cls
 
 
+class ExplainedOptions(Options, kw_only=True):
+    """Output.
+
+    Attributes:
+        explain: Say what the words in the tables mean.
+    """
+
+    explain: bool = False
+
+
 def robot_completions(incomplete: str) -> list[str]:
     """Return names of robots; where none begins so, the shell offers files."""
     from manip_learn.robot.description.catalogue import robot_names
@@ -118,12 +123,6 @@ def vector(option: str, text: str | None) -> list[float] | None:
     return numbers
 
 
-RobotName = Annotated[str, Argument(metavar="ROBOT", autocompletion=robot_completions)]
-Recordings = Annotated[list[str], Argument(metavar="RECORDING...")]
-ConstraintFile = Annotated[str, Argument(metavar="CONSTRAINT.JSON")]
-SceneFile = Annotated[str | None, Option(metavar="FILE")]
-
-
 class RobotOptions(Options, kw_only=True):
     """Robot.
 
@@ -144,9 +143,9 @@ class RobotOptions(Options, kw_only=True):
     @property
     def words(self) -> list[str]:
         """The options that were given, as they are typed."""
-        flags = ("--lock", "--package-dir", "--object", "--xacro-arg")
-        given = zip(flags, (self.lock, self.package_dir, self.objects, self.xacro_arg), strict=True)
-        typed = [word for flag, values in given for value in values or () for word in (flag, value)]
+        given = {"--lock": self.lock, "--package-dir": self.package_dir, "--object": self.objects}
+        given["--xacro-arg"] = self.xacro_arg
+        typed = [word for flag, values in given.items() for value in values or () for word in (flag, value)]
         return [*typed, *(["--xacro"] if self.xacro else [])]
 
     def load(self, name: str, locked: Locks | None = None, objects: Sequence[str] | None = None) -> Robot:
@@ -157,6 +156,22 @@ class RobotOptions(Options, kw_only=True):
         seen = tuple(self.objects or ()) if objects is None else objects
         values = pairs("--xacro-arg", "NAME=VALUE", "[^=]+=.*", self.xacro_arg or ())
         return load_robot(name, tuple(self.package_dir or ()), locks, xacro=values or self.xacro, objects=seen)
+
+
+class NamedRobotOptions(RobotOptions):
+    """Robot."""
+
+    robot: Annotated[str, Argument(metavar="ROBOT", autocompletion=robot_completions)]
+
+
+class ConstraintOptions(NamedRobotOptions):
+    """Robot.
+
+    Attributes:
+        constraint: Written by `learn --out`.
+    """
+
+    constraint: Annotated[str, Argument(metavar="CONSTRAINT.JSON")]
 
 
 class ReadingOptions(Options, kw_only=True):
@@ -205,17 +220,39 @@ class ReadingOptions(Options, kw_only=True):
         return {key: value for key, value in given.items() if value is not None and value != []}
 
 
-class PlanOptions(Options, kw_only=True):
+class RecordingsOptions(ReadingOptions):
+    """Options.
+
+    Attributes:
+        recordings: Files, a folder of them, or shipped ones such as sawyer_drawer.
+        dask: Scheduler address, or local: work on a dask cluster.
+    """
+
+    recordings: Annotated[list[str], Argument(metavar="RECORDING...")]
+    _: KW_ONLY
+    dask: str | None = None
+
+
+class SearchOptions(Options, kw_only=True):
+    """Plan.
+
+    Attributes:
+        scene: What stands around (JSON, URDF, MJCF); none: nothing. Else a floor is assumed.
+        seed: Random seed of the search.
+    """
+
+    scene: Annotated[str | None, Option(metavar="FILE")] = None
+    seed: int = 0
+
+
+class PlanOptions(SearchOptions, kw_only=True):
     """Plan.
 
     Attributes:
         plan: Choose the posture in which to take hold, so that all of it can be done.
-        seed: Random seed of the search.
     """
 
     plan: bool = False
-    seed: int = 0
-    scene: SceneFile = None
 
 
 class RobotsOptions(Options, work="robots.known_robots"):
@@ -225,7 +262,7 @@ class RobotsOptions(Options, work="robots.known_robots"):
     """
 
 
-class DemoOptions(Options, work="demo.demo"):
+class DemoOptions(ExplainedOptions, work="demo.demo"):
     """Learn from shipped recordings; open the drawer from one bad start without and with what was learnt, in a replay.
 
     manip-learn demo
@@ -241,16 +278,13 @@ class DemoOptions(Options, work="demo.demo"):
     out: Path = Path("demo_out")
     all_policies: bool = False
     browser: Annotated[bool, Option("--browser/--no-browser")] = True
-    explain: bool = False
 
 
-class InspectOptions(RobotOptions, work="robots.inspect"):
+class InspectOptions(NamedRobotOptions, work="robots.inspect"):
     """Show joints, frames, limits and warnings of a robot.
 
     manip-learn inspect ur5e
     """
-
-    robot: RobotName
 
 
 class RecordOptions(RobotOptions, work="record.record_motions"):
@@ -306,7 +340,7 @@ class TeachOptions(RobotOptions, work="teach.teach"):
     no_browser: bool = False
 
 
-class LearnOptions(ReadingOptions, RobotOptions, work="learn.learn_task"):
+class LearnOptions(RecordingsOptions, NamedRobotOptions, ExplainedOptions, work="learn.learn_task"):
     """Learn a constraint from recordings and report it.
 
     manip-learn learn sawyer sawyer_drawer --frame right_gripper_tip --out task.json
@@ -331,8 +365,6 @@ class LearnOptions(ReadingOptions, RobotOptions, work="learn.learn_task"):
         seed: Seed of the bootstrap and of random starts.
     """
 
-    robot: RobotName
-    recordings: Recordings
     frame: str | None = None
     axes: str = "xyz"
     out: Path | None = None
@@ -351,11 +383,9 @@ class LearnOptions(ReadingOptions, RobotOptions, work="learn.learn_task"):
     start: Annotated[float | None, Option("--from")] = None
     until: float | None = None
     seed: int = 0
-    dask: str | None = None
-    explain: bool = False
 
 
-class AuditOptions(ReadingOptions, RobotOptions, work="audit.audit"):
+class AuditOptions(RecordingsOptions, ConstraintOptions, ExplainedOptions, work="audit.audit"):
     """Judge recorded episodes by a constraint: rank them, and name those to leave out.
 
     manip-learn audit sawyer task.json sawyer_drawer
@@ -364,16 +394,10 @@ class AuditOptions(ReadingOptions, RobotOptions, work="audit.audit"):
         csv: Table to write, one line per episode (CSV).
     """
 
-    robot: RobotName
-    constraint: ConstraintFile
-    recordings: Recordings
     csv: Path | None = None
-    _: KW_ONLY
-    dask: str | None = None
-    explain: bool = False
 
 
-class ControlOptions(RobotOptions, PlanOptions, work="control.control"):
+class ControlOptions(ConstraintOptions, PlanOptions, ExplainedOptions, work="control.control"):
     """Do the task that was learnt: along what is free, or to a point, clear of the task's singularities.
 
     manip-learn control sawyer task.json --along 0.2 --out run.npz
@@ -398,8 +422,6 @@ class ControlOptions(RobotOptions, PlanOptions, work="control.control"):
         check: Write nothing and refuse if it gets less far.
     """
 
-    robot: RobotName
-    constraint: ConstraintFile
     start: str | None = None
     along: float | None = None
     turn: float | None = None
@@ -421,10 +443,9 @@ class ControlOptions(RobotOptions, PlanOptions, work="control.control"):
     inverse: str = "damped"
     tolerance: float = 0.01
     check: bool = False
-    explain: bool = False
 
 
-class RepeatOptions(RobotOptions, work="repeat.repeat_skill"):
+class RepeatOptions(NamedRobotOptions, SearchOptions, work="repeat.repeat_skill"):
     """Do again all that the recordings show: take hold, go the way, let go, the next one, and retreat.
 
     manip-learn repeat sawyer task.json --html run.html
@@ -436,7 +457,6 @@ class RepeatOptions(RobotOptions, work="repeat.repeat_skill"):
         seed: Random seed of the plans.
     """
 
-    robot: RobotName
     task: Annotated[str, Argument(metavar="TASK")]
     start: str | None = None
     moved: str | None = None
@@ -444,9 +464,6 @@ class RepeatOptions(RobotOptions, work="repeat.repeat_skill"):
     prefer: str = "shown"
     out: Path | None = None
     html: Path | None = None
-    _: KW_ONLY
-    scene: SceneFile = None
-    seed: int = 0
 
 
 class ReplayOptions(ReadingOptions, RobotOptions, work="replay.replay_files"):
@@ -470,7 +487,7 @@ class ReplayOptions(ReadingOptions, RobotOptions, work="replay.replay_files"):
     tip: str | None = None
 
 
-class ExportOptions(ReadingOptions, RobotOptions, work="export.export"):
+class ExportOptions(ReadingOptions, NamedRobotOptions, work="export.export"):
     """Write recordings or rollouts in other formats, or a learnt task for a controller of force or stiffness.
 
     manip-learn export sawyer run.npz --out run.csv
@@ -483,7 +500,6 @@ class ExportOptions(ReadingOptions, RobotOptions, work="export.export"):
         at: Posture of the task frame [rad]; default: the middle one of those shown, else the neutral one.
     """
 
-    robot: RobotName
     files: Annotated[list[str], Argument(metavar="FILE...")]
     out: Path
     to: str | None = None

@@ -69,11 +69,6 @@ class Answer:
     pages: Mapping[str, str] = field(default_factory=dict)
     following: str = ""
 
-    @property
-    def doubts(self) -> list[str]:
-        """Warnings and notes: what a page says as well."""
-        return [*self.warnings, *self.notes]
-
     def with_files(self, out: Path | None, page: ReplayResult | None = None) -> Answer:
         """Return the answer with the files that were written."""
         files = {"out": out, "html": None if page is None else page.html}
@@ -114,8 +109,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
     from rich import progress as bars
     from rich.console import Console
 
-    percent, seconds = bars.TextColumn("{task.percentage:>3.0f}%"), bars.TimeElapsedColumn()
-    shown = (bars.TextColumn("{task.description}"), bars.BarColumn(), percent, seconds)
+    shown = (*bars.Progress.get_default_columns()[:-1], bars.TimeElapsedColumn())  # in place of the time that is left
     with bars.Progress(*shown, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda step, share: bar.update(task, description=step, completed=share)

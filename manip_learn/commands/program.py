@@ -51,12 +51,13 @@ def print_version(asked: bool) -> None:
         raise typer.Exit
 
 
+Version = Annotated[
+    bool, typer.Option("--version", help="Show the version and exit.", callback=print_version, is_eager=True)
+]
+
+
 @app.callback()
-def front(
-    version: Annotated[
-        bool, typer.Option("--version", help="Show the version and exit.", callback=print_version, is_eager=True)
-    ] = False,
-) -> None:
+def front(version: Version = False) -> None:
     """Learn which directions a demonstrated task constrains, and keep the arm away from its singularities."""
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import os
 import select
@@ -41,19 +40,18 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
         robot = options.load(options.robot)
         names = getattr(driver, "joint_names", None) or robot.joint_names
         robot = with_joints(robot, [name for name in robot.joint_names if name in names], options.robot, options)
-    files, since = list[Path](), 0.0
+    begun = list[tuple[Path, float]]()  # files, and when each began
 
     def began(file: Path | None) -> None:
-        nonlocal since
-        files.extend([] if file is None else [file])
-        since = time.monotonic()
+        if file is not None:
+            begun.append((file, time.monotonic()))
 
     def shown(q: Mapping[str, float], recorded: bool) -> None:
         if viewer is not None and robot is not None and all(name in q for name in robot.joint_names):
             viewer.show([q[name] for name in robot.joint_names])
         waits = "waiting for a motion" if options.by == "motion" else "Enter begins, q ends"
-        doing = f"recording {files[-1].name}, {time.monotonic() - since:.1f} s" if recorded else waits
-        progress(f"{doing}; {counted(len(files), 'motion')}", 0.0)
+        doing = f"recording {begun[-1][0].name}, {time.monotonic() - begun[-1][1]:.1f} s" if recorded else waits
+        progress(f"{doing}; {counted(len(begun), 'motion')}", 0.0)
 
     with ExitStack() as opened:
         if robot is not None:

@@ -45,14 +45,13 @@ def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
     with suppress(ValueError):  # `repeat` refuses other words
         made["tip_speed"] = None if options.tip_speed == "none" else float(options.tip_speed)
     done = ml.repeat(skill, q0, T, scene=scene_of(options.scene, robot), **made, progress=progress)
-    rollout, steps, ends = done.rollout, [step.to_dict() for step in done.steps], list[str]()
-    for step in (step for step in done.steps if step.kind == "reach"):
-        missed = "" if step.off is None else f", {1e3 * step.off:.1f} mm from where a contact began"
-        ends.append(f"{step.name}: at {place(step.place)}{missed}")
-    rows = []
-    for step in steps:
-        off = {"off": 1e3 * step["deviation"], "fine": "mm" if step["unit"] == "m" else "mm or mrad"}
-        rows.append({"step": step["name"]} | cells(step | off, _STEP))
+    rollout, steps, ends, rows = done.rollout, [step.to_dict() for step in done.steps], [], []
+    for step, told in zip(done.steps, steps, strict=True):
+        if step.kind == "reach":
+            missed = "" if step.off is None else f", {1e3 * step.off:.1f} mm from where a contact began"
+            ends.append(f"{step.name}: at {place(step.place)}{missed}")
+        off = {"off": 1e3 * step.deviation, "fine": "mm" if step.unit == "m" else "mm or mrad"}
+        rows.append({"step": step.name} | cells(told | off, _STEP))
     ways = counted(sum(step.kind == "way" for step in done.steps), "way")
     answer = Answer(
         {

@@ -76,15 +76,13 @@ def named_robot(words: list[str]) -> tuple[str, list[str]]:
         RecordingError: Files that do not know their robot, and none is named; or a robot alone.
     """
     first = Path(words[0])
-    header = _header(first)
-    if header is not None and header.robot is not None:
+    if (header := _header(first)) is not None and header.robot is not None:
         return header.robot.source or header.robot.name, words
     if len(words) > 1:
         return words[0], words[1:]
     if first.exists() and first.suffix not in DESCRIPTION_SUFFIXES:
-        raise RecordingError(
-            f"{first} does not say which robot it is of: name the robot before it, `manip-learn replay ROBOT ...`"
-        )
+        remedy = "name the robot before it, `manip-learn replay ROBOT ...`"
+        raise RecordingError(f"{first} does not say which robot it is of: {remedy}")
     if first.suffix and not first.exists():
         raise RecordingError(f"{first}: there is no such file: check the path", code="missing", path=first)
     raise RecordingError("name at least one rollout file; `manip-learn control ... --out run.npz` writes one")

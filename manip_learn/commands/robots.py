@@ -72,7 +72,6 @@ def inspect(options: InspectOptions, progress: Progress) -> Answer:
         "kinematics": f"agrees with yourdfpy to {check.largest_difference:.1e}" if check and check.agrees else "",
         "shapes": summary.shapes,
     }
-    words = shlex.join([options.robot, *options.words])
     return Answer(
         dataclasses.asdict(summary),  # limits that do not exist are infinite, which JSON says as null
         title=f"{summary.name}: nq {summary.nq}, nv {summary.nv}",
@@ -80,5 +79,5 @@ def inspect(options: InspectOptions, progress: Progress) -> Answer:
         rows=[{"joint": j.name} | cells(vars(j), _JOINT) for j in joints],
         warnings=[f"warning: {warning}" for warning in summary.warnings],
         written=["" if summary.source is None else f"file: {summary.source}"],
-        following=f"manip-learn learn {words} RECORDINGS {flag}",
+        following=f"manip-learn learn {shlex.join([options.robot, *options.words])} RECORDINGS {flag}",
     )

@@ -38,5 +38,6 @@ def with_rollout(
     """Write the rollout and its replay where the options say so, and name the files in the answer."""
     page = None
     if options.html is not None:
-        page = ml.replay(robot, {name: rollout}, options.html, open_browser=False, notes=answer.doubts)
+        doubts = [*answer.warnings, *answer.notes]
+        page = ml.replay(robot, {name: rollout}, options.html, open_browser=False, notes=doubts)
     return answer.with_files(None if options.out is None else rollout.save(options.out), page)
