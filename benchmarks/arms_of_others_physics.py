@@ -8,7 +8,7 @@ pushes at the elbow); five whole recordings at 100 Hz with 1e-4 rad of noise are
 then goes from another start, in a `ServoLoop` on servos of 2000 N m/rad with 5e-5 rad of noise; the grip closes where
 the hand is when the loop says so. One line a run: how far off the handle the hand closed, how far the fixture went over
 the median shown, how much otherwise the hand turned than what it holds, the largest force in the grip, and the tip's
-path over three times the straight one and 0.2 m. Nothing of the library takes part in the recordings. The arms of
+path over three times the straight one and 0.2 m. An arm that has arrived stays: `left` is its last half second. Nothing of the library takes part in the recordings. The arms of
 `--folder` are files that others published: https://github.com/Daniella1/urdf_files_dataset.
 """
 
@@ -299,6 +299,7 @@ class Outcome:
     turned: float
     force: float
     path: float
+    left: float
     seconds: float
     said_done: bool
     notes: str = ""
@@ -374,9 +375,9 @@ def run(arm: Arm, task: Task, seed: int, folder: Path) -> Outcome:
     )
     extent = np.linalg.norm(np.diff(wiped, axis=0), axis=1).sum() or shown * (lever or 1.0)
     straight = np.linalg.norm(hold - path[0]) + extent + (np.linalg.norm(again.steps[-1].place - path[-1]) + 0.12)
-    ratio = walked / (3.0 * straight + 0.2)
+    ratio, left = walked / (3.0 * straight + 0.2), float(np.linalg.norm(path[-1] - path[-25]))
     notes = "; ".join([loop.stopped_by or "", *again.notes])
-    return Outcome(off, most / shown, turned, force, float(ratio), seconds, again.is_done, notes)
+    return Outcome(off, most / shown, turned, force, float(ratio), left, seconds, again.is_done, notes)
 
 
 def main() -> None:

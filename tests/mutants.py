@@ -1,18 +1,21 @@
 """Puts small faults into a copy of the library, one at a time: do the tests notice them?
 
-    python tests/mutants.py                        lines changed since the last release, or the last commit
-    python tests/mutants.py --since main           lines changed since a revision
+    python tests/mutants.py --cover            run each test file alone and note which lines it covers (20 minutes)
+    python tests/mutants.py --draw 200         faults drawn from the rooms that compute, by their sizes
+    python tests/mutants.py                    lines changed since the last release, or the last commit
+    python tests/mutants.py --since main       lines changed since a revision
     python tests/mutants.py manip_learn/linalg.py  whole files
-    python tests/mutants.py --hours 8 $(git ls-files 'manip_learn/*.py')  the library, a random fault after the other
 
-Each fault is tried with the test files that are nearest to its file. Those that nobody notices are listed with what the
-function around them promises, and the run fails if fewer than LEAST are noticed.
+Each fault is tried with the test files that cover its line most, and in these with the tests that reach it. Those
+that nobody notices are listed with what the function around them promises; fewer than LEAST noticed is a failure.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import hashlib
+import json
 import os
 import re
 import shutil
@@ -20,18 +23,30 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 from typing import NamedTuple
 
-import numpy as np
+from coverage import CoverageData
 
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("manip_learn", "tests", "robots", "examples", "benchmarks", "docs", "pyproject.toml", "README.md")
+COMPUTE = ("learning", "control", "constraint", "recordings", "planning", "robot")  # rooms from which faults are drawn
 # of the faults: about one in eight changes nothing that a caller could see (another bound of a loop that ends before
 # it, a constant of a tie, < for <= where equality cannot be)
-LEAST = 0.8
-NEAREST = 4  # test files that are tried: those that remain repeat what these check
+LEAST = 0.88
+MOST_COVERING = 4  # test files that are tried: those that remain repeat what these check
+COVERAGE = """[run]
+source = manip_learn
+relative_files = true
+parallel = true
+dynamic_context = test_function
+patch = subprocess
+disable_warnings = no-data-collected, module-not-imported, dynamic-conflict
+"""
 OTHER: dict[type, type] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.And: ast.Or, ast.Or: ast.And,
@@ -45,25 +60,33 @@ SYMMETRIC = {*CALLS, "hypot", "isclose", "allclose", "array_equal", "isinstance"
 
 
 class Fault(NamedTuple):
-    """One fault: the line of the original, the code before and after, and the whole file with the fault in it."""
+    """One fault: its file, where it is, and the code before and after in words."""
 
+    file: str
+    node: int
+    number: int
     line: int
     words: str
-    promise: str
-    text: str
 
 
-def faults_of(text: str) -> Iterator[Fault]:
-    """All faults of a file; sentences, signatures, annotations and errors are left alone."""
+def faults_of(text: str) -> list[tuple[int, int, int, str]]:
+    """All faults of a file: node, number, line and words; sentences, signatures, annotations, errors are left alone."""
+    out = []
     for i, original in enumerate(_code(ast.parse(text))):
+        before = ast.unparse(original)
         for k, faulty in enumerate(_faulty(original)):
-            tree = ast.parse(text)
-            node = list(_code(tree))[i]
-            promise = _promise(tree, node.lineno)
-            words = f"{ast.unparse(original)}  ->  {ast.unparse(faulty)}".replace("\n", " ")[:200]
-            new = ast.copy_location(list(_faulty(node))[k], node)
-            exchanged = ast.fix_missing_locations(_Exchange(node, new).visit(tree))
-            yield Fault(node.lineno, words, promise, ast.unparse(exchanged))
+            words = f"{before}  ->  {ast.unparse(faulty)}".replace("\n", " ")[:200]
+            out.append((i, k, original.lineno, words))
+    return out
+
+
+def with_fault(text: str, i: int, k: int) -> tuple[str, str]:
+    """The file with a fault in it, and what the function around it promises."""
+    tree = ast.parse(text)
+    node = list(_code(tree))[i]
+    promise = _promise(tree, node.lineno)
+    new = ast.copy_location(list(_faulty(node))[k], node)
+    return ast.unparse(ast.fix_missing_locations(_Exchange(node, new).visit(tree))), promise
 
 
 class _Exchange(ast.NodeTransformer):
@@ -127,17 +150,67 @@ def _faulty(node: ast.AST) -> Iterator[ast.expr | ast.stmt]:
                 yield ast.Call(func, [args[1], args[0], *args[2:]], keywords)
 
 
-def nearest_tests(file: str) -> list[str]:
-    """Test files that use a file of the library: those that bear its name, then those that import it and least else."""
-    module, stem = file.removesuffix(".py").replace("/", "."), Path(file).stem
-    names = re.findall(r"^(?:def|class) ([A-Za-z]\w*)", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE)
-    public = re.compile(rf"{re.escape(module)}\b|\bml\.(?:{'|'.join(names) or 'nothing'})\b")
-    found = []
-    for path in sorted((ROOT / "tests").glob("test_*.py")):
-        text = path.read_text(encoding="utf-8")
-        if stem in path.stem or public.search(text):
-            found.append((stem not in path.stem, len(re.findall(r"^from manip_learn", text, re.MULTILINE)), path.name))
-    return [f"tests/{name}" for _, _, name in sorted(found)[:NEAREST]]
+class Covered:
+    """Which tests reach which line, as `--cover` noted it in a folder."""
+
+    def __init__(self, folder: Path):
+        self.seconds: dict[str, float] = json.loads((folder / "seconds.json").read_text(encoding="utf-8"))
+        self.data = CoverageData(str(folder / "coverage"))
+        self.data.read()
+        self.files = {f[f.rindex("manip_learn/") :]: f for f in self.data.measured_files() if "manip_learn/" in f}
+        self.tests = Counter(c.partition("|")[0] for c in self.data.measured_contexts())
+
+    def tests_of(self, file: str, line: int) -> list[str]:
+        """The tests that reach a line, of the files that do so most, quickest first; [] if none does."""
+        by_line = self.data.contexts_by_lineno(self.files.get(file, ""))
+        reached = by_line.get(line) or by_line.get(max((n for n in by_line if n < line), default=0), [])
+        own = defaultdict[str, set[str]](set)
+        for test_file, _, test in (c.partition("|") for c in reached):
+            if test_file in self.seconds:  # others fail without any fault
+                own[test_file].add(test)
+        for test_file, names in own.items():
+            if not all(re.fullmatch(r"\w+\.test_\w+", n) for n in names):  # a fixture, whose tests are not known
+                own[test_file] = {""}
+        size = {f: self.tests[f] if "" in names else len(names) for f, names in own.items()}
+        most = sorted(sorted(own, key=lambda f: -size[f])[:MOST_COVERING], key=lambda f: self.seconds[f])
+        return [f"{f}::{n.rpartition('.')[2]}" if n else f for f in most for n in sorted(own[f])]
+
+
+def cover(folder: Path, jobs: int) -> None:
+    """Run each test file alone and note the lines that each of its tests covers."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    rules = folder / "rules"
+    rules.write_text(COVERAGE + f"data_file = {folder / 'coverage'}\n", encoding="utf-8")
+    seconds = dict[str, float]()
+
+    def alone(test_file: str) -> None:
+        run, before = ["-m", "coverage", "run", f"--rcfile={rules}", f"--context={test_file}"], time.monotonic()
+        if passes(ROOT, [*run, "-m", *PYTEST, test_file], 3600.0):
+            seconds[test_file] = time.monotonic() - before
+        else:
+            print(f"{test_file} is left out: it fails without any fault", file=sys.stderr)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        list(pool.map(alone, sorted(f"tests/{p.name}" for p in (ROOT / "tests").glob("test_*.py"))))
+    subprocess.run([sys.executable, "-m", "coverage", "combine", f"--rcfile={rules}"], cwd=ROOT, check=True)
+    (folder / "seconds.json").write_text(json.dumps(seconds), encoding="utf-8")
+
+
+def drawn(count: int, seed: int) -> list[Fault]:
+    """Draw faults from the rooms that compute, of each its share; a change of a line hardly changes the draw."""
+    order = dict[str, list[tuple[str, Fault]]]()
+    for room in COMPUTE:
+        keyed = order[room] = []
+        for path in sorted((ROOT / "manip_learn" / room).rglob("*.py")):
+            file, seen = path.relative_to(ROOT).as_posix(), Counter[str]()
+            for node, number, line, words in faults_of(path.read_text(encoding="utf-8")):
+                key = f"{seed} {file} {words} {seen[words]}"
+                seen[words] += 1
+                keyed.append((hashlib.sha256(key.encode()).hexdigest(), Fault(file, node, number, line, words)))
+        keyed.sort()
+    total = sum(map(len, order.values()))
+    return [f for keyed in order.values() for _, f in keyed[: round(count * len(keyed) / total)]]
 
 
 def changed_lines(since: str) -> dict[str, set[int]]:
@@ -158,62 +231,77 @@ def _git(*words: str) -> str:
     return done.stdout.strip() if done.returncode == 0 else ""
 
 
-def passes(project: Path, tests: list[str], timeout: float) -> bool:
-    """Whether some test files pass on a copy of the project; what hangs does not."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--benchmark-disable"]
+PYTEST = ["pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--benchmark-disable"]
+
+
+def passes(project: Path, command: list[str], timeout: float) -> bool:
+    """Whether Python succeeds on a copy of the project; what hangs does not."""
     environment = os.environ | {"PYTHONPATH": str(project), "CHECK_SHAPES": "0", "OMP_NUM_THREADS": "1"}
     try:
-        done = subprocess.run([*command, *tests], cwd=project, env=environment, capture_output=True, timeout=timeout)
+        done = subprocess.run(
+            [sys.executable, *command], cwd=project, env=environment, capture_output=True, timeout=timeout
+        )
     except subprocess.TimeoutExpired:
         return False
     return done.returncode in (0, 5)
+
+
+def survivors(faults: Iterable[Fault], covered: Covered, jobs: int) -> Iterator[tuple[Fault, str, bool]]:
+    """Try faults in copies of the project: each with what its function promises, and whether no test notices it."""
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
+        projects = SimpleQueue[Path]()
+        for number in range(jobs):
+            project = Path(folder, str(number))
+            project.mkdir()
+            for name in COPIED:
+                (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, project / name)
+            projects.put(project)
+
+        def tried(fault: Fault) -> tuple[Fault, str, bool]:
+            original = (ROOT / fault.file).read_text(encoding="utf-8")
+            faulty, promise = with_fault(original, fault.node, fault.number)
+            tests = covered.tests_of(fault.file, fault.line)
+            if not tests:
+                return fault, promise, True
+            project = projects.get()
+            path = project / fault.file
+            path.write_text(faulty, encoding="utf-8")
+            shutil.rmtree(path.parent / "__pycache__", ignore_errors=True)
+            limit = 60.0 + 3.0 * sum(covered.seconds[t] for t in {t.partition("::")[0] for t in tests})
+            survives = passes(project, ["-m", *PYTEST, *tests], limit)
+            path.write_text(original, encoding="utf-8")
+            projects.put(project)
+            return fault, promise, survives
+
+        yield from pool.map(tried, faults)
 
 
 def main() -> int:
     """Exit code 0 if the tests are strong enough."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("files", nargs="*", metavar="FILE", help="of the library; default: the lines that changed")
+    parser.add_argument("--cover", action="store_true", help="note which tests cover which lines, and end")
+    parser.add_argument("--folder", type=Path, default=ROOT / "build" / "covered", help="of these notes")
+    parser.add_argument("--draw", type=int, default=0, help=f"faults of {', '.join(COMPUTE)}, by their sizes")
     parser.add_argument("--since", default="", help="a revision; default: the last tag, or the commit before this one")
-    parser.add_argument("--hours", type=float, default=np.inf, help="no new fault after that")
-    parser.add_argument("--count", type=int, default=10, help="faults of each file")
-    parser.add_argument("--seed", type=int, default=0, help="of the sample")
+    parser.add_argument("--seed", type=int, default=0, help="of the draw")
+    parser.add_argument("--jobs", type=int, default=2, help="at the same time")
     options = parser.parse_args()
-    lines = dict.fromkeys(options.files) if options.files else changed_lines(options.since)
-    rng, end = np.random.default_rng(options.seed), time.monotonic() + 3600.0 * options.hours
-    chosen = []
+    if options.cover:
+        cover(options.folder.resolve(), options.jobs)
+        return 0
+    chosen = drawn(options.draw, options.seed) if options.draw else []
+    lines = {} if options.draw else dict.fromkeys(options.files) or changed_lines(options.since)
     for file, wanted in sorted(lines.items()):
-        faults = [f for f in faults_of((ROOT / file).read_text(encoding="utf-8")) if not wanted or f.line in wanted]
-        chosen += [(file, faults[i]) for i in rng.permutation(len(faults))[: options.count]]
-    noticed = tried = 0
-    seconds: dict[str, float] = {}  # of the tests of a file without any fault; infinite if these fail
-    with tempfile.TemporaryDirectory() as folder:
-        project = Path(folder)
-        for name in COPIED:
-            (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, project / name)
-        for file, fault in (chosen[i] for i in rng.permutation(len(chosen))):
-            tests, path = nearest_tests(file), project / file
-            if time.monotonic() > end or not tests:
-                continue
-            if file not in seconds:
-                before = time.monotonic()
-                seconds[file] = time.monotonic() - before if passes(project, tests, 3600.0) else np.inf
-                if not np.isfinite(seconds[file]):
-                    print(f"{file} is left out: {' '.join(tests)} fail without any fault", file=sys.stderr)
-            if not np.isfinite(seconds[file]):
-                continue
-            tried += 1
-            original = path.read_text(encoding="utf-8")
-            path.write_text(fault.text, encoding="utf-8")
-            shutil.rmtree(path.parent / "__pycache__", ignore_errors=True)
-            if passes(project, tests, 60.0 + 3.0 * seconds[file]):
-                print(f"{file}:{fault.line}: {fault.words}\n    promise: {fault.promise}", flush=True)
-            else:
-                noticed += 1
-            path.write_text(original, encoding="utf-8")
-    print(
-        f"{noticed} of {tried} faults noticed; tests that fail without any: {[f for f in seconds if seconds[f] > 1e9]}"
-    )
-    return 0 if noticed >= LEAST * tried else 1
+        found = faults_of((ROOT / file).read_text(encoding="utf-8"))
+        chosen += [Fault(file, *f) for f in found if not wanted or f[2] in wanted]
+    noticed = 0
+    for fault, promise, survives in survivors(chosen, Covered(options.folder.resolve()), options.jobs):
+        noticed += not survives
+        if survives:
+            print(f"{fault.file}:{fault.line}: {fault.words}\n    promise: {promise}", flush=True)
+    print(f"{noticed} of {len(chosen)} faults noticed")
+    return 0 if noticed >= LEAST * len(chosen) else 1
 
 
 if __name__ == "__main__":
