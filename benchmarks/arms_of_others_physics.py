@@ -8,8 +8,9 @@ pushes at the elbow); five whole recordings at 100 Hz with 1e-4 rad of noise are
 then goes from another start, in a `ServoLoop` on servos of 2000 N m/rad with 5e-5 rad of noise; the grip closes where
 the hand is when the loop says so. One line a run: how far off the handle the hand closed, how far the fixture went over
 the median shown, how much otherwise the hand turned than what it holds, the largest force in the grip, and the tip's
-path over three times the straight one and 0.2 m. An arm that has arrived stays: `left` is its last half second. Nothing of the library takes part in the recordings. The arms of
-`--folder` are files that others published: https://github.com/Daniella1/urdf_files_dataset.
+path over three times the straight one and 0.2 m. An arm that has arrived stays: `left` is its last half second. Nothing
+of the library takes part in the recordings. The arms of `--folder` are files that others published:
+https://github.com/Daniella1/urdf_files_dataset.
 """
 
 # pyright: reportAttributeAccessIssue=false

@@ -278,7 +278,7 @@ def survivors(faults: Iterable[Fault], covered: Covered, jobs: int) -> Iterator[
 
 def main() -> int:
     """Exit code 0 if the tests are strong enough."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("files", nargs="*", metavar="FILE", help="of the library; default: the lines that changed")
     parser.add_argument("--cover", action="store_true", help="note which tests cover which lines, and end")
     parser.add_argument("--folder", type=Path, default=ROOT / "build" / "covered", help="of these notes")
