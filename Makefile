@@ -183,13 +183,13 @@ links: $(VENV)/docs
 
 # promises of speed, and no case slower than in the last release: the last tag, or BASE=REVISION
 bench: $(VENV)/dev
-	CHECK_SHAPES=0 $(PYTEST) benchmarks -m bench $(ARGS)
+	$(PYTEST) benchmarks -m bench $(ARGS)
 
 fuzz: $(VENV)/dev
 	HYPOTHESIS_PROFILE=fuzz $(PYTEST) -n 2 --benchmark-disable -m fuzz --timeout 1800 $(ARGS)
 
 proofs: $(VENV)/dev
-	CHECK_SHAPES=0 $(PYTEST) -n 2 --dist worksteal --benchmark-disable -m slow --timeout 3600 $(ARGS)
+	CHECK_SHAPES=1 $(PYTEST) -n 2 --dist worksteal --benchmark-disable -m slow --timeout 3600 $(ARGS)
 
 # faults that are put into copies of the library one by one: the tests must notice them. By default into the lines that
 # changed since the last release; ARGS="manip_learn/linalg.py" into a file, ARGS="--draw 200" into all that computes.

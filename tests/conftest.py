@@ -19,7 +19,7 @@ hypothesis.settings.register_profile(
 )
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
-if os.environ.get("CHECK_SHAPES", "1") != "0":
+if os.environ.get("CHECK_SHAPES", "0") != "0":
     install_shape_checks()
 
 import numpy as np  # noqa: E402
