@@ -103,6 +103,7 @@ fast: $(VENV)/fast
 lint: $(VENV)/first
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
 
 types: $(VENV)/dev
 	$(BIN)/pyright

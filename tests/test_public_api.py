@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import re
 import subprocess
 import sys
+import tomllib
 
 import pytest
+from library_source import PACKAGE, library
 
 import manip_learn as ml
 
@@ -69,6 +72,15 @@ def test_a_removed_name_says_what_replaces_it(name, instead):
     """Until 0.3, in one sentence that names the name."""
     with pytest.raises(AttributeError, match=f"{name} has been removed.*{instead}"):
         getattr(ml, name)
+
+
+def test_every_dependency_is_imported():
+    """What pyproject.toml asks of each user is imported somewhere in the library; of meshcat it is the viewer."""
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = {re.split(r"[\[<>=!~; ]", line)[0].replace("-", "_") for line in project["dependencies"]} - {"meshcat"}
+    text = "\n".join(source.text for source in library())
+    imported = set(re.findall(r"^\s*(?:from|import) (\w+)", text, re.MULTILINE))
+    assert names - imported <= {"pin"} and "pinocchio" in imported
 
 
 def test_import_is_light():
