@@ -17,8 +17,8 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import TargetError
 from manip_learn.playback import replay
-from manip_learn.playback.constraint_marks import held_directions
 from manip_learn.playback.replay_page import evidence_of
+from manip_learn.playback.scene_data import held_directions
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 

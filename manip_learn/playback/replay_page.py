@@ -22,11 +22,10 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.linalg import finite
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.constraint_marks import MechanismDrawing, mechanism_drawing
 from manip_learn.playback.page_writer import in_cell, page
 from manip_learn.playback.palette import WAY, Phase, phase_bands, phase_kinds, phases_from_json, rollout_colours
 from manip_learn.playback.recorded_motion import GuidedMotion, RecordedMotion, guided_motion, recorded_motion
-from manip_learn.playback.scene_data import scene_data
+from manip_learn.playback.scene_data import MechanismDrawing, mechanism_drawing, scene_data
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.joints import Frame
