@@ -15,7 +15,6 @@ import traceback
 import weakref
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -75,7 +74,7 @@ class LiveProcess:
     ):
         token = secrets.token_urlsafe(18)
         header = json.dumps({"page": make_page(token), "token": token, "hears": heard is not None})
-        self._heard, self._interval = heard, 1.0 / frames_per_second
+        self._heard, self._interval = heard or (lambda _: None), 1.0 / frames_per_second
         self._failed = set[tuple[Any, ...]]()
         self._newest = {"begin": lambda: header}  # message of each slot, in the order in which they were put
         self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
@@ -150,8 +149,7 @@ class LiveProcess:
         """Hand on each line of the server until it ends."""
         for line in iter(self._process.stdout.readline, b""):
             with self._logged():
-                if self._heard is not None:
-                    self._heard(json.loads(line))
+                self._heard(json.loads(line))
             if not self.is_open:
                 return
 
@@ -250,12 +248,12 @@ class LiveViewer:
         Raises:
             ConfigurationError: Wrong size, NaN or infinity.
         """
-        posture = np.array(self._robot.configuration(q))  # a copy: the caller may go on writing to its own
+        robot = self._robot
+        posture = np.array(robot.configuration(q))  # a copy: the caller may go on writing to its own
         now = clock.monotonic() - self._start if time is None else float(time)
         mu = None if manipulability is None else float(manipulability)
         if not np.isfinite([now, mu or 0.0]).all():
             raise ConfigurationError(f"manipulability {mu} at time {now}: finite numbers are needed")
-        robot = self._robot
 
         def message() -> str:
             values = joint_tracks(robot, posture[None])[0]
@@ -302,7 +300,7 @@ def live_page(
     motion, twist = guided_motion(robot, name, rest, constraint, target), constraint and constraint.features.twist
     tip = robot.frame(default_tip(robot)) if twist is None else twist.frame
     ((_, colour),) = rollout_colours([name], {})
-    still = replace(recorded_motion(robot, tip, motion, colour), postures=postures, measures=())
+    still = recorded_motion(robot, tip, motion, colour)._replace(postures=postures, measures=())
     drawings = []
     if constraint is not None and (constraint.mechanism is not None or constraint.shown is not None):
         path = still.path if constraint.shown is None else constraint.shown.points

@@ -151,17 +151,14 @@ def phases_from_json(value: object) -> tuple[Phase, ...]:
     """
     if not isinstance(value, list | tuple):
         raise _refusal(f"phases must be a list, got {type(value).__name__}")
-    phases = list[Phase]()
-    for i, item in enumerate(value):
-        keys = ("trajectory", "start", "end", "constraint", "reason")
-        name, band, reason = _checked(i, [item.get(key) for key in keys] if isinstance(item, Mapping) else item)
-        phase = name, band.start, band.end, band.constraint
-        phases.append(phase if reason is None else (*phase, str(reason)))
-    return tuple(phases)
+    keys = ("trajectory", "start", "end", "constraint", "reason")
+    listed = ([item.get(key) for key in keys] if isinstance(item, Mapping) else item for item in value)
+    checked = (_checked(i, item) for i, item in enumerate(listed))
+    return tuple((name, b.start, b.end, b.constraint, *map(str, reason)) for name, b, reason in checked)
 
 
-def _checked(i: int, phase: Any) -> tuple[str, PhaseBand, Any]:
-    """Return the trajectory, the band and the reason of a phase."""
+def _checked(i: int, phase: Any) -> tuple[str, PhaseBand, list[Any]]:
+    """Return the trajectory, the band and the reason of a phase, none or one."""
     if not isinstance(phase, list | tuple) or len(phase) not in (4, 5) or not isinstance(phase[0], str):
         raise _refusal(f"phase {i} must be (trajectory, start, end, constraint or None), got {phase!r:.80}")
     trajectory, start, end, constraint, *reason = phase
@@ -174,7 +171,7 @@ def _checked(i: int, phase: Any) -> tuple[str, PhaseBand, Any]:
     if constraint is not None and not (is_number and 0 <= constraint < 1000):
         wanted = "the constraint must be a number from 0 up, or None for free motion"
         raise _refusal(f"phase {i} of {trajectory!r}: {wanted}, got {constraint!r:.40}")
-    return trajectory, PhaseBand(float(span[0]), float(span[1]), constraint), reason[0] if reason else None
+    return trajectory, PhaseBand(*map(float, span), constraint), [why for why in reason if why is not None]
 
 
 def _refusal(sentence: str) -> RecordingError:

@@ -6,8 +6,7 @@ A track has few enough numbers for a page, every minimum and maximum among them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -35,8 +34,7 @@ Spans = list[tuple[float, float]]
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class GuidedMotion:
+class GuidedMotion(NamedTuple):
     """A rollout or a recording, its samples and what guided it.
 
     Attributes:
@@ -293,8 +291,7 @@ def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class RecordedMotion:
+class RecordedMotion(NamedTuple):
     """One motion, ready for the page. Times count from its first sample [s].
 
     Attributes:
@@ -356,7 +353,7 @@ def recorded_motion(
             own = [band._replace(constraint=ways.get((band.name or "").rpartition(": ")[0])) for band in own]
         own = _within(own, motion)
         held = _held(recording, own, motion)
-    motion = replace(motion, phases=_within(phases, motion) or own)
+    motion = motion._replace(phases=_within(phases, motion) or own)
     opened: dict[str, list[Curve]] = {"m": [], "rad": []}
     for k, spans in list(held.items()):
         known = motion.mechanism(k) or mechanism or {}

@@ -18,6 +18,7 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.shown import Shown
+from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.linalg import finite
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
 Recording = Rollout | Trajectory
 MAX_GHOSTS = 12  # as in page/scene.js
+_CURVES = ("time", "q", "u", "manipulability", "task_error", "following_error")  # of a rollout, a value each sample
 
 
 def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
@@ -125,7 +127,7 @@ class ReplayResult:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer of `manip-learn replay`."""
-        return {"html": str(self.html), "bytes": self.bytes, "notes": list(self.notes)}
+        return vars(self) | {"html": str(self.html), "notes": list(self.notes)}
 
     def _repr_html_(self) -> str:
         """Return the page in a frame; as text, because notebooks do not serve every file."""
@@ -267,19 +269,17 @@ def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Re
     """
     if align not in ("start", "grasp"):
         raise RecordingError(f"align is {align!r}; 'start' or 'grasp' is needed", code="align")
-    rollouts = {name: r for name, r in named.items() if isinstance(r, Rollout) and len(r)}
-    if align == "start" or not rollouts:
-        return named, 0.0
+    rollouts = {name: r for name, r in named.items() if align == "grasp" and isinstance(r, Rollout) and len(r)}
     grasps = dict[str, float]()  # [s] from the start
     for name, r in rollouts.items():
         grasps[name] = next((w["begins"] for w in r.ways if w["begins"] is not None), r.time[0]) - float(r.time[0])
-    latest, out = max(grasps.values()), dict(named)
+    latest, out = max(grasps.values(), default=0.0), dict(named)
     for name, r in rollouts.items():
         if (wait := latest - grasps[name]) > 0.0:  # its first sample, that much earlier
-            curves = {field: getattr(r, field) for field in ("time", "q", "u", "manipulability", "task_error")}
+            curves = {field: getattr(r, field) for field in _CURVES if getattr(r, field) is not None}
             longer: dict[str, Any] = {field: np.concatenate([x[:1], x]) for field, x in curves.items()}
             longer["time"][0] -= wait
-            out[name] = replace(r, status=(r.status[0], *r.status), following_error=None, **longer)
+            out[name] = replace(r, status=(Status.OK, *r.status) if r.status else (), **longer)
     return out, latest
 
 
@@ -306,12 +306,11 @@ def _done(shown: RecordedMotion, several: bool) -> list[list[str]]:
             at = [np.interp(begins - motion.recording.time[0], shown.path_times, axis) for axis in shown.path.T]
             place = ", ".join(f"{x:.3f}" for x in at) + " m"
         joint = way.get("fastest_joint")
-        name, share = (joint.get("name"), joint.get("share_of_limit")) if isinstance(joint, Mapping) else ("", None)
-        fastest = _in_words("{:.0f} % of its limit", share, 100.0)
-        deviation = _in_words("{:.1f} mm", way.get("deviation"), 1e3)
-        margin = _in_words("{:.0f} %", way.get("margin"), 1e2)
-        fastest = fastest and f"{fastest} ({_text(name)})"
-        rows.append([whose, place, "".join(_way_in_words(way)), deviation, fastest, margin])
+        joint = joint if isinstance(joint, Mapping) else {}
+        fastest = _in_words("{:.0f} % of its limit", joint.get("share_of_limit"), 100.0)
+        fastest = fastest and f"{fastest} ({_text(joint.get('name'))})"
+        off, margin = _in_words("{:.1f} mm", way.get("deviation"), 1e3), _in_words("{:.0f} %", way.get("margin"), 1e2)
+        rows.append([whose, place, "".join(_way_in_words(way)), off, fastest, margin])
     return rows
 
 
@@ -329,8 +328,7 @@ def _drawings(
             drawn.append(None)
             continue
         # the tip where constraint k holds; everywhere if that is nowhere
-        bands = [(m, band) for m, band in phases if band.constraint == k and band.part in ("", WAY)]
-        held = [m.path[band.covers(m.path_times)] for m, band in bands]
+        held = [m.path[b.covers(m.path_times)] for m, b in phases if b.constraint == k and b.part in ("", WAY)]
         places = np.concatenate(held if any(map(len, held)) else [m.path for m in motions])
         if described is not None and described.get("type") == "line":
             # a line is drawn where hands took hold, or where that of a rollout does: its direction alone was learnt

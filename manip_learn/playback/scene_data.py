@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
-from typing import Any, cast, final
+from typing import Any, NamedTuple, cast, final
 
 import numpy as np
 import pinocchio as pin
@@ -122,7 +121,7 @@ def _robot(robot: Robot, looks: Appearance, tip: str) -> dict[str, Any]:
     ]
     return {
         "tip": tip,
-        "joints": [vars(j) | {"placement": j.placement.ravel().tolist(), "axis": j.axis.tolist()} for j in tree],
+        "joints": [j._asdict() | {"placement": j.placement.ravel().tolist(), "axis": j.axis.tolist()} for j in tree],
         "links": [{"name": frame.name, **_place(robot, frame)} for frame in links],
         "shapes": [vars(s) | {"pose": s.pose.ravel().tolist()} for s in looks.shapes],
         "meshes": [_mesh(m) for m in looks.meshes],
@@ -204,8 +203,7 @@ def _azimuth(motions: Sequence[RecordedMotion]) -> float:
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class HeldDirections:
+class HeldDirections(NamedTuple):
     """Projectors onto directions, in the axes of `axes` (the base, if that is None).
 
     Each field is shape (3, 3), or (T, 3, 3) along a motion if the directions depend on the place. Directions that the
@@ -356,8 +354,7 @@ def _place(robot: Robot, frame: Frame) -> dict[str, Any]:
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class MechanismDrawing:
+class MechanismDrawing(NamedTuple):
     """What is drawn of a mechanism, in the robot's base frame [m].
 
     Attributes:
@@ -381,7 +378,7 @@ class MechanismDrawing:
     def to_dict(self) -> dict[str, Any]:
         """For the page."""
         packed_up = {name: [packed(x, "<f4") for x in getattr(self, name)] for name in ("lines", "patches")}
-        return vars(self) | packed_up | {"way": packed(self.way, "<f4")}
+        return self._asdict() | packed_up | {"way": packed(self.way, "<f4")}
 
 
 def mechanism_drawing(
