@@ -28,11 +28,9 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance, joint_tracks
-from manip_learn.playback.page_writer import LIVE, PageKind, page
-from manip_learn.playback.palette import COLOURS, rgb_of, rollout_colours
-from manip_learn.playback.recorded_motion import guided_motion, recorded_motion
-from manip_learn.playback.scene_data import mechanism_drawing, scene_data
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.playback.palette import COLOURS, rgb_of
+from manip_learn.playback.replay_page import live_page
+from manip_learn.playback.scene_data import mechanism_drawing
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
@@ -92,10 +90,8 @@ class LiveProcess:
         port = stdout.readline().decode().strip() if select.select([stdout], [], [], timeout)[0] else ""
         if not port.isdigit():
             self.close()
-            raise OutputError(
-                f"the live view's server did not start within {timeout:g} s: is there room for another process, and "
-                "may it listen on 127.0.0.1?"
-            )
+            doubt = "is there room for another process, and may it listen on 127.0.0.1?"
+            raise OutputError(f"the live view's server did not start within {timeout:g} s: {doubt}")
         self._threads[1].start()
         self.url = f"http://127.0.0.1:{port}/{token}/"
 
@@ -183,7 +179,7 @@ class LiveProcess:
 
 
 @final
-class LiveViewer:
+class LiveViewer(contextlib.AbstractContextManager["LiveViewer"]):
     """Shows a robot while a controller runs.
 
         with LiveViewer(robot) as viewer:
@@ -202,6 +198,9 @@ class LiveViewer:
         title: Name in the legend.
         open_browser: Show the page now; it is at `url` in any case.
         timeout: How long the server may take to start [s].
+
+    Attributes:
+        url: Where the page is.
 
     Raises:
         OutputError: The server does not start.
@@ -222,15 +221,10 @@ class LiveViewer:
         self._robot = robot
         name = title or known_as(robot.source) or robot.name or "robot"
         self._process = LiveProcess(partial(live_page, robot, name, constraint=constraint, target=target), timeout)
-        self._start = clock.monotonic()
+        self.url, self._start = self._process.url, clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
         if open_browser:
             self._process.open_in_browser()
-
-    @property
-    def url(self) -> str:
-        """Where the page is."""
-        return self._process.url
 
     @property
     def is_open(self) -> bool:
@@ -265,50 +259,8 @@ class LiveViewer:
         """End the server; calling it twice is allowed. The browser keeps the last picture."""
         self._finalizer()
 
-    def __enter__(self) -> LiveViewer:
-        return self
-
     def __exit__(self, *failure: object) -> None:
         self.close()
-
-
-def live_page(
-    robot: Robot,
-    name: str,
-    token: str,
-    kind: PageKind = LIVE,
-    constraint: Constraint | None = None,
-    target: ArrayLike | None = None,
-) -> str:
-    """Return the HTML of a page that follows a robot.
-
-    Args:
-        robot: The robot.
-        name: Headline.
-        token: Of the address under which it is served.
-        kind: What the page is made of.
-        constraint: What is drawn of a task; None for nothing.
-        target: Where the task is to arrive, as `Task.goal` gives it.
-
-    Raises:
-        OutputError: Meshcat's viewer is missing.
-        ConstraintMismatchError: A constraint of another robot.
-        TargetError: A target that is not finite numbers.
-    """
-    rng, rest = np.random.default_rng(0), Trajectory(np.zeros(1), robot.neutral()[None])
-    postures = np.array([*rest.q, *(robot.random_configuration(rng) for _ in range(119))])  # for the camera
-    motion, twist = guided_motion(robot, name, rest, constraint, target), constraint and constraint.features.twist
-    tip = robot.frame(default_tip(robot)) if twist is None else twist.frame
-    ((_, colour),) = rollout_colours([name], {})
-    still = recorded_motion(robot, tip, motion, colour)._replace(postures=postures, measures=())
-    drawings = []
-    if constraint is not None and (constraint.mechanism is not None or constraint.shown is not None):
-        path = still.path if constraint.shown is None else constraint.shown.points
-        drawings.append(mechanism_drawing(constraint.mechanism, path, constraint.shown))
-    looks = appearance(robot)
-    data = scene_data(robot, looks, tip.name, [still], looks.notes, mechanisms=drawings)
-    data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, arms do not
-    return page(data, robot=name, subtitle="", kind=kind)
 
 
 # ---- in the user's own meshcat viewer ------------------------------------------------------------------------------
@@ -344,14 +296,12 @@ def show(
     """
     own = getattr(viewer, "viewer", viewer)  # of Pinocchio's, meshcat's own
     if getattr(own, "set_object", None) is None:
-        raise ConfigurationError(
-            f"got {type(viewer).__name__}: pass a meshcat.Visualizer, or a MeshcatVisualizer after initViewer()"
-        )
+        wanted = "pass a meshcat.Visualizer, or a MeshcatVisualizer after initViewer()"
+        raise ConfigurationError(f"got {type(viewer).__name__}: {wanted}")
     model, posture = robot.pinocchio_model, robot.neutral() if q is None else q
     if own is not viewer and viewer.model.nq != model.nq:
-        raise ConfigurationError(
-            f"the viewer has nq {viewer.model.nq}, {robot.name!r} has {model.nq}: build it with robot.pinocchio_model"
-        )
+        sizes = f"the viewer has nq {viewer.model.nq}, {robot.name!r} has {model.nq}"
+        raise ConfigurationError(f"{sizes}: build it with robot.pinocchio_model")
     scene, data = own["manip_learn"], model.createData()
     scene.delete()
     if own is viewer:

@@ -124,10 +124,8 @@ def guided_motion(
         other = c.robot
         if c.nv != robot.nv or (other is not None and other.joint_names != robot.joint_names):
             whose = f"robot {other.name!r}" if other is not None else f"a system of {c.nv} velocities"
-            raise ConstraintMismatchError(
-                f"the constraint to show with {name!r} is of {whose}, the robot shown is {robot.name!r} with "
-                f"{robot.nv}: give the constraint of that robot"
-            )
+            shown = f"the robot shown is {robot.name!r} with {robot.nv}: give the constraint of that robot"
+            raise ConstraintMismatchError(f"the constraint to show with {name!r} is of {whose}, {shown}")
     place = None if target is None else finite(target, *np.shape(np.array(target, dtype=object)))
     if target is not None and (place is None or place.ndim not in (1, 2)):
         raise TargetError(f"the target to show must be finite numbers, or a 4 x 4 pose, got {target!r:.80}")
@@ -284,8 +282,7 @@ def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"
     if values.size <= most:
         return samples
     spans = np.split(samples, np.linspace(0, values.size, max(most // 2, 2)).astype(int)[1:-1])
-    missing = np.isnan(values)
-    low, high = np.where(missing, np.inf, values), np.where(missing, -np.inf, values)
+    low, high = (np.where(np.isnan(values), never, values) for never in (np.inf, -np.inf))
     kept = [(span[np.argmin(low[span])], span[np.argmax(high[span])]) for span in spans]
     return np.unique([0, values.size - 1, *np.ravel(kept)])
 

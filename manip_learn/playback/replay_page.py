@@ -1,4 +1,4 @@
-"""Rollouts or recordings -> one page that plays them, with the evidence for what was learnt from them."""
+"""Rollouts or recordings -> one page that plays them, with the evidence for what was learnt from them; live pages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.linalg import finite
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.page_writer import in_cell, page
+from manip_learn.playback.page_writer import LIVE, PageKind, in_cell, page
 from manip_learn.playback.palette import WAY, Phase, phase_bands, phase_kinds, phases_from_json, rollout_colours
 from manip_learn.playback.recorded_motion import GuidedMotion, RecordedMotion, guided_motion, recorded_motion
 from manip_learn.playback.scene_data import MechanismDrawing, mechanism_drawing, scene_data
@@ -215,12 +215,9 @@ def replay(
     if not isinstance(first, Mapping | None):  # as in a damaged file
         sentence = f"the mechanism must be a dictionary, got {first!r:.60}: learn it again"
         raise RecordingError(sentence, code="mechanism")
-    tip_name, bands, looks = _shown_tip(robot, tip, guided), phase_bands(phases, list(named)), appearance(robot)
-    colouring = rollout_colours(list(named), colours or {}, neutral=bool(phases))
-    motions = [
-        recorded_motion(robot, robot.frame(tip_name), m, colour, bands[m.name], first)
-        for m, (_, colour) in zip(guided, colouring, strict=True)
-    ]
+    frame, bands, looks = _shown_tip(robot, tip, guided), phase_bands(phases, list(named)), appearance(robot)
+    painted = zip(guided, rollout_colours(list(named), colours or {}, neutral=bool(phases)), strict=True)
+    motions = [recorded_motion(robot, frame, m, colour, bands[m.name], first) for m, (_, colour) in painted]
     drawings = _drawings(first, motions)
     evidence = evidence_of(learnt)
     all_notes = tuple(dict.fromkeys((*notes, *_notes(evidence, 0 if phases else len(motions)), *looks.notes)))
@@ -228,7 +225,7 @@ def replay(
     rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guided[0].constraints]
     words = zip(drawings, rows or [""] * len(drawings), strict=False)
     kinds = phase_kinds(phases, [(drawn and drawn.type) or row for drawn, row in words]) if phases else ()
-    data = scene_data(robot, looks, tip_name, motions, all_notes, kinds, drawings) | {
+    data = scene_data(robot, looks, frame.name, motions, all_notes, kinds, drawings) | {
         "evidence": evidence if learnt else None,
         "zero": zero,
         "made": next((made for provenance in kept if (made := provenance.get("made"))), None),
@@ -241,6 +238,45 @@ def replay(
     if open_browser or (open_browser is None and html is None):
         webbrowser.open(path.as_uri())
     return ReplayResult(path, len(content), all_notes)
+
+
+def live_page(
+    robot: Robot,
+    name: str,
+    token: str,
+    kind: PageKind = LIVE,
+    constraint: Constraint | None = None,
+    target: ArrayLike | None = None,
+) -> str:
+    """Return the HTML of a page that follows a robot.
+
+    Args:
+        robot: The robot.
+        name: Headline.
+        token: Of the address under which it is served.
+        kind: What the page is made of.
+        constraint: What is drawn of a task; None for nothing.
+        target: Where the task is to arrive, as `Task.goal` gives it.
+
+    Raises:
+        OutputError: Meshcat's viewer is missing.
+        ConstraintMismatchError: A constraint of another robot.
+        TargetError: A target that is not finite numbers.
+    """
+    rng, rest = np.random.default_rng(0), Trajectory(np.zeros(1), robot.neutral()[None])
+    postures = np.array([*rest.q, *(robot.random_configuration(rng) for _ in range(119))])  # for the camera
+    motion, twist = guided_motion(robot, name, rest, constraint, target), constraint and constraint.features.twist
+    tip = robot.frame(default_tip(robot)) if twist is None else twist.frame
+    ((_, colour),) = rollout_colours([name], {})
+    still = recorded_motion(robot, tip, motion, colour)._replace(postures=postures, measures=())
+    drawings = []
+    if constraint is not None and (constraint.mechanism is not None or constraint.shown is not None):
+        path = still.path if constraint.shown is None else constraint.shown.points
+        drawings.append(mechanism_drawing(constraint.mechanism, path, constraint.shown))
+    looks = appearance(robot)
+    data = scene_data(robot, looks, tip.name, [still], looks.notes, mechanisms=drawings)
+    data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, arms do not
+    return page(data, robot=name, subtitle="", kind=kind)
 
 
 def _notes(evidence: Mapping[str, Any], n_arms: int) -> list[str]:
@@ -342,14 +378,13 @@ def _drawings(
     return tuple(drawn)
 
 
-def _shown_tip(robot: Robot, tip: str | None, motions: Sequence[GuidedMotion]) -> str:
+def _shown_tip(robot: Robot, tip: str | None, motions: Sequence[GuidedMotion]) -> Frame:
     """Return the frame whose path is drawn: the given one, that of a rollout or of a constraint, or the default."""
-    if tip is not None:
-        return robot.frame(tip).name
     frames = [m.recording.frame for m in motions if isinstance(m.recording, Rollout)]
     features = (m.constraint.features for m in motions if m.constraint is not None)
     frames += [frame.name for f in features if isinstance(frame := getattr(f, "frame", None), Frame)]
-    return next((name for name in frames if name in robot.frame_names), None) or default_tip(robot)
+    known = (name for name in frames if name in robot.frame_names)
+    return robot.frame(next(known, None) or default_tip(robot) if tip is None else tip)
 
 
 def named_recordings(rollouts: Mapping[str, Recording] | Recording) -> dict[str, Recording]:

@@ -87,8 +87,6 @@ def scene_data(
         # the longest semi-axis takes 8 % of the scene
         "ellipsoidScale": ellipsoid_scale(longest, 0.08 * _extent(cloud)),
         "notes": list(notes),
-        "panes": [],
-        "zero": 0.0,
         "phaseKinds": [vars(k) for k in kinds],
         "mechanisms": [m.to_dict() | {"constraint": k} for k, m in enumerate(mechanisms) if m is not None],
     }
@@ -299,12 +297,12 @@ def constraint_marks(robot: Robot, motion: GuidedMotion, constraint: Constraint,
         J = robot.frame_kinematics(ruled.axes).poses(q)[:, :3, :3].transpose(0, 2, 1) @ J
     driven = ruled.held @ J
     ellipsoid = driven @ driven.transpose(0, 2, 1)
-    names = {"held": "held", "free": "free", "heldTurns": "held_turns", "freeTurns": "free_turns"}
+    parts = zip(("held", "free", "heldTurns", "freeTurns"), directions[1:], strict=True)
     return {
         "tip": _place(robot, twist.frame),
         "axes": directions.axes and _place(robot, directions.axes),
         "times": packed(motion.samples.time[kept], "<f8"),
-        **{key: packed(getattr(directions, name)[..., *SIX], "<f4") for key, name in names.items()},
+        **{key: packed(part[..., *SIX], "<f4") for key, part in parts},
         "ellipsoid": packed(ellipsoid[:, *SIX], "<f4"),
         "longest": float(np.sqrt(np.maximum(np.linalg.eigvalsh(ellipsoid), 0.0).max(initial=0.0))),  # semi-axis [m/s]
         "driven": constraint.n_constraints > learnt.n_constraints,  # along what is free, too
