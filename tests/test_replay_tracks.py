@@ -193,6 +193,23 @@ def test_a_rollout_shows_its_own_constraint_and_mechanism(robot_of, drawer, roll
     assert bare["mechanisms"] == bare["rollouts"][0]["marks"] == [] and bare["evidence"] is None
 
 
+def test_a_rollout_that_waits_is_ok_and_keeps_its_tracks(robot_of, rollout, tmp_path):
+    """One that grasps earlier waits at its start: nothing slows it there, and its following error is still shown."""
+    way = {"name": "way", "wanted": 0.1, "done": 0.1, "unit": "m", "stopped_by": None}
+    limited, error = ("velocity-limited",) * len(rollout), np.full(len(rollout), 1e-3)
+    early = replace(rollout, ways=({**way, "begins": 0.2},), status=limited, following_error=error)
+    late = replace(rollout, ways=({**way, "begins": 0.5},))
+    named = {"early": early, "late": late, "bare": replace(early, status=())}
+    data = data_in(replay(robot_of("sawyer"), named, tmp_path / "a.html", align="grasp").html)
+    waiting, _, bare = data["rollouts"]
+    assert data["zero"] == pytest.approx(0.5)
+    assert waiting["status"] == [[0.0, "ok", "ok"], [pytest.approx(0.3), "velocity-limited", "slowed"]]
+    assert bare["status"] == []
+    times, errors = curves_of(waiting, "following-error")[""]
+    np.testing.assert_allclose(times[[0, 1, -1]], [0.0, 0.3, 0.3 + rollout.time[-1]])
+    np.testing.assert_allclose(errors, 1e-3)
+
+
 def test_evidence_in_words():
     """Gap, residual, uncertainty with what they mean; rows with their verdicts; what is missing is left out."""
     report = {

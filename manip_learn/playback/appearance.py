@@ -353,7 +353,7 @@ def _spread(vertices: Points, triangles: Int[np.ndarray, "F 3"]) -> Points:
     return _means(start, vertices[end])
 
 
-def _means(groups: Int[np.ndarray, " P"], points: Points) -> Points:
+def _means(groups: Int[np.ndarray, " P"], points: Points) -> Float[np.ndarray, "G 3"]:
     """Return the mean of the points of each group, of groups counted from 0."""
     return np.column_stack([np.bincount(groups, x) for x in points.T]) / np.bincount(groups)[:, None]
 

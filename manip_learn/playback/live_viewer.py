@@ -312,8 +312,7 @@ def show(
     def move(q: ArrayLike) -> None:
         full = robot.pinocchio_configuration(q)
         if own is not viewer:
-            viewer.display(full)
-            return
+            return viewer.display(full)
         pin.forwardKinematics(model, data, full)
         for joint, pose in enumerate(data.oMi):
             scene["arm"][str(joint)].set_transform(pose.homogeneous)

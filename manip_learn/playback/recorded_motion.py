@@ -61,11 +61,6 @@ class GuidedMotion(NamedTuple):
         """The first one."""
         return self.constraints[0] if self.constraints else None
 
-    @property
-    def ways(self) -> tuple[Mapping[str, Any], ...]:
-        """What became of each way of a rollout; empty for a recording."""
-        return self.recording.ways if isinstance(self.recording, Rollout) else ()
-
     def mechanism(self, k: int) -> Mapping[str, Any] | None:
         """Return the mechanism that constraint k keeps; None if it keeps none."""
         kept = self.constraints[k].provenance.get("mechanism") if k < len(self.constraints) else None
@@ -193,8 +188,7 @@ def tracks_of(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
             speed = np.linalg.norm(u, axis=1)
             # below a tenth of its root mean square speed a motion says nothing of a constraint
             moves = speed > 0.1 * np.sqrt(np.mean(speed**2))
-            broken = _broken(motion, moving, np.where(moves, motion.chosen(moving.time), -1))
-            shares = np.linalg.norm(broken, axis=1) / np.where(moves, speed, 1.0)
+            shares = np.linalg.norm(_broken(motion, moving), axis=1) / np.where(moves, speed, np.nan)
             tracks.append(_track("fit", [("share", moving.time, shares)]))
     for kind, times, values, known in limits:
         curves = [(name, times, values[:, j]) for j, name in enumerate(names) if known[j]]
@@ -216,15 +210,14 @@ def tracks_of(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
     return tracks
 
 
-def _broken(motion: GuidedMotion, moving: Trajectory, chosen: Int[np.ndarray, " U"]) -> Float[np.ndarray, "U nv"]:
-    """Return A^+ A u: the part of each velocity that A(q) u = 0 does not allow.
+def _broken(motion: GuidedMotion, moving: Trajectory) -> Float[np.ndarray, "U nv"]:
+    """Return A^+ A u: the part of each velocity that A(q) u = 0 does not allow; NaN where no constraint is known.
 
     Args:
         motion: The motion.
         moving: Its samples whose velocities are known.
-        chosen: Number of the constraint of each velocity; -1 for none, which gives NaN.
     """
-    u = moving.arrays["u"]
+    u, chosen = moving.arrays["u"], motion.chosen(moving.time)
     broken = np.full(u.shape, np.nan)
     for k in np.unique(chosen[chosen >= 0]):
         rows, constraint = chosen == k, motion.constraints[k]
@@ -240,9 +233,9 @@ def broken_share(motion: GuidedMotion) -> float | None:
     """
     if (moving := motion.moving) is None:
         return None
-    chosen = motion.chosen(moving.time, outside=-1 if motion.phases else 0)
-    total = float(np.sum(moving.arrays["u"][chosen >= 0] ** 2))
-    return float(np.sqrt(np.nansum(_broken(motion, moving, chosen) ** 2) / total)) if total > 0.0 else None
+    held = motion.chosen(moving.time, outside=-1 if motion.phases else 0) >= 0
+    total = float(np.sum(moving.arrays["u"][held] ** 2))
+    return float(np.sqrt(np.sum(_broken(motion, moving)[held] ** 2) / total)) if total > 0.0 else None
 
 
 def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]:

@@ -60,10 +60,10 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
             grown = "{:,.3g} times" if strength is None or strength < 1e6 else "over a million times"
             chance = _in_words("p = {:.2g}", entry.get("p_value"))
             rows.append([f"row {k + 1}", state, _in_words(grown, strength), chance])
-    imposed = content.get("kind") == "self-imposed"
+    imposed = "the demonstrator moves the constrained directions (b is not 0)"
     return {
         "headline": _text(content.get("sentence")),
-        "kind": "the demonstrator moves the constrained directions (b is not 0)" if imposed else "",
+        "kind": imposed if content.get("kind") == "self-imposed" else "",
         "facts": _facts(content),
         "words": _text(content.get("evidence")),
         "rows": rows,
@@ -321,7 +321,7 @@ def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Re
 
 def _outcome(motion: GuidedMotion) -> dict[str, str]:
     """Return the caption of a pane: name, how far each way went, and what stopped it."""
-    ways = [_way_in_words(way) for way in motion.ways]
+    ways = [_way_in_words(way) for way in getattr(motion.recording, "ways", ())]
     return {"name": motion.name, "said": "; ".join(far for far, _ in ways), "why": "; ".join(why for _, why in ways)}
 
 
@@ -335,7 +335,7 @@ def _way_in_words(way: Mapping[str, Any]) -> tuple[str, str]:
 def _done(shown: RecordedMotion, several: bool) -> list[list[str]]:
     """Return a row for each way of a rollout: its name, where the hand took hold, and its numbers, in words."""
     rows, motion = [], shown.motion
-    for way in motion.ways:
+    for way in getattr(motion.recording, "ways", ()):
         whose = ": ".join(filter(None, (motion.name if several else "", _text(way.get("name"))))) or motion.name
         begins, place = way["begins"], "not reached"
         if begins is not None:

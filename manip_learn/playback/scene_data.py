@@ -306,7 +306,7 @@ def constraint_marks(robot: Robot, motion: GuidedMotion, constraint: Constraint,
         "ellipsoid": packed(ellipsoid[:, *SIX], "<f4"),
         "longest": float(np.sqrt(np.maximum(np.linalg.eigvalsh(ellipsoid), 0.0).max(initial=0.0))),  # semi-axis [m/s]
         "driven": constraint.n_constraints > learnt.n_constraints,  # along what is free, too
-        "target": _target_place(robot, features, constraint.selection, motion),
+        "target": _target_place(robot, constraint, motion),
     }
 
 
@@ -321,11 +321,10 @@ def ellipsoid_scale(longest: float, size: float) -> float:
     return float(steps[steps * longest <= size * (1.0 + 1e-9)].max(initial=0.0)) if longest > 0.0 else 1.0
 
 
-def _target_place(
-    robot: Robot, features: PoseRows | WeighedVelocity, selection: Float[np.ndarray, "s p"], motion: GuidedMotion
-) -> dict[str, Any] | None:
+def _target_place(robot: Robot, constraint: Constraint, motion: GuidedMotion) -> dict[str, Any] | None:
     """Return the place of the target in the frame of a joint; coordinates that it lacks are those of the start."""
-    target, q = motion.target, motion.samples.q[0]
+    target, q, selection = motion.target, motion.samples.q[0], constraint.selection
+    features: Any = constraint.features
     if target is None or (target.shape != (4, 4) and isinstance(features, WeighedVelocity)):
         return None  # distances from an axis are no place
     if target.shape == (4, 4):
