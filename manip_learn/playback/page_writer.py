@@ -41,13 +41,13 @@ class PageKind:
             kind may also speak to it.
         style: Style sheets.
         program: Parts of the program, in their order.
-        markup: Between the picture and the curves; None for nothing.
+        markup: Between the picture and the curves.
     """
 
     mode: str
     style: tuple[Path, ...]
     program: tuple[Path, ...]
-    markup: Path | None = None
+    markup: tuple[Path, ...] = ()
 
 
 _PARTS = "scene stage fit phases chart sheets tracks constraint_marks handles around scene_key shown evidence keys"
@@ -85,8 +85,7 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = RE
     texts["title"] = f"{robot}: {subtitle}" if subtitle else robot
     parts = {name: html.escape(text) for name, text in texts.items()}
     parts |= {"policy": policy, "mode": kind.mode, "data": json_in_html(data), "viewer": viewer, "program": program}
-    files = {"style": kind.style, "markup": filter(None, [kind.markup])}
-    parts |= {name: "".join(map(_content, paths)) for name, paths in files.items()}
+    parts |= {name: "".join(map(_content, getattr(kind, name))) for name in ("style", "markup")}
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _content(_FOLDER / "page.html"))
 
 

@@ -248,20 +248,17 @@ def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]
         tracks: Of one motion.
         most: About how many points a curve may have.
     """
-    clocks = list[str]()
+    clocks = dict[str, int]()  # each with its number
 
     def curve_data(name: str, times: np.ndarray, values: np.ndarray) -> dict[str, Any]:
         kept = extremes(values, most)
         described: dict[str, Any] = {"name": name, "values": packed(values[kept], "<f4")}
         if kept.size < values.size:
             return described | {"times": packed(times[kept], "<f4")}
-        clock = packed(times, "<f8")
-        if clock not in clocks:
-            clocks.append(clock)
-        return described | {"clock": clocks.index(clock)}
+        return described | {"clock": clocks.setdefault(packed(times, "<f8"), len(clocks))}
 
     described = [{**track, "curves": [curve_data(*curve) for curve in track["curves"]]} for track in tracks]
-    return {"clocks": clocks, "tracks": described}
+    return {"clocks": list(clocks), "tracks": described}
 
 
 def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"]:

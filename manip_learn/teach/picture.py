@@ -44,7 +44,7 @@ TEACH = replace(
         *(file for file in REPLAY.program if file.name not in NOT_TAUGHT_WITH),
         *(_FOLDER / f"{name}.js" for name in _PARTS.split()),
     ),
-    markup=_FOLDER / "teach.html",
+    markup=(_FOLDER / "teach.html",),
 )
 
 
