@@ -72,7 +72,8 @@ class LiveProcess:
     ):
         token = secrets.token_urlsafe(18)
         header = json.dumps({"page": make_page(token), "token": token, "hears": heard is not None})
-        self._heard, self._interval = heard or (lambda _: None), 1.0 / frames_per_second
+        self._heard = (lambda _: None) if heard is None else heard
+        self._interval = 1.0 / frames_per_second
         self._failed = set[tuple[Any, ...]]()
         self._newest = {"begin": lambda: header}  # message of each slot, in the order in which they were put
         self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
