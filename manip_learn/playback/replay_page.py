@@ -218,8 +218,7 @@ def replay(
     frame, bands, looks = _shown_tip(robot, tip, guided), phase_bands(phases, list(named)), appearance(robot)
     painted = zip(guided, rollout_colours(list(named), colours or {}, neutral=bool(phases)), strict=True)
     motions = [recorded_motion(robot, frame, m, colour, bands[m.name], first) for m, (_, colour) in painted]
-    drawings = _drawings(first, motions)
-    evidence = evidence_of(learnt)
+    drawings, evidence = _drawings(first, motions), evidence_of(learnt)
     all_notes = tuple(dict.fromkeys((*notes, *_notes(evidence, 0 if phases else len(motions)), *looks.notes)))
     # each constraint is named by its mechanism, else by how many directions it holds
     rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guided[0].constraints]
