@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from manip_learn.errors import RecordingError
-from manip_learn.playback.constraint_marks import mechanism_drawing
+from manip_learn.playback.scene_data import mechanism_drawing
 
 AXIS, POINT, RADIUS = np.array([0.6, 0.0, 0.8]), np.array([0.3, -0.1, 0.2]), 0.4
 FIRST = np.array([0.8, 0.0, -0.6])  # across the axis

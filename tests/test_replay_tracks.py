@@ -17,8 +17,8 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import TargetError
 from manip_learn.playback import replay
-from manip_learn.playback.constraint_marks import held_directions
 from manip_learn.playback.replay_page import evidence_of
+from manip_learn.playback.scene_data import held_directions
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 
@@ -191,6 +191,23 @@ def test_a_rollout_shows_its_own_constraint_and_mechanism(robot_of, drawer, roll
     assert data["robot"]["tip"] == "right_gripper_tip"
     bare = data_in(replay(robot, {"a": replace(moved, constraint=None)}, tmp_path / "b.html").html)
     assert bare["mechanisms"] == bare["rollouts"][0]["marks"] == [] and bare["evidence"] is None
+
+
+def test_a_rollout_that_waits_is_ok_and_keeps_its_tracks(robot_of, rollout, tmp_path):
+    """One that grasps earlier waits at its start: nothing slows it there, and its following error is still shown."""
+    way = {"name": "way", "wanted": 0.1, "done": 0.1, "unit": "m", "stopped_by": None}
+    limited, error = ("velocity-limited",) * len(rollout), np.full(len(rollout), 1e-3)
+    early = replace(rollout, ways=({**way, "begins": 0.2},), status=limited, following_error=error)
+    late = replace(rollout, ways=({**way, "begins": 0.5},))
+    named = {"early": early, "late": late, "bare": replace(early, status=())}
+    data = data_in(replay(robot_of("sawyer"), named, tmp_path / "a.html", align="grasp").html)
+    waiting, _, bare = data["rollouts"]
+    assert data["zero"] == pytest.approx(0.5)
+    assert waiting["status"] == [[0.0, "ok", "ok"], [pytest.approx(0.3), "velocity-limited", "slowed"]]
+    assert bare["status"] == []
+    times, errors = curves_of(waiting, "following-error")[""]
+    np.testing.assert_allclose(times[[0, 1, -1]], [0.0, 0.3, 0.3 + rollout.time[-1]])
+    np.testing.assert_allclose(errors, 1e-3)
 
 
 def test_evidence_in_words():

@@ -15,7 +15,6 @@ from typing import Literal, NamedTuple, final
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
-from numpy.lib.stride_tricks import sliding_window_view
 
 from manip_learn.robot.description.mjcf import turn_z_to
 from manip_learn.robot.joints import joint_motions
@@ -32,8 +31,7 @@ DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the pl
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class TreeJoint:
+class TreeJoint(NamedTuple):
     """One moving joint, mimic joints included.
 
     Attributes:
@@ -60,8 +58,9 @@ def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
         motion, axis = "free", np.zeros(3)
         if along is not None and np.isclose(np.linalg.norm(along[1]), 1.0):
             motion, axis = ("revolute" if along[0] == "R" else "prismatic"), along[1]
-        placement = model.jointPlacements[i].homogeneous
-        tree.append(TreeJoint(model.names[i], int(model.parents[i]), placement, motion, axis))
+        tree.append(
+            TreeJoint(model.names[i], int(model.parents[i]), model.jointPlacements[i].homogeneous, motion, axis)
+        )
     return tuple(tree)
 
 
@@ -116,17 +115,14 @@ class Shape:
 
     def half_extent(self) -> Float[np.ndarray, " 3"]:
         """Return half the sides of a box around the shape, in its frame [m]; zero for meshes, which bring theirs."""
-        match self.size:
-            case (radius,):
-                return np.full(3, radius)
-            case (radius, length):
-                return np.array([radius, radius, length / 2.0])
-        return np.array(self.size or (0.0, 0.0, 0.0)) / 2.0
+        width, *more = self.size or (0.0,)
+        if len(self.size) == 3:
+            return np.array(self.size) / 2.0
+        return np.array([width, width, more[0] / 2.0 if more else width])
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Appearance:
+class Appearance(NamedTuple):
     """How a robot looks.
 
     Attributes:
@@ -323,7 +319,7 @@ def shell(bodies: Sequence[Body]) -> Mesh:
     low, high = low - fillet - cell, high + fillet + cell
     nodes = np.moveaxis(np.indices(np.ceil((high - low) / cell).astype(int)), 0, -1)
     inside = distance((low + cell * nodes).reshape(-1, 3)).reshape(nodes.shape[:3]) < 0.0
-    corners = sliding_window_view(inside, (2, 2, 2)).reshape(*np.subtract(inside.shape, 1), 8)
+    corners = np.lib.stride_tricks.sliding_window_view(inside, (2, 2, 2)).reshape(*np.subtract(inside.shape, 1), 8)
     crossed = corners.any(axis=-1) & ~corners.all(axis=-1)
     number = np.cumsum(crossed).reshape(crossed.shape) - 1
     faces = []
@@ -354,8 +350,12 @@ def _slope(distance: Distance, points: Points, step: float) -> Points:
 def _spread(vertices: Points, triangles: Int[np.ndarray, "F 3"]) -> Points:
     """Return each vertex moved to the middle of its neighbours: light on evenly spaced ones shows no pattern."""
     start, end = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
-    count = np.bincount(start, minlength=len(vertices))[:, None]
-    return np.column_stack([np.bincount(start, vertices[end, k], len(vertices)) for k in range(3)]) / count
+    return _means(start, vertices[end])
+
+
+def _means(groups: Int[np.ndarray, " P"], points: Points) -> Float[np.ndarray, "G 3"]:
+    """Return the mean of the points of each group, of groups counted from 0."""
+    return np.column_stack([np.bincount(groups, x) for x in points.T]) / np.bincount(groups)[:, None]
 
 
 # ---- meshes made small enough for a page, and smooth where the surface is smooth ----------------------------------
@@ -393,13 +393,11 @@ def _clustered(mesh: Mesh, target: int) -> Mesh:
 def _joined(mesh: Mesh, cell: float) -> Mesh:
     """Return a mesh whose vertices in one cell of a grid are one; what has no area or occurs twice is left out."""
     steps = np.rint((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
-    _, index, count = np.unique(steps, axis=0, return_inverse=True, return_counts=True)
-    index = index.reshape(-1)
-    middle = np.column_stack([np.bincount(index, mesh.vertices[:, k], len(count)) / count for k in range(3)])
+    index = np.unique(steps, axis=0, return_inverse=True)[1].reshape(-1)
     faces = index[mesh.faces]
     corners, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     has_area = (np.diff(corners, axis=1) > 0).all(axis=1)
-    return compact(Mesh(middle, faces[np.sort(first[has_area])]))
+    return compact(Mesh(_means(index, mesh.vertices), faces[np.sort(first[has_area])]))
 
 
 def _split_at_edges(mesh: Mesh) -> Mesh:

@@ -35,10 +35,8 @@ HEADERS = {
 }
 
 # what a browser asks in our place, once we are gone; it forgets us when it has said so
-AFTERWARDS = b"""const ended = async () => {
-  await self.registration.unregister();
-  return new Response("The program has ended. Start it again, and open its new page.");
-};
+AFTERWARDS = b"""const words = "The program has ended. Start it again, and open its new page.";
+const ended = () => self.registration.unregister().then(() => new Response(words));
 self.addEventListener("fetch", (event) => {
   if (event.request.mode === "navigate") event.respondWith(fetch(event.request).catch(ended));
 });

@@ -1,4 +1,4 @@
-"""A robot that is moving now, shown in the browser: the viewer, and its end of the server process."""
+"""A robot that is moving now: in a page of its own, which a server serves, or in the user's own meshcat viewer."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ import traceback
 import weakref
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, final
 
 import numpy as np
+import pinocchio as pin
+from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance, joint_tracks
-from manip_learn.playback.constraint_marks import mechanism_drawing
-from manip_learn.playback.page_writer import LIVE, PageKind, page
-from manip_learn.playback.palette import rollout_colours
-from manip_learn.playback.recorded_motion import guided_motion, recorded_motion
-from manip_learn.playback.scene_data import scene_data
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.playback.palette import COLOURS, rgb_of
+from manip_learn.playback.replay_page import live_page
+from manip_learn.playback.scene_data import mechanism_drawing
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
 _LOGGER = logging.getLogger("manip_learn")
 SERVER = Path(__file__).with_name("live_server.py")
+MESH = "TriangularMeshGeometry"
+TUBE = 0.004  # [m] radius of lines: those of WebGL are one pixel wide
 
 
 @final
@@ -72,7 +72,8 @@ class LiveProcess:
     ):
         token = secrets.token_urlsafe(18)
         header = json.dumps({"page": make_page(token), "token": token, "hears": heard is not None})
-        self._heard, self._interval = heard, 1.0 / frames_per_second
+        self._heard = (lambda _: None) if heard is None else heard
+        self._interval = 1.0 / frames_per_second
         self._failed = set[tuple[Any, ...]]()
         self._newest = {"begin": lambda: header}  # message of each slot, in the order in which they were put
         self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
@@ -90,10 +91,8 @@ class LiveProcess:
         port = stdout.readline().decode().strip() if select.select([stdout], [], [], timeout)[0] else ""
         if not port.isdigit():
             self.close()
-            raise OutputError(
-                f"the live view's server did not start within {timeout:g} s: is there room for another process, and "
-                "may it listen on 127.0.0.1?"
-            )
+            doubt = "is there room for another process, and may it listen on 127.0.0.1?"
+            raise OutputError(f"the live view's server did not start within {timeout:g} s: {doubt}")
         self._threads[1].start()
         self.url = f"http://127.0.0.1:{port}/{token}/"
 
@@ -147,8 +146,7 @@ class LiveProcess:
         """Hand on each line of the server until it ends."""
         for line in iter(self._process.stdout.readline, b""):
             with self._logged():
-                if self._heard is not None:
-                    self._heard(json.loads(line))
+                self._heard(json.loads(line))
             if not self.is_open:
                 return
 
@@ -182,7 +180,7 @@ class LiveProcess:
 
 
 @final
-class LiveViewer:
+class LiveViewer(contextlib.AbstractContextManager["LiveViewer"]):
     """Shows a robot while a controller runs.
 
         with LiveViewer(robot) as viewer:
@@ -201,6 +199,9 @@ class LiveViewer:
         title: Name in the legend.
         open_browser: Show the page now; it is at `url` in any case.
         timeout: How long the server may take to start [s].
+
+    Attributes:
+        url: Where the page is.
 
     Raises:
         OutputError: The server does not start.
@@ -221,15 +222,10 @@ class LiveViewer:
         self._robot = robot
         name = title or known_as(robot.source) or robot.name or "robot"
         self._process = LiveProcess(partial(live_page, robot, name, constraint=constraint, target=target), timeout)
-        self._start = clock.monotonic()
+        self.url, self._start = self._process.url, clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
         if open_browser:
             self._process.open_in_browser()
-
-    @property
-    def url(self) -> str:
-        """Where the page is."""
-        return self._process.url
 
     @property
     def is_open(self) -> bool:
@@ -247,12 +243,12 @@ class LiveViewer:
         Raises:
             ConfigurationError: Wrong size, NaN or infinity.
         """
-        posture = np.array(self._robot.configuration(q))  # a copy: the caller may go on writing to its own
+        robot = self._robot
+        posture = np.array(robot.configuration(q))  # a copy: the caller may go on writing to its own
         now = clock.monotonic() - self._start if time is None else float(time)
         mu = None if manipulability is None else float(manipulability)
         if not np.isfinite([now, mu or 0.0]).all():
             raise ConfigurationError(f"manipulability {mu} at time {now}: finite numbers are needed")
-        robot = self._robot
 
         def message() -> str:
             values = joint_tracks(robot, posture[None])[0]
@@ -264,47 +260,124 @@ class LiveViewer:
         """End the server; calling it twice is allowed. The browser keeps the last picture."""
         self._finalizer()
 
-    def __enter__(self) -> LiveViewer:
-        return self
-
     def __exit__(self, *failure: object) -> None:
         self.close()
 
 
-def live_page(
-    robot: Robot,
-    name: str,
-    token: str,
-    kind: PageKind = LIVE,
-    constraint: Constraint | None = None,
-    target: ArrayLike | None = None,
-) -> str:
-    """Return the HTML of a page that follows a robot.
+# ---- in the user's own meshcat viewer ------------------------------------------------------------------------------
+
+
+def show(
+    robot: Robot, viewer: Any, constraint: Constraint | None = None, q: ArrayLike | None = None
+) -> Callable[[ArrayLike], None]:
+    """Draw a robot, a constraint and what was shown of it into a meshcat viewer.
+
+    Everything lies below the path `manip_learn` of the viewer and replaces what an earlier call has drawn there: `arm`,
+    `mechanism` (the line, circle, plane or curve), `path` (of the most typical recording along it), `grasps` (where
+    hands began) and `target` (the end of that path).
 
     Args:
         robot: The robot.
-        name: Headline.
-        token: Of the address under which it is served.
-        kind: What the page is made of.
-        constraint: What is drawn of a task; None for nothing.
-        target: Where the task is to arrive, as `Task.goal` gives it.
+        viewer: A `meshcat.Visualizer`, or Pinocchio's `MeshcatVisualizer` of the same robot, which then draws the arm
+            with its own meshes.
+        constraint: A learnt constraint, whose mechanism is drawn in the robot's base frame; None for the arm alone.
+        q: Configuration (nq) or joint positions (nv) to show first; None for `robot.neutral()`.
+
+    Returns:
+        The function `show(q)`, which moves the arm to a configuration or joint positions.
 
     Raises:
-        OutputError: Meshcat's viewer is missing.
-        ConstraintMismatchError: A constraint of another robot.
-        TargetError: A target that is not finite numbers.
+        ConfigurationError: A viewer of another kind or of another robot, or a posture of the wrong size.
+
+    Example:
+        >>> import meshcat  # doctest: +SKIP
+        >>> move = ml.show(robot, meshcat.Visualizer(), constraint)  # doctest: +SKIP
+        >>> for posture in rollout.q:  # doctest: +SKIP
+        ...     move(posture)
     """
-    rng, rest = np.random.default_rng(0), Trajectory(np.zeros(1), robot.neutral()[None])
-    postures = np.array([*rest.q, *(robot.random_configuration(rng) for _ in range(119))])  # for the camera
-    motion, twist = guided_motion(robot, name, rest, constraint, target), constraint and constraint.features.twist
-    tip = robot.frame(default_tip(robot)) if twist is None else twist.frame
-    ((_, colour),) = rollout_colours([name], {})
-    still = replace(recorded_motion(robot, tip, motion, colour), postures=postures, measures=())
-    drawings = []
-    if constraint is not None and (constraint.mechanism is not None or constraint.shown is not None):
-        path = still.path if constraint.shown is None else constraint.shown.points
-        drawings.append(mechanism_drawing(constraint.mechanism, path, constraint.shown))
+    own = getattr(viewer, "viewer", viewer)  # of Pinocchio's, meshcat's own
+    if getattr(own, "set_object", None) is None:
+        wanted = "pass a meshcat.Visualizer, or a MeshcatVisualizer after initViewer()"
+        raise ConfigurationError(f"got {type(viewer).__name__}: {wanted}")
+    model, posture = robot.pinocchio_model, robot.neutral() if q is None else q
+    if own is not viewer and viewer.model.nq != model.nq:
+        sizes = f"the viewer has nq {viewer.model.nq}, {robot.name!r} has {model.nq}"
+        raise ConfigurationError(f"{sizes}: build it with robot.pinocchio_model")
+    scene, data = own["manip_learn"], model.createData()
+    scene.delete()
+    if own is viewer:
+        _draw_arm(scene["arm"], robot)
+    if constraint is not None:
+        _draw_constraint(scene, robot, constraint, posture)
+
+    def move(q: ArrayLike) -> None:
+        full = robot.pinocchio_configuration(q)
+        if own is not viewer:
+            return viewer.display(full)
+        pin.forwardKinematics(model, data, full)
+        for joint, pose in enumerate(data.oMi):
+            scene["arm"][str(joint)].set_transform(pose.homogeneous)
+
+    move(posture)
+    return move
+
+
+def _draw_arm(arm: Any, robot: Robot) -> None:
+    """Draw the shapes of each link below the joint that carries it."""
     looks = appearance(robot)
-    data = scene_data(robot, looks, tip.name, [still], looks.notes, mechanisms=drawings)
-    data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, arms do not
-    return page(data, robot=name, subtitle="", kind=kind)
+    for k, shape in enumerate(looks.shapes):
+        kind, size, pose = shape.kind.title(), shape.size, shape.pose
+        if shape.mesh is not None:
+            kind, size = MESH, looks.meshes[shape.mesh][:2]
+        elif kind == "Box":
+            size = (size,)
+        elif kind != "Sphere":  # meshcat's stand along y, ours along z
+            kind, size, pose = "Cylinder", size[::-1], pose[:, [0, 2, 1, 3]] * [1.0, 1.0, -1.0, 1.0]
+        _put(arm[str(shape.joint)][str(k)], kind, size, shape.colour, pose)
+
+
+def _draw_constraint(scene: Any, robot: Robot, constraint: Constraint, q: ArrayLike) -> None:
+    """Draw the mechanism of a constraint, the path that was shown along it, where hands began, and its end."""
+    shown, twist, mechanism = constraint.shown, constraint.features.twist, scene["mechanism"]
+    tip = default_tip(robot) if twist is None else twist.frame
+    path = robot.position(q, tip)[None] if shown is None else shown.points
+    blue, vermilion = (tuple(x / 255.0 for x in rgb_of(COLOURS[name])) for name in ("blue", "vermilion"))
+    if constraint.mechanism is not None:
+        drawing = mechanism_drawing(constraint.mechanism, path)
+        for k, line in enumerate(drawing.lines):
+            _put(mechanism[f"line{k}"], MESH, _tube(line, TUBE), (*blue, 1.0))
+        for k, corners in enumerate(drawing.patches):
+            _put(mechanism[f"patch{k}"], MESH, (corners, np.array([[0, 1, 2], [0, 2, 3]])), (*blue, 0.2))
+    if shown is not None:
+        _put(scene["path"], MESH, _tube(path, 2.0 * TUBE), (*vermilion, 1.0))
+        for name, places, radius in (("grasps", shown.grasps[:, :3, 3], 2.0), ("target", path[-1:], 4.0)):
+            for k, place in enumerate(places):
+                pose = pin.SE3(np.eye(3), place).homogeneous
+                _put(scene[name][str(k)], "Sphere", (radius * TUBE,), (*vermilion, 0.8), pose)
+
+
+def _put(
+    node: Any, kind: str, size: tuple[Any, ...], colour: tuple[float, ...], pose: Float[np.ndarray, "4 4"] | None = None
+) -> None:
+    """Draw a geometry of meshcat, made from its arguments, in red, green, blue and opacity."""
+    import meshcat.geometry as g  # here: importing it brings IPython
+
+    number, opacity = int(np.rint(255.0 * np.array(colour[:3])) @ (1 << 16, 1 << 8, 1)), colour[3]
+    material = g.MeshPhongMaterial(color=number, opacity=opacity, transparent=opacity < 1.0)
+    node.set_object(getattr(g, kind)(*size), material)
+    if pose is not None:
+        node.set_transform(pose)
+
+
+def _tube(points: Float[np.ndarray, "n 3"], radius: float) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+    """Return vertices and faces of a round tube along a polyline."""
+    along = np.gradient(points, axis=0)
+    aside = np.cross(along, np.eye(3)[np.argmin(np.ptp(points, axis=0))])
+    across = np.array([aside, np.cross(along, aside)])
+    across *= radius / np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-300)
+    angles = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)[:, None, None]  # its sides
+    rings = points + np.cos(angles) * across[0] + np.sin(angles) * across[1]
+    a = np.arange(8 * len(points)).reshape(8, -1)
+    b = np.roll(a, -1, axis=0)
+    corners = np.array([[a[:, :-1], b[:, :-1], a[:, 1:]], [b[:, :-1], b[:, 1:], a[:, 1:]]])
+    return rings.reshape(-1, 3), np.moveaxis(corners, 1, -1).reshape(-1, 3)

@@ -41,13 +41,13 @@ class PageKind:
             kind may also speak to it.
         style: Style sheets.
         program: Parts of the program, in their order.
-        markup: Between the picture and the curves; None for nothing.
+        markup: Between the picture and the curves.
     """
 
     mode: str
     style: tuple[Path, ...]
     program: tuple[Path, ...]
-    markup: Path | None = None
+    markup: tuple[Path, ...] = ()
 
 
 _PARTS = "scene stage fit phases chart sheets tracks constraint_marks handles around scene_key shown evidence keys"
@@ -81,19 +81,11 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = RE
         f"default-src 'none'; script-src {script_hash(viewer)} {script_hash(program)}; style-src 'unsafe-inline'; "
         f"img-src data: blob:; connect-src {server}; worker-src {server}; base-uri 'none'; form-action 'none'"
     )
-    parts = {
-        "policy": policy,
-        "title": html.escape(f"{robot}: {subtitle}" if subtitle else robot),
-        "style": "".join(map(_content, kind.style)),
-        "mode": kind.mode,
-        "markup": "" if kind.markup is None else _content(kind.markup),
-        "robot": html.escape(robot),
-        "subtitle": html.escape(subtitle),
-        "data": json_in_html(data),
-        "licences": html.escape(third_party_notices()),
-        "viewer": viewer,
-        "program": program,
-    }
+    texts = {"robot": robot, "subtitle": subtitle, "licences": third_party_notices()}
+    texts["title"] = f"{robot}: {subtitle}" if subtitle else robot
+    parts = {name: html.escape(text) for name, text in texts.items()}
+    parts |= {"policy": policy, "mode": kind.mode, "data": json_in_html(data), "viewer": viewer, "program": program}
+    parts |= {name: "".join(map(_content, getattr(kind, name))) for name in ("style", "markup")}
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _content(_FOLDER / "page.html"))
 
 
@@ -163,8 +155,7 @@ const asking = setInterval(() => parent.postMessage("manip-learn: viewer", "*"),
 _ANSWER = """<script>(() => {
   const kept = () => (window.manipLearnViewer ??= document.querySelector("script[data-manip-learn]")?.textContent);
   kept();
-  const isDark = Number(getComputedStyle(document.body).color.match(/[0-9.]+/)[0]) > 127; // letters are light
-  const scheme = isDark ? "dark" : "light";
+  const scheme = Number(getComputedStyle(document.body).color.match(/[0-9.]+/)[0]) > 127 ? "dark" : "light"; // letters
   for (const frame of document.querySelectorAll("iframe[title=replay]")) frame.style.colorScheme = scheme;
   addEventListener("message", ({ data, source }) => {
     if (data === "manip-learn: viewer" && kept()) source.postMessage({ manipLearnViewer: kept() }, "*");

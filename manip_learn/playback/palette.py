@@ -109,11 +109,9 @@ def phase_bands(phases: Sequence[Phase], names: Sequence[str]) -> dict[str, tupl
     checked = [_checked(i, phase) for i, phase in enumerate(phases)]
     bands = {name: [band for whose, band, _ in checked if whose == name] for name in names}
     if phases and not any(bands.values()):
-        others, shown = dict.fromkeys(repr(phase[0]) for phase in phases[:6]), map(repr, names[:6])
-        raise _refusal(
-            f"the phases are of the trajectories {', '.join(others)}, but the recordings shown are {', '.join(shown)}: "
-            "show the recordings under the names that the learner knows them by"
-        )
+        others, shown = (", ".join(map(repr, some)) for some in (dict.fromkeys(p[0] for p in phases[:6]), names[:6]))
+        whose = f"the phases are of the trajectories {others}, but the recordings shown are {shown}"
+        raise _refusal(f"{whose}: show the recordings under the names that the learner knows them by")
     return {name: tuple(sorted(some, key=lambda b: b.start)) for name, some in bands.items()}
 
 
@@ -151,17 +149,15 @@ def phases_from_json(value: object) -> tuple[Phase, ...]:
     """
     if not isinstance(value, list | tuple):
         raise _refusal(f"phases must be a list, got {type(value).__name__}")
-    phases = list[Phase]()
-    for i, item in enumerate(value):
-        keys = ("trajectory", "start", "end", "constraint", "reason")
-        name, band, reason = _checked(i, [item.get(key) for key in keys] if isinstance(item, Mapping) else item)
-        phase = name, band.start, band.end, band.constraint
-        phases.append(phase if reason is None else (*phase, str(reason)))
+    keys = ("trajectory", "start", "end", "constraint", "reason")
+    listed = ([item.get(key) for key in keys] if isinstance(item, Mapping) else item for item in value)
+    checked = (_checked(i, item) for i, item in enumerate(listed))
+    phases: list[Any] = [(name, *band[:3], *map(str, reason)) for name, band, reason in checked]
     return tuple(phases)
 
 
-def _checked(i: int, phase: Any) -> tuple[str, PhaseBand, Any]:
-    """Return the trajectory, the band and the reason of a phase."""
+def _checked(i: int, phase: Any) -> tuple[str, PhaseBand, list[Any]]:
+    """Return the trajectory, the band and the reason of a phase, none or one."""
     if not isinstance(phase, list | tuple) or len(phase) not in (4, 5) or not isinstance(phase[0], str):
         raise _refusal(f"phase {i} must be (trajectory, start, end, constraint or None), got {phase!r:.80}")
     trajectory, start, end, constraint, *reason = phase
@@ -174,7 +170,7 @@ def _checked(i: int, phase: Any) -> tuple[str, PhaseBand, Any]:
     if constraint is not None and not (is_number and 0 <= constraint < 1000):
         wanted = "the constraint must be a number from 0 up, or None for free motion"
         raise _refusal(f"phase {i} of {trajectory!r}: {wanted}, got {constraint!r:.40}")
-    return trajectory, PhaseBand(float(span[0]), float(span[1]), constraint), reason[0] if reason else None
+    return trajectory, PhaseBand(float(span[0]), float(span[1]), constraint), [why for why in reason if why is not None]
 
 
 def _refusal(sentence: str) -> RecordingError:

@@ -6,8 +6,7 @@ A track has few enough numbers for a page, every minimum and maximum among them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -35,8 +34,7 @@ Spans = list[tuple[float, float]]
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class GuidedMotion:
+class GuidedMotion(NamedTuple):
     """A rollout or a recording, its samples and what guided it.
 
     Attributes:
@@ -62,11 +60,6 @@ class GuidedMotion:
     def constraint(self) -> Constraint | None:
         """The first one."""
         return self.constraints[0] if self.constraints else None
-
-    @property
-    def ways(self) -> tuple[Mapping[str, Any], ...]:
-        """What became of each way of a rollout; empty for a recording."""
-        return self.recording.ways if isinstance(self.recording, Rollout) else ()
 
     def mechanism(self, k: int) -> Mapping[str, Any] | None:
         """Return the mechanism that constraint k keeps; None if it keeps none."""
@@ -126,10 +119,8 @@ def guided_motion(
         other = c.robot
         if c.nv != robot.nv or (other is not None and other.joint_names != robot.joint_names):
             whose = f"robot {other.name!r}" if other is not None else f"a system of {c.nv} velocities"
-            raise ConstraintMismatchError(
-                f"the constraint to show with {name!r} is of {whose}, the robot shown is {robot.name!r} with "
-                f"{robot.nv}: give the constraint of that robot"
-            )
+            shown = f"the robot shown is {robot.name!r} with {robot.nv}: give the constraint of that robot"
+            raise ConstraintMismatchError(f"the constraint to show with {name!r} is of {whose}, {shown}")
     place = None if target is None else finite(target, *np.shape(np.array(target, dtype=object)))
     if target is not None and (place is None or place.ndim not in (1, 2)):
         raise TargetError(f"the target to show must be finite numbers, or a 4 x 4 pose, got {target!r:.80}")
@@ -197,8 +188,7 @@ def tracks_of(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
             speed = np.linalg.norm(u, axis=1)
             # below a tenth of its root mean square speed a motion says nothing of a constraint
             moves = speed > 0.1 * np.sqrt(np.mean(speed**2))
-            broken = _broken(motion, moving, np.where(moves, motion.chosen(moving.time), -1))
-            shares = np.linalg.norm(broken, axis=1) / np.where(moves, speed, 1.0)
+            shares = np.linalg.norm(_broken(motion, moving), axis=1) / np.where(moves, speed, np.nan)
             tracks.append(_track("fit", [("share", moving.time, shares)]))
     for kind, times, values, known in limits:
         curves = [(name, times, values[:, j]) for j, name in enumerate(names) if known[j]]
@@ -220,15 +210,14 @@ def tracks_of(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
     return tracks
 
 
-def _broken(motion: GuidedMotion, moving: Trajectory, chosen: Int[np.ndarray, " U"]) -> Float[np.ndarray, "U nv"]:
-    """Return A^+ A u: the part of each velocity that A(q) u = 0 does not allow.
+def _broken(motion: GuidedMotion, moving: Trajectory) -> Float[np.ndarray, "U nv"]:
+    """Return A^+ A u: the part of each velocity that A(q) u = 0 does not allow; NaN where no constraint is known.
 
     Args:
         motion: The motion.
         moving: Its samples whose velocities are known.
-        chosen: Number of the constraint of each velocity; -1 for none, which gives NaN.
     """
-    u = moving.arrays["u"]
+    u, chosen = moving.arrays["u"], motion.chosen(moving.time)
     broken = np.full(u.shape, np.nan)
     for k in np.unique(chosen[chosen >= 0]):
         rows, constraint = chosen == k, motion.constraints[k]
@@ -244,9 +233,9 @@ def broken_share(motion: GuidedMotion) -> float | None:
     """
     if (moving := motion.moving) is None:
         return None
-    chosen = motion.chosen(moving.time, outside=-1 if motion.phases else 0)
-    total = float(np.sum(moving.arrays["u"][chosen >= 0] ** 2))
-    return float(np.sqrt(np.nansum(_broken(motion, moving, chosen) ** 2) / total)) if total > 0.0 else None
+    held = motion.chosen(moving.time, outside=-1 if motion.phases else 0) >= 0
+    total = float(np.sum(moving.arrays["u"][held] ** 2))
+    return float(np.sqrt(np.sum(_broken(motion, moving)[held] ** 2) / total)) if total > 0.0 else None
 
 
 def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]:
@@ -259,20 +248,17 @@ def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]
         tracks: Of one motion.
         most: About how many points a curve may have.
     """
-    clocks = list[str]()
+    clocks = dict[str, int]()  # each with its number
 
     def curve_data(name: str, times: np.ndarray, values: np.ndarray) -> dict[str, Any]:
         kept = extremes(values, most)
         described: dict[str, Any] = {"name": name, "values": packed(values[kept], "<f4")}
         if kept.size < values.size:
             return described | {"times": packed(times[kept], "<f4")}
-        clock = packed(times, "<f8")
-        if clock not in clocks:
-            clocks.append(clock)
-        return described | {"clock": clocks.index(clock)}
+        return described | {"clock": clocks.setdefault(packed(times, "<f8"), len(clocks))}
 
     described = [{**track, "curves": [curve_data(*curve) for curve in track["curves"]]} for track in tracks]
-    return {"clocks": clocks, "tracks": described}
+    return {"clocks": list(clocks), "tracks": described}
 
 
 def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"]:
@@ -286,15 +272,13 @@ def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"
     if values.size <= most:
         return samples
     spans = np.split(samples, np.linspace(0, values.size, max(most // 2, 2)).astype(int)[1:-1])
-    missing = np.isnan(values)
-    low, high = np.where(missing, np.inf, values), np.where(missing, -np.inf, values)
+    low, high = (np.where(np.isnan(values), never, values) for never in (np.inf, -np.inf))
     kept = [(span[np.argmin(low[span])], span[np.argmax(high[span])]) for span in spans]
     return np.unique([0, values.size - 1, *np.ravel(kept)])
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class RecordedMotion:
+class RecordedMotion(NamedTuple):
     """One motion, ready for the page. Times count from its first sample [s].
 
     Attributes:
@@ -356,7 +340,7 @@ def recorded_motion(
             own = [band._replace(constraint=ways.get((band.name or "").rpartition(": ")[0])) for band in own]
         own = _within(own, motion)
         held = _held(recording, own, motion)
-    motion = replace(motion, phases=_within(phases, motion) or own)
+    motion = motion._replace(phases=_within(phases, motion) or own)
     opened: dict[str, list[Curve]] = {"m": [], "rad": []}
     for k, spans in list(held.items()):
         known = motion.mechanism(k) or mechanism or {}

@@ -1,4 +1,4 @@
-"""Rollouts or recordings -> one page that plays them, with the evidence for what was learnt from them."""
+"""Rollouts or recordings -> one page that plays them, with the evidence for what was learnt from them; live pages."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.shown import Shown
+from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.linalg import finite
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.constraint_marks import MechanismDrawing, mechanism_drawing
-from manip_learn.playback.page_writer import in_cell, page
+from manip_learn.playback.page_writer import LIVE, PageKind, in_cell, page
 from manip_learn.playback.palette import WAY, Phase, phase_bands, phase_kinds, phases_from_json, rollout_colours
 from manip_learn.playback.recorded_motion import GuidedMotion, RecordedMotion, guided_motion, recorded_motion
-from manip_learn.playback.scene_data import scene_data
+from manip_learn.playback.scene_data import MechanismDrawing, mechanism_drawing, scene_data
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.joints import Frame
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 Recording = Rollout | Trajectory
 MAX_GHOSTS = 12  # as in page/scene.js
+_CURVES = ("time", "q", "u", "manipulability", "task_error", "following_error")  # of a rollout, a value each sample
 
 
 def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
@@ -59,10 +60,10 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
             grown = "{:,.3g} times" if strength is None or strength < 1e6 else "over a million times"
             chance = _in_words("p = {:.2g}", entry.get("p_value"))
             rows.append([f"row {k + 1}", state, _in_words(grown, strength), chance])
-    imposed = content.get("kind") == "self-imposed"
+    imposed = "the demonstrator moves the constrained directions (b is not 0)"
     return {
         "headline": _text(content.get("sentence")),
-        "kind": "the demonstrator moves the constrained directions (b is not 0)" if imposed else "",
+        "kind": imposed if content.get("kind") == "self-imposed" else "",
         "facts": _facts(content),
         "words": _text(content.get("evidence")),
         "rows": rows,
@@ -126,7 +127,7 @@ class ReplayResult:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer of `manip-learn replay`."""
-        return {"html": str(self.html), "bytes": self.bytes, "notes": list(self.notes)}
+        return vars(self) | {"html": str(self.html), "notes": list(self.notes)}
 
     def _repr_html_(self) -> str:
         """Return the page in a frame; as text, because notebooks do not serve every file."""
@@ -214,20 +215,16 @@ def replay(
     if not isinstance(first, Mapping | None):  # as in a damaged file
         sentence = f"the mechanism must be a dictionary, got {first!r:.60}: learn it again"
         raise RecordingError(sentence, code="mechanism")
-    tip_name, bands, looks = _shown_tip(robot, tip, guided), phase_bands(phases, list(named)), appearance(robot)
-    colouring = rollout_colours(list(named), colours or {}, neutral=bool(phases))
-    motions = [
-        recorded_motion(robot, robot.frame(tip_name), m, colour, bands[m.name], first)
-        for m, (_, colour) in zip(guided, colouring, strict=True)
-    ]
-    drawings = _drawings(first, motions)
-    evidence = evidence_of(learnt)
+    frame, bands, looks = _shown_tip(robot, tip, guided), phase_bands(phases, list(named)), appearance(robot)
+    painted = zip(guided, rollout_colours(list(named), colours or {}, neutral=bool(phases)), strict=True)
+    motions = [recorded_motion(robot, frame, m, colour, bands[m.name], first) for m, (_, colour) in painted]
+    drawings, evidence = _drawings(first, motions), evidence_of(learnt)
     all_notes = tuple(dict.fromkeys((*notes, *_notes(evidence, 0 if phases else len(motions)), *looks.notes)))
     # each constraint is named by its mechanism, else by how many directions it holds
     rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in guided[0].constraints]
     words = zip(drawings, rows or [""] * len(drawings), strict=False)
     kinds = phase_kinds(phases, [(drawn and drawn.type) or row for drawn, row in words]) if phases else ()
-    data = scene_data(robot, looks, tip_name, motions, all_notes, kinds, drawings) | {
+    data = scene_data(robot, looks, frame.name, motions, all_notes, kinds, drawings) | {
         "evidence": evidence if learnt else None,
         "zero": zero,
         "made": next((made for provenance in kept if (made := provenance.get("made"))), None),
@@ -240,6 +237,45 @@ def replay(
     if open_browser or (open_browser is None and html is None):
         webbrowser.open(path.as_uri())
     return ReplayResult(path, len(content), all_notes)
+
+
+def live_page(
+    robot: Robot,
+    name: str,
+    token: str,
+    kind: PageKind = LIVE,
+    constraint: Constraint | None = None,
+    target: ArrayLike | None = None,
+) -> str:
+    """Return the HTML of a page that follows a robot.
+
+    Args:
+        robot: The robot.
+        name: Headline.
+        token: Of the address under which it is served.
+        kind: What the page is made of.
+        constraint: What is drawn of a task; None for nothing.
+        target: Where the task is to arrive, as `Task.goal` gives it.
+
+    Raises:
+        OutputError: Meshcat's viewer is missing.
+        ConstraintMismatchError: A constraint of another robot.
+        TargetError: A target that is not finite numbers.
+    """
+    rng, rest = np.random.default_rng(0), Trajectory(np.zeros(1), robot.neutral()[None])
+    postures = np.array([*rest.q, *(robot.random_configuration(rng) for _ in range(119))])  # for the camera
+    motion, twist = guided_motion(robot, name, rest, constraint, target), constraint and constraint.features.twist
+    tip = robot.frame(default_tip(robot)) if twist is None else twist.frame
+    ((_, colour),) = rollout_colours([name], {})
+    still = recorded_motion(robot, tip, motion, colour)._replace(postures=postures, measures=())
+    drawings = []
+    if constraint is not None and (constraint.mechanism is not None or constraint.shown is not None):
+        path = still.path if constraint.shown is None else constraint.shown.points
+        drawings.append(mechanism_drawing(constraint.mechanism, path, constraint.shown))
+    looks = appearance(robot)
+    data = scene_data(robot, looks, tip.name, [still], looks.notes, mechanisms=drawings)
+    data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, arms do not
+    return page(data, robot=name, subtitle="", kind=kind)
 
 
 def _notes(evidence: Mapping[str, Any], n_arms: int) -> list[str]:
@@ -268,25 +304,23 @@ def _on_one_clock(named: dict[str, Recording], align: str) -> tuple[dict[str, Re
     """
     if align not in ("start", "grasp"):
         raise RecordingError(f"align is {align!r}; 'start' or 'grasp' is needed", code="align")
-    rollouts = {name: r for name, r in named.items() if isinstance(r, Rollout) and len(r)}
-    if align == "start" or not rollouts:
-        return named, 0.0
+    rollouts = {name: r for name, r in named.items() if align == "grasp" and isinstance(r, Rollout) and len(r)}
     grasps = dict[str, float]()  # [s] from the start
     for name, r in rollouts.items():
         grasps[name] = next((w["begins"] for w in r.ways if w["begins"] is not None), r.time[0]) - float(r.time[0])
-    latest, out = max(grasps.values()), dict(named)
+    latest, out = max(grasps.values(), default=0.0), dict(named)
     for name, r in rollouts.items():
         if (wait := latest - grasps[name]) > 0.0:  # its first sample, that much earlier
-            curves = {field: getattr(r, field) for field in ("time", "q", "u", "manipulability", "task_error")}
+            curves = {field: getattr(r, field) for field in _CURVES if getattr(r, field) is not None}
             longer: dict[str, Any] = {field: np.concatenate([x[:1], x]) for field, x in curves.items()}
             longer["time"][0] -= wait
-            out[name] = replace(r, status=(r.status[0], *r.status), following_error=None, **longer)
+            out[name] = replace(r, status=(Status.OK, *r.status) if r.status else (), **longer)
     return out, latest
 
 
 def _outcome(motion: GuidedMotion) -> dict[str, str]:
     """Return the caption of a pane: name, how far each way went, and what stopped it."""
-    ways = [_way_in_words(way) for way in motion.ways]
+    ways = [_way_in_words(way) for way in getattr(motion.recording, "ways", ())]
     return {"name": motion.name, "said": "; ".join(far for far, _ in ways), "why": "; ".join(why for _, why in ways)}
 
 
@@ -300,19 +334,18 @@ def _way_in_words(way: Mapping[str, Any]) -> tuple[str, str]:
 def _done(shown: RecordedMotion, several: bool) -> list[list[str]]:
     """Return a row for each way of a rollout: its name, where the hand took hold, and its numbers, in words."""
     rows, motion = [], shown.motion
-    for way in motion.ways:
+    for way in getattr(motion.recording, "ways", ()):
         whose = ": ".join(filter(None, (motion.name if several else "", _text(way.get("name"))))) or motion.name
         begins, place = way["begins"], "not reached"
         if begins is not None:
             at = [np.interp(begins - motion.recording.time[0], shown.path_times, axis) for axis in shown.path.T]
             place = ", ".join(f"{x:.3f}" for x in at) + " m"
         joint = way.get("fastest_joint")
-        name, share = (joint.get("name"), joint.get("share_of_limit")) if isinstance(joint, Mapping) else ("", None)
-        fastest = _in_words("{:.0f} % of its limit", share, 100.0)
-        deviation = _in_words("{:.1f} mm", way.get("deviation"), 1e3)
-        margin = _in_words("{:.0f} %", way.get("margin"), 1e2)
-        fastest = fastest and f"{fastest} ({_text(name)})"
-        rows.append([whose, place, "".join(_way_in_words(way)), deviation, fastest, margin])
+        joint = joint if isinstance(joint, Mapping) else {}
+        fastest = _in_words("{:.0f} % of its limit", joint.get("share_of_limit"), 100.0)
+        fastest = fastest and f"{fastest} ({_text(joint.get('name'))})"
+        off, margin = _in_words("{:.1f} mm", way.get("deviation"), 1e3), _in_words("{:.0f} %", way.get("margin"), 1e2)
+        rows.append([whose, place, "".join(_way_in_words(way)), off, fastest, margin])
     return rows
 
 
@@ -330,8 +363,7 @@ def _drawings(
             drawn.append(None)
             continue
         # the tip where constraint k holds; everywhere if that is nowhere
-        bands = [(m, band) for m, band in phases if band.constraint == k and band.part in ("", WAY)]
-        held = [m.path[band.covers(m.path_times)] for m, band in bands]
+        held = [m.path[b.covers(m.path_times)] for m, b in phases if b.constraint == k and b.part in ("", WAY)]
         places = np.concatenate(held if any(map(len, held)) else [m.path for m in motions])
         if described is not None and described.get("type") == "line":
             # a line is drawn where hands took hold, or where that of a rollout does: its direction alone was learnt
@@ -345,14 +377,13 @@ def _drawings(
     return tuple(drawn)
 
 
-def _shown_tip(robot: Robot, tip: str | None, motions: Sequence[GuidedMotion]) -> str:
+def _shown_tip(robot: Robot, tip: str | None, motions: Sequence[GuidedMotion]) -> Frame:
     """Return the frame whose path is drawn: the given one, that of a rollout or of a constraint, or the default."""
-    if tip is not None:
-        return robot.frame(tip).name
     frames = [m.recording.frame for m in motions if isinstance(m.recording, Rollout)]
     features = (m.constraint.features for m in motions if m.constraint is not None)
     frames += [frame.name for f in features if isinstance(frame := getattr(f, "frame", None), Frame)]
-    return next((name for name in frames if name in robot.frame_names), None) or default_tip(robot)
+    known = (name for name in frames if name in robot.frame_names)
+    return robot.frame(next(known, None) or default_tip(robot) if tip is None else tip)
 
 
 def named_recordings(rollouts: Mapping[str, Recording] | Recording) -> dict[str, Recording]:

@@ -14,9 +14,9 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.errors import counted
 from manip_learn.playback.appearance import joint_tracks
-from manip_learn.playback.constraint_marks import held_directions
-from manip_learn.playback.live_viewer import live_page
 from manip_learn.playback.page_writer import REPLAY, packed
+from manip_learn.playback.replay_page import live_page
+from manip_learn.playback.scene_data import held_directions
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import TeachingArm
 from manip_learn.teach.scene import MOVES, TITLES, TeachingScene
@@ -44,7 +44,7 @@ TEACH = replace(
         *(file for file in REPLAY.program if file.name not in NOT_TAUGHT_WITH),
         *(_FOLDER / f"{name}.js" for name in _PARTS.split()),
     ),
-    markup=_FOLDER / "teach.html",
+    markup=(_FOLDER / "teach.html",),
 )
 
 

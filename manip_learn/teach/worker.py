@@ -127,9 +127,9 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], file: str
     """
     from manip_learn.constraint.features import FrameJacobian
     from manip_learn.learning import ConstraintLearner
-    from manip_learn.playback.constraint_marks import mechanism_drawing
     from manip_learn.playback.palette import phase_kinds
     from manip_learn.playback.replay_page import evidence_of
+    from manip_learn.playback.scene_data import mechanism_drawing
     from manip_learn.recordings import load_demonstrations
 
     demos = load_demonstrations(files, robot)

@@ -29,9 +29,9 @@ class Show {
     for (const rollout of this.rollouts) rollout.odd = (data.odd ?? {})[rollout.name];
     this.duration = Math.max(...this.rollouts.map((r) => r.duration));
     this.time = 0;
-    this.panes = data.panes.length > 0;
+    this.panes = Boolean(data.panes && data.panes.length);
     if (this.panes) for (const rollout of this.rollouts) rollout.solid = true;
-    this.zero = data.zero;
+    this.zero = data.zero ?? 0;
     this.makeScene(data);
     if (this.panes) this.arrangePanes(data.panes);
     DARK.addEventListener("change", () => this.recolour());
