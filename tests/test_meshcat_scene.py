@@ -67,7 +67,8 @@ def test_the_scene_is_the_arm_and_what_was_learnt(door):
         else viewer.kept["manip_learn", "path"].vertices
     )
     apart = np.linalg.norm(tube[:, None] - constraint.shown.points[None], axis=2)
-    np.testing.assert_allclose(apart.min(axis=1), 0.008, atol=1e-3)
+    around = apart.min(axis=1)
+    np.testing.assert_allclose(around[around > 1e-6], 0.008, atol=1e-3)  # others are the middles of the ends
     ml.show(robot, viewer)
     assert {path[1] for path in viewer.kept} == {"arm"}  # what an earlier call has drawn is gone
 

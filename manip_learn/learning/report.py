@@ -43,7 +43,7 @@ KEPT_POSTURES = 144
 # what of a report goes into the constraint's file
 PROVENANCE = set(
     "estimator kind gap uncertainty_deg uncertainty mu_uncertainty n_samples n_trajectories sentence warnings phases "
-    "odd_trajectories mechanism evidence row_evidence held_out_residual n_constraints".split()
+    "odd_trajectories mechanism evidence facts row_evidence held_out_residual n_constraints".split()
 )
 
 
@@ -182,7 +182,7 @@ class LearningReport:
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, strings and lists for JSON; None in place of NaN."""
         content = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return _plain(content | {"mechanism": None if self.mechanism is None else self.mechanism.to_dict()})
+        return _plain(content | {"mechanism": self.mechanism and self.mechanism.to_dict(), "facts": self.facts()})
 
     def __str__(self) -> str:
         return "\n".join([self.sentence, *(f"warning: {w}" for w in self.warnings)])
@@ -231,7 +231,7 @@ class LearningReport:
             "uncertainty": self.known_to(),
             "strength": f"{strengths}{p_value} (recombination test)" if self.row_evidence else None,
             "mechanism": self.mechanism_in_words(),
-            "learnt from": f"{source} in {self.seconds:.2g} s",
+            "learnt from": source,
         }
         return {name: words for name, words in facts.items() if words}
 

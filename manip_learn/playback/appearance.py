@@ -58,9 +58,8 @@ def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
         motion, axis = "free", np.zeros(3)
         if along is not None and np.isclose(np.linalg.norm(along[1]), 1.0):
             motion, axis = ("revolute" if along[0] == "R" else "prismatic"), along[1]
-        tree.append(
-            TreeJoint(model.names[i], int(model.parents[i]), model.jointPlacements[i].homogeneous, motion, axis)
-        )
+        placement = model.jointPlacements[i].homogeneous
+        tree.append(TreeJoint(model.names[i], int(model.parents[i]), placement, motion, axis))
     return tuple(tree)
 
 

@@ -16,6 +16,7 @@ import weakref
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, final
@@ -371,13 +372,9 @@ def _put(
 
 def _tube(points: Float[np.ndarray, "n 3"], radius: float) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     """Return vertices and faces of a round tube along a polyline."""
-    along = np.gradient(points, axis=0)
-    aside = np.cross(along, np.eye(3)[np.argmin(np.ptp(points, axis=0))])
-    across = np.array([aside, np.cross(along, aside)])
-    across *= radius / np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-300)
-    angles = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)[:, None, None]  # its sides
-    rings = points + np.cos(angles) * across[0] + np.sin(angles) * across[1]
-    a = np.arange(8 * len(points)).reshape(8, -1)
-    b = np.roll(a, -1, axis=0)
-    corners = np.array([[a[:, :-1], b[:, :-1], a[:, 1:]], [b[:, :-1], b[:, 1:], a[:, 1:]]])
-    return rings.reshape(-1, 3), np.moveaxis(corners, 1, -1).reshape(-1, 3)
+    from trimesh.creation import cylinder
+    from trimesh.util import concatenate
+
+    pieces = [pair for pair in pairwise(points) if np.linalg.norm(pair[1] - pair[0]) > 1e-3 * radius]
+    tube: Any = concatenate([cylinder(radius, segment=pair, sections=8) for pair in pieces])
+    return np.array(tube.vertices), np.array(tube.faces)

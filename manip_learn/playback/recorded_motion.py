@@ -66,17 +66,16 @@ class GuidedMotion(NamedTuple):
         kept = self.constraints[k].provenance.get("mechanism") if k < len(self.constraints) else None
         return kept if isinstance(kept, Mapping) else None
 
-    def chosen(self, time: Float[np.ndarray, " T"], outside: int = 0) -> Int[np.ndarray, " T"]:
-        """Return the number of the constraint by which a velocity is measured: that of its phase.
+    def chosen(self, time: Float[np.ndarray, " T"]) -> Int[np.ndarray, " T"]:
+        """Return the number of the constraint by which a velocity is measured: that of its phase, else the first.
 
         -1 where it is not known, and everywhere if the demonstrator drives the rows (b is not 0).
 
         Args:
             time: shape (T,), from the first sample on [s].
-            outside: Number outside of the phases of constraints.
         """
         is_imposed = self.constraint is None or self.constraint.provenance.get("kind") == "self-imposed"
-        chosen = np.full(time.size, -1 if is_imposed else outside)
+        chosen = np.full(time.size, -1 if is_imposed else 0)
         for band in [] if is_imposed else self.phases:
             if band.constraint is not None:
                 chosen[band.covers(time)] = band.constraint
@@ -109,10 +108,10 @@ def guided_motion(
     checked = recording
     if isinstance(recording, Rollout):
         target = recording.target if target is None else target
-        if constraint is None:
-            given = _kept_constraints(robot, name, recording)
         if recording.robot is not None:
             recording.robot.refuse_another(robot, f"rollout {name!r}")
+        if constraint is None:
+            given = _kept_constraints(robot, name, recording)
         # one that was made by hand is not checked: its times and postures as those of a trajectory are
         checked = Trajectory(recording.time, recording.q, recording.u, recording.joint_names, f"rollout {name!r}")
     for c in given:
@@ -143,11 +142,7 @@ def _kept_constraints(robot: Robot, name: str, rollout: Rollout) -> tuple[Constr
     """Return the constraints that a rollout keeps: one for each of its ways, or its only one."""
     kept = [way.get("constraint") for way in rollout.ways]
     kept = [rollout.constraint] if not kept or None in kept else kept
-    try:
-        return tuple(Constraint.from_dict(c, robot, source=f"the constraint of rollout {name!r}") for c in kept if c)
-    except ConstraintMismatchError as error:
-        sentence = f"rollout {name!r} was not made with robot {robot.name!r}: {error}"
-        raise RecordingError(sentence, code="other-robot") from error
+    return tuple(Constraint.from_dict(c, robot, source=f"the constraint of rollout {name!r}") for c in kept if c)
 
 
 def _track(kind: str, curves: Sequence[Curve], unit: str = "", without: Sequence[str] = ()) -> dict[str, Any]:
@@ -224,18 +219,6 @@ def _broken(motion: GuidedMotion, moving: Trajectory) -> Float[np.ndarray, "U nv
         A = constraint.selection @ constraint.features.batch(moving.q[rows])
         broken[rows] = np.einsum("tij,tjk,tk->ti", np.linalg.pinv(A, rcond=1e-10), A, u[rows])
     return broken
-
-
-def broken_share(motion: GuidedMotion) -> float | None:
-    """Return sqrt(sum |A^+ A u|^2 / sum |u|^2) over the phases in which a constraint holds, or without any over all.
-
-    None if no constraint is known, it is not held by the world, or nothing moves.
-    """
-    if (moving := motion.moving) is None:
-        return None
-    held = motion.chosen(moving.time, outside=-1 if motion.phases else 0) >= 0
-    total = float(np.sum(moving.arrays["u"][held] ** 2))
-    return float(np.sqrt(np.sum(_broken(motion, moving)[held] ** 2) / total)) if total > 0.0 else None
 
 
 def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]:
@@ -362,7 +345,6 @@ def recorded_motion(
         "pathTimes": packed(path_times, "<f4"),
         "path": packed(poses[:, :3, 3], "<f4"),
         "status": status,
-        "fitShare": broken_share(motion) if isinstance(recording, Trajectory) else None,
         "handles": list(held.values()),
         # start, end, number of the kind; -1 for free motion
         "phases": [

@@ -20,7 +20,7 @@ from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.shown import Shown
 from manip_learn.control.command import Status
 from manip_learn.control.rollout import Rollout
-from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
+from manip_learn.errors import OutputError, RecordingError
 from manip_learn.linalg import finite
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.page_writer import LIVE, PageKind, in_cell, page
@@ -42,7 +42,7 @@ _CURVES = ("time", "q", "u", "manipulability", "task_error", "following_error") 
 
 
 def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
-    """Return headline, facts with their meaning, the evidence of each row, warnings and odd recordings.
+    """Return headline, the facts of `LearningReport.facts`, the evidence of each row, warnings and odd recordings.
 
     What the report lacks is left out: constraint files of earlier versions hold less.
 
@@ -50,7 +50,7 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
         report: `learner.report_`, or the dictionary of it that a constraint file keeps as its provenance.
     """
     content = report if isinstance(report, Mapping) else report.to_dict()
-    odd = _list(content.get("odd_trajectories"))
+    odd, facts = _list(content.get("odd_trajectories")), content.get("facts")
     pairs = [(e.get("trajectory"), e.get("reason")) if isinstance(e, Mapping) else e for e in odd]
     rows = []  # verdict, strength and chance of each, most firmly held first
     for k, entry in enumerate(_list(content.get("row_evidence"))):
@@ -64,32 +64,13 @@ def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
     return {
         "headline": _text(content.get("sentence")),
         "kind": imposed if content.get("kind") == "self-imposed" else "",
-        "facts": _facts(content),
+        "facts": [[_text(x) for x in fact] for fact in facts.items()] if isinstance(facts, Mapping) else [],
         "words": _text(content.get("evidence")),
         "rows": rows,
         "warnings": _texts(content.get("warnings")),
         "odd": [_texts(pair) for pair in pairs if isinstance(pair, list | tuple) and len(pair) == 2],
         "notes": _texts(content.get("notes")),
     }
-
-
-def _facts(content: Mapping[str, Any]) -> list[list[str]]:
-    """Return name, number and meaning of what the report knows."""
-    gap, angle, estimator = finite(content.get("gap")), finite(content.get("uncertainty_deg")), content.get("estimator")
-    large, precision = gap is not None and gap >= 1000, "" if angle is None else error_in_words(float(angle), "degrees")
-    n, samples, recordings = (content.get(k) for k in ("n_constraints", "n_samples", "n_trajectories"))
-    asked = counted(n, "row") if isinstance(n, int) else "this number of rows"
-    scale = "1.5 and above is clear" if estimator == "joint" else "10 and above is clear, below 3 says little"
-    left = _in_words("{:.2g} %", content.get("held_out_residual"), 100.0)
-    facts = [
-        ["Gap", _in_words("{:,.0f}" if large else "{:,.3g}", gap), f"how clearly the data ask for {asked}: {scale}"],
-        ["Residual", left, "share of the motion left unexplained in recordings not learnt from"],
-        ["Direction", precision, "68 % of repetitions with other recordings stay within it"],
-    ]
-    if isinstance(samples, int) and isinstance(recordings, int):
-        meaning = f"of {counted(recordings, 'recording')}" + (f"; estimator: {_text(estimator)}" if estimator else "")
-        facts.append(["Learnt from", counted(samples, "sample"), meaning])
-    return [fact for fact in facts if fact[1]]
 
 
 def _list(value: object) -> list[Any]:

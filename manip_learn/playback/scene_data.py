@@ -114,9 +114,8 @@ def _is_flat(robot: Robot) -> bool:
 
 def _robot(robot: Robot, looks: Appearance, tip: str) -> dict[str, Any]:
     frames, tree = robot.pinocchio_model.frames, kinematic_tree(robot)
-    links = [
-        f for f in map(robot.frame, robot.frame_names) if frames[f.index].type == pin.FrameType.BODY or f.name == tip
-    ]
+    named = map(robot.frame, robot.frame_names)
+    links = [f for f in named if frames[f.index].type == pin.FrameType.BODY or f.name == tip]
     return {
         "tip": tip,
         "joints": [j._asdict() | {"placement": j.placement.ravel().tolist(), "axis": j.axis.tolist()} for j in tree],

@@ -8,7 +8,7 @@ function fillEvidence(evidence) {
 }
 
 function factList(facts) {
-  return make("dl", { className: "facts" }, facts.flatMap(([label, value, meaning]) => [make("dt", {}, label), make("dd", {}, make("b", {}, value), ` ${meaning}`)]));
+  return make("dl", { className: "facts" }, facts.flatMap(([label, value]) => [make("dt", {}, label), make("dd", {}, value)]));
 }
 
 // Each row of the test: joints exchanged between recordings would use a held row so many times more.
