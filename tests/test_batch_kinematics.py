@@ -28,7 +28,7 @@ def positions(robot: Robot, rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_poses_are_those_of_each(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_poses_are_those_of_each(name, robot_of, rng):
     """Poses of a batch are Pinocchio's to 1e-12; its Jacobians and derivatives are compared in test_gradients.py."""
     robot = robot_of(name)
     q, frame = positions(robot, rng, 5), robot.frame(tip_of(name))
@@ -36,7 +36,7 @@ def test_poses_are_those_of_each(name: str, robot_of: RobotOf, rng: np.random.Ge
     np.testing.assert_allclose(got, [robot.pose(x, frame) for x in q], rtol=0, atol=TOLERANCE)
 
 
-def test_chunks_leave_no_seam(robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_chunks_leave_no_seam(robot_of, rng):
     """Any number of postures, including zero: each row is the result of its own posture."""
     for n in [0, 1, DERIVATIVE_CHUNK - 1, DERIVATIVE_CHUNK, DERIVATIVE_CHUNK + 1, 2 * DERIVATIVE_CHUNK + 3]:
         with case(n):
@@ -51,7 +51,7 @@ def test_chunks_leave_no_seam(robot_of: RobotOf, rng: np.random.Generator) -> No
                 np.testing.assert_allclose(dPhi[i], features.derivative(q[i]), rtol=0, atol=TOLERANCE)
 
 
-def test_nearly_parallel_axes_lose_nothing() -> None:
+def test_nearly_parallel_axes_lose_nothing():
     """Axes tilted by 1e-9 .. 1e-3 rad against each other stay accurate (Denavit and Hartenberg's form would not)."""
     from conftest import chain_urdf
 
@@ -64,7 +64,7 @@ def test_nearly_parallel_axes_lose_nothing() -> None:
         np.testing.assert_allclose(features.batch(q)[0], features(q[0]), rtol=0, atol=known)
 
 
-def test_a_table_that_changes_is_seen(robot_of: RobotOf) -> None:
+def test_a_table_that_changes_is_seen(robot_of):
     """Numbers of the last table are kept, for this table only; a caller that changes its arrays spoils nothing."""
     robot = robot_of("sawyer")
     kinematics, q = robot.frame_kinematics("right_hand"), np.linspace(-1.0, 1.0, 21).reshape(3, 7)
@@ -80,7 +80,7 @@ def test_a_table_that_changes_is_seen(robot_of: RobotOf) -> None:
     np.testing.assert_allclose(kinematics.jacobians(q)[1], robot.jacobian(q[1], "right_hand"), rtol=0, atol=TOLERANCE)
 
 
-def test_not_finite_names_row_and_joint(robot_of: RobotOf) -> None:
+def test_not_finite_names_row_and_joint(robot_of):
     """NaN or infinity is refused with the first bad row and the joint's name, before any work."""
     for value in [np.nan, np.inf, -np.inf]:
         with case(value):
@@ -98,7 +98,7 @@ def test_not_finite_names_row_and_joint(robot_of: RobotOf) -> None:
                 robot.frame_kinematics("right_hand").poses(q)
 
 
-def test_wrong_tables_are_refused(robot_of: RobotOf) -> None:
+def test_wrong_tables_are_refused(robot_of):
     """One posture, a wrong number of columns, text, a (cos, sin) of length zero: each error says what is expected."""
     robot = robot_of("wrist")
     features = FrameJacobian(robot, "tip")

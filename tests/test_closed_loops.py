@@ -87,7 +87,7 @@ def out_of_reach(name: str, gain: float, seed: int) -> tuple[ml.ResolvedRateCont
 
 
 @pytest.mark.parametrize("name", ["ur5", "planar3", "sawyer"])
-def test_a_target_out_of_reach_ends_the_motion_quietly(name: str) -> None:
+def test_a_target_out_of_reach_ends_the_motion_quietly(name):
     """Nothing turns to and fro, the arm slows down, and the status says that it does not get there."""
     law, q = out_of_reach(name, 3.0, 1)
     done = run(law, q, 4000)
@@ -126,7 +126,7 @@ def rng_of(seed: int) -> np.random.Generator:
 @pytest.mark.parametrize(
     ("name", "reaching"), [("planar3", True), ("planar3", False), ("ur5", False), ("xarm7", True), ("sawyer", False)]
 )
-def test_exact_singularities_are_left(name: str, reaching: bool) -> None:
+def test_exact_singularities_are_left(name, reaching):
     """From an exactly singular posture, one second leads to a smallest singular value of 0.01 or more."""
     cases = singular_cases(name)
     assert cases
@@ -141,7 +141,7 @@ def test_exact_singularities_are_left(name: str, reaching: bool) -> None:
         assert np.max(done.sigma) >= 0.01 and chatter(done.u[100:]) == 0, (constraint.selection, done.sigma[-1])
 
 
-def test_a_singularity_at_a_joint_limit_is_left() -> None:
+def test_a_singularity_at_a_joint_limit_is_left():
     """Folded at the upper end of a joint: what leads out and the null-space motion turn to the free side together."""
     robot = arm("planar3")
     constraint = ml.Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
@@ -161,7 +161,7 @@ def test_a_singularity_at_a_joint_limit_is_left() -> None:
 
 
 @pytest.mark.parametrize(("name", "seeds"), [("panda", (16, 19, 21)), ("sawyer", (4, 10, 15))])
-def test_an_arm_that_has_arrived_stays(name: str, seeds: tuple[int, ...]) -> None:
+def test_an_arm_that_has_arrived_stays(name, seeds):
     """Null-space motion that ends at a joint limit does not lead the hand off the target that it came to."""
     robot = arm(name)
     features, arrived = features_of(robot, name), 0
@@ -179,7 +179,7 @@ def test_an_arm_that_has_arrived_stays(name: str, seeds: tuple[int, ...]) -> Non
 
 
 @pytest.mark.parametrize("name", ["panda", "sawyer", "ur5"])
-def test_a_circle_is_followed_at_speed(name: str) -> None:
+def test_a_circle_is_followed_at_speed(name):
     """At 100 Hz and 0.5 m/s a hand stays within 0.1 mm of a circle of 0.1 m; without c of the law 0.4 mm are left."""
     robot, rng = arm(name), np.random.default_rng(0)
     constraint = ml.Constraint(np.eye(3), features_of(robot, name))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 @pytest.fixture(scope="session")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Where random robots are written."""
     return tmp_path_factory.mktemp("trees")
 
@@ -39,7 +38,7 @@ def commanded(case: Case) -> Command | None:
 
 @given(seeds)
 @pytest.mark.fuzz
-def test_every_command_keeps_the_promises(folder: Path, seed: int) -> None:
+def test_every_command_keeps_the_promises(folder, seed):
     """Finite, within the limits, A null_part = 0, N^2 = N = N^T; the progress stated is that of the rows along b."""
     case = random_case(seed, folder)
     command = commanded(case)
@@ -69,7 +68,7 @@ def test_every_command_keeps_the_promises(folder: Path, seed: int) -> None:
 
 @given(seeds)
 @pytest.mark.fuzz
-def test_the_direction_of_the_task_is_kept(folder: Path, seed: int) -> None:
+def test_the_direction_of_the_task_is_kept(folder, seed):
     """Rows move forward, beside b by 1e-3 of it at most, wherever the bounds allow any motion along b (by a LP)."""
     case = random_case(seed, folder)
     law, b, q, previous, dt = case
@@ -115,7 +114,7 @@ def presses(law: ml.ResolvedRateController, command: Command, q: np.ndarray, dt:
 
 @given(seeds)
 @pytest.mark.fuzz
-def test_the_base_may_be_anywhere(folder: Path, seed: int) -> None:
+def test_the_base_may_be_anywhere(folder, seed):
     """An arm on a turned and moved base, with rows turned likewise, has the same joint velocities."""
     rng = np.random.default_rng(seed)
     robot = random_tree(np.random.default_rng(seed), folder)
@@ -142,7 +141,7 @@ def test_the_base_may_be_anywhere(folder: Path, seed: int) -> None:
 
 @given(seeds)
 @pytest.mark.fuzz
-def test_a_loop_keeps_every_limit(folder: Path, seed: int) -> None:
+def test_a_loop_keeps_every_limit(folder, seed):
     """In a closed loop from inside: positions, velocities and accelerations within their limits in every period."""
     law, _, q, _, dt = random_case(seed, folder, inverse="damped")
     assert law.limits is not None

@@ -120,7 +120,7 @@ def test_features_without_a_robot():
 
 
 @pytest.mark.parametrize("limits", [True, False])
-def test_a_task_that_is_not_finite_is_named(limits: bool, robot_of):
+def test_a_task_that_is_not_finite_is_named(limits, robot_of):
     """NaN or infinity from a task is the task's fault, not the posture's; so is a wrong size."""
     constraint, task = Constraint(np.eye(3), FrameJacobian(robot_of("sawyer"), "right_hand")), Asks(np.zeros(3))
     for policy in (None, ManipulabilityAscent(constraint)):
@@ -134,7 +134,7 @@ def test_a_task_that_is_not_finite_is_named(limits: bool, robot_of):
         assert controller(np.linspace(-0.5, 0.7, 7)).task_velocity.dtype == np.float64
 
 
-def test_svd_survives_a_failing_lapack(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+def test_svd_survives_a_failing_lapack(monkeypatch, rng):
     """If LAPACK reports that it did not converge, NumPy's own call has the last word."""
     A = rng.normal(size=(2, 5))
     expected = np.linalg.svd(A)

@@ -77,7 +77,7 @@ def loop_of(robot: ml.Robot, dt: float = DT) -> ml.ServoLoop:
     return ml.ServoLoop(ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5])), dt)
 
 
-def test_a_run_ends_braked_after_its_duration(planar3: ml.Robot) -> None:
+def test_a_run_ends_braked_after_its_duration(planar3):
     """What is recorded is what was measured and commanded; the last velocity is zero."""
     arm = Arm()
     record = ml.run(loop_of(planar3), arm, 0.5)
@@ -115,7 +115,7 @@ def braked(arm: Arm, loop: ml.ServoLoop, dt: float = DT) -> bool:
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_whatever_the_driver_does_the_arm_brakes(fault: str, planar3: ml.Robot) -> None:
+def test_whatever_the_driver_does_the_arm_brakes(fault, planar3):
     """A braked stop, one sentence, an arm that holds itself, and the collector and Ctrl-C as they were."""
     arm, loop = Arm(fault, planar3.joint_names if fault == "renamed" else None), loop_of(planar3)
     before = signal.getsignal(signal.SIGINT)
@@ -128,14 +128,14 @@ def test_whatever_the_driver_does_the_arm_brakes(fault: str, planar3: ml.Robot) 
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_one_wrong_reading_does_not_end_a_run(planar3: ml.Robot) -> None:
+def test_one_wrong_reading_does_not_end_a_run(planar3):
     """The arm brakes for a period and goes on."""
     arm = Arm("once")
     record = ml.run(loop_of(planar3), arm, 0.5)
     assert record.ordered and record.rollout.status.count(ml.Status.INVALID_INPUT) == 1 and not arm.held
 
 
-def test_joints_are_mapped_by_name(planar3: ml.Robot) -> None:
+def test_joints_are_mapped_by_name(planar3):
     """Another order and a gripper, or messages with names: the same motion, and the gripper is sent where it was."""
     names = ("gripper", *planar3.joint_names[::-1])
 
@@ -163,7 +163,7 @@ def test_joints_are_mapped_by_name(planar3: ml.Robot) -> None:
             ml.run(loop_of(planar3), Arm(joint_names=given), 0.1)
 
 
-def test_another_period_is_refused(planar3: ml.Robot) -> None:
+def test_another_period_is_refused(planar3):
     """A loop made for another period says how to make the right one."""
     with pytest.raises(ConfigurationError, match=r"dt=0.005"):
         ml.run(loop_of(planar3, 0.001), Arm())
@@ -201,7 +201,7 @@ class Timed(Arm):
         return super().read()
 
 
-def test_the_period_is_held_and_late_cycles_are_counted(planar3: ml.Robot) -> None:
+def test_the_period_is_held_and_late_cycles_are_counted(planar3):
     """0.5 s are 0.5 s of the clock; after a cycle of 3.5 periods, those that were missed are not made up for."""
     hands = Hands()
     record = ml.run(loop_of(planar3, 0.02), Timed(hands, 11, 0.07), 0.5, clock=hands)
@@ -214,7 +214,7 @@ def test_the_period_is_held_and_late_cycles_are_counted(planar3: ml.Robot) -> No
     ("seconds", "words"),
     [(0.06, "the 1 s were over"), (0.2, "no new state for more than 100 ms"), (0.5, "period of 20 ms cannot be held")],
 )
-def test_a_driver_that_blocks_once(seconds: float, words: str, planar3: ml.Robot) -> None:
+def test_a_driver_that_blocks_once(seconds, words, planar3):
     """Longer than `stale_after` ends the run; no command jumps, and the last one is zero."""
     hands, loop = Hands(), loop_of(planar3, 0.02)
     arm = Timed(hands, 20, seconds)
@@ -282,7 +282,7 @@ print("returned:", done.ended, flush=True)
         ("", "thread", "held", 0),
     ],
 )
-def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name: str, how: str, said: str, code: int) -> None:
+def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name, how, said, code):
     """The last velocity sent is zero, `hold` comes after it, and the program ends as the signal has it end.
 
     The same where the interpreter ends while a thread runs the arm.
@@ -308,7 +308,7 @@ def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name: str, how: s
     assert ("own handler\n" in lines) == (how == "own")
 
 
-def test_a_loop_runs_again(planar3: ml.Robot) -> None:
+def test_a_loop_runs_again(planar3):
     """A second run goes on from where the first one left the arm; of an arm that was moved by hand, it is refused."""
     loop, arm = loop_of(planar3), Arm()
     ml.run(loop, arm, 0.3)
@@ -320,7 +320,7 @@ def test_a_loop_runs_again(planar3: ml.Robot) -> None:
     assert "nothing was sent" in ml.run(loop, arm, 0.1).ended and len(arm.sent) == sent
 
 
-def test_long_runs_keep_every_second_cycle(planar3: ml.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_runs_keep_every_second_cycle(planar3, monkeypatch):
     """Half of the samples go whenever there are too many: those left are evenly spaced, from the first one on."""
     monkeypatch.setattr(driver, "SAMPLES", 50)
     record = ml.run(loop_of(planar3), Arm(), 1.0)
@@ -330,7 +330,7 @@ def test_long_runs_keep_every_second_cycle(planar3: ml.Robot, monkeypatch: pytes
     assert record.rollout.time[0] == 0.0
 
 
-def test_a_stop_that_takes_too_long_ends_all_the_same(planar3: ml.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_that_takes_too_long_ends_all_the_same(planar3, monkeypatch):
     """10 s after the reason to stop, a run ends with the arm still in motion; until then it brakes."""
     monkeypatch.setattr(driver, "LONGEST_STOP", 0.1)
     gentle = ml.ServoLoop(loop_of(planar3).controller, DT, acceleration_limit=0.01)
@@ -339,7 +339,7 @@ def test_a_stop_that_takes_too_long_ends_all_the_same(planar3: ml.Robot, monkeyp
     assert record.rollout.u[-1].any()
 
 
-def test_a_driver_that_is_not_ready_yet_is_waited_for(planar3: ml.Robot) -> None:
+def test_a_driver_that_is_not_ready_yet_is_waited_for(planar3):
     """Nothing for less than `stale_after` at the start is no reason to end; for longer it is, with the loop's words."""
     assert ml.run(loop_of(planar3), Late(None, 15), 0.3).ordered
     record = ml.run(loop_of(planar3), Late(None, np.inf), 2.0)
@@ -392,7 +392,7 @@ def from_anywhere(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
         (from_anywhere, START - 0.2, 1),
     ],
 )
-def test_nothing_is_sent_to_where_the_arm_is_not(make: Any, first: Any, readings: int, planar3: ml.Robot) -> None:
+def test_nothing_is_sent_to_where_the_arm_is_not(make, first, readings, planar3):
     """Zeros, an old posture or no numbers come before the first state: it is waited for, and then the arm moves."""
     arm = Late(first, readings)
     record = ml.run(make(planar3), arm, 0.5)
@@ -402,7 +402,7 @@ def test_nothing_is_sent_to_where_the_arm_is_not(make: Any, first: Any, readings
 
 @pytest.mark.parametrize("make", [played, planned])
 @pytest.mark.parametrize("off", [0.2, -1.0, 0.06])
-def test_an_arm_that_is_not_where_its_motion_starts_is_refused(make: Any, off: float, planar3: ml.Robot) -> None:
+def test_an_arm_that_is_not_where_its_motion_starts_is_refused(make, off, planar3):
     """Nothing is ever sent; the reason names the joint and both figures."""
     start = START + [0.0, off, 0.0]
     arm = Arm()
@@ -413,7 +413,7 @@ def test_an_arm_that_is_not_where_its_motion_starts_is_refused(make: Any, off: f
 
 
 @pytest.mark.parametrize("start", [START, np.zeros(3)])
-def test_an_arm_near_the_start_runs_at_once(start: np.ndarray, planar3: ml.Robot) -> None:
+def test_an_arm_near_the_start_runs_at_once(start, planar3):
     """Two readings are enough, also where the motion's own start is zero."""
     for make in (played, planned, from_anywhere):
         arm = Arm()
@@ -421,7 +421,7 @@ def test_an_arm_near_the_start_runs_at_once(start: np.ndarray, planar3: ml.Robot
         assert ml.run(make(planar3, start), arm, 0.3).ordered and arm.reads - len(arm.sent) == 1
 
 
-def test_first_readings_of_other_joints(robot_of: Any) -> None:
+def test_first_readings_of_other_joints(robot_of):
     """A turn more of a continuous joint is no distance; figures of prismatic joints are metres; a gripper is sent where
     it was measured with the first state, in the driver's order.
     """
@@ -443,7 +443,7 @@ def test_first_readings_of_other_joints(robot_of: Any) -> None:
         assert said in record.ended and bool(arm.sent) == record.ordered
 
 
-def test_a_driver_of_other_sizes(planar3: ml.Robot) -> None:
+def test_a_driver_of_other_sizes(planar3):
     """A mapping without a joint, or one number too many, ends the run with a sentence."""
     partial = Late({planar3.joint_names[0]: 0.1}, np.inf)
     assert f"no position of joint {planar3.joint_names[1]}" in ml.run(loop_of(planar3), partial, 1.0).ended
@@ -451,7 +451,7 @@ def test_a_driver_of_other_sizes(planar3: ml.Robot) -> None:
     assert "4 joints are named, positions have shape (3,)" in ml.run(loop_of(planar3), more, 1.0).ended
 
 
-def test_a_reason_of_the_caller_ends_a_run(planar3: ml.Robot) -> None:
+def test_a_reason_of_the_caller_ends_a_run(planar3):
     """`until` is asked in each cycle; once it gives a reason, the arm brakes within its limits and stands, in order."""
     arm, loop = Arm(), loop_of(planar3)
     done = ml.run(loop, arm, until=lambda: "seen enough" if len(arm.sent) > 50 else "")
@@ -460,7 +460,7 @@ def test_a_reason_of_the_caller_ends_a_run(planar3: ml.Robot) -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError("of the caller"), SystemExit(3), KeyboardInterrupt()])
-def test_what_a_callback_raises_is_raised_when_the_arm_stands(error: BaseException, planar3: ml.Robot) -> None:
+def test_what_a_callback_raises_is_raised_when_the_arm_stands(error, planar3):
     """The arm brakes within its limits, the last command is zero, it holds itself, and then the error goes on."""
     arm, loop = Arm(), loop_of(planar3)
 

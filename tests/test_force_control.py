@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +12,7 @@ from scipy.spatial.transform import Rotation
 from manip_learn.cli import main
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
-from manip_learn.control.interop.force_control import (
-    TOLERANCE,
-    force_mode,
-    impedance,
-    moveit_constraints,
-    urscript,
-)
+from manip_learn.control.interop.force_control import TOLERANCE, force_mode, impedance, moveit_constraints, urscript
 from manip_learn.errors import ConstraintError
 from manip_learn.robot import load_robot
 
@@ -118,7 +111,7 @@ def test_moveit_regions_hold_the_way_and_little_else(ur5):
     assert np.allclose(wide, np.minimum(np.pi, TOLERANCE[1] + np.pi * np.abs(axis)))
 
 
-def test_command_writes_each_of_them(tmp_path: Path, capsys):
+def test_command_writes_each_of_them(tmp_path, capsys):
     """`export --to` writes each format of a constraint file and says what the frame holds; what cannot be is one
     sentence and exit code 2, and the constraint file is never overwritten.
     """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -24,7 +23,7 @@ def frames_of(robot: Robot, name: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_the_joints_that_carry_a_frame_are_enough(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_the_joints_that_carry_a_frame_are_enough(name, robot_of, rng):
     """Pose and Jacobian are those of Pinocchio's model of the whole robot, at configurations and joint positions."""
     for reference in ["world", "local"]:
         with case(reference):
@@ -50,7 +49,7 @@ def test_the_joints_that_carry_a_frame_are_enough(name: str, robot_of: RobotOf, 
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_no_number_depends_on_what_was_asked_before(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_no_number_depends_on_what_was_asked_before(name, robot_of, rng):
     """In any order of calls, at any postures in between, every answer is the same to the last bit."""
     robot = robot_of(name)
     frame = robot.frame(tip_of(name))
@@ -75,7 +74,7 @@ def test_no_number_depends_on_what_was_asked_before(name: str, robot_of: RobotOf
             np.testing.assert_array_equal(a, b)
 
 
-def test_a_robot_without_joints_has_its_frames(tmp_path: Path) -> None:
+def test_a_robot_without_joints_has_its_frames(tmp_path):
     """Its only posture has no numbers, and is a posture all the same."""
     path = tmp_path / "post.urdf"
     path.write_text(

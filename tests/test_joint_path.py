@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,12 +58,12 @@ def roboplan():
 
 
 @pytest.fixture(scope="module")
-def sawyer() -> ml.Robot:
+def sawyer():
     return ml.load_robot("sawyer")
 
 
 @pytest.mark.parametrize("name", ["sawyer", "panda", pytest.param("kinova", marks=pytest.mark.slow), 2, 5])
-def test_paths_are_clear_and_repeated(roboplan, name, tmp_path: Path):
+def test_paths_are_clear_and_repeated(roboplan, name, tmp_path):
     """Shapes of every kind, mimic, continuous and sliding joints, trees, and robots whose links are capsules."""
     robot = random_tree(np.random.default_rng(name), tmp_path) if isinstance(name, int) else ml.load_robot(name)
     limits, obstacles, found = Limits(robot), around(robot), 0
@@ -125,7 +124,7 @@ def test_what_cannot_be_is_said(roboplan, caplog):
     assert joint_path(floating, start, goal, Limits(floating), clear, 0) is None and "turn or slide" in caplog.text
 
 
-def test_roboplan_is_asked_where_the_straight_motion_is_not_clear(sawyer: ml.Robot, monkeypatch):
+def test_roboplan_is_asked_where_the_straight_motion_is_not_clear(sawyer, monkeypatch):
     """Without it, a straight motion that is clear is found, and the sentence says what to install."""
     monkeypatch.setitem(sys.modules, "roboplan.core", None)
     start, goal, clear = next(blocked(sawyer, 5, around(sawyer)))

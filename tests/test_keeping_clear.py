@@ -76,9 +76,7 @@ def crossing(robot: ml.Robot, name: str, kind: str) -> tuple[np.ndarray, np.ndar
     [("panda", "box", 0.01, None), ("ur5", "ball", 0.004, None), ("ur5", "box", 0.01, math.inf),
      ("planar3", "ball", 0.01, None), ("planar3", "box", 0.01, math.inf)],
 )  # fmt: skip
-def test_nothing_comes_nearer_than_the_clearance(
-    name: str, kind: str, dt: float, acceleration: float | None, robot_of: RobotOf
-) -> None:
+def test_nothing_comes_nearer_than_the_clearance(name, kind, dt, acceleration, robot_of):
     """A task that leads through a thing: no pair is nearer than the clearance, at any step, and the arm moved."""
     robot = arm_of(name, robot_of)
     q, goal, scene = crossing(robot, name, kind)
@@ -96,7 +94,7 @@ def test_nothing_comes_nearer_than_the_clearance(
         assert np.all(np.abs(after - before) <= dt * limits.acceleration * (1.0 + 1e-9))
 
 
-def test_the_loop_says_what_is_in_the_way(robot_of: RobotOf) -> None:
+def test_the_loop_says_what_is_in_the_way(robot_of):
     """A target within a thing: the arm stands at the clearance, and the words name link and thing."""
     robot = arm_of("ur5", robot_of)
     q = np.array(STARTS["ur5"])
@@ -113,7 +111,7 @@ def test_the_loop_says_what_is_in_the_way(robot_of: RobotOf) -> None:
     assert loop.stopped_by == f"{pair.links[0]} 5 mm from the box"
 
 
-def test_a_start_within_the_clearance_may_leave(robot_of: RobotOf) -> None:
+def test_a_start_within_the_clearance_may_leave(robot_of):
     """It comes no nearer, and goes where the way leads away."""
     robot = arm_of("ur5", robot_of)
     q = np.array(STARTS["ur5"])
@@ -132,7 +130,7 @@ def test_a_start_within_the_clearance_may_leave(robot_of: RobotOf) -> None:
         assert (run.task_error[-1] < 1e-2) == arrives
 
 
-def test_a_controller_of_the_users_own_is_stopped(robot_of: RobotOf) -> None:
+def test_a_controller_of_the_users_own_is_stopped(robot_of):
     """The loop brakes what would touch, within its acceleration limits."""
     robot = arm_of("planar3", robot_of)
     q, _, _ = crossing(robot, "planar3", "ball")
@@ -147,7 +145,7 @@ def test_a_controller_of_the_users_own_is_stopped(robot_of: RobotOf) -> None:
     assert command.status is ml.Status.POSITION_LIMITED and np.abs(command.velocity).max() < 0.05
 
 
-def test_impossible_settings(robot_of: RobotOf) -> None:
+def test_impossible_settings(robot_of):
     """One sentence says what is wrong; an arm without shapes has capsules, for which a scene is enough."""
     arm, other = arm_of("ur5", robot_of), ml.SelfCollision(robot_of("panda"))
     for clearance in (-0.1, math.nan):

@@ -72,7 +72,7 @@ def loop_of(robot: ml.Robot, dt: float = PERIOD) -> ml.ServoLoop:
 
 
 @pytest.fixture
-def planar3() -> ml.Robot:
+def planar3():
     """The robot of three joints."""
     return ml.load_robot("planar3")
 
@@ -82,7 +82,7 @@ def driver_of(arm: Any, robot: ml.Robot, **options: Any) -> ml.LeRobotDriver:
     return ml.LeRobotDriver(arm, robot, PERIOD, others=("gripper",), **options)
 
 
-def test_a_run_in_degrees(planar3: ml.Robot) -> None:
+def test_a_run_in_degrees(planar3):
     """The arm moves as the loop commands, the gripper stays, each cycle reads once and sends once."""
     arm = Arm()
     driver = driver_of(arm, planar3)
@@ -96,7 +96,7 @@ def test_a_run_in_degrees(planar3: ml.Robot) -> None:
 
 
 @pytest.mark.parametrize("mode", ["degrees", "range_m100_100", "range_0_100"])
-def test_units_signs_and_zeros(mode: str, planar3: ml.Robot) -> None:
+def test_units_signs_and_zeros(mode, planar3):
     """Each motor's unit is the bus's; joint = zero + sign * motor; what is read is what would be sent."""
     arm = in_units(Arm(), mode)
     arm.values |= {"joint1": 20.0, "joint2": 30.0, "joint3": 60.0}
@@ -111,7 +111,7 @@ def test_units_signs_and_zeros(mode: str, planar3: ml.Robot) -> None:
     np.testing.assert_allclose([arm.sent[-1][f"joint{i}.pos"] for i in (1, 2, 3)], values, atol=1e-12)
 
 
-def test_motors_are_matched_by_name(planar3: ml.Robot) -> None:
+def test_motors_are_matched_by_name(planar3):
     """LeRobot may list them in any order."""
     arm = Arm(motors=("gripper", "joint3", "joint1", "joint2"))
     arm.values = {"joint1": 10.0, "gripper": 5.0, "joint3": 30.0, "joint2": 20.0}
@@ -121,7 +121,7 @@ def test_motors_are_matched_by_name(planar3: ml.Robot) -> None:
     assert arm.sent[-1] == pytest.approx({"joint1.pos": 11.0, "joint2.pos": 21.0, "joint3.pos": 31.0, "gripper.pos": 5})
 
 
-def test_a_gripper_among_the_others_shuts_and_opens(planar3: ml.Robot) -> None:
+def test_a_gripper_among_the_others_shuts_and_opens(planar3):
     """0 is shut and 100 open, as LeRobot calibrates it; other motors stay where they were."""
     arm = in_units(Arm(), "degrees")
     driver = driver_of(arm, planar3)
@@ -135,7 +135,7 @@ def test_a_gripper_among_the_others_shuts_and_opens(planar3: ml.Robot) -> None:
     assert arm.sent[-1]["gripper.pos"] == 100.0
 
 
-def test_spans_without_calibration(planar3: ml.Robot) -> None:
+def test_spans_without_calibration(planar3):
     """-100 .. 100 is the span that is given, or the joint's limits; radians are radians; a wide range needs a span."""
     arm = Arm()
     arm.config = None
@@ -159,7 +159,7 @@ def without(arm: Arm, **changes: Any) -> Arm:
     return arm
 
 
-def test_what_does_not_fit_is_refused_in_a_sentence(planar3: ml.Robot) -> None:
+def test_what_does_not_fit_is_refused_in_a_sentence(planar3):
     """Motors, joints, units and numbers that do not fit: what, where, and what to do."""
     feature = {f"{m}.pos": float for m in Arm().motors}
     so101 = ml.load_robot("so101", locked=("gripper",))
@@ -195,7 +195,7 @@ def test_what_does_not_fit_is_refused_in_a_sentence(planar3: ml.Robot) -> None:
             make()
 
 
-def test_joints_in_m_are_not_in_degrees() -> None:
+def test_joints_in_m_are_not_in_degrees():
     """A gripper's linear joint takes a range of 100 and no degrees."""
     panda = ml.load_robot("panda")
     arm = Arm(np.zeros(8), (*panda.joint_names, "gripper"))
@@ -209,7 +209,7 @@ def test_joints_in_m_are_not_in_degrees() -> None:
 
 
 @pytest.mark.parametrize("calibrated", [False, True])
-def test_nothing_outside_the_ranges_is_sent(calibrated: bool, planar3: ml.Robot) -> None:
+def test_nothing_outside_the_ranges_is_sent(calibrated, planar3):
     """A motion that leaves the limits, or the calibrated range, ends with a sentence; the arm stands where it was."""
     arm = in_units(Arm(), "degrees", 2048 - 180, 2048 + 540) if calibrated else Arm()
     arm.values |= {"joint1": 10.0, "joint2": 10.0, "joint3": 10.0}
@@ -238,7 +238,7 @@ def test_nothing_outside_the_ranges_is_sent(calibrated: bool, planar3: ml.Robot)
 
 
 @pytest.mark.parametrize("value", [None, float("nan"), "off"])
-def test_readings_that_are_no_numbers(value: Any, planar3: ml.Robot) -> None:
+def test_readings_that_are_no_numbers(value, planar3):
     """A motor that is not reported, or not as a number, brakes the arm with its name."""
     arm = Arm()
     loop, driver = loop_of(planar3), driver_of(arm, planar3)
@@ -257,7 +257,7 @@ def test_readings_that_are_no_numbers(value: Any, planar3: ml.Robot) -> None:
         driver.read()
 
 
-def test_velocities_and_torques_of_arms_that_have_them(planar3: ml.Robot) -> None:
+def test_velocities_and_torques_of_arms_that_have_them(planar3):
     """Velocities come from degrees, torques in N m with the motor's sign; currents are no torques."""
     arm = Arm()
     for kind in ("vel", "torque"):
@@ -278,7 +278,7 @@ def test_velocities_and_torques_of_arms_that_have_them(planar3: ml.Robot) -> Non
     assert driver_of(arm, planar3).read()[1] is None  # of a unit per second that nobody knows
 
 
-def test_actions_that_lerobot_cuts_are_told(planar3: ml.Robot, caplog: pytest.LogCaptureFixture) -> None:
+def test_actions_that_lerobot_cuts_are_told(planar3, caplog):
     """With max_relative_target LeRobot sends less: counted, said once, with the motor and by how much."""
     arm = Arm()
     send = arm.send_action
@@ -300,7 +300,7 @@ def test_actions_that_lerobot_cuts_are_told(planar3: ml.Robot, caplog: pytest.Lo
     assert driver.cut == 2
 
 
-def test_release_and_hold(planar3: ml.Robot) -> None:
+def test_release_and_hold(planar3):
     """Torque off for guiding by hand, without the gripper's; the goals are where the arm is before torque is on."""
     arm = Arm()
     driver = driver_of(arm, planar3)
@@ -328,7 +328,7 @@ def interrupted(hands: Hands, seconds: float, times: int = 1) -> None:
 
 
 @pytest.mark.parametrize("call", ["get_observation", "send_action"])
-def test_an_arm_that_blocks(call: str, planar3: ml.Robot) -> None:
+def test_an_arm_that_blocks(call, planar3):
     """For ever: Ctrl-C ends the run with the name of the call, and what can still be sent brakes the arm."""
     arm, hands = Arm(), Hands()
     original, calls = getattr(arm, call), [0]
@@ -350,7 +350,7 @@ def test_an_arm_that_blocks(call: str, planar3: ml.Robot) -> None:
         assert not record.rollout.u[-1].any() and np.abs(sent[-1] - sent[-2]).max() < 1e-9
 
 
-def test_a_second_interrupt_waits_for_nothing(planar3: ml.Robot) -> None:
+def test_a_second_interrupt_waits_for_nothing(planar3):
     """Two in a row give up the call that is under way, however short it has been so far."""
     arm, hands = Arm(), Hands()
     get, driver, loop = arm.get_observation, driver_of(arm, planar3), loop_of(planar3)

@@ -36,7 +36,7 @@ class Base:
 
 
 @pytest.fixture
-def package(monkeypatch: pytest.MonkeyPatch) -> Any:
+def package(monkeypatch):
     """The plugin, imported on the stand-ins."""
     stands_for = {
         "lerobot": {}, "lerobot.teleoperators": {}, "lerobot.utils": {},
@@ -55,7 +55,7 @@ def package(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.fixture
-def drawer(tmp_path: Path) -> dict[str, Any]:
+def drawer(tmp_path):
     """The settings of a motion: 0.1 m along y, x held."""
     robot = ml.load_robot("planar3")
     constraint = ml.Constraint([[1, 0]], ml.FrameJacobian(robot, "tip", axes="x y"))
@@ -67,7 +67,7 @@ def drawer(tmp_path: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def test_actions_keep_the_constraint(package: Any, drawer: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_actions_keep_the_constraint(package, drawer, monkeypatch):
     """At 30 Hz: from the start 0.1 m along what is free, the held row held, the gripper where it was."""
     clock = [0.0]
     teleop = package.ManipLearn(package.ManipLearnConfig(**drawer))
@@ -90,9 +90,7 @@ def test_actions_keep_the_constraint(package: Any, drawer: dict[str, Any], monke
     assert not teleop.is_connected
 
 
-def test_the_arm_stands_where_an_action_would_leave_the_limits(
-    package: Any, drawer: dict[str, Any], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_arm_stands_where_an_action_would_leave_the_limits(package, drawer, caplog):
     """A start outside the limits is never left by an action: one warning with the motor, the start again and again."""
     drawer["start"]["joint1"] = 800.0
     teleop = package.ManipLearn(package.ManipLearnConfig(**drawer))

@@ -17,7 +17,7 @@ from manip_learn.robot.robot import Robot
 RobotOf = Callable[[str], Robot]
 
 
-def test_greedy_motion_keeps_every_limit(robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_greedy_motion_keeps_every_limit(robot_of, rng):
     """A joint that always takes an extreme of its bounds meets no limit of position, velocity or acceleration."""
     for name, dt in product(("sawyer", "gantry", "kinova"), (1e-4, 1e-3, 0.01, 0.05)):
         robot = robot_of(name)
@@ -48,7 +48,7 @@ def braking(d: float, v: float, a: float, dt: float) -> float:
     return min(v, np.sqrt(2.0 * a * (d - d0) + (0.5 * a * dt) ** 2) - 0.5 * a * dt)
 
 
-def test_bounds_are_those_of_the_docstring(robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_bounds_are_those_of_the_docstring(robot_of, rng):
     """Velocity, braking distance and change of velocity, on both sides, and which of them each bound comes from."""
     robot = robot_of("sawyer")
     speed, acceleration = rng.uniform(0.5, 2.0, 7), rng.uniform(1.0, 8.0, 7)
@@ -82,7 +82,7 @@ def test_bounds_are_those_of_the_docstring(robot_of: RobotOf, rng: np.random.Gen
             assert bounds.outside == pytest.approx(max(0.0, -distance), abs=1e-12)
 
 
-def test_a_joint_outside_returns(robot_of: RobotOf) -> None:
+def test_a_joint_outside_returns(robot_of):
     """From outside, at rest or still moving out, the joint brakes at its acceleration limit and comes back."""
     robot = robot_of("sawyer")
     limits, dt = Limits(robot), 0.001
@@ -97,7 +97,7 @@ def test_a_joint_outside_returns(robot_of: RobotOf) -> None:
         np.testing.assert_allclose(q, robot.position_upper, rtol=0, atol=1e-6)
 
 
-def test_defaults_and_settings(robot_of: RobotOf) -> None:
+def test_defaults_and_settings(robot_of):
     """The default acceleration is documented; every limit can be given, as one number or one per joint."""
     robot = robot_of("sawyer")
     np.testing.assert_array_equal(Limits(robot).acceleration, 5.0 * robot.velocity_limit)
@@ -117,7 +117,7 @@ def test_defaults_and_settings(robot_of: RobotOf) -> None:
     assert np.all(np.isinf(free.upper)) and free.bounds(robot.position_upper + 1.0, 0.01, None).outside == 0.0
 
 
-def test_wrong_limits_are_refused(robot_of: RobotOf) -> None:
+def test_wrong_limits_are_refused(robot_of):
     """The joint and the value seen are named, and the width of a range that a margin uses up."""
     robot = robot_of("sawyer")
     widths = robot.position_upper - robot.position_lower
@@ -135,7 +135,7 @@ def test_wrong_limits_are_refused(robot_of: RobotOf) -> None:
             ml.Limits(robot, **settings)
 
 
-def test_a_singularity_is_approached_so_slowly_that_the_arm_can_stop() -> None:
+def test_a_singularity_is_approached_so_slowly_that_the_arm_can_stop():
     """Half of the joints' deceleration brakes sigma to the crossing speed within the distance that is left."""
     slope, acceleration = np.array([3.0, 0.0, 4.0]), np.array([6.0, 1e-3, 2.0])
     # a joint that does not move sigma has no say; the others brake it with 0.5 * 5 * min(6 / 0.6, 2 / 0.8)

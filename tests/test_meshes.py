@@ -30,7 +30,7 @@ def write(path: Path, content: bytes = b"") -> Path:
 
 
 @pytest.fixture
-def urdf(tmp_path) -> Path:
+def urdf(tmp_path):
     """A URDF in the usual place in a package."""
     return write(tmp_path / "ws" / "arm_description" / "urdf" / "arm.urdf", b"<robot/>")
 

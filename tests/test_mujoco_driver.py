@@ -67,7 +67,7 @@ class Person:
         data.qfrc_applied[:7] += (self.jacobian.T @ force)[:7] + sway + 2.0 * (self.rest - data.qpos[:7])
 
 
-def test_shown_by_hand_recorded_learnt_and_done(scene, tmp_path: Path):
+def test_shown_by_hand_recorded_learnt_and_done(scene, tmp_path):
     """A person opens the drawer five times by hand; the recordings, read again, give the drawer's axis to 0.5 degrees,
     and the arm then opens it by 15 cm by itself, without a following error, with friction, play, encoder steps and a
     delay in its joints.

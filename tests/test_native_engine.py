@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from conftest import tip_of
 from random_arms import Asks
-from test_gradients import RobotOf
 
 import manip_learn as ml
 from manip_learn.constraint.features import CustomFeatures, MechanismRows, RelativeFrameJacobian
@@ -228,7 +227,7 @@ def undecided(command: Command, law: ml.ResolvedRateController, slack: float) ->
 
 @built
 @pytest.mark.parametrize("name", ARMS)
-def test_both_engines_agree_in_every_state(name: str, robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_engines_agree_in_every_state(name, robot_of, monkeypatch):
     """Hundreds of states of an arm: the same velocities, parts, scales and statuses, and the same errors."""
     robot, seen, compared = robot_of(name), Counter[str](), 0
     for i in range(LAWS):
@@ -287,7 +286,7 @@ def reaching(robot: ml.Robot, rng: np.random.Generator, policy: str = "ascent", 
 
 @built
 @pytest.mark.parametrize("name", ["sawyer", "ur5"])
-def test_whole_rollouts_are_those_of_single_steps(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_whole_rollouts_are_those_of_single_steps(name, robot_of, rng):
     """Bit for bit those of a servo loop, alone, in chunks and in tables; and a start outside of all bounds is none."""
     robot = robot_of(name)
     law, dt = reaching(robot, rng), 0.01
@@ -312,7 +311,7 @@ def test_whole_rollouts_are_those_of_single_steps(name: str, robot_of: RobotOf, 
 
 
 @built
-def test_what_is_no_posture_is_refused(robot_of: RobotOf) -> None:
+def test_what_is_no_posture_is_refused(robot_of):
     """As without the engine, also of a joint that does not move the frame, and rows of another shape."""
     robot = robot_of("tree")
     law = ml.ResolvedRateController(ml.Constraint([[0.6, 0.8]], ml.FrameJacobian(robot, tip_of("tree"), "x y")))
@@ -326,7 +325,7 @@ def test_what_is_no_posture_is_refused(robot_of: RobotOf) -> None:
 
 
 @built
-def test_the_engine_is_named_copied_and_pickled(robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_the_engine_is_named_copied_and_pickled(robot_of, rng):
     """`engine` says which; other limits make another one; copies work elsewhere."""
     robot = robot_of("sawyer")
     law, q = reaching(robot, rng), robot.neutral() + 0.3
@@ -354,7 +353,7 @@ print([law.engine for law in laws], laws[0]([0.3, 0.8, 0.4]).status)"""
     return ran.stdout, ran.stderr
 
 
-def test_without_a_usable_engine_python_does_the_work(tmp_path: Path) -> None:
+def test_without_a_usable_engine_python_does_the_work(tmp_path):
     """Another version of the law, and a module that is half built, are told of once; switched off, it is silent."""
     package = tmp_path / "manip_learn_fast"
     package.mkdir()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,12 +23,12 @@ HARD = np.array(SCENES["sawyer"].start)  # a degree from a singularity of the dr
 
 
 @pytest.fixture(scope="module")
-def panda() -> ml.Robot:
+def panda():
     return ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
 
 
 @pytest.fixture(scope="module")
-def sawyer() -> ml.Robot:
+def sawyer():
     return ml.load_robot("sawyer")
 
 
@@ -39,7 +38,7 @@ def line(robot: ml.Robot, tip: str, along: tuple[float, float, float] = (1.0, 0.
 
 
 @pytest.fixture(scope="module")
-def drawer(sawyer: ml.Robot) -> ml.Constraint:
+def drawer(sawyer):
     return line(sawyer, "right_gripper_tip", (0.91, 0.42, 0.0))
 
 
@@ -49,7 +48,7 @@ def opening(constraint: ml.Constraint, **more) -> ml.FreeDirection:
 
 
 @pytest.fixture(scope="module")
-def opened(drawer: ml.Constraint) -> ml.Plan:
+def opened(drawer):
     return ml.plan(drawer, opening(drawer, keep_orientation=True, pause=0.5), HARD)
 
 
@@ -62,9 +61,7 @@ def hinge(robot: ml.Robot, point: np.ndarray) -> ml.Constraint:
 # ---- a plan -----------------------------------------------------------------------------------------------------
 
 
-def test_a_plan_does_the_whole_way_from_a_start_beside_a_singularity(
-    sawyer: ml.Robot, drawer: ml.Constraint, opened: ml.Plan
-) -> None:
+def test_a_plan_does_the_whole_way_from_a_start_beside_a_singularity(sawyer, drawer, opened):
     """Approach and way are joined and within limits; the hand takes hold where it was; mu stays above the greedy."""
     assert opened.outcome.is_done and opened.outcome.deviation < 1e-3
     assert np.allclose(opened.approach.q[0], HARD, atol=1e-12)
@@ -82,7 +79,7 @@ def test_a_plan_does_the_whole_way_from_a_start_beside_a_singularity(
     assert np.min(opened.way.manipulability) > 4.0 * np.min(greedy.manipulability)
 
 
-def test_the_margin_is_that_of_the_motion_as_it_is_executed(drawer: ml.Constraint, opened: ml.Plan) -> None:
+def test_the_margin_is_that_of_the_motion_as_it_is_executed(drawer, opened):
     """The formula, evaluated on the simulated way, gives the plan's margins."""
     robot, rows = drawer.robot, opening(drawer, keep_orientation=True).constraint
     q = opened.way.q[opened.way.time >= opened.outcome.begins]
@@ -98,7 +95,7 @@ def test_the_margin_is_that_of_the_motion_as_it_is_executed(drawer: ml.Constrain
     assert opened.margin == min(opened.margins.room, opened.margins.speed, opened.margins.weakest)
 
 
-def test_simulate_and_a_servo_loop_run_a_plan(sawyer: ml.Robot, opened: ml.Plan) -> None:
+def test_simulate_and_a_servo_loop_run_a_plan(sawyer, opened):
     """Both end where the plan does; a loop that is reset begins with the approach again."""
     again = ml.simulate(sawyer, opened.controller, HARD, float(opened.rollout.time[-1]))
     n = min(len(again), len(opened.rollout))
@@ -117,7 +114,7 @@ def test_simulate_and_a_servo_loop_run_a_plan(sawyer: ml.Robot, opened: ml.Plan)
     assert loop.controller.number == 0
 
 
-def test_a_plan_is_saved_like_a_rollout_with_its_phases(tmp_path: Path, sawyer: ml.Robot, opened: ml.Plan) -> None:
+def test_a_plan_is_saved_like_a_rollout_with_its_phases(tmp_path, sawyer, opened):
     """Each format keeps the motion and its phases, which follow each other."""
     assert [name for name, _, _ in opened.rollout.phases] == ["approach", "hold", "way"]
     for ending in ("npz", "csv"):
@@ -130,14 +127,14 @@ def test_a_plan_is_saved_like_a_rollout_with_its_phases(tmp_path: Path, sawyer: 
 
 
 @pytest.mark.parametrize("turn", (60.0, -60.0))
-def test_a_door_is_planned(panda: ml.Robot, turn: float) -> None:
+def test_a_door_is_planned(panda, turn):
     """To either side, to a third of a degree."""
     door = hinge(panda, panda.position(READY, PANDA_TIP) + [0.0, 0.4, 0.0])
     plan = ml.plan(door, ml.motion(door, turn=np.radians(turn)), READY, **FEW)
     assert plan.outcome.done == pytest.approx(np.radians(turn), abs=np.radians(0.3)) and plan.margin > 0.2
 
 
-def test_a_screw_a_table_and_rows_of_the_hand_are_planned(panda: ml.Robot) -> None:
+def test_a_screw_a_table_and_rows_of_the_hand_are_planned(panda):
     """Rows of mechanisms, of a pose, and along the hand's own axes."""
     point = panda.position(READY, PANDA_TIP)
     names = ("screw", "slide-1", "slide-2", "turn-1", "turn-2")
@@ -151,7 +148,7 @@ def test_a_screw_a_table_and_rows_of_the_hand_are_planned(panda: ml.Robot) -> No
     assert ml.plan(own, ml.motion(own, along=-0.15), READY, **FEW).outcome.is_done
 
 
-def test_an_arm_of_three_joints_and_one_of_six(panda: ml.Robot) -> None:
+def test_an_arm_of_three_joints_and_one_of_six(panda):
     """With much to spare, the same for one seed bit by bit; and with nothing to spare."""
     planar = ml.load_robot("planar3")
     held = ml.Constraint([[0, 1]], ml.FrameJacobian(planar, "tip", "x y"))
@@ -163,7 +160,7 @@ def test_an_arm_of_three_joints_and_one_of_six(panda: ml.Robot) -> None:
     assert plan.outcome.is_done and not plan.outcome.strays
 
 
-def test_joints_without_limits_take_the_short_way(tmp_path: Path) -> None:
+def test_joints_without_limits_take_the_short_way(tmp_path):
     """As configurations too, whose angles jump by a turn: the plan does not run against its joints."""
     turns, bends = ("continuous", "1 0 0"), ("revolute", "0 1 0")
     kinds = [("continuous", "0 0 1"), bends, turns, bends, turns, bends, turns]
@@ -180,7 +177,7 @@ def test_joints_without_limits_take_the_short_way(tmp_path: Path) -> None:
     assert np.all(np.abs(plan.approach.u) <= 0.3 * robot.velocity_limit)
 
 
-def test_a_way_too_fast_for_the_joints_takes_longer(panda: ml.Robot) -> None:
+def test_a_way_too_fast_for_the_joints_takes_longer(panda):
     """It is given the time that the slowest joint needs, and the plan says so."""
     rail = line(panda, PANDA_TIP, (0.0, 1.0, 0.0))
     motion = ml.motion(rail, along=0.5, speed=0.5, keep_orientation=True)
@@ -192,7 +189,7 @@ def test_a_way_too_fast_for_the_joints_takes_longer(panda: ml.Robot) -> None:
 # ---- where there is none ----------------------------------------------------------------------------------------
 
 
-def test_a_way_beyond_the_reach_says_how_much_of_it_can_be_done(panda: ml.Robot) -> None:
+def test_a_way_beyond_the_reach_says_how_much_of_it_can_be_done(panda):
     """That much can be done when asked for, and a little more lies beyond the arm's reach."""
     rail = line(panda, PANDA_TIP)
     with pytest.raises(ml.NoPlanError, match=r"no plan for 1\.2 m: 0\.\d+ m at most, stopped by") as refused:
@@ -205,7 +202,7 @@ def test_a_way_beyond_the_reach_says_how_much_of_it_can_be_done(panda: ml.Robot)
     assert beyond > 0.85  # a Panda's hand reaches 0.855 m from its shoulder
 
 
-def test_a_hand_that_may_turn_is_named_where_it_would_help(panda: ml.Robot) -> None:
+def test_a_hand_that_may_turn_is_named_where_it_would_help(panda):
     """Held as it is, the hand does not come so far to the side."""
     rail = line(panda, PANDA_TIP, (0.0, 1.0, 0.0))
     with pytest.raises(ml.NoPlanError) as refused:
@@ -213,7 +210,7 @@ def test_a_hand_that_may_turn_is_named_where_it_would_help(panda: ml.Robot) -> N
     assert refused.value.helps == ("a hand that may turn on the way could do it",)
 
 
-def test_nothing_touches_between_the_stations_of_a_way(tmp_path: Path) -> None:
+def test_nothing_touches_between_the_stations_of_a_way(tmp_path):
     """A bead that thin links meet between two stations of a long way, and at none of them, is kept clear of."""
     joints = [("revolute", "0 0 1", place, "0 0 0") for place in ("0 0 0", "1 0 0", "1 0 0")]
     rod = '<origin xyz="0.5 0 0" rpy="0 1.570796 0"/><geometry><cylinder radius="0.002" length="1"/></geometry>'
@@ -242,7 +239,7 @@ def test_nothing_touches_between_the_stations_of_a_way(tmp_path: Path) -> None:
         assert not any(touching.closer_than(q, 0.0) for q in (*found.approach.q, *found.way.q))
 
 
-def test_bad_starts_and_ways_are_refused_in_a_sentence(panda: ml.Robot, sawyer: ml.Robot) -> None:
+def test_bad_starts_and_ways_are_refused_in_a_sentence(panda, sawyer):
     """Outside limits, in collision, no way, another constraint, no velocity limit, a grasp that is fixed."""
     rail = line(panda, PANDA_TIP)
     motion = ml.motion(rail, along=0.2)
@@ -265,7 +262,7 @@ def test_bad_starts_and_ways_are_refused_in_a_sentence(panda: ml.Robot, sawyer: 
 # ---- parts ------------------------------------------------------------------------------------------------------
 
 
-def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda: ml.Robot) -> None:
+def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda):
     """Beside a singularity of the wrist, too."""
     rail, rng = line(panda, PANDA_TIP), np.random.default_rng(2)
     stations = Stations.of(ml.motion(rail, along=0.2, keep_orientation=True), READY, Limits(panda))
@@ -283,7 +280,7 @@ def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda: ml.R
     assert value <= margins_of(stations, q).margin + 1e-9
 
 
-def test_the_sense_in_which_joints_have_more_room(rng: np.random.Generator) -> None:
+def test_the_sense_in_which_joints_have_more_room(rng):
     """A direction is turned round where it would meet a limit within 0.1, and sooner than the other way."""
     robot, turned = ml.load_robot("sawyer"), 0
     limits = Limits(robot)
@@ -304,7 +301,7 @@ def test_the_sense_in_which_joints_have_more_room(rng: np.random.Generator) -> N
     assert 30 < turned < 170
 
 
-def test_what_a_recording_shows_is_possible(panda: ml.Robot) -> None:
+def test_what_a_recording_shows_is_possible(panda):
     """Links that touch in a posture that was shown count as clear to that depth, and are named; a posture in which they
     are deeper into each other is not clear.
     """
@@ -316,7 +313,7 @@ def test_what_a_recording_shows_is_possible(panda: ml.Robot) -> None:
     assert any("{!r} and {!r} touch in the recordings".format(*found[0].links) in note for note in told.notes)
 
 
-def test_a_lost_mesh_costs_its_own_link_only(tmp_path: Path) -> None:
+def test_a_lost_mesh_costs_its_own_link_only(tmp_path):
     """The others are kept, capsules stand for it, and a plan names the file."""
     whole = ml.load_robot("xarm7")
     assert whole.source is not None and whole.description is not None

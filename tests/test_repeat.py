@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import pickle
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ def begins(again: ml.Repetition, tip: str) -> list[np.ndarray]:
     return [robot.position(rollout.q[int(np.searchsorted(rollout.time, t - 1e-9))], tip) for t in starts]
 
 
-def test_a_skill_has_its_steps_in_order(tmp_path: Path):
+def test_a_skill_has_its_steps_in_order(tmp_path):
     """Reach and way of the drawer, then of the table, and the retreat; saved, loaded, and read as a constraint."""
     robot, _, learner, things, _, _ = two_tasks()
     skill = learner.skill_
@@ -123,7 +122,7 @@ class Arm:
 
 
 @pytest.mark.parametrize("by", [pytest.param("position", marks=pytest.mark.slow), "effort"])
-def test_a_gripper_closes_at_the_handle_and_opens_at_the_end_of_the_way(by: str, tmp_path: Path):
+def test_a_gripper_closes_at_the_handle_and_opens_at_the_end_of_the_way(by, tmp_path):
     """Learnt from the finger's joint or its effort; the driver is told where the hand is there; the finger goes too."""
     _, tip, demos, (thing,), _ = recordings(("drawer",), "panda", 70000)
     robot = ml.load_robot("panda")
@@ -193,7 +192,7 @@ def way_seconds(again: ml.Repetition) -> list[float]:
         pytest.param({"tip_speed": 0.5, "slow": 0.08}, 0.08, id="limits that are lower", marks=pytest.mark.slow),
     ],
 )
-def test_no_step_is_faster_than_asked(given: dict[str, float], most: float):
+def test_no_step_is_faster_than_asked(given, most):
     """Approach, ways, reach and retreat, as simulated and as a loop sends it; what is done stays the same."""
     robot, tip, learner, things, _, _ = two_tasks()
     slow = given.get("slow")
@@ -246,7 +245,7 @@ def test_as_fast_as_was_shown_is_faster_only_where_that_is_asked_for():
 
 
 @pytest.mark.parametrize("speed", [0.0, -0.1, np.nan, np.inf, "fast", "0.1", [0.1]])
-def test_a_tip_speed_that_is_none_is_refused(speed: object):
+def test_a_tip_speed_that_is_none_is_refused(speed):
     """With what was given and what is wanted; before anything is planned."""
     _, _, skill, start = fast_drawer()
     with pytest.raises(ml.ManipLearnError, match=r"tip_speed is .* positive number .* 0\.25, 'shown', or None") as told:
@@ -274,7 +273,7 @@ def test_what_cannot_be_done_is_refused_by_its_step():
         ml.repeat("task.json", HOME)  # type: ignore[arg-type]
 
 
-def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_command_line(tmp_path, capsys):
     """`learn` says what was shown and what to type next; that works, and so does a drawer that stands elsewhere."""
     _, tip, _, _, _, demos = two_tasks()
     folder, task = tmp_path / "recordings", tmp_path / "task.json"
@@ -314,7 +313,7 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
 
 
 @pytest.mark.parametrize("prefer", ["shown", "room"])
-def test_the_hand_takes_hold_where_a_contact_began(prefer: str, tmp_path: Path):
+def test_the_hand_takes_hold_where_a_contact_began(prefer, tmp_path):
     """As one recording did, or in the posture with most room: within 5 mm of a shown grasp; the steps say so, a loaded
     skill does the same, and a repetition can be pickled.
     """

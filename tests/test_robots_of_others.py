@@ -40,7 +40,7 @@ def mesh(uri: str, scale: str = "") -> str:
     return f'<visual><geometry><mesh filename="{uri}"{scale}/></geometry></visual>'
 
 
-def test_the_unit_of_a_collada_file_is_applied(tmp_path: Path) -> None:
+def test_the_unit_of_a_collada_file_is_applied(tmp_path):
     """A file that counts millimetres or inches is as large as one that counts metres and says the same."""
     sizes = {}
     for unit in ("1", "0.001", "0.0254"):
@@ -52,7 +52,7 @@ def test_the_unit_of_a_collada_file_is_applied(tmp_path: Path) -> None:
     np.testing.assert_allclose([sizes["0.001"], sizes["0.0254"]], np.array([0.001, 0.0254]) * sizes["1"], rtol=1e-6)
 
 
-def test_a_link_many_arms_long_is_named(tmp_path: Path) -> None:
+def test_a_link_many_arms_long_is_named(tmp_path):
     """A mesh in millimetres that does not say so is drawn as a plain shape, and the scale to write is told."""
     (tmp_path / "a.stl").write_bytes(stl(value=900.0))
     for scale, is_drawn in (("", False), (' scale="0.001 0.001 0.001"', True)):
@@ -64,7 +64,7 @@ def test_a_link_many_arms_long_is_named(tmp_path: Path) -> None:
         assert is_drawn or ('scale="0.001 0.001 0.001"' in visual.fault and "times the arm's reach" in visual.fault)
 
 
-def test_packages_beside_the_robots_are_found(tmp_path: Path) -> None:
+def test_packages_beside_the_robots_are_found(tmp_path):
     """In the same workspace, in a repository of several packages, and in a folder of another name."""
     for place in ("hand_pkg", "tools/hand_pkg", "hand_pkg-main"):
         with case(place) as folder:
@@ -92,7 +92,7 @@ def test_packages_beside_the_robots_are_found(tmp_path: Path) -> None:
         ('soft_lower_limit="5" soft_upper_limit="6" k_velocity="1"', (-2.0, 2.0), False),
     ],
 )
-def test_the_narrower_limits_of_a_safety_controller_are_used(safety, limits, is_told, tmp_path: Path) -> None:
+def test_the_narrower_limits_of_a_safety_controller_are_used(safety, limits, is_told, tmp_path):
     """Where they are narrower and make sense, with a note; else those of the joint."""
     more = f"<safety_controller {safety}/>"
     robot = load_robot(described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l", more)))
@@ -133,7 +133,7 @@ def control(position: tuple[str, str] = ("", ""), velocity: tuple[str, str] = ("
         (control(("-1", "1")).replace('"j"', '"k"'), (-2.0, 2.0, 2.0), []),
     ],
 )
-def test_the_narrower_limits_of_ros2_control_are_used(block, limits, quantities, tmp_path: Path) -> None:
+def test_the_narrower_limits_of_ros2_control_are_used(block, limits, quantities, tmp_path):
     """Of positions and velocities, where they are narrower and make sense, with a note that names both ranges."""
     path = described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l"))
     path.write_text(path.read_text().replace("</robot>", block))
@@ -145,7 +145,7 @@ def test_the_narrower_limits_of_ros2_control_are_used(block, limits, quantities,
     assert all("joint 'j'" in w and w.endswith(" -2 ... 2: the narrower ones are used") for w in told)
 
 
-def test_an_arm_of_another_series_is_not_offered() -> None:
+def test_an_arm_of_another_series_is_not_offered():
     """The names of shipped arms are those of their makers; a name beside them is another arm, and no typing error."""
     # by hand from the makers' Denavit-Hartenberg parameters, all joints at zero
     for name, tip, place in (
@@ -178,7 +178,7 @@ def gripper(path: Path) -> Robot:
     return load_robot(described(path, links, *joints))
 
 
-def test_inspect_says_first_what_one_must_know(tmp_path: Path, capsys) -> None:
+def test_inspect_says_first_what_one_must_know(tmp_path, capsys):
     """Tip, the joints that move it and those that do not, limits that were narrowed or lack: within 20 lines."""
     tips = likely_tips(gripper(tmp_path / "a.urdf"))  # the propeller has one joint more above it
     assert "gripper_prop_link" not in tips and tips[0] == "ee_gripper_link"
@@ -192,7 +192,7 @@ def test_inspect_says_first_what_one_must_know(tmp_path: Path, capsys) -> None:
         assert words in said, said
 
 
-def test_the_hand_that_stood_still_is_not_learnt_about(tmp_path: Path) -> None:
+def test_the_hand_that_stood_still_is_not_learnt_about(tmp_path):
     """Two arms, one of which moves: its hand is named, and with it the question is answered."""
     links = ["base", *(f"{side}_{n}" for side in ("left", "right") for n in ("a", "b", "c", "tool"))]
     joints = []
@@ -251,7 +251,7 @@ TIPS = {  # links, and joints as (parent, child, name, kind); links without a nu
 
 
 @pytest.mark.parametrize("name", TIPS)
-def test_the_tip_is_what_the_whole_arm_moves(name, tmp_path: Path) -> None:
+def test_the_tip_is_what_the_whole_arm_moves(name, tmp_path):
     """Fingers are known by their place in the tree, and names decide only among the ends of chains."""
     tips, edges = TIPS[name]
     joints = []
@@ -283,7 +283,7 @@ LIMIT = '<limit lower="{}" upper="{}" velocity="1" effort="1"/>'
         ("prismatic", [LIMIT.format(0, 1), LIMIT.format(0, -1) + '<mimic joint="j0" multiplier="-1"/>'], "lock 'j0'"),
     ],
 )
-def test_wrong_limits_are_told_together_with_a_remedy_that_works(kind, more, words, tmp_path: Path) -> None:
+def test_wrong_limits_are_told_together_with_a_remedy_that_works(kind, more, words, tmp_path):
     """Every joint with the fault is named once; the joints to lock are those that can be locked."""
     joints = [joint(f"j{i}", "b", f"l{i}", text, kind) for i, text in enumerate(more)]
     path = described(tmp_path / "a.urdf", ["b", "l0", "l1"], *joints)
@@ -293,7 +293,7 @@ def test_wrong_limits_are_told_together_with_a_remedy_that_works(kind, more, wor
     assert set(load_robot(path, locked=locked).locked) == {"j0", "j1"}
 
 
-def test_a_warning_about_many_links_is_one(tmp_path: Path) -> None:
+def test_a_warning_about_many_links_is_one(tmp_path):
     """With the first of them and the number of the others; lines of text that xacro wrote are not told."""
     joints = (
         joint("j", "a", "b", LIMIT.format(-1, 1).replace('y="1', 'y="0')),
@@ -310,7 +310,7 @@ def test_a_warning_about_many_links_is_one(tmp_path: Path) -> None:
         assert "joint 'j': its velocity limit of 0" in second and ("line" in second) == (place != "")
 
 
-def test_xacro_files_are_refused_without_lines_and_with_what_helps(tmp_path: Path) -> None:
+def test_xacro_files_are_refused_without_lines_and_with_what_helps(tmp_path):
     """Packages are found by the name in package.xml beside the robot's own; what matched nothing is told."""
     pytest.importorskip("xacrodoc")
     head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
@@ -348,7 +348,7 @@ def test_xacro_files_are_refused_without_lines_and_with_what_helps(tmp_path: Pat
         assert str(caught.value).count("not found") <= 1
 
 
-def test_a_mesh_that_is_not_there_is_told_with_a_remedy_that_works(tmp_path: Path) -> None:
+def test_a_mesh_that_is_not_there_is_told_with_a_remedy_that_works(tmp_path):
     """Naming the folder of a package is advised only where it is not known; a file has to be put there, or is xacro."""
     (tmp_path / "package.xml").write_text("<package><name>known</name></package>")
     for uri, remedy in (

@@ -202,7 +202,7 @@ def test_progress_is_reported_with_a_title(robot_of):
 
 
 @pytest.mark.parametrize("name", ["planar3", "wrist", "humanoid", "vector"])
-def test_many_starts_are_single_starts(name: str, robot_of, rng) -> None:
+def test_many_starts_are_single_starts(name, robot_of, rng):
     """What one start leaves behind in a controller is not seen by the next: every rollout is that of its start alone.
 
     Configurations come back as configurations, floating bases and plain vectors too.

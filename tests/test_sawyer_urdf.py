@@ -35,7 +35,7 @@ DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
 
 
 @pytest.fixture(scope="module")
-def model() -> pin.Model:
+def model():
     return pin.buildModelFromUrdf(str(URDF))
 
 
@@ -46,7 +46,7 @@ def position(model: pin.Model, frame: str, q: np.ndarray) -> np.ndarray:
     return data.oMf[model.getFrameId(frame, pin.FrameType.BODY)].translation.copy()
 
 
-def test_joints_and_frames_are_those_of_the_source(model: pin.Model) -> None:
+def test_joints_and_frames_are_those_of_the_source(model):
     """The head is locked, seven joints move; the wrist at zero is at (0.991, 0.1603, 0.317) m.
 
     right_hand is 24.5 mm beyond right_l6, right_gripper_tip 100 mm beyond right_hand, on one straight line.
@@ -62,7 +62,7 @@ def test_joints_and_frames_are_those_of_the_source(model: pin.Model) -> None:
     np.testing.assert_allclose(position(model, "right_arm_base_link", q), np.zeros(3), atol=0.0)
 
 
-def test_limits_are_those_of_the_source(model: pin.Model) -> None:
+def test_limits_are_those_of_the_source(model):
     """Positions, velocities and efforts equal the table; the paper's default pose violates none."""
     table = np.array(list(LIMITS.values())).T
     seen = (model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit, model.effortLimit)
@@ -72,7 +72,7 @@ def test_limits_are_those_of_the_source(model: pin.Model) -> None:
     assert np.all(model.lowerPositionLimit < DEFAULT_POSE) and np.all(model.upperPositionLimit > DEFAULT_POSE)
 
 
-def test_masses_are_those_of_the_source_and_physical() -> None:
+def test_masses_are_those_of_the_source_and_physical():
     """Masses and centres of mass equal the table; every inertia is physically possible."""
     root = ElementTree.parse(URDF).getroot()
     links = {link.get("name"): link.find("inertial") for link in root.iter("link")}

@@ -63,7 +63,7 @@ def test_distance_of_balls(fold):
 
 
 @pytest.mark.parametrize("name", list(SHAPES))
-def test_gradient(robot_of, collision_of, name: str):
+def test_gradient(robot_of, collision_of, name):
     """Of pairs that do not overlap the gradient is right to 1e-5, but for where the nearest points jump.
 
     `nearest` is the least of `closer_than`, which finds all pairs in range and no others.
@@ -127,7 +127,7 @@ def test_a_mesh_that_is_not_convex(tmp_path):
 
 
 @pytest.mark.parametrize("hulls", [True, False])
-def test_clear_is_what_is_not_closer(robot_of, hulls: bool):
+def test_clear_is_what_is_not_closer(robot_of, hulls):
     """`is_clear` and `closer_than` draw one line, to ten micrometres on both sides of every distance."""
     robot, rng, seen = robot_of("panda"), np.random.default_rng(11), 0
     collision = SelfCollision(robot, hulls=hulls)
@@ -142,7 +142,7 @@ def test_clear_is_what_is_not_closer(robot_of, hulls: bool):
 
 
 @pytest.mark.parametrize(("deep", "counts"), [(0.009, False), (0.011, True)])
-def test_links_two_joints_apart_count_where_they_touch(tmp_path, deep: float, counts: bool):
+def test_links_two_joints_apart_count_where_they_touch(tmp_path, deep, counts):
     """A pair is left out unless its hulls overlap by a centimetre somewhere; with more joints between it counts."""
     joints = [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] + [("revolute", "0 0 1", "0.3 0 0", "0 0 0")] * 3
     nearest = abs(0.3 + 0.1 * np.exp(2.0j))  # of a place on link1 and the first joint, at the limit of the second
@@ -166,7 +166,7 @@ def lost(robot, folder, *changes: tuple[bytes, bytes]):
 
 
 @pytest.mark.parametrize("tag", ["collision", "visual"])
-def test_a_lost_mesh_costs_its_own_link_only(tmp_path, tag: str):
+def test_a_lost_mesh_costs_its_own_link_only(tmp_path, tag):
     """Meshes of two links are missing: the others count as before, plain shapes stand in for these, and a plan,
     a replay and `inspect` say their names in the same words.
     """
@@ -214,7 +214,7 @@ ONE_LINK = {  # what is wrong with the shapes of a link -> these, what stands th
 
 @pytest.mark.parametrize("tag", ["collision", "visual"])
 @pytest.mark.parametrize("kind", ONE_LINK)
-def test_a_bad_shape_costs_its_own_link_only(tmp_path, tag: str, kind: str):
+def test_a_bad_shape_costs_its_own_link_only(tmp_path, tag, kind):
     """A sheet is a thin body of its size; what cannot be used is replaced by a plain shape, and plans and replays say
     so in one sentence. The other links count as they are, and nobody claims that the robot has no shapes.
     """
@@ -244,7 +244,7 @@ def test_a_bad_shape_costs_its_own_link_only(tmp_path, tag: str, kind: str):
 
 
 @pytest.mark.parametrize("joint", ["revolute", "fixed"])
-def test_a_robot_without_shapes_and_without_length(joint: str):
+def test_a_robot_without_shapes_and_without_length(joint):
     """There is nothing that could touch: no pair, every posture is clear, and a sentence says why."""
     content = edited(("0 0 0.3", "0 0 0"), ("0.4 0 0", "0 0 0"), *[('"revolute"', f'"{joint}"')] * 2)
     robot = robot_from_text(content, Path("arm.urdf"))

@@ -80,7 +80,7 @@ def gone(loop: ml.ServoLoop, arm: Servos, seconds: float, force: object = 0.0) -
         ({"late": 0.190}, 190.0),
     ],
 )
-def test_what_servos_do_is_no_force(servos: dict[str, float], said: float | None) -> None:
+def test_what_servos_do_is_no_force(servos, said):
     """Arms that are late, that lag, with 6 N m of friction in each joint or noisy encoders go their way; how late they
     are is said to a few milliseconds.
     """
@@ -90,7 +90,7 @@ def test_what_servos_do_is_no_force(servos: dict[str, float], said: float | None
     assert notes == ([] if said is None else [pytest.approx(said, abs=8.0)])
 
 
-def test_a_latency_that_is_told_is_the_most() -> None:
+def test_a_latency_that_is_told_is_the_most():
     """An arm that starts fast and is less late than was told goes its way."""
     rows = ml.Constraint(np.eye(3), ml.FrameJacobian(ROBOT, FRAME, "xyz"))
     goal = ROBOT.position(START, FRAME) + [0.0, 0.2, 0.1]
@@ -101,7 +101,7 @@ def test_a_latency_that_is_told_is_the_most() -> None:
     assert np.linalg.norm(ROBOT.position(arm.q, FRAME) - goal) < 1e-3
 
 
-def test_friction_hides_forces_and_says_which() -> None:
+def test_friction_hides_forces_and_says_which():
     """With 6 N m of friction in each joint the loop says that it cannot keep its 15 N, and at which force it stops."""
     loop = way()
     gone(loop, Servos(width=0.003), 1.5)
@@ -112,7 +112,7 @@ def test_friction_hides_forces_and_says_which() -> None:
     assert not [note for note in loop.notes if "cannot be kept" in note]
 
 
-def test_a_rail_that_sticks_is_learnt_rightly() -> None:
+def test_a_rail_that_sticks_is_learnt_rightly():
     """A drawer that moves at 50 N only is pulled out: its rail is pressed aside by an arm that is not equally stiff in
     all directions, and the hand is on its way for all that.
     """
@@ -137,7 +137,7 @@ def test_a_rail_that_sticks_is_learnt_rightly() -> None:
     assert (place - ROBOT.position(START, FRAME)) @ rail > 0.18
 
 
-def test_a_blocked_arm_lets_go() -> None:
+def test_a_blocked_arm_lets_go():
     """An arm that is held fast in motion is stopped with less than 60 N, and is then not pressed on."""
     loop, arm = way(), Servos(late=0.004)
     gone(loop, arm, 1.0)
@@ -156,7 +156,7 @@ def test_a_blocked_arm_lets_go() -> None:
 @pytest.mark.parametrize("mass", [4.0, 6.0])
 @pytest.mark.parametrize("stiffness", [2000.0, 200.0])
 @pytest.mark.parametrize("since", [0.0, 1.0])
-def test_an_arm_under_a_weight_stands(stiffness: float, mass: float, since: float) -> None:
+def test_an_arm_under_a_weight_stands(stiffness, mass, since):
     """A weight that the drives do not know of stops the arm, and the words name the payload; the arm lets go of nothing
     that it carries from the start, by millimetres of what it takes in motion, and after `reset()` it stands.
     """
@@ -182,7 +182,7 @@ def test_an_arm_under_a_weight_stands(stiffness: float, mass: float, since: floa
 @pytest.mark.parametrize(
     ("push", "kilograms"), [([30.0, 0.0, 0.0], 0.0), ([0.0, 0.0, 30.0], 0.0), ([0.0, 0.0, -50.0], 1.0)]
 )
-def test_a_push_is_no_payload(push: list[float], kilograms: float) -> None:
+def test_a_push_is_no_payload(push, kilograms):
     """A force to the side, from below, or that comes on an arm with 1 kg: no payload is made of it."""
     loop, arm = way(), Servos(late=0.006)
     carried = np.array([0.0, 0.0, -9.81 * kilograms])
@@ -197,7 +197,7 @@ def test_a_push_is_no_payload(push: list[float], kilograms: float) -> None:
 
 
 @pytest.mark.parametrize(("dt", "noise"), [(0.0005, 1e-4), (0.001, 1e-4), (0.002, 1e-3), (0.02, 1e-4)])
-def test_reset_ends_whatever_the_noise(dt: float, noise: float) -> None:
+def test_reset_ends_whatever_the_noise(dt, noise):
     """After a following error the arm moves again within 2 s, at every period and with every encoder."""
     rows = ml.Constraint(np.eye(3), ml.FrameJacobian(ROBOT, FRAME, "xyz"))
     law = ml.ResolvedRateController(rows, ml.PointAttractor(ROBOT.position(START, FRAME) + 0.2))
@@ -234,7 +234,7 @@ def slowed(share: float, since: float, ramp: float = 0.0) -> tuple[ml.ServoLoop,
     [(0.3, 0.0, 0.0), (0.5, 0.0, 0.0), (0.7, 0.0, 0.0), (0.9, 0.0, 0.0), (0.3, 0.8, 0.0), (0.5, 0.8, 0.0),
      (0.7, 1.2, 0.0), (0.9, 0.6, 0.0), (0.3, 0.6, 0.8)],
 )  # fmt: skip
-def test_a_path_that_is_followed_slowly_is_said(share: float, since: float, ramp: float) -> None:
+def test_a_path_that_is_followed_slowly_is_said(share, since, ramp):
     """The words name the share of the speed; no force, no friction and no lock is said of it."""
     loop, words = slowed(share, since, ramp)
     assert "following-error" in words
@@ -246,7 +246,7 @@ def test_a_path_that_is_followed_slowly_is_said(share: float, since: float, ramp
 
 
 @pytest.mark.parametrize("since", [0.4, 0.8, 1.2])
-def test_an_arm_that_stands_altogether_is_said(since: float) -> None:
+def test_an_arm_that_stands_altogether_is_said(since):
     """Brakes that close stop every joint; a drawer that jams leaves spare joints moving, and is called a block."""
     loop, arm = way(), Servos(noise=1e-5)
     gone(loop, arm, since)
@@ -267,7 +267,7 @@ def test_an_arm_that_stands_altogether_is_said(since: float) -> None:
 
 
 @pytest.mark.parametrize("every", [0.02, 0.04])
-def test_readings_that_are_slower_than_the_loop_are_said(every: float) -> None:
+def test_readings_that_are_slower_than_the_loop_are_said(every):
     """The note has both periods, and nothing is said of friction, nor is the arm stopped."""
     loop, arm, rng = way(), START, np.random.default_rng(2)
     for k in range(round(1.5 / DT)):
@@ -278,7 +278,7 @@ def test_readings_that_are_slower_than_the_loop_are_said(every: float) -> None:
     assert f"readings change every {1e3 * every:.0f} ms, the loop runs at 2 ms" in said and "friction" not in said
 
 
-def test_an_arm_that_stands_remembers_no_more_and_more() -> None:
+def test_an_arm_that_stands_remembers_no_more_and_more():
     """After a start of 40 ms, too short to tell what its servos do, it stands for 2 s or 4 s and remembers as much."""
     loop, arm, sizes = way(), Servos(), []
     gone(loop, arm, 0.04)
@@ -289,7 +289,7 @@ def test_an_arm_that_stands_remembers_no_more_and_more() -> None:
     assert loop.state.following.servos.late is None and sizes[0] == sizes[1]
 
 
-def test_a_stiffness_that_is_not_told_is_said() -> None:
+def test_a_stiffness_that_is_not_told_is_said():
     """The limits are then distances, and a note says what they mean."""
     rows = ml.Constraint(np.eye(3), ml.FrameJacobian(ROBOT, FRAME, "xyz"))
     loop = ml.ServoLoop(ml.ResolvedRateController(rows), DT)
@@ -298,7 +298,7 @@ def test_a_stiffness_that_is_not_told_is_said() -> None:
 
 
 @pytest.mark.parametrize("name", ["latency", "stiffness"])
-def test_arguments_that_are_given_elsewhere_now_say_where(name: str) -> None:
+def test_arguments_that_are_given_elsewhere_now_say_where(name):
     """One line of advice, with the value that was given."""
     rows = ml.Constraint(np.eye(3), ml.FrameJacobian(ROBOT, FRAME, "xyz"))
     with pytest.raises(TypeError, match=rf"'{name}': give contact=Contact\({name}=0.5\)"):

@@ -27,7 +27,7 @@ def speeds(robot: ml.Robot, controller: ml.Controller, q: np.ndarray, frames: tu
 
 
 @pytest.mark.parametrize(("axes", "frames"), [("xyz", (TIP,)), ("pose", (TIP, "right_l4"))])
-def test_no_frame_is_faster(axes: str, frames: tuple[str, ...], robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_no_frame_is_faster(axes, frames, robot_of, rng):
     """Far targets with a large gain: the tip moves at its limit and never beyond it; without a limit far beyond it."""
     robot = robot_of("sawyer")
     features = ml.FrameJacobian(robot, TIP, axes)
@@ -44,7 +44,7 @@ def test_no_frame_is_faster(axes: str, frames: tuple[str, ...], robot_of: RobotO
         assert speeds(robot, ml.ResolvedRateController(constraint, task, climb), q, frames).max() > 1.5 * SPEED
 
 
-def test_the_direction_of_the_task_is_kept(robot_of: RobotOf) -> None:
+def test_the_direction_of_the_task_is_kept(robot_of):
     """Slowed down, the hand goes the same way, and the status says why."""
     robot = robot_of("sawyer")
     constraint = ml.Constraint(np.eye(3), ml.FrameJacobian(robot, TIP, "xyz"))
@@ -57,7 +57,7 @@ def test_the_direction_of_the_task_is_kept(robot_of: RobotOf) -> None:
     assert command.status is ml.Status.VELOCITY_LIMITED and command.task_scale < 0.2
 
 
-def test_a_controller_of_the_users_own_is_slowed_down(robot_of: RobotOf) -> None:
+def test_a_controller_of_the_users_own_is_slowed_down(robot_of):
     """Its velocity is scaled as a whole."""
     robot = robot_of("sawyer")
     own = Constantly(robot, np.full(7, 0.5))
@@ -71,7 +71,7 @@ def test_a_controller_of_the_users_own_is_slowed_down(robot_of: RobotOf) -> None
 
 
 @pytest.mark.parametrize(("gain", "ways"), [(1.0, np.diag([1.0, -1.0, 1.0])), (10.0, np.diag([-1.0, 1.0, -1.0]))])
-def test_the_tip_stays_in_its_box(gain: float, ways: np.ndarray, robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_the_tip_stays_in_its_box(gain, ways, robot_of, rng):
     """Targets beyond each face, and beyond two: the tip comes to rest at the nearest point of the box, at most 0.1 mm
     beyond a face, within all other limits.
     """
@@ -98,7 +98,7 @@ def test_the_tip_stays_in_its_box(gain: float, ways: np.ndarray, robot_of: Robot
         assert ml.Status.POSITION_LIMITED in words
 
 
-def test_an_oblique_wall_and_a_start_beyond_it(robot_of: RobotOf) -> None:
+def test_an_oblique_wall_and_a_start_beyond_it(robot_of):
     """Half-spaces are boxes' faces in any direction; a tip that starts behind one comes back."""
     robot = robot_of("sawyer")
     constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(robot, TIP, "xyz"))
@@ -112,7 +112,7 @@ def test_an_oblique_wall_and_a_start_beyond_it(robot_of: RobotOf) -> None:
     assert behind[0] == pytest.approx(0.02) and abs(behind[-1]) < 1e-3
 
 
-def test_a_motion_of_the_joints_takes_the_time_that_the_tip_needs(robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_a_motion_of_the_joints_takes_the_time_that_the_tip_needs(robot_of, rng):
     """From posture to posture the tip keeps its speed and the joints their straight lines, which are clear."""
     robot = robot_of("sawyer")
     knots = np.cumsum([[0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0], *rng.uniform(-0.3, 0.3, (2, 7))], axis=0)
@@ -130,7 +130,7 @@ def test_a_motion_of_the_joints_takes_the_time_that_the_tip_needs(robot_of: Robo
     assert JointMotion(ml.Limits(robot), knots).duration < 0.5 * task.duration
 
 
-def test_a_speed_for_frames_beside_the_limits_that_there_are(robot_of: RobotOf) -> None:
+def test_a_speed_for_frames_beside_the_limits_that_there_are(robot_of):
     """The lower speed counts, for the frames of both; walls, rates and what is kept clear of stay."""
     robot = robot_of("sawyer")
     own = ml.Limits(robot, tip_speed=0.2, tip_walls=[[0.0, 0.0, 2.0, 1.0]], jerk=50.0, frames="right_l4")
@@ -146,7 +146,7 @@ def test_a_speed_for_frames_beside_the_limits_that_there_are(robot_of: RobotOf) 
         own.with_tip_speed(0.1, ["nowhere"])
 
 
-def test_bad_arguments(robot_of: RobotOf) -> None:
+def test_bad_arguments(robot_of):
     """Speeds that are none, unknown frames, boxes without room and walls without a side."""
     robot = robot_of("sawyer")
     for speed in (0.0, -1.0, np.nan, np.inf, "fast"):
