@@ -75,7 +75,7 @@ def singular_cases(name):
         if sigma[-1] < 1e-9 and len(selection) <= robot.nv:
             free = Vt[np.count_nonzero(sigma > 1e-9) :]
             beside = [np.linalg.svd(constraint(q + 1e-4 * z), compute_uv=False)[-1] for z in free]
-            cases += [(constraint, q)] * (max(beside) > 1e-5)
+            cases += [(constraint, q)] if max(beside) > 1e-5 else []
     return cases[:: max(1, len(cases) // 3)]
 
 

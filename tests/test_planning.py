@@ -311,16 +311,3 @@ def test_what_a_recording_shows_is_possible(panda):
     plain, told = Clearance(panda, True, Surroundings(), READY), Clearance(panda, True, Surroundings(), READY, [q])
     assert not plain(q) and told(q) and not plain.notes
     assert any("{!r} and {!r} touch in the recordings".format(*found[0].links) in note for note in told.notes)
-
-
-def test_a_lost_mesh_costs_its_own_link_only(tmp_path):
-    """The others are kept, capsules stand for it, and a plan names the file."""
-    whole = ml.load_robot("xarm7")
-    assert whole.source is not None and whole.description is not None
-    file = tmp_path / "lost.urdf"
-    file.write_bytes(whole.description.replace(b"link6.stl", b"lost.stl"))
-    robot = ml.load_robot(str(file), package_dirs=list(whole.source.parents)[:5])
-    kinds = {shape.link: type(shape.geometry).__name__ for shape in collision_shapes(robot)}
-    assert kinds["link6"] == "Capsule" and kinds["link5"] == "Convex"
-    notes = Clearance(robot, True, Surroundings(), np.zeros(7)).notes
-    assert any("lost.stl" in note for note in notes)

@@ -52,35 +52,6 @@ def test_the_unit_of_a_collada_file_is_applied(tmp_path):
     np.testing.assert_allclose([sizes["0.001"], sizes["0.0254"]], np.array([0.001, 0.0254]) * sizes["1"], rtol=1e-6)
 
 
-def test_a_link_many_arms_long_is_named(tmp_path):
-    """A mesh in millimetres that does not say so is drawn as a plain shape, and the scale to write is told."""
-    (tmp_path / "a.stl").write_bytes(stl(value=900.0))
-    for scale, is_drawn in (("", False), (' scale="0.001 0.001 0.001"', True)):
-        robot = load_robot(
-            described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l"), visual=mesh("a.stl", scale))
-        )
-        (visual,) = (v for v in visual_shapes(robot) if v.link == "l")
-        assert (visual.shape is not None) == is_drawn
-        assert is_drawn or ('scale="0.001 0.001 0.001"' in visual.fault and "times the arm's reach" in visual.fault)
-
-
-def test_packages_beside_the_robots_are_found(tmp_path):
-    """In the same workspace, in a repository of several packages, and in a folder of another name."""
-    for place in ("hand_pkg", "tools/hand_pkg", "hand_pkg-main"):
-        with case(place) as folder:
-            beside = folder / "src" / place
-            (beside / "meshes").mkdir(parents=True)
-            (beside / "package.xml").write_text("<package><name>hand_pkg</name></package>")
-            (beside / "meshes" / "a.stl").write_bytes(stl())
-            (folder / "src" / "arm_pkg").mkdir()
-            (folder / "src" / "arm_pkg" / "package.xml").write_text("<package><name>arm_pkg</name></package>")
-            visual = mesh("package://hand_pkg/meshes/a.stl")
-            path = described(
-                folder / "src" / "arm_pkg" / "urdf" / "a.urdf", ["b", "l"], joint("j", "b", "l"), visual=visual
-            )
-            assert all(v.shape is not None for v in visual_shapes(load_robot(path)) if v.link == "l")
-
-
 @pytest.mark.parametrize(
     ("safety", "limits", "is_told"),
     [

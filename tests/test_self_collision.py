@@ -11,8 +11,10 @@ import pytest
 import trimesh
 from conftest import chain_urdf
 from test_gradients import central_difference
+from test_scene import THINGS, pose, scene_of
 from urdf_corpus import edited, stl
 
+import manip_learn as ml
 from manip_learn.errors import RobotError
 from manip_learn.planning.clearance import Clearance, Surroundings
 from manip_learn.playback.appearance import appearance
@@ -126,19 +128,26 @@ def test_a_mesh_that_is_not_convex(tmp_path):
     assert between > 20
 
 
-@pytest.mark.parametrize("hulls", [True, False])
-def test_clear_is_what_is_not_closer(robot_of, hulls):
-    """`is_clear` and `closer_than` draw one line, to ten micrometres on both sides of every distance."""
-    robot, rng, seen = robot_of("panda"), np.random.default_rng(11), 0
-    collision = SelfCollision(robot, hulls=hulls)
+@pytest.mark.parametrize(("name", "hulls"), [("panda", True), ("panda", False), ("ur5", True)])
+def test_clear_is_what_is_not_closer(robot_of, name, hulls):
+    """`is_clear` and `closer_than` draw one line, to ten micrometres on both sides of every distance; among things of
+    every kind, and with the last link in a body that is not convex, too.
+    """
+    robot, rng, seen, answers = robot_of(name), np.random.default_rng(11), 0, []
+    things = scene_of(*THINGS, floor=-0.5).obstacles(robot) if name == "ur5" else ()
+    collision, ell = SelfCollision(robot, hulls=hulls, obstacles=things), THINGS[5]
     for _ in range(120):
         q = robot.random_configuration(rng)
-        near = collision.nearest(q).distance
-        if 2e-5 < near < 0.2:
-            seen += 1
-            for distance, is_clear in ((near - 1e-5, True), (near + 1e-5, False), (near + 0.05, False)):
-                assert collision.is_clear(q, distance) is is_clear is (not collision.closer_than(q, distance))
-    assert seen > 40
+        about = ml.Mesh(ell.source, pose(robot.pose(q, robot.frame_names[-1])[:3, 3]), "ell")
+        for pairs in (collision, collision.with_obstacles(scene_of(about).obstacles(robot)))[: 1 + bool(things)]:
+            near = pairs.nearest(q).distance
+            answers.append(pairs.is_clear(q, 0.0))
+            assert abs(near) < 1e-6 or answers[-1] == (not pairs.closer_than(q, 0.0))
+            if 2e-5 < near < 0.2:
+                seen += 1
+                for distance, is_clear in ((near - 1e-5, True), (near + 1e-5, False), (near + 0.05, False)):
+                    assert pairs.is_clear(q, distance) is is_clear is (not pairs.closer_than(q, distance))
+    assert seen > (0 if things else 40) and 0.05 < np.mean(answers) < 0.95
 
 
 @pytest.mark.parametrize(("deep", "counts"), [(0.009, False), (0.011, True)])
