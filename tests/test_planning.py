@@ -14,7 +14,7 @@ from manip_learn.control.limits import Limits
 from manip_learn.planning.clearance import Clearance, Surroundings, links_of
 from manip_learn.planning.stations import Stations, margins_of
 from manip_learn.planning.ways import soft_margin
-from manip_learn.robot.collision import SelfCollision, collision_shapes
+from manip_learn.robot.collision import SelfCollision
 
 PANDA_TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8])

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from case import case
-from urdf_corpus import dae, stl
+from urdf_corpus import dae
 
 import manip_learn as ml
 from manip_learn.cli import main
@@ -18,7 +18,6 @@ from manip_learn.errors import NotIdentifiableError, RobotError, UnknownNameErro
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.tips import likely_tips
 from manip_learn.robot.visuals.meshes import Mesh, read_meshes
-from manip_learn.robot.visuals.visual_shapes import visual_shapes
 
 
 def joint(name: str, parent: str, child: str, more: str = "", kind: str = "revolute", x: float = 0.3) -> str:

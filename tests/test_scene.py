@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from itertools import product
 
 import numpy as np
 import pytest
@@ -133,15 +134,17 @@ def test_floor_under_arms(robot_of, name, tag):
     """The lowest corner of each link decides, to a nanometre; what the first joint carries may touch the floor."""
     robot, rng = robot_of(name), np.random.default_rng(8)
     moving = [s for s in collision_shapes(robot, tag) if s.joint and robot.pinocchio_model.parents[s.joint] != 0]
-    hulls = [s for s in moving if type(s.geometry).__name__ == "Convex"]
+    hulls = [s for s in moving if type(s.geometry).__name__ in ("Convex", "Box")]
     collision = SelfCollision(robot, shapes=tag, obstacles=ml.Scene(floor=-5.0).obstacles(robot))
-    assert len(hulls) > 3
+    assert len(hulls) > 2
     for _ in range(5):
         q = robot.random_configuration(rng)
         near = collision.closer_than(q, 20.0)
         assert {p.links[0] for p in near if p.links[1] == "floor"} == {s.link for s in moving}
         for shape in hulls:
-            corners = np.array([shape.geometry.point(i) for i in range(shape.geometry.num_points)])
+            g, signs = shape.geometry, np.array(list(product((-1.0, 1.0), repeat=3)))
+            is_box = type(g).__name__ == "Box"
+            corners = signs * g.halfSide if is_box else np.array([g.point(i) for i in range(g.num_points)])
             of_link = robot.pinocchio_model.frames[robot.frame(shape.link).index].placement.homogeneous
             carrier = robot.pose(q, shape.link) @ np.linalg.inv(of_link) @ shape.placement
             lowest = float((corners @ carrier[2, :3] + carrier[2, 3]).min()) + 5.0
