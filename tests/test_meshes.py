@@ -37,21 +37,16 @@ def urdf(tmp_path):
 
 @pytest.mark.parametrize("variable", ["ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH", None])
 def test_packages_are_found_where_ros_keeps_them(urdf, tmp_path, monkeypatch, variable):
-    """ROS 1 and ROS 2 search paths, and folders that the caller gives, or the package itself."""
+    """ROS 1 and ROS 2 search paths, and folders that the caller gives, or the package itself; these come first."""
     share = tmp_path / "prefix" / ("share" if variable == "AMENT_PREFIX_PATH" else "")
-    mesh = write(share / "hand_description" / "meshes" / "a.stl")
     if variable is not None:
         monkeypatch.setenv(variable, os.pathsep.join([str(tmp_path / "empty"), str(tmp_path / "prefix")]))
-    for given in ([],) if variable else ([share], [share / "hand_description"]):
-        assert find_mesh("package://hand_description/meshes/a.stl", mesh_roots(urdf, given)) == mesh.resolve()
-
-
-def test_given_folders_come_first(urdf, tmp_path):
-    """An explicit folder beats what lies around."""
     write(urdf.parents[1] / "meshes" / "a.stl")
-    mine = write(tmp_path / "mine" / "arm_description" / "meshes" / "a.stl")
-    roots = mesh_roots(urdf, [tmp_path / "mine"])
-    assert find_mesh("package://arm_description/meshes/a.stl", roots) == mine.resolve()
+    for name in ("hand_description", "arm_description"):
+        found = write(share / name / "meshes" / "a.stl").resolve()
+        for given in ([],) if variable else ([share], [share / name]):
+            if variable is None or name == "hand_description":
+                assert find_mesh(f"package://{name}/meshes/a.stl", mesh_roots(urdf, given)) == found
 
 
 # address -> what is found, below the workspace, or the code of the refusal
@@ -63,6 +58,8 @@ PATHS = {
     "package://renamed/meshes/a.stl": "arm_description/meshes/a.stl",
     "package://arm_description/meshes/a%2Estl": "arm_description/meshes/a.stl",
     "package://other/meshes/a.stl": "other/meshes/a.stl",
+    "package://nested/meshes/a.stl": "tools/nested/meshes/a.stl",
+    "package://branch/meshes/a.stl": "branch-main/meshes/a.stl",
     "../meshes/good.stl": "arm_description/meshes/a.stl",
     "package://secret/a.stl": "mesh-missing",
     "package://etc/passwd": "mesh-missing",
@@ -88,11 +85,14 @@ PATHS = {
 def test_meshes_are_found_in_the_folders_of_the_robot_only(urdf, tmp_path):
     """However an address is written and whatever links lead out of the folder, with the reason."""
     package = urdf.parents[1]
-    for path in (urdf.parent / "b.stl", package / "meshes" / "a.stl", package.with_name("other") / "meshes" / "a.stl"):
-        write(path)
+    write(urdf.parent / "b.stl")
+    write(package / "meshes" / "a.stl")
+    for folder in ("other", "tools/nested", "branch-main"):
+        name = folder.split("/")[-1].split("-")[0]
+        write(package.parent / folder / "meshes" / "a.stl")
+        write(package.parent / folder / "package.xml", f"<package><name>{name}</name></package>".encode())
     write(package.with_name("secret") / "a.stl")
     write(package / "package.xml", b"<package format='2'><name>renamed</name></package>")
-    write(package.with_name("other") / "package.xml", b"<package><name>other</name></package>")
     for link, target in {
         "meshes/good.stl": "a.stl",
         "meshes/circle.stl": "circle.stl",

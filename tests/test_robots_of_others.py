@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from case import case
 from urdf_corpus import dae
 
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.errors import NotIdentifiableError, RobotError, UnknownNameError
-from manip_learn.robot import Robot, load_robot
+from manip_learn.robot import load_robot
 from manip_learn.robot.tips import likely_tips
 from manip_learn.robot.visuals.meshes import Mesh, read_meshes
 
@@ -51,138 +50,127 @@ def test_the_unit_of_a_collada_file_is_applied(tmp_path):
     np.testing.assert_allclose([sizes["0.001"], sizes["0.0254"]], np.array([0.001, 0.0254]) * sizes["1"], rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("safety", "limits", "is_told"),
-    [
-        ('soft_lower_limit="-1" soft_upper_limit="1.5" k_velocity="1"', (-1.0, 1.5), True),
-        ('soft_lower_limit="-3" soft_upper_limit="3" k_velocity="1"', (-2.0, 2.0), False),
-        ('soft_lower_limit="-1" soft_upper_limit="3" k_velocity="1"', (-1.0, 2.0), True),
-        ('k_velocity="1"', (-2.0, 2.0), False),
-        ('soft_lower_limit="0" soft_upper_limit="0" k_velocity="1"', (-2.0, 2.0), False),
-        ('soft_lower_limit="5" soft_upper_limit="6" k_velocity="1"', (-2.0, 2.0), False),
-    ],
-)
-def test_the_narrower_limits_of_a_safety_controller_are_used(safety, limits, is_told, tmp_path):
-    """Where they are narrower and make sense, with a note; else those of the joint."""
-    more = f"<safety_controller {safety}/>"
-    robot = load_robot(described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l", more)))
-    assert (float(robot.position_lower[0]), float(robot.position_upper[0])) == limits
-    assert any("safety_controller allows" in w for w in robot.warnings) == is_told
+def safety(inside: str) -> str:
+    """A safety controller of the joint j."""
+    return f"<safety_controller {inside}/>"
 
 
-def control(position: tuple[str, str] = ("", ""), velocity: tuple[str, str] = ("", ""), direct: str = "") -> str:
-    """What ros2_control is told of the joint j; texts that are empty are left out."""
+def control(position=("", ""), velocity=("", ""), direct="", joint="j") -> str:
+    """What ros2_control is told of a joint; texts that are empty are left out."""
     inside = direct
     for quantity, ends in (("position", position), ("velocity", velocity)):
         numbers = [(name, text) for name, text in zip(("min", "max"), ends, strict=True) if text]
         params = "".join(f'<param name="{name}">{text}</param>' for name, text in numbers)
         inside += f'<command_interface name="{quantity}">{params}</command_interface>'
-    return f'<ros2_control name="c" type="system"><joint name="j">{inside}</joint></ros2_control></robot>'
+    return f'<ros2_control name="c" type="system"><joint name="{joint}">{inside}</joint></ros2_control>'
+
+
+NAMED = '<param name="min_position">-1</param><param name="max_position_value">1</param>'
 
 
 @pytest.mark.parametrize(
-    ("block", "limits", "quantities"),
+    ("written", "limits", "told"),
     [
+        (safety('soft_lower_limit="-1" soft_upper_limit="1.5" k_velocity="1"'), (-1.0, 1.5, 2.0), [None]),
+        (safety('soft_lower_limit="-3" soft_upper_limit="3" k_velocity="1"'), (-2.0, 2.0, 2.0), []),
+        (safety('soft_lower_limit="-1" soft_upper_limit="3" k_velocity="1"'), (-1.0, 2.0, 2.0), [None]),
+        (safety('k_velocity="1"'), (-2.0, 2.0, 2.0), []),
+        (safety('soft_lower_limit="0" soft_upper_limit="0" k_velocity="1"'), (-2.0, 2.0, 2.0), []),
+        (safety('soft_lower_limit="5" soft_upper_limit="6" k_velocity="1"'), (-2.0, 2.0, 2.0), []),
         (control(("-1", " 1.5\n")), (-1.0, 1.5, 2.0), ["limits"]),
         (control(("-1", "3")), (-1.0, 2.0, 2.0), ["limits"]),
         (control(velocity=("-0.5", "0.5")), (-2.0, 2.0, 0.5), ["velocities"]),
         (control(velocity=("-0.5", "0.4")), (-2.0, 2.0, 0.4), ["velocities"]),
         (control(velocity=("", "0.5")), (-2.0, 2.0, 0.5), ["velocities"]),
         (control(("-1", "1"), ("-0.5", "0.5")), (-1.0, 1.0, 0.5), ["limits", "velocities"]),
-        (
-            control(direct='<param name="min_position">-1</param><param name="max_position_value">1</param>'),
-            (-1.0, 1.0, 2.0),
-            ["limits"],
-        ),
+        (control(direct=NAMED), (-1.0, 1.0, 2.0), ["limits"]),
         (control(("-3", "3"), ("-9", "9")), (-2.0, 2.0, 2.0), []),
         (control(("", "1")), (-2.0, 2.0, 2.0), []),
         (control(("${lower}", "1")), (-2.0, 2.0, 2.0), []),
         (control(("1", "-1"), ("0.5", "0.2")), (-2.0, 2.0, 2.0), []),
         (control(("5", "6")), (-2.0, 2.0, 2.0), []),
         (control(("nan", "inf"), ("0", "0")), (-2.0, 2.0, 2.0), []),
-        (control(("-1", "1")).replace('"j"', '"k"'), (-2.0, 2.0, 2.0), []),
+        (control(("-1", "1"), joint="k"), (-2.0, 2.0, 2.0), []),
     ],
 )
-def test_the_narrower_limits_of_ros2_control_are_used(block, limits, quantities, tmp_path):
+def test_narrower_limits_of_safety_controllers_and_ros2_control_are_used(written, limits, told, tmp_path):
     """Of positions and velocities, where they are narrower and make sense, with a note that names both ranges."""
-    path = described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l"))
-    path.write_text(path.read_text().replace("</robot>", block))
+    is_safety = written.startswith("<safety")
+    path = described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l", written if is_safety else ""))
+    path.write_text(path.read_text().replace("</robot>", f"{'' if is_safety else written}</robot>"))
     robot = load_robot(path)
-    seen = (robot.position_lower[0], robot.position_upper[0], robot.velocity_limit[0])
-    assert tuple(map(float, seen)) == limits
-    told = [w for w in robot.warnings if "ros2_control allows" in w]
-    assert [w.split("of the ")[1].split()[0] for w in told] == quantities
-    assert all("joint 'j'" in w and w.endswith(" -2 ... 2: the narrower ones are used") for w in told)
+    assert (robot.position_lower[0], robot.position_upper[0], robot.velocity_limit[0]) == limits
+    notes = [w for w in robot.warnings if ("safety_controller" if is_safety else "ros2_control") + " allows" in w]
+    assert is_safety or [w.split("of the ")[1].split()[0] for w in notes] == told
+    assert len(notes) == len(told)
+    assert is_safety or all("joint 'j'" in w and w.endswith(" -2 ... 2: the narrower ones are used") for w in notes)
 
 
-def test_an_arm_of_another_series_is_not_offered():
-    """The names of shipped arms are those of their makers; a name beside them is another arm, and no typing error."""
-    # by hand from the makers' Denavit-Hartenberg parameters, all joints at zero
-    for name, tip, place in (
-        ("ur5e", "tool0", (0.425 + 0.3922, 0.1333 + 0.0996, 0.1625 - 0.0997)),
-        ("ur10e", "tool0", (0.6127 + 0.57155, 0.17415 + 0.11655, 0.1807 - 0.11985)),
-        ("fr3", "fr3_hand_tcp", (0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.107 - 0.1034)),
-    ):
-        robot = load_robot(name)
-        assert likely_tips(robot) == (tip,) and not robot.warnings
-        np.testing.assert_allclose(np.abs(robot.pose(np.zeros(robot.nv), tip)[:3, 3]), place, atol=1e-12)
-    for name, other in (("ur3e", "ur5e"), ("ur16e", "ur10e")):
-        with pytest.raises(UnknownNameError, match="not the same arm") as caught:
-            load_robot(name)
-        assert repr(other) in str(caught.value) and "did you mean" not in str(caught.value)
-    with pytest.raises(UnknownNameError, match="did you mean 'planar3'"):
-        load_robot("planr3")
+# by hand from the makers' Denavit-Hartenberg parameters, all joints at zero
+@pytest.mark.parametrize(
+    ("name", "tip", "place"),
+    [("ur5e", "tool0", (0.425 + 0.3922, 0.1333 + 0.0996, 0.1625 - 0.0997)),
+     ("ur10e", "tool0", (0.6127 + 0.57155, 0.17415 + 0.11655, 0.1807 - 0.11985)),
+     ("fr3", "fr3_hand_tcp", (0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.107 - 0.1034))],
+)  # fmt: skip
+def test_shipped_arms_are_those_of_their_makers(name, tip, place):
+    """The tip at zero, and no warning."""
+    robot = load_robot(name)
+    assert likely_tips(robot) == (tip,) and not robot.warnings
+    np.testing.assert_allclose(np.abs(robot.pose(np.zeros(robot.nv), tip)[:3, 3]), place, atol=1e-12)
 
 
-def gripper(path: Path) -> Robot:
-    """An arm of two joints whose gripper has a motor, a propeller on it, and two fingers that follow."""
+@pytest.mark.parametrize(
+    ("name", "said", "unsaid"),
+    [("ur3e", "not the same arm.*'ur5e'|'ur5e'.*not the same arm", "did you mean"),
+     ("ur16e", "not the same arm.*'ur10e'|'ur10e'.*not the same arm", "did you mean"),
+     ("planr3", "did you mean 'planar3'", "the same arm")],
+)  # fmt: skip
+def test_an_arm_of_another_series_is_not_offered(name, said, unsaid):
+    """A name beside those of shipped arms is another arm, and no typing error."""
+    with pytest.raises(UnknownNameError, match=said) as caught:
+        load_robot(name)
+    assert unsaid not in str(caught.value)
+
+
+def test_inspect_says_first_what_one_must_know(tmp_path, capsys):
+    """Tip, the joints that move it and those that do not, limits that were narrowed or lack: within 20 lines."""
     links = ["base", "upper", "fore", "gripper_link", "gripper_prop_link", "left_finger_link", "ee_gripper_link"]
-    joints = [
+    path = described(
+        tmp_path / "a.urdf",
+        links,
         joint("shoulder", "base", "upper"),
         joint("elbow", "upper", "fore"),
         joint("wrist", "fore", "gripper_link", kind="fixed"),
         joint("gripper", "gripper_link", "gripper_prop_link", kind="continuous"),
         joint("left_finger", "gripper_link", "left_finger_link", kind="prismatic", x=0.05),
         joint("ee_gripper", "gripper_link", "ee_gripper_link", kind="fixed", x=0.1),
-    ]
-    return load_robot(described(path, links, *joints))
-
-
-def test_inspect_says_first_what_one_must_know(tmp_path, capsys):
-    """Tip, the joints that move it and those that do not, limits that were narrowed or lack: within 20 lines."""
-    tips = likely_tips(gripper(tmp_path / "a.urdf"))  # the propeller has one joint more above it
+    )
+    tips = likely_tips(load_robot(path))  # the propeller has one joint more above it
     assert "gripper_prop_link" not in tips and tips[0] == "ee_gripper_link"
-    assert main(["inspect", str(tmp_path / "a.urdf")]) == 0
+    assert main(["inspect", str(path)]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    for words in (
-        "likely tips ee_gripper_link",
-        "moving ee_gripper_link shoulder, elbow; not: gripper, left_finger",
-        "no position limits gripper",
-    ):
-        assert words in said, said
+    assert "likely tips ee_gripper_link" in said and "no position limits gripper" in said
+    assert "moving ee_gripper_link shoulder, elbow; not: gripper, left_finger" in said
 
 
 def test_the_hand_that_stood_still_is_not_learnt_about(tmp_path):
     """Two arms, one of which moves: its hand is named, and with it the question is answered."""
-    links = ["base", *(f"{side}_{n}" for side in ("left", "right") for n in ("a", "b", "c", "tool"))]
-    joints = []
+    links, joints = ["base"], []
     for side in ("left", "right"):
-        chain = ["base", *(f"{side}_{n}" for n in ("a", "b", "c"))]
-        joints += [joint(f"{side}_j{k}", chain[k], chain[k + 1]) for k in range(3)]
-        joints.append(joint(f"{side}_tip", f"{side}_c", f"{side}_tool", kind="fixed"))
+        chain = ["base", *(f"{side}_{n}" for n in ("a", "b", "c", "tool"))]
+        kinds = [(f"{side}_j{k}", "revolute") for k in range(3)] + [(f"{side}_tip", "fixed")]
+        joints += [joint(name, *chain[k : k + 2], kind=kind) for k, (name, kind) in enumerate(kinds)]
+        links += chain[1:]
     robot = load_robot(described(tmp_path / "two.urdf", links, *joints))
     rng, time = np.random.default_rng(3), np.linspace(0.0, 2.0, 120)
-    moves = [robot.moves(j, "right_tool") for j in robot.joint_names]
-    motions = []
+    moves, motions = np.array([robot.moves(j, "right_tool") for j in robot.joint_names])[:, None], []
     for _ in range(6):
         swing = rng.uniform(0.2, 0.6, 6)[:, None] * np.sin(rng.uniform(1, 3, (6, 1)) * time + rng.uniform(0, 3, (6, 1)))
-        q = np.where(np.array(moves)[:, None], swing, 1e-4 * rng.standard_normal(swing.shape)).T
-        motions.append((time, q))
-    still = ml.FrameJacobian(robot, frame="left_tool", axes="xyz")
-    with pytest.raises(
-        NotIdentifiableError, match="'left_tool' stood still.*'right_tool': name it with frame='right_tool'"
-    ):
-        ml.ConstraintLearner(still).fit(motions)
+        motions.append((time, np.where(moves, swing, 1e-4 * rng.standard_normal(swing.shape)).T))
+    words = "'left_tool' stood still.*'right_tool': name it with frame='right_tool'"
+    with pytest.raises(NotIdentifiableError, match=words):
+        ml.ConstraintLearner(ml.FrameJacobian(robot, frame="left_tool", axes="xyz")).fit(motions)
 
 
 TIPS = {  # links, and joints as (parent, child, name, kind); links without a number move no further
@@ -226,31 +214,68 @@ def test_the_tip_is_what_the_whole_arm_moves(name, tmp_path):
     tips, edges = TIPS[name]
     joints = []
     for parent, child, called, *kind in edges:
-        is_copy = kind == ["copy"]
-        joints.append(
-            joint(called, parent, child, kind="fixed" if is_copy else (*kind, "revolute")[0], x=0.1 * (not is_copy))
-        )
-    path = described(tmp_path / "a.urdf", ["b", *(edge[1] for edge in edges)], *joints)
-    assert likely_tips(load_robot(path)) == tips
+        kind = (*kind, "revolute")[0]
+        copy = kind == "copy"
+        joints.append(joint(called, parent, child, kind="fixed" if copy else kind, x=0.0 if copy else 0.1))
+    assert likely_tips(load_robot(described(tmp_path / "a.urdf", ["b", *(e[1] for e in edges)], *joints))) == tips
+
+
+@pytest.mark.parametrize(
+    ("name", "tips"),
+    [("planar3", ("tip",)), ("panda", ("panda_hand_tcp",)), ("xarm7", ("link_eef",)),
+     ("kinova", ("j2s6s200_end_effector",)), ("so101", ("gripper_frame_link",)), ("ur5", ("ee_link", "tool0")),
+     ("tiago_dual", ("hand_left_grasping_frame", "hand_right_grasping_frame")),
+     ("solo12", ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")), ("hector", ())],
+)  # fmt: skip
+def test_likely_tips_of_robots_that_are_known(name, tips):
+    """One tip is an answer, two are a question; a robot that does not move has none, and a locked arm none of its own."""
+    assert likely_tips(load_robot(name)) == tips
+    if name == "tiago_dual":
+        left = [n for n in load_robot(name).joint_names if "left" in n and "wheel" not in n]
+        assert likely_tips(load_robot(name, locked=left)) == tips[1:]
+
+
+def test_summary_of_a_real_robot():
+    """Names, kinds, units, limits, mimics, meshes and the comparison with yourdfpy are all there."""
+    summary = ml.inspect_robot(load_robot("panda"))
+    assert (summary.name, summary.nq, summary.nv) == ("panda", 8, 8)
+    assert [j.unit for j in summary.joints] == ["rad"] * 7 + ["m"]
+    assert summary.joints[0].kind == "revolute" and summary.joints[0].upper == pytest.approx(2.8973)
+    assert summary.mimics[0].joint == "panda_finger_joint2"
+    assert summary.cross_check is not None and summary.cross_check.agrees
+    assert len(summary.meshes_found) == 10 and not summary.meshes_missing
+    assert summary.tips == ("panda_hand_tcp",) and "panda_hand" in summary.frames
+    assert summary.warnings == ()
+
+
+@pytest.mark.parametrize("tag", ["visual", "collision"])
+def test_summary_says_what_is_wrong(tag, tmp_path):
+    """Warnings of validation, missing meshes, and the kind of each coordinate of a moving base."""
+    bodies = "".join(mesh(f"gone{i}.stl").replace("visual", tag) for i in range(3))
+    no_speed = '<limit lower="-1" upper="1" effort="1"/>'
+    path = described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l", no_speed), visual=bodies)
+    summary = ml.inspect_robot(load_robot(path, base="planar"))
+    assert [j.unit for j in summary.joints] == ["m", "m", "rad", "rad"]
+    assert [j.name for j in summary.joints][:3] == ["root_joint.x", "root_joint.y", "root_joint.rz"]
+    assert any("no velocity limit" in w for w in summary.warnings)
+    assert list(summary.meshes_missing) == ["gone0.stl", "gone1.stl", "gone2.stl"]  # one line with their number
+    known = [w.partition(";")[0] for w in summary.warnings]
+    assert "Plain shapes stand in for l: mesh 'gone0.stl' (and 2 more) was not found" in known
 
 
 LIMIT = '<limit lower="{}" upper="{}" velocity="1" effort="1"/>'
 
 
+ALIKE = ", as wrong as those of 'j1'"
+MIRRORED = LIMIT.format(0, -1) + '<mimic joint="j0" multiplier="-1"/>'
+
+
 @pytest.mark.parametrize(
     ("kind", "more", "words"),
     [
-        (
-            "revolute",
-            [LIMIT.format(0, 0), LIMIT.format(1, 0)],
-            "'j0': its limits are 0 ... 0 rad, as wrong as those of 'j1';",
-        ),
-        (
-            "revolute",
-            [LIMIT.format(-180, 180)] * 2,
-            "'j0': its limits are -180 ... 180 rad, as wrong as those of 'j1', more",
-        ),
-        ("prismatic", [LIMIT.format(0, 1), LIMIT.format(0, -1) + '<mimic joint="j0" multiplier="-1"/>'], "lock 'j0'"),
+        ("revolute", [LIMIT.format(0, 0), LIMIT.format(1, 0)], f"'j0': its limits are 0 ... 0 rad{ALIKE};"),
+        ("revolute", [LIMIT.format(-180, 180)] * 2, f"'j0': its limits are -180 ... 180 rad{ALIKE}, more"),
+        ("prismatic", [LIMIT.format(0, 1), MIRRORED], "lock 'j0'"),
     ],
 )
 def test_wrong_limits_are_told_together_with_a_remedy_that_works(kind, more, words, tmp_path):
@@ -280,55 +305,50 @@ def test_a_warning_about_many_links_is_one(tmp_path):
         assert "joint 'j': its velocity limit of 0" in second and ("line" in second) == (place != "")
 
 
-def test_xacro_files_are_refused_without_lines_and_with_what_helps(tmp_path):
+HEAD = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+INCLUDE = '<xacro:include filename="$(find {}_description)/urdf/arm.xacro"/></robot>'
+CHOSEN = '<xacro:arg name="kind" default="a"/><xacro:if value="${\'$(arg kind)\' == \'b\'}"><link name="b"/></xacro:if>'
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "code", "words"),
+    [
+        (INCLUDE.format("their"), True, "limit-order", "cell.xacro: joint 'j': its limits"),
+        (INCLUDE.format("no"), True, "xacro-failed", "the package 'no_description' of .* was not found; name the fo"),
+        (f"{CHOSEN}</robot>", {"kind": "B"}, "no-links", "expanded with kind=B it has no <link>.*arguments kind: g"),
+    ],
+)
+def test_xacro_files_are_refused_without_lines_and_with_what_helps(text, options, code, words, tmp_path):
     """Packages are found by the name in package.xml beside the robot's own; what matched nothing is told."""
     pytest.importorskip("xacrodoc")
-    head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
     for folder, package in (("theirs-main", "their_description"), ("mine", "my_description")):
         (tmp_path / folder / "urdf").mkdir(parents=True)
         (tmp_path / folder / "package.xml").write_text(f"<package><name>{package}</name></package>")
     part = described(tmp_path / "theirs-main" / "urdf" / "arm.xacro", ["b", "l"], joint("j", "b", "l"))
     own = tmp_path / "mine" / "urdf" / "cell.xacro"
-    include = '<xacro:include filename="$(find {}_description)/urdf/arm.xacro"/></robot>'
-    own.write_text(head + include.format("their"))
+    own.write_text(HEAD + INCLUDE.format("their"))
     assert load_robot(own, xacro=True).joint_names == ("j",)
     part.write_text(part.read_text().replace('"-2" upper="2"', '"0" upper="0"'))
-    chosen = (
-        '<xacro:arg name="kind" default="a"/><xacro:if value="${\'$(arg kind)\' == \'b\'}"><link name="b"/></xacro:if>'
-    )
-    for text, options, code, words in (
-        (head + include.format("their"), True, "limit-order", "cell.xacro: joint 'j': its limits"),
-        (
-            head + include.format("no"),
-            True,
-            "xacro-failed",
-            "the package 'no_description' of .* was not found; name the fo",
-        ),
-        (
-            f"{head}{chosen}</robot>",
-            {"kind": "B"},
-            "no-links",
-            "expanded with kind=B it has no <link>.*arguments kind: g",
-        ),
-    ):
-        own.write_text(text)
-        with case(code), pytest.raises(RobotError, match=words) as caught:
-            load_robot(own, xacro=options)
-        assert (caught.value.code, caught.value.line) == (code, None)
-        assert str(caught.value).count("not found") <= 1
+    own.write_text(HEAD + text)
+    with pytest.raises(RobotError, match=words) as caught:
+        load_robot(own, xacro=options)
+    assert (caught.value.code, caught.value.line) == (code, None)
+    assert str(caught.value).count("not found") <= 1
 
 
-def test_a_mesh_that_is_not_there_is_told_with_a_remedy_that_works(tmp_path):
-    """Naming the folder of a package is advised only where it is not known; a file has to be put there, or is xacro."""
-    (tmp_path / "package.xml").write_text("<package><name>known</name></package>")
-    for uri, remedy in (
-        ("package://known/gone.stl", f"correct its address, or put it into {tmp_path.resolve()}"),
+@pytest.mark.parametrize(
+    ("uri", "remedy"),
+    [
+        ("package://known/gone.stl", "correct its address, or put it into {}"),
         ("gone.stl", "correct its address, or put it into"),
         ("file:///elsewhere/gone.stl", "correct its address"),
         ("file://$(find known)/gone.stl", "it is xacro: name the file *.xacro and load it with xacro=True"),
         ("package://other/gone.stl", "name the folder that contains its package"),
-    ):
-        path = described(tmp_path / "urdf" / "a.urdf", ["b", "l"], joint("j", "b", "l"), visual=mesh(uri))
-        (warning,) = ml.inspect_robot(load_robot(path)).warnings
-        with case(uri):
-            assert warning.partition("was not found; ")[2].startswith(remedy)
+    ],
+)
+def test_a_mesh_that_is_not_there_is_told_with_a_remedy_that_works(uri, remedy, tmp_path):
+    """Naming the folder of a package is advised only where it is not known; a file has to be put there, or is xacro."""
+    (tmp_path / "package.xml").write_text("<package><name>known</name></package>")
+    path = described(tmp_path / "urdf" / "a.urdf", ["b", "l"], joint("j", "b", "l"), visual=mesh(uri))
+    (warning,) = ml.inspect_robot(load_robot(path)).warnings
+    assert warning.partition("was not found; ")[2].startswith(remedy.format(tmp_path.resolve()))

@@ -74,13 +74,10 @@ def test_limits_are_those_of_the_source(model):
 
 def test_masses_are_those_of_the_source_and_physical():
     """Masses and centres of mass equal the table; every inertia is physically possible."""
-    root = ElementTree.parse(URDF).getroot()
-    links = {link.get("name"): link.find("inertial") for link in root.iter("link")}
+    links = {link.get("name"): link.find("inertial") for link in ElementTree.parse(URDF).getroot().iter("link")}
     for name, (mass, centre) in INERTIAS.items():
-        inertial = links[name]
-        assert inertial is not None
-        assert float(inertial.find("mass").get("value")) == mass
-        assert tuple(float(x) for x in inertial.find("origin").get("xyz").split()) == centre
+        assert float(links[name].find("mass").get("value")) == mass
+        assert tuple(float(x) for x in links[name].find("origin").get("xyz").split()) == centre
     for inertial in (i for i in links.values() if i is not None):
         xx, xy, xz, yy, yz, zz = (float(inertial.find("inertia").get(k)) for k in "ixx ixy ixz iyy iyz izz".split())
         moments = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))

@@ -136,7 +136,7 @@ def test_floor_under_arms(robot_of, name, tag):
     moving = [s for s in collision_shapes(robot, tag) if s.joint and robot.pinocchio_model.parents[s.joint] != 0]
     hulls = [s for s in moving if type(s.geometry).__name__ in ("Convex", "Box")]
     collision = SelfCollision(robot, shapes=tag, obstacles=ml.Scene(floor=-5.0).obstacles(robot))
-    assert len(hulls) > 2
+    assert len(hulls) > 1
     for _ in range(5):
         q = robot.random_configuration(rng)
         near = collision.closer_than(q, 20.0)
