@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from random_arms import Asks, random_case, random_posture, random_tree
+from random_arms import Asks, random_case
 from rounding import rounding
 from scipy.optimize import linprog
 from servo_cases import Arm
@@ -236,33 +236,6 @@ def test_the_direction_of_the_task_is_kept(folder, seed):
         assert np.linalg.norm(moved - forward * along) < 1.2e-3 * np.linalg.norm(b) + 1e-9
     elif np.linalg.norm(b) > 0.01:  # a smaller velocity may wait while the null space brakes
         assert previous is not None or best.x[-1] < 1e-3
-
-
-@given(seeds)
-@pytest.mark.fuzz
-def test_the_base_may_be_anywhere(folder, seed):
-    """An arm on a turned and moved base, with rows turned likewise, has the same joint velocities."""
-    rng = np.random.default_rng(seed)
-    robot = random_tree(np.random.default_rng(seed), folder)
-    moved = random_tree(np.random.default_rng(seed), folder, "0.7 -1.1 0.4", "0.3 -0.8 1.9")
-    q = random_posture(rng, robot)
-    R = moved.pose(q, "tip")[:3, :3] @ robot.pose(q, "tip")[:3, :3].T
-    rows = np.linalg.qr(rng.normal(size=(3, 3)))[0][: int(rng.integers(1, 4))]
-    b, commands = rng.normal(size=len(rows)), []
-    for arm, selection in ((robot, rows), (moved, rows @ R.T)):
-        constraint = ml.Constraint(selection, ml.FrameJacobian(arm, "tip", "xyz"))
-        task = Asks(
-            constraint.selection @ selection.T @ b
-        )  # a constraint keeps the space of its rows, not each of them
-        law = ml.ResolvedRateController(constraint, task, ml.ManipulabilityAscent(constraint))
-        commands.append(law(q, 0.0, 0.01, np.zeros(arm.nv)))
-    command, turned = commands
-    sigma = np.linalg.svd(law.constraint(q), compute_uv=False)
-    if 1e-12 < sigma[-1] / max(sigma[0], 1e-300) < 1e-4:  # rounding is all that says which way leads out
-        return
-    np.testing.assert_allclose(turned.manipulability, command.manipulability, rtol=0, atol=1e-9)
-    if sigma[-1] > 1e-4:
-        np.testing.assert_allclose(turned.velocity, command.velocity, rtol=0, atol=1e-6)
 
 
 @given(seeds)

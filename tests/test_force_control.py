@@ -6,7 +6,6 @@ import json
 
 import numpy as np
 import pytest
-from case import case
 from scipy.spatial.transform import Rotation
 
 from manip_learn.cli import main
@@ -34,33 +33,27 @@ def hinge(robot, rows: str) -> Constraint:
     return Constraint(np.eye(features.n_rows), features)
 
 
-def test_stiffness_is_compliant_where_the_environment_holds(ur5):
+@pytest.mark.parametrize("rows", ["radial axial", FIRM])
+def test_stiffness_is_compliant_where_the_environment_holds(ur5, rows):
     """A displacement along a free row meets the stiff value, one along a held row the compliant one, and both matrices
     are symmetric and positive; of a firm hinge the displacement of the hand that turns with it is free.
     """
     q = posture(ur5)
-    for rows in ("radial axial", FIRM):
-        with case(rows):
-            constraint = hinge(ur5, rows)
-            made = impedance(constraint, q)
-            K, D = np.array(made["stiffness"]), np.array(made["damping"])
-            for M in (K, D):
-                assert np.allclose(M, M.T) and np.all(np.linalg.eigvalsh(M) > 0.0)
-            p = ur5.position(q, "tool0") - POINT
-            around = np.cross(AXIS, p)
-            if rows == FIRM:
-                twist = np.concatenate([around, AXIS])
-                assert twist @ K @ twist == pytest.approx(50.0)
-            else:
-                along = around / np.linalg.norm(around)
-                assert along @ K[:3, :3] @ along == pytest.approx(1000.0)
-                assert K[2, 2] == pytest.approx(100.0)
-            # D damps every mode of M x'' + D x' + K x critically: (M^-1/2 D M^-1/2 / 2)^2 = M^-1/2 K M^-1/2
-            M = ur5.hand_inertia(q, "tool0")
-            assert M is not None
-            values, V = np.linalg.eigh(M)
-            back = V / np.sqrt(values) @ V.T
-            assert np.allclose((0.5 * back @ D @ back) @ (0.5 * back @ D @ back), back @ K @ back, rtol=1e-6)
+    made, M = impedance(hinge(ur5, rows), q), ur5.hand_inertia(q, "tool0")
+    K, D = np.array(made["stiffness"]), np.array(made["damping"])
+    for matrix in (K, D):
+        assert np.allclose(matrix, matrix.T) and np.all(np.linalg.eigvalsh(matrix) > 0.0)
+    around = np.cross(AXIS, ur5.position(q, "tool0") - POINT)
+    if rows == FIRM:
+        twist = np.concatenate([around, AXIS])
+        assert twist @ K @ twist == pytest.approx(50.0)
+    else:
+        along = around / np.linalg.norm(around)
+        assert along @ K[:3, :3] @ along == pytest.approx(1000.0) and K[2, 2] == pytest.approx(100.0)
+    # D damps every mode of M x'' + D x' + K x critically: (M^-1/2 D M^-1/2 / 2)^2 = M^-1/2 K M^-1/2
+    values, V = np.linalg.eigh(M)
+    back = V / np.sqrt(values) @ V.T
+    assert np.allclose((0.5 * back @ D @ back) @ (0.5 * back @ D @ back), back @ K @ back, rtol=1e-6)
 
 
 def test_hand_inertia_is_that_of_the_dynamics(ur5):
@@ -115,30 +108,27 @@ def test_command_writes_each_of_them(tmp_path, capsys):
     """`export --to` writes each format of a constraint file and says what the frame holds; what cannot be is one
     sentence and exit code 2, and the constraint file is never overwritten.
     """
-    robot = load_robot("sawyer")
-    file = tmp_path / "task.json"
+    robot, file = load_robot("sawyer"), tmp_path / "task.json"
     Constraint([[0, 0, 1]], FrameJacobian(robot, "right_gripper_tip", "xyz")).save(file)
+
+    def export(to, out, *more):
+        code = main(["export", "sawyer", str(file), "--to", to, "--out", str(out), *more])
+        return code, capsys.readouterr()
+
     for to in ("urscript", "stiffness", "moveit", "json"):
-        with case(to):
-            out = tmp_path / f"out.{to}"
-            assert main(["export", "sawyer", str(file), "--to", to, "--out", str(out), "--json"]) == 0
-            answer = json.loads(capsys.readouterr().out)
-            assert answer["format"] == to and answer["files"] == [str(out)]
-            assert "held z; free x y; unknown rx ry rz" in answer["notes"][0]
-            assert out.read_text(encoding="utf-8").strip()
+        out = tmp_path / f"out.{to}"
+        code, said = export(to, out, "--json")
+        answer = json.loads(said.out)
+        assert (code, answer["format"], answer["files"]) == (0, to, [str(out)])
+        assert "held z; free x y; unknown rx ry rz" in answer["notes"][0]
+        assert out.read_text(encoding="utf-8").strip()
     frame = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
     assert frame["axes"]["z"] == "held" and np.abs(frame["rows"]).tolist() == [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]
-    refused = {
-        "itself": ["--to", "stiffness", "--out", str(file)],
-        "posture": ["--to", "json", "--out", str(tmp_path / "x"), "--at", "0,1"],
-        "unknown": ["--to", "krl", "--out", str(tmp_path / "x")],
-    }
-    for name, words in refused.items():
-        with case(name):
-            assert main(["export", "sawyer", str(file), *words]) == 2
-            assert capsys.readouterr().err.count("\n") <= 3
-    assert main(["export", "sawyer", str(file), "--to", "urscript", "--out", str(file)]) == 2
-    assert main(["export", "sawyer", str(file), "--to", "json", "--out", str(file)]) == 0  # which adds to it
+    x = tmp_path / "x"
+    for refused in (("stiffness", file), ("urscript", file), ("json", x, "--at", "0,1"), ("krl", x)):
+        code, said = export(*refused)
+        assert code == 2 and said.err.count("\n") <= 3
+    assert export("json", file)[0] == 0  # which adds to it
     for written in (file, tmp_path / "out.json"):
         assert Constraint.load(written, robot).n_constraints == 1
 

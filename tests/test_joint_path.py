@@ -85,13 +85,11 @@ def test_paths_are_clear_and_repeated(roboplan, name, tmp_path):
 def test_a_joint_without_end_keeps_its_turns(roboplan):
     """The goal is reached as it is given, not a whole turn beside it."""
     robot = ml.load_robot("kinova")
-    limits = Limits(robot)
     start, goal, clear = next(blocked(robot, 2, around(robot)))
-    turns = 2.0 * np.pi * ~np.isfinite(robot.position_upper)
-    near = joint_path(robot, start, goal, limits, clear, 0)
-    path = joint_path(robot, start + 3.0 * turns, goal + 3.0 * turns, limits, clear, 0)
+    turns = 6.0 * np.pi * ~np.isfinite(robot.position_upper)
+    near, path = (joint_path(robot, start + x, goal + x, Limits(robot), clear, 0) for x in (0.0, turns))
     assert path is not None and near is not None
-    assert np.allclose(np.array(path) - 3.0 * turns, near, atol=1e-6)
+    assert np.allclose(np.array(path) - turns, near, atol=1e-6)
 
 
 def test_fingers_stand_still(roboplan):

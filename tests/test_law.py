@@ -12,7 +12,6 @@ from random_arms import Asks
 from scipy.optimize import lsq_linear, nnls
 
 import manip_learn as ml
-from manip_learn.constraint.features import MechanismRows
 from manip_learn.constraint.manipulability import smallest_gradient
 from manip_learn.control.barriers import approach_bound
 from manip_learn.control.command import Command
@@ -276,32 +275,6 @@ def test_a_wrist_that_turns_over_pulls_no_hand_off_its_hinge(robot_of):
     assert max(off) < 1.5e-3  # [m and rad]
     assert task.progress(rollout.q[-1]) == pytest.approx(2.5, abs=4e-3)
     assert ml.Status.ACCELERATION_LIMITED in rollout.status
-
-
-@pytest.mark.parametrize("names", ["radial axial", "turn-1 turn-2 slide-1 slide-2 slide"])
-def test_a_way_that_was_stopped_goes_on_from_where_the_hand_is(names, robot_of):
-    """A hand that stood for seconds goes on no faster than it was asked to, and stays on the mechanism."""
-    robot, q, speed = robot_of("panda"), np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]), 0.3
-    pose = robot.pose(q, "panda_hand_tcp")
-    axis, point = np.array([0.0, 0.0, 1.0]), pose[:3, 3] + [0.1, 0.25, 0.0]
-    features = MechanismRows(robot, "panda_hand_tcp", names, axis=axis, point=point)
-    rows = ml.Constraint(np.eye(features.n_rows), features)
-    task = ml.FreeDirection(rows, 0.7, speed, unit="rad")
-    law, t, u = ml.ResolvedRateController(rows, task, task.ascent(), dt=DT), 0.0, np.zeros(robot.nv)
-    radius, height = float(np.linalg.norm((pose[:3, 3] - point)[:2])), float(pose[2, 3])
-    before, off, rates = 0.0, 0.0, [0.0]
-    while t < 9.0:
-        u = law(q, t, DT, u).velocity
-        if 0.8 <= t < 3.8:  # somebody holds the arm
-            u = np.zeros(robot.nv)
-        q, t = robot.integrate(q, DT * u), t + DT
-        place, now = robot.position(q, "panda_hand_tcp"), task.progress(q)
-        off = max(off, abs(float(np.linalg.norm((place - point)[:2])) - radius), abs(float(place[2]) - height))
-        rates.append((now - before) / DT)
-        before = now
-    assert task.progress(q) == pytest.approx(0.7, abs=4e-3)
-    assert max(np.abs(rates)) <= 1.01 * speed
-    assert off <= 5e-4
 
 
 def test_more_rows_than_joints_are_no_error(robot_of):

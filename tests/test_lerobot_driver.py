@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_driver import Hands
+from test_driver import Hands, loop_of
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
@@ -65,18 +65,6 @@ def in_units(arm: Arm, mode: str, low: int = 1024, high: int = 3072) -> Arm:
     return arm
 
 
-def loop_of(robot: ml.Robot, dt: float = PERIOD) -> ml.ServoLoop:
-    """A motion of some seconds."""
-    constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
-    return ml.ServoLoop(ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5])), dt)
-
-
-@pytest.fixture
-def planar3():
-    """The robot of three joints."""
-    return ml.load_robot("planar3")
-
-
 def driver_of(arm: Any, robot: ml.Robot, **options: Any) -> ml.LeRobotDriver:
     """The driver of an arm with a gripper."""
     return ml.LeRobotDriver(arm, robot, PERIOD, others=("gripper",), **options)
@@ -86,7 +74,7 @@ def test_a_run_in_degrees(planar3):
     """The arm moves as the loop commands, the gripper stays, each cycle reads once and sends once."""
     arm = Arm()
     driver = driver_of(arm, planar3)
-    record = ml.run(loop_of(planar3), driver, 0.5)
+    record = ml.run(loop_of(planar3, PERIOD), driver, 0.5)
     assert record.ordered and arm.observed - 1 == len(arm.sent) == record.cycles
     assert {action["gripper.pos"] for action in arm.sent} == {37.5}
     sent = np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in arm.sent])
@@ -113,8 +101,8 @@ def test_units_signs_and_zeros(mode, planar3):
 
 def test_motors_are_matched_by_name(planar3):
     """LeRobot may list them in any order."""
-    arm = Arm(motors=("gripper", "joint3", "joint1", "joint2"))
-    arm.values = {"joint1": 10.0, "gripper": 5.0, "joint3": 30.0, "joint2": 20.0}
+    arm = Arm(np.radians([5.0, 30.0, 10.0]), ("gripper", "joint3", "joint1", "joint2"))
+    arm.values = dict(zip(arm.motors, (5.0, 30.0, 10.0, 20.0), strict=True))
     driver = driver_of(arm, planar3)
     np.testing.assert_allclose(driver.read()[0], np.radians([10.0, 20.0, 30.0]))
     driver.command(np.radians([11.0, 21.0, 31.0]), np.zeros(3))
@@ -135,8 +123,9 @@ def test_a_gripper_among_the_others_shuts_and_opens(planar3):
     assert arm.sent[-1]["gripper.pos"] == 100.0
 
 
-def test_spans_without_calibration(planar3):
+def test_spans_without_calibration():
     """-100 .. 100 is the span that is given, or the joint's limits; radians are radians; a wide range needs a span."""
+    planar3 = ml.load_robot("planar3")  # whose limits are changed below
     arm = Arm()
     arm.config = None
     arm.values |= {"joint1": 50.0, "joint2": 50.0, "joint3": 50.0}
@@ -153,46 +142,42 @@ def test_spans_without_calibration(planar3):
         driver_of(arm, planar3, units="normalised")
 
 
-def without(arm: Arm, **changes: Any) -> Arm:
-    """An arm with other attributes."""
-    vars(arm).update(changes)
-    return arm
+FEATURE = {f"{m}.pos": float for m in Arm().motors}
+SO101 = ml.load_robot("so101", locked=("gripper",))
+REFUSED = {  # words of the sentence -> changes of the arm, and options of the driver
+    "not connected: call its connect": ({"is_connected": False}, {}),
+    r"gripper of fake_follower moves no joint of planar3: .*others=\('gripper',\)": ({}, {"others": ()}),
+    "has no motor elbow: its motors are joint1": ({}, {"motors": {"elbow": "joint1"}}),
+    "joint1 has two motors, joint1 and joint2": ({}, {"motors": {"joint2": "joint1"}}),
+    "does not say in which unit motor joint1 is: give units=": ({"config": None}, {}),
+    "joint1 is in degrees by LeRobot's own config": ({}, {"units": "radians"}),
+    "units must be 'degrees'": ({}, {"units": "deg"}),
+    "takes x.speed: only positions": ({"action_features": FEATURE | {"x.speed": float}}, {}),
+    "does not observe the position of motors": ({"observation_features": {}}, {}),
+    "period must be a positive number": ({}, {"period": 0.0}),
+}
 
 
-def test_what_does_not_fit_is_refused_in_a_sentence(planar3):
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_does_not_fit_is_refused_in_a_sentence(message, planar3):
     """Motors, joints, units and numbers that do not fit: what, where, and what to do."""
-    feature = {f"{m}.pos": float for m in Arm().motors}
-    so101 = ml.load_robot("so101", locked=("gripper",))
-    arms = {name: Arm(np.zeros(5), (*so101.joint_names, "gripper")) for name in ("so101",)}
-    for message, make in {
-        "not connected: call its connect": lambda: driver_of(without(Arm(), is_connected=False), planar3),
-        r"gripper of fake_follower moves no joint of planar3: .*others=\('gripper',\)": lambda: ml.LeRobotDriver(
-            Arm(), planar3, PERIOD
-        ),
-        r"gripper .* moves no joint of .* \(that joint is locked\)": lambda: ml.LeRobotDriver(
-            arms["so101"], so101, PERIOD
-        ),
-        "no motor of fake_follower moves joint joint3 of planar3: .*locked=": lambda: driver_of(
-            Arm(motors=("joint1", "joint2", "gripper")), planar3
-        ),
-        "has no motor elbow: its motors are joint1": lambda: driver_of(Arm(), planar3, motors={"elbow": "joint1"}),
-        "joint1 has two motors, joint1 and joint2": lambda: driver_of(Arm(), planar3, motors={"joint2": "joint1"}),
-        "does not say in which unit motor joint1 is: give units=": lambda: driver_of(
-            without(Arm(), config=None), planar3
-        ),
-        "joint1 is in degrees by LeRobot's own config": lambda: driver_of(Arm(), planar3, units="radians"),
-        "units must be 'degrees'": lambda: driver_of(Arm(), planar3, units="deg"),
-        "takes x.speed: only positions": lambda: driver_of(
-            without(Arm(), action_features=feature | {"x.speed": float}), planar3
-        ),
-        "does not observe the position of motors": lambda: driver_of(without(Arm(), observation_features={}), planar3),
-        "period must be a positive number": lambda: ml.LeRobotDriver(Arm(), planar3, 0.0, others="gripper"),
-        "sign must be 1 or -1": lambda: ml.LeRobotMotor("joint1", sign=2),
-        "span a positive one": lambda: ml.LeRobotMotor("joint1", span=0.0),
-        "zero a finite number": lambda: ml.LeRobotMotor("joint1", zero=np.nan),
-    }.items():
-        with pytest.raises(ConfigurationError, match=message):
-            make()
+    changes, options = REFUSED[message]
+    arm = Arm()
+    vars(arm).update(changes)
+    with pytest.raises(ConfigurationError, match=message):
+        ml.LeRobotDriver(arm, planar3, **{"period": PERIOD, "others": ("gripper",), **options})
+
+
+def test_motors_and_joints_that_do_not_fit(planar3):
+    """A joint that is locked or has no motor; numbers of a motor that are none."""
+    with pytest.raises(ConfigurationError, match=r"gripper .* moves no joint of .* \(that joint is locked\)"):
+        ml.LeRobotDriver(Arm(np.zeros(5), (*SO101.joint_names, "gripper")), SO101, PERIOD)
+    with pytest.raises(ConfigurationError, match="no motor of fake_follower moves joint joint3 of planar3: .*locked="):
+        driver_of(Arm(motors=("joint1", "joint2", "gripper")), planar3)
+    words = {"sign": "sign must be 1 or -1", "span": "span a positive one", "zero": "zero a finite number"}
+    for name, value in (("sign", 2), ("span", 0.0), ("zero", np.nan)):
+        with pytest.raises(ConfigurationError, match=words[name]):
+            ml.LeRobotMotor("joint1", **{name: value})
 
 
 def test_joints_in_m_are_not_in_degrees():
@@ -241,7 +226,7 @@ def test_nothing_outside_the_ranges_is_sent(calibrated, planar3):
 def test_readings_that_are_no_numbers(value, planar3):
     """A motor that is not reported, or not as a number, brakes the arm with its name."""
     arm = Arm()
-    loop, driver = loop_of(planar3), driver_of(arm, planar3)
+    loop, driver = loop_of(planar3, PERIOD), driver_of(arm, planar3)
     get = arm.get_observation
 
     def observe() -> dict[str, Any]:
@@ -319,48 +304,32 @@ def test_release_and_hold(planar3):
     assert done == ["off"]
 
 
-def interrupted(hands: Hands, seconds: float, times: int = 1) -> None:
-    """A call that does not return, and Ctrl-C after so long [s], once or several times."""
-    for _ in range(times):
-        hands.time += seconds
-        os.kill(os.getpid(), signal.SIGINT)
-    threading.Event().wait(10.0)
+@pytest.mark.parametrize(
+    ("call", "seconds", "times", "said"),
+    [("get_observation", 0.3, 1, "read() had not returned for 0.3"),
+     ("send_action", 0.3, 1, "command() had not returned for 0.3"),
+     ("get_observation", 0.02, 2, "read() had not returned for 0.0")],
+)  # fmt: skip
+def test_an_arm_that_blocks(call, seconds, times, said, planar3):
+    """For ever: Ctrl-C ends the run with the name of the call, and what can still be sent brakes the arm; two in a row
+    give it up however short it has been so far.
+    """
+    arm, hands, calls = Arm(), Hands(), [0]
+    original, driver, loop = getattr(arm, call), driver_of(arm, planar3), loop_of(planar3, PERIOD)
 
-
-@pytest.mark.parametrize("call", ["get_observation", "send_action"])
-def test_an_arm_that_blocks(call, planar3):
-    """For ever: Ctrl-C ends the run with the name of the call, and what can still be sent brakes the arm."""
-    arm, hands = Arm(), Hands()
-    original, calls = getattr(arm, call), [0]
-    driver, loop = driver_of(arm, planar3), loop_of(planar3)
-
-    def blocking(*arguments: Any) -> Any:
+    def blocking(*arguments):
         calls[0] += 1
         if calls[0] >= 20:
-            interrupted(hands, 0.3)
+            for _ in range(times):
+                hands.time += seconds
+                os.kill(os.getpid(), signal.SIGINT)
+            threading.Event().wait(10.0)
         return original(*arguments)
 
     setattr(arm, call, blocking)
     record = ml.run(loop, driver, 1.0, clock=hands)
-    name = {"get_observation": "read()", "send_action": "command()"}[call]
-    assert record.ended.startswith(f"Ctrl-C; the driver's {name} had not returned for 0.3") and not record.ordered
+    assert record.ended.startswith(f"Ctrl-C; the driver's {said}") and not record.ordered and calls[0] == 20
     sent = np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in arm.sent])
     assert np.abs(np.diff(sent, axis=0)).max() > 0.05 * PERIOD
     if call == "get_observation":
         assert not record.rollout.u[-1].any() and np.abs(sent[-1] - sent[-2]).max() < 1e-9
-
-
-def test_a_second_interrupt_waits_for_nothing(planar3):
-    """Two in a row give up the call that is under way, however short it has been so far."""
-    arm, hands = Arm(), Hands()
-    get, driver, loop = arm.get_observation, driver_of(arm, planar3), loop_of(planar3)
-
-    def blocking() -> Any:
-        if arm.observed == 20:
-            interrupted(hands, 0.02, times=2)
-        return get()
-
-    arm.get_observation = blocking  # type: ignore[method-assign]
-    record = ml.run(loop, driver, 8.0, clock=hands)
-    assert record.ended.startswith("Ctrl-C; the driver's read() had not returned for 0.0") and arm.observed == 20
-    assert not record.rollout.u[-1].any()

@@ -247,7 +247,7 @@ def test_the_command_line(tmp_path, capsys):
         table, names = np.column_stack([demo.time, demo.q]), ",".join(["time", *demo.joint_names])
         np.savetxt(tmp_path / f"{i}.csv", table, delimiter=",", header=names, comments="")
     lock = ["--lock", "panda_finger_joint1", "--lock", "panda_finger_joint2"]
-    assert main(["learn", "panda", f"{tmp_path}/*.csv", "--frame", tip, "--out", str(task), *lock]) == 0
+    assert main(["learn", "panda", str(tmp_path), "--frame", tip, "--out", str(task), *lock]) == 0
     said = capsys.readouterr().out
     assert "took hold at the same place" in said
     assert f"next: manip-learn repeat panda {task} {' '.join(lock)} --" in said
@@ -300,34 +300,3 @@ def test_the_hand_takes_hold_where_a_contact_began(prefer, tmp_path):
         recorded = np.concatenate([robot.positions(q)[None] for demo in demos for q in demo.q[::5]])
         closes = again.rollout.q[np.searchsorted(again.rollout.time, again.rollout.phases[0][2])]
         assert np.min(np.max(np.abs(recorded - closes), axis=1)) < 0.1
-
-
-def test_a_hand_turns_where_its_place_rests():
-    """A sleeve through the hand, pushed along and then turned: in this order, as far as it was shown."""
-    robot, tip, rng = ml.load_robot("sawyer"), "right_gripper_tip", np.random.default_rng(5)
-    share, home = np.linspace(0.0, 1.0, 300), np.array([0.2, -0.6, 0.1, 1.2, 0.2, 1.0, 1.5])
-    demos = []
-    for k in range(5):
-        q = home + rng.normal(0.0, 0.05, 7)
-        first = robot.pose(home, tip)
-        path, (far, turned) = [], (0.07, 1.0) * (1.0 + rng.normal(0.0, 0.01, 2))
-        ends = far * np.clip(share / 0.45, 0, 1), turned * np.clip((share - 0.55) / 0.45, 0, 1)
-        for down, turn in zip(*(x**2 * (3.0 - 2.0 * x / x.max()) / x.max() for x in ends), strict=True):
-            goal = first.copy()
-            goal[2, 3] -= down
-            goal[:3, :3] = Rotation.from_rotvec([0.0, 0.0, turn]).as_matrix() @ first[:3, :3]
-            for _ in range(4):
-                pose = robot.pose(q, tip)
-                off = Rotation.from_matrix(goal[:3, :3] @ pose[:3, :3].T).as_rotvec()
-                q = q + np.linalg.pinv(robot.jacobian(q, tip)) @ np.append(goal[:3, 3] - pose[:3, 3], off)
-            path.append(q + rng.normal(0.0, 2e-5, 7))
-        demos.append(ml.Trajectory(np.linspace(0.0, 6.0, 300), np.array(path), None, robot.joint_names, f"sleeve {k}"))
-    skill = ml.ConstraintLearner(ml.FrameJacobian(robot, tip)).fit(demos).skill_
-    again = ml.repeat(skill, home)
-    assert again.is_done
-    began = int(np.searchsorted(again.rollout.time, next(a for name, a, _ in again.rollout.phases if "way" in name)))
-    poses = [robot.pose(again.rollout.q[k], tip) for k in (began, (began + len(again.rollout)) // 2, -1)]
-    turns = [Rotation.from_matrix(pose[:3, :3] @ poses[0][:3, :3].T).as_rotvec()[2] for pose in poses]
-    moves = [pose[2, 3] - poses[0][2, 3] for pose in poses]
-    assert moves[1:] == [pytest.approx(-0.07, abs=3e-3)] * 2 and np.abs(turns[1]) < 0.2
-    assert turns[2] == pytest.approx(1.0, abs=0.03)

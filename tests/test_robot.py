@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pickle
 import sys
-import threading
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from case import case
 from conftest import TIPS, URDFS, tip_of
 from rounding import rounding
 from urdf_corpus import edited
@@ -19,7 +19,6 @@ from manip_learn.robot.frame_kinematics import closed_form, columns_to_joints, p
 from manip_learn.robot.loading import load_robot
 
 ROBOTS = [*URDFS, *TIPS]
-WITH_MIMICS = ("mimic",)  # their public derivative is that of the independent joints
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -49,39 +48,30 @@ def test_names_limits_postures_and_copies_fit_together(robot_of, rng, name):
     assert [robot.joint_index(joint) for joint in robot.joint_names] == list(range(robot.nv))
 
 
-def test_unknown_names_never_reach_pinocchio(robot_of):
+@pytest.mark.parametrize("wrong", ["", "tipp", "universe", "TIP", None, 3, "tip\x00", "a" * 10000])
+def test_unknown_names_never_reach_pinocchio(robot_of, wrong):
     """Any other name, or none, is an error of this library (Pinocchio would read out of bounds)."""
-    for wrong in ["", "tipp", "universe", "TIP", None, 3, "tip\x00", "a" * 10000]:
-        with case(wrong):
-            robot = robot_of("gantry")
-            with pytest.raises(UnknownNameError):
-                robot.frame(wrong)
-            with pytest.raises(UnknownNameError):
-                robot.joint_index(wrong)
+    for ask in (robot_of("gantry").frame, robot_of("gantry").joint_index):
+        with pytest.raises(UnknownNameError):
+            ask(wrong)
 
 
-def test_wrong_postures_are_refused(robot_of):
+@pytest.mark.parametrize("name", ["one", "planar3", "wrist", "humanoid", "mimic"])
+def test_wrong_postures_are_refused(robot_of, name):
     """Wrong sizes, NaN, infinity, text and None are rejected wherever a posture or a velocity is an argument."""
-    for name in ["one", "planar3", "wrist", "humanoid", "mimic"]:
-        with case(name):
-            robot = robot_of(name)
-            frame = robot.frame(tip_of(name))
-            n = robot.nv
-            bad: list = [np.zeros(n + 7), [], np.full(n, np.nan), np.full(robot.nq, np.inf), np.zeros((n, 2))]
-            bad += [["x"] * n, None, {}]
-            for q in bad:
-                for ask in (robot.configuration, robot.positions):
-                    with pytest.raises(ConfigurationError):
-                        ask(q)
-                for ask in (robot.pose, robot.jacobian, robot.jacobian_and_derivative):
-                    with pytest.raises(ConfigurationError):
-                        ask(q, frame)
-                with pytest.raises(ConfigurationError):
-                    robot.velocity(q)
-                with pytest.raises(ConfigurationError):
-                    robot.integrate(np.zeros(n), q)
-                with pytest.raises(ConfigurationError):
-                    robot.difference(np.zeros(n), q)
+    robot, n = robot_of(name), robot_of(name).nv
+    frame = robot.frame(tip_of(name))
+    bad = [np.zeros(n + 7), [], np.full(n, np.nan), np.full(robot.nq, np.inf), np.zeros((n, 2)), ["x"] * n, None, {}]
+    ways = [(f,) for f in (robot.configuration, robot.positions, robot.velocity)]
+    ways += [(f, frame) for f in (robot.pose, robot.jacobian, robot.jacobian_and_derivative)]
+    ways += [(lambda q, f=f: f(np.zeros(n), q),) for f in (robot.integrate, robot.difference)]
+    for q, (ask, *more) in product(bad, ways):
+        with pytest.raises(ConfigurationError):
+            ask(q, *more)
+
+
+def test_numbers_that_are_none_are_named(robot_of):
+    """By their joint, and what was given."""
     gantry = robot_of("gantry")
     for ask, wrong, said in (
         (gantry.configuration, [0, 0, np.nan, 0, 0], "'joint2' is nan"),
@@ -105,126 +95,100 @@ def test_configurations_without_direction_are_refused(robot_of):
     np.testing.assert_allclose(wrist.configuration(longer), q, rtol=0, atol=rounding(8, q))
 
 
-def test_any_memory_layout(robot_of, rng):
+@pytest.mark.parametrize("name", ["planar3", "wrist", "panda"])
+def test_any_memory_layout(robot_of, rng, name):
     """Lists, float32, big-endian, strided and read-only vectors give the same kinematics."""
-    for name in ["planar3", "wrist", "panda"]:
-        with case(name):
-            robot = robot_of(name)
-            frame = robot.frame(tip_of(name))
-            q = robot.random_configuration(rng).astype(np.float32).astype(np.float64)
-            expected = robot.jacobian(q, frame)
-            strided = np.stack([q, q], axis=1)[:, 0]
-            frozen = q.copy()
-            frozen.setflags(write=False)
-            for same in (q.tolist(), tuple(q), q.astype(">f8"), q.astype(np.float32), strided, frozen):
-                np.testing.assert_array_equal(robot.jacobian(same, frame), expected)
+    robot, frame = robot_of(name), robot_of(name).frame(tip_of(name))
+    q = robot.random_configuration(rng).astype(np.float32).astype(np.float64)
+    strided, frozen, expected = np.stack([q, q], axis=1)[:, 0], q.copy(), robot.jacobian(q, frame)
+    frozen.setflags(write=False)
+    for same in (q.tolist(), tuple(q), q.astype(">f8"), q.astype(np.float32), strided, frozen):
+        np.testing.assert_array_equal(robot.jacobian(same, frame), expected)
 
 
 def test_inputs_are_left_alone_and_results_belong_to_the_caller(robot_of, rng):
     """No method writes to its arguments, and later calls do not change earlier results (Pinocchio hands out views)."""
-    robot = robot_of("wrist")
-    frame = robot.frame("tip")
-    q, v = 1.7 * robot.random_configuration(rng), rng.normal(size=robot.nv)
+    robot, v = robot_of("wrist"), rng.normal(size=4)
+
+    def answers(q):
+        frame, centre = robot.frame("tip"), robot.centre_of_mass_jacobian_and_derivative(q)
+        kinematics = [robot.pose(q, frame), robot.jacobian(q, frame), *robot.jacobian_and_derivative(q, frame)]
+        there = robot.integrate(q, v)
+        return [*kinematics, there, robot.difference(q, there), robot.centre_of_mass(q), *centre]
+
+    q = 1.7 * robot.random_configuration(rng)
     q.setflags(write=False)
     v.setflags(write=False)
-    first = [
-        robot.pose(q, frame),
-        robot.jacobian(q, frame),
-        *robot.jacobian_and_derivative(q, frame),
-        robot.integrate(q, v),
-        robot.difference(q, robot.integrate(q, v)),
-        robot.centre_of_mass(q),
-        *robot.centre_of_mass_jacobian_and_derivative(q),
-    ]
+    first = answers(q)
     copies = [a.copy() for a in first]
     for _ in range(3):
-        other = robot.random_configuration(rng)
-        robot.pose(other, frame)
-        robot.jacobian_and_derivative(other, frame)
-        robot.centre_of_mass_jacobian_and_derivative(other)
-        robot.centre_of_mass(other)
+        answers(robot.random_configuration(rng))
     for kept, copy in zip(first, copies, strict=True):
         np.testing.assert_array_equal(kept, copy)
 
 
 def test_many_threads(robot_of, rng):
     """One robot in eight threads gives in each what it gives alone."""
-    robot = robot_of("panda")
-    frame = robot.frame("panda_hand_tcp")
+    robot, frame, interval = robot_of("panda"), robot_of("panda").frame("panda_hand_tcp"), sys.getswitchinterval()
     postures = [robot.random_configuration(rng) for _ in range(8)]
     expected = [robot.jacobian_and_derivative(q, frame)[1] for q in postures]
-    wrong: list[int] = []
 
-    def work(i: int) -> None:
-        for _ in range(100):
-            if not np.array_equal(robot.jacobian_and_derivative(postures[i], frame)[1], expected[i]):
-                wrong.append(i)
+    def is_right(i):
+        return all(
+            np.array_equal(robot.jacobian_and_derivative(postures[i], frame)[1], expected[i]) for _ in range(100)
+        )
 
-    interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)  # threads alternate between any two calls of Pinocchio
     try:
-        threads = [threading.Thread(target=work, args=(i,)) for i in range(8)]
-        for t in threads:
-            t.start()
-        for t in threads:
-            t.join()
+        with ThreadPoolExecutor(8) as threads:
+            assert all(threads.map(is_right, range(8)))
     finally:
         sys.setswitchinterval(interval)
-    assert wrong == []
 
 
-def test_closed_form_hessian(robot_of, rng):
+@pytest.mark.parametrize("name", [name for name in ROBOTS if name != "mimic"])  # that of the independent joints
+def test_closed_form_hessian(robot_of, rng, name):
     """The stand-in for Pinocchio's Hessian, should its memory order change, gives the same derivatives."""
-    for reference in ["world", "local"]:
-        for name in [name for name in ROBOTS if name not in WITH_MIMICS]:
-            with case(reference, name):
-                robot = robot_of(name)
-                model = robot.pinocchio_model
-                assert pinocchio_order_is_known(model)
-                frame = robot.frame(tip_of(name))
-                for _ in range(3):
-                    q = robot.random_configuration(rng)
-                    J, H = robot.jacobian_and_derivative(q, frame, reference)
-                    np.testing.assert_allclose(
-                        closed_form(J, columns_to_joints(model), reference), H, rtol=0, atol=1e-13
-                    )
+    robot, model = robot_of(name), robot_of(name).pinocchio_model
+    assert pinocchio_order_is_known(model)
+    for reference in ["world", "local"] * 3:
+        J, H = robot.jacobian_and_derivative(robot.random_configuration(rng), tip_of(name), reference)
+        np.testing.assert_allclose(closed_form(J, columns_to_joints(model), reference), H, rtol=0, atol=1e-13)
 
 
 def test_joint_order_is_that_of_the_names(robot_of):
     """A branching robot's names are in Pinocchio's order, and each position moves the joint of its own name."""
     robot = robot_of("tree")
-    q = robot.positions(robot.neutral()).copy()
+    at_rest, q = robot.neutral(), robot.positions(robot.neutral()).copy()
     q[robot.joint_index("z_side")] = 0.25
-    moved, still = robot.frame("arm_b"), robot.frame("tip")
-    assert np.linalg.norm(robot.pose(q, moved)[:3, 3] - robot.pose(robot.neutral(), moved)[:3, 3]) == pytest.approx(
-        0.25
-    )
-    np.testing.assert_array_equal(robot.pose(q, still), robot.pose(robot.neutral(), still))
+    moved = robot.position(q, "arm_b") - robot.position(at_rest, "arm_b")
+    assert np.linalg.norm(moved) == pytest.approx(0.25)
+    np.testing.assert_array_equal(robot.pose(q, "tip"), robot.pose(at_rest, "tip"))
+
+
+def gantry_within(folder, *limits):
+    """The gantry with other limits of its first joints."""
+    text = URDFS["gantry"]
+    for limit in limits:
+        text = text.replace('lower="-2" upper="2"', limit, 1)
+    (folder / "gantry.urdf").write_text(text, encoding="utf-8")
+    return load_robot(folder / "gantry.urdf")
 
 
 def test_neutral_is_zero_where_zero_is_allowed(tmp_path):
     """Joints whose range begins or ends at zero stand at zero, those whose range leaves it out in its middle."""
-    text = URDFS["gantry"]
-    for limits in ('lower="0" upper="2"', 'lower="-2" upper="0"', 'lower="0.5" upper="1"', 'lower="-3" upper="-2"'):
-        text = text.replace('lower="-2" upper="2"', limits, 1)
-    path = tmp_path / "gantry.urdf"
-    path.write_text(text, encoding="utf-8")
-    np.testing.assert_allclose(load_robot(path).neutral(), [0.0, 0.0, 0.75, -2.5, 0.0])
+    ranges = ((0, 2), (-2, 0), (0.5, 1), (-3, -2))
+    robot = gantry_within(tmp_path, *(f'lower="{low}" upper="{high}"' for low, high in ranges))
+    np.testing.assert_allclose(robot.neutral(), [0.0, 0.0, 0.75, -2.5, 0.0])
 
 
 def test_joints_limited_on_one_side(tmp_path, rng):
     """They stand at their limit if zero is outside, and are drawn within a turn of it."""
-    text = URDFS["gantry"]
-    for limits in ('lower="0.5"', 'upper="-0.5"', 'lower="-1"'):
-        text = text.replace('lower="-2" upper="2"', limits, 1)
-    path = tmp_path / "gantry.urdf"
-    path.write_text(text, encoding="utf-8")
-    robot, turn = load_robot(path), 2.0 * np.pi
+    robot, turn = gantry_within(tmp_path, 'lower="0.5"', 'upper="-0.5"', 'lower="-1"'), 2.0 * np.pi
     np.testing.assert_array_equal(robot.neutral(), [0.5, -0.5, 0.0, 0.0, 0.0])
     drawn = np.array([robot.random_configuration(rng) for _ in range(500)])
     low, high = [0.5, -0.5 - turn, -1.0, -2.0, -2.0], [0.5 + turn, -0.5, -1.0 + turn, 2.0, 2.0]
-    np.testing.assert_allclose(drawn.min(axis=0), low, atol=0.1)
-    np.testing.assert_allclose(drawn.max(axis=0), high, atol=0.1)
+    np.testing.assert_allclose([drawn.min(axis=0), drawn.max(axis=0)], [low, high], atol=0.1)
     assert np.all(drawn >= low) and np.all(drawn <= high)
 
 

@@ -228,7 +228,7 @@ def test_the_tip_is_what_the_whole_arm_moves(name, tmp_path):
      ("solo12", ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")), ("hector", ())],
 )  # fmt: skip
 def test_likely_tips_of_robots_that_are_known(name, tips):
-    """One tip is an answer, two are a question; a robot that does not move has none, and a locked arm none of its own."""
+    """One tip is an answer, two are a question; a robot that does not move has none, a locked arm none of its own."""
     assert likely_tips(load_robot(name)) == tips
     if name == "tiago_dual":
         left = [n for n in load_robot(name).joint_names if "left" in n and "wheel" not in n]

@@ -37,33 +37,6 @@ def shape(kind: str) -> str:
     return f'<collision><origin xyz="0.1 0 0"/><geometry>{kind}</geometry></collision>'
 
 
-@pytest.fixture(scope="module")
-def fold(tmp_path_factory):
-    """Links of 0.4 m in a plane, that of the base and the last one with a ball at the end, 0.1 m in radius."""
-    ball = '<sphere radius="0.1"/>'
-    joints = [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] * 3
-    text = chain_urdf("fold", joints)
-    for link in ("base", "link2"):
-        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{shape(ball)}')
-    path = tmp_path_factory.mktemp("fold") / "fold.urdf"
-    path.write_text(text, encoding="utf-8")
-    return load_robot(path)
-
-
-def test_distance_of_balls(fold):
-    """Two balls: the distance of their centres less their radii, and minus that depth when they overlap."""
-    collision, rng = SelfCollision(fold), np.random.default_rng(2)
-    assert collision.link_pairs == (("base", "link2"),)
-    for _ in range(50):
-        q = fold.random_configuration(rng)
-        ends = [fold.pose(q, link) @ [0.1, 0.0, 0.0, 1.0] for link in ("base", "link2")]
-        near = collision.nearest(q)
-        assert near is not None and near.links == ("base", "link2")
-        assert near.distance == pytest.approx(np.linalg.norm(ends[1] - ends[0]) - 0.2, abs=1e-9)
-        expected = central_difference(lambda x: collision.nearest(x).distance, fold, q)
-        np.testing.assert_allclose(near.gradient, expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("name", list(SHAPES))
 def test_gradient(robot_of, collision_of, name):
     """Of pairs that do not overlap the gradient is right to 1e-5, but for where the nearest points jump.
@@ -264,21 +237,20 @@ def test_a_robot_without_shapes_and_without_length(joint):
     assert "no shapes that can be used" in describe_shapes(robot)
 
 
-def test_mimic_joints_and_threads(robot_of, collision_of):
-    """With a mimic joint the gradient is along the independent joints; threads and copies give the same numbers."""
+def test_threads_and_copies(robot_of, collision_of):
+    """Give the same numbers; with a mimic joint the gradient is along the independent joints."""
     panda = load_robot("panda")  # the second finger mimics the first
     collision, rng = SelfCollision(panda), np.random.default_rng(7)
-    assert panda.nv == 8
     starts = [panda.random_configuration(rng) for _ in range(16)]
     alone = [collision.nearest(q) for q in starts]
-    assert all(p.gradient.shape == (8,) for p in alone)
     with ThreadPoolExecutor(4) as threads:
         together = list(threads.map(collision.nearest, starts))
-    copy = pickle.loads(pickle.dumps(collision_of("planar3")))
-    assert copy.link_pairs == collision_of("planar3").link_pairs
     for a, b in zip(alone, together, strict=True):
         assert a.links == b.links and a.distance == pytest.approx(b.distance, abs=1e-12)
         np.testing.assert_allclose(a.gradient, b.gradient, rtol=0, atol=1e-9)
+        assert a.gradient.shape == (8,)
+    copy = pickle.loads(pickle.dumps(collision_of("planar3")))
+    assert copy.link_pairs == collision_of("planar3").link_pairs
 
 
 def test_robots_without_shapes(robot_of, tmp_path):

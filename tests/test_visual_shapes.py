@@ -27,24 +27,21 @@ def arm_with(tmp_path, visuals: str, head: str = ""):
     return load_robot(path)
 
 
-def test_shapes_sizes_and_colours(tmp_path):
+SHAPES = [  # element, what it says of its colour, what is drawn, in which colour
+    ('<box size="1 2 3"/>', '<material name="red"/>', Solid("box", (1, 2, 3)), (1, 0, 0, 1)),
+    ('<sphere radius="0.5"/>', '<color rgba="0 1 0 0.5"/>', Solid("sphere", (0.5,)), (0, 1, 0, 0.5)),
+    ('<cylinder radius="0.1" length="2"/>', '<color rgba="9 -1 0 1"/>', Solid("cylinder", (0.1, 2)), (1, 0, 0, 1)),
+    ('<capsule radius="0.1" length="2"/>', '<material name="unknown"/>', Solid("capsule", (0.1, 2)), None),
+]
+
+
+@pytest.mark.parametrize(("element", "paint", "shape", "colour"), SHAPES)
+def test_shapes_sizes_and_colours(element, paint, shape, colour, tmp_path):
     """All primitives, colours given in place, by name, out of range, or not at all."""
-    robot = arm_with(
-        tmp_path,
-        '<visual><geometry><box size="1 2 3"/></geometry><material name="red"/></visual>'
-        '<visual><geometry><sphere radius="0.5"/></geometry>'
-        '<material name="x"><color rgba="0 1 0 0.5"/></material></visual>'
-        '<visual><geometry><cylinder radius="0.1" length="2"/></geometry>'
-        '<material name="y"><color rgba="9 -1 0 1"/></material></visual>'
-        '<visual><geometry><capsule radius="0.1" length="2"/></geometry><material name="unknown"/></visual>',
-        '<material name="red"><color rgba="1 0 0 1"/></material>',
-    )
-    box, sphere, cylinder, capsule = visual_shapes(robot)
-    assert (box.shape, box.colour) == (Solid("box", (1, 2, 3)), (1, 0, 0, 1))
-    assert (sphere.shape, sphere.colour) == (Solid("sphere", (0.5,)), (0, 1, 0, 0.5))
-    assert (cylinder.shape, cylinder.colour) == (Solid("cylinder", (0.1, 2)), (1, 0, 0, 1))
-    assert capsule.shape == Solid("capsule", (0.1, 2)) and capsule.colour[3] == 1
-    assert {v.link for v in (box, sphere, cylinder, capsule)} == {"tip"}
+    paint = paint if "material" in paint else f'<material name="x">{paint}</material>'
+    red = '<material name="red"><color rgba="1 0 0 1"/></material>'
+    (drawn,) = visual_shapes(arm_with(tmp_path, f"<visual><geometry>{element}</geometry>{paint}</visual>", red))
+    assert (drawn.shape, drawn.link) == (shape, "tip") and drawn.colour == (colour or (*drawn.colour[:3], 1))
 
 
 @pytest.mark.parametrize("name", ["panda", "xarm7", "talos_arm"])
@@ -100,26 +97,29 @@ def test_scale_and_mirror(tmp_path):
     assert min(normals) > 0
 
 
-def test_what_cannot_be_drawn_has_a_fault(tmp_path):
-    """No geometry, an unknown shape, a size that is not finite, no address: the link is there, with the reason."""
-    for visual, words in (
-        ("<visual/>", "geometry"),
-        ("<visual><geometry><cone/></geometry></visual>", "cone"),
-        ('<visual><geometry><box size="nan 1 1"/></geometry></visual>', "finite"),
-        ('<visual><geometry><mesh filename=""/></geometry></visual>', "file"),
-        ('<visual><geometry><mesh filename="."/></geometry></visual>', "extension"),
-    ):
-        (shape,) = visual_shapes(arm_with(tmp_path, visual))
-        assert shape.shape is None and shape.link == "tip" and words in shape.fault
-    mesh = '<visual><geometry><mesh filename="package://gone/a.stl"/></geometry></visual>'
-    robot = arm_with(tmp_path, mesh + mesh)
-    (shape,) = visual_shapes(robot)  # told once
-    assert shape.shape is None and "package_dirs" in shape.fault
-    found, missing = resolve_meshes(robot)
-    assert list(missing) == ["package://gone/a.stl"] and not found
-    visuals = {v.link: v for v in visual_shapes(arm_with(tmp_path, ""))}
-    assert {link: v.joint for link, v in visuals.items()} == {"base": 0, "upper": 1, "tip": 2}
-    assert all(v.shape is None and v.fault == "the robot has no visuals" for v in visuals.values())
+@pytest.mark.parametrize(
+    ("geometry", "words"),
+    [(None, "geometry"), ("<cone/>", "cone"), ('<box size="nan 1 1"/>', "finite"), ('<mesh filename=""/>', "file"),
+     ('<mesh filename="."/>', "extension"), ('<mesh filename="package://gone/a.stl"/>', "package_dirs")],
+)  # fmt: skip
+def test_what_cannot_be_drawn_has_a_fault(geometry, words, tmp_path):
+    """No geometry, an unknown shape, a size that is not finite, no address: the link is there, with the reason,
+    which is told once.
+    """
+    visual = "<visual/>" if geometry is None else f"<visual><geometry>{geometry}</geometry></visual>"
+    robot = arm_with(tmp_path, visual * (1 + ("gone" in visual)))
+    (shape,) = visual_shapes(robot)
+    assert shape.shape is None and shape.link == "tip" and words in shape.fault
+    if "gone" in visual:
+        found, missing = resolve_meshes(robot)
+        assert list(missing) == ["package://gone/a.stl"] and not found
+
+
+def test_a_robot_without_visuals_has_its_links(tmp_path):
+    """Each with the joint that carries it, and the reason why nothing is drawn."""
+    visuals = visual_shapes(arm_with(tmp_path, ""))
+    assert {v.link: v.joint for v in visuals} == {"base": 0, "upper": 1, "tip": 2}
+    assert all(v.shape is None and v.fault == "the robot has no visuals" for v in visuals)
 
 
 def test_meshes_are_found_from_another_folder(tmp_path, monkeypatch):
