@@ -23,20 +23,30 @@ START = np.array([0.3, 0.8, 0.4])
 
 
 class Arm:
-    """A perfect arm whose driver goes wrong after some cycles; its clock is the number of commands."""
+    """A perfect arm whose driver goes wrong after some cycles; its clock is the number of commands.
 
-    period: float = DT
-    simulated = True
+    Attributes:
+        fault: What goes wrong.
+        first: What is read before the first state.
+        late: How often that is.
+        hands: Those of a clock that moves on: a period of 20 ms is then held.
+        slow: The reading that takes longer, and by how much [s].
+    """
 
-    def __init__(self, fault: str = "", joint_names: tuple[str, ...] | None = None):
-        self.q, self.fault, self.reads, self.sent = START.copy(), fault, 0, []
-        self.frozen, self.held = START, 0
+    def __init__(self, fault="", joint_names=None, first=None, late=0.0, hands=None, slow=(0, 0.0)):
+        self.q, self.fault, self.reads, self.sent, self.farthest = START.copy(), fault, 0, [], 0.0
+        self.frozen, self.held, self.first, self.late = START, 0, first, late
+        self.hands, self.slow, self.simulated, self.period = hands, slow, hands is None, 0.02 if hands else DT
         if joint_names is not None:
             self.joint_names = joint_names
 
-    def read(self) -> Any:
+    def read(self):
         """What the fault makes of the posture."""
+        if self.hands is not None:
+            self.hands.time += self.slow[1] * (self.reads == self.slow[0])
         self.reads += 1
+        if self.reads <= self.late:
+            return self.first, None, None
         if self.reads <= BEFORE:
             self.frozen = self.q.copy()
             return self.q, None, None
@@ -59,11 +69,12 @@ class Arm:
         readings |= {"shorter": self.q[:2], "once": nan if first else self.q}
         return readings.get(self.fault, self.q), None, None
 
-    def command(self, q: np.ndarray, u: np.ndarray) -> None:
+    def command(self, q, u) -> None:
         """Go there at once."""
         self.sent.append(u.copy())
         if self.fault == "deaf" and self.reads > BEFORE:
             raise OSError("bus off")
+        self.farthest = max(self.farthest, float(np.abs(q - self.q).max()))
         self.q = np.asarray(q)
 
     def hold(self) -> None:
@@ -137,28 +148,25 @@ def test_one_wrong_reading_does_not_end_a_run(planar3):
 
 def test_joints_are_mapped_by_name(planar3):
     """Another order and a gripper, or messages with names: the same motion, and the gripper is sent where it was."""
-    names = ("gripper", *planar3.joint_names[::-1])
+    names = planar3.joint_names[::-1]
 
     class Named(Arm):
-        def read(self) -> Any:
+        def read(self):
             return np.append(0.7, super().read()[0][::-1]), None, None
 
-        def command(self, q: np.ndarray, u: np.ndarray) -> None:
+        def command(self, q, u):
             assert q[0] == 0.7 and u[0] == 0.0
             super().command(q[:0:-1], u[:0:-1])
 
     class Messages(Arm):
-        def read(self) -> Any:
-            return dict(zip(reversed(planar3.joint_names), super().read()[0][::-1], strict=True)), None, None
+        def read(self):
+            return dict(zip(names, super().read()[0][::-1], strict=True)), None, None
 
-    arms = Arm(), Named(joint_names=names), Messages()
+    arms = Arm(), Named(joint_names=("gripper", *names)), Messages()
     for arm in arms:
         ml.run(loop_of(planar3), arm, 0.3)
         np.testing.assert_array_equal(arm.sent, arms[0].sent)
-    for given, said in (
-        (planar3.joint_names[1:], f"missing {planar3.joint_names[0]}"),
-        ((*planar3.joint_names, "a", "a"), "one name occurs twice"),
-    ):
+    for given, said in ((names[:2], f"missing {names[2]}"), ((*names, "a", "a"), "one name occurs twice")):
         with pytest.raises(ConfigurationError, match=said):
             ml.run(loop_of(planar3), Arm(joint_names=given), 0.1)
 
@@ -186,25 +194,10 @@ class Hands:
         self.time = max(self.time, moment)
 
 
-class Timed(Arm):
-    """An arm on a clock, one of whose readings takes longer."""
-
-    simulated, period = False, 0.02
-
-    def __init__(self, hands: Hands, slow: int, seconds: float):
-        super().__init__()
-        self.hands, self.slow, self.seconds = hands, slow, seconds
-
-    def read(self) -> Any:
-        """After as long as that reading takes."""
-        self.hands.time += self.seconds * (self.reads == self.slow)
-        return super().read()
-
-
 def test_the_period_is_held_and_late_cycles_are_counted(planar3):
     """0.5 s are 0.5 s of the clock; after a cycle of 3.5 periods, those that were missed are not made up for."""
     hands = Hands()
-    record = ml.run(loop_of(planar3, 0.02), Timed(hands, 11, 0.07), 0.5, clock=hands)
+    record = ml.run(loop_of(planar3, 0.02), Arm(hands=hands, slow=(11, 0.07)), 0.5, clock=hands)
     assert record.ordered and record.overruns == 1 and record.longest_delay == pytest.approx(0.05)
     np.testing.assert_allclose(np.diff(record.rollout.time)[:14], [*[0.02] * 10, 0.07, 0.01, 0.02, 0.02])
     assert 0.49 < hands.time - 1000.0 < 0.9
@@ -217,7 +210,7 @@ def test_the_period_is_held_and_late_cycles_are_counted(planar3):
 def test_a_driver_that_blocks_once(seconds, words, planar3):
     """Longer than `stale_after` ends the run; no command jumps, and the last one is zero."""
     hands, loop = Hands(), loop_of(planar3, 0.02)
-    arm = Timed(hands, 20, seconds)
+    arm = Arm(hands=hands, slow=(20, seconds))
     record = ml.run(loop, arm, 1.0, clock=hands)
     assert words in record.ended and record.overruns == 1
     assert braked(arm, loop, 0.02)
@@ -341,28 +334,15 @@ def test_a_stop_that_takes_too_long_ends_all_the_same(planar3, monkeypatch):
 
 def test_a_driver_that_is_not_ready_yet_is_waited_for(planar3):
     """Nothing for less than `stale_after` at the start is no reason to end; for longer it is, with the loop's words."""
-    assert ml.run(loop_of(planar3), Late(None, 15), 0.3).ordered
-    record = ml.run(loop_of(planar3), Late(None, np.inf), 2.0)
+    assert ml.run(loop_of(planar3), Arm(late=15), 0.3).ordered
+    record = ml.run(loop_of(planar3), Arm(late=np.inf), 2.0)
     assert not record.ordered and record.ended == "no posture: None" and record.cycles == round(0.1 / DT)
     assert len(record.rollout) == 0 and "late" in repr(record)
 
 
-class Late(Arm):
-    """An arm at `START` whose driver gives something else until its first state has come."""
-
-    def __init__(self, first: Any, readings: float, joint_names: tuple[str, ...] | None = None):
-        super().__init__(joint_names=joint_names)
-        self.first, self.readings, self.farthest = first, readings, 0.0
-
-    def read(self) -> Any:
-        """What it gives instead, or the posture."""
-        self.reads += 1
-        return (self.first if self.reads <= self.readings else self.q), None, None
-
-    def command(self, q: np.ndarray, u: np.ndarray) -> None:
-        """Go there at once, unless that is far away."""
-        self.farthest = max(self.farthest, float(np.abs(q - self.q).max()))
-        super().command(q, u)
+def at_once(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
+    """A motion that starts where the arm is."""
+    return loop_of(robot)
 
 
 def played(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
@@ -377,24 +357,19 @@ def planned(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
     return ml.ServoLoop(LawSequence(there, ml.ResolvedRateController(rows, ml.motion(rows, along=0.1))), DT)
 
 
-def from_anywhere(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
-    """A motion that starts where the arm is."""
-    return loop_of(robot)
-
-
 @pytest.mark.parametrize(
     ("make", "first", "readings"),
     [
         *[(make, np.zeros(3), n) for make in (played, planned) for n in (1, 10, 100)],
         *[(make, START + [0.0, 0.2, 0.0], 10) for make in (played, planned)],
-        *[(make, np.full(3, np.nan), 5) for make in (played, planned, from_anywhere)],
-        (from_anywhere, np.zeros(3), 1),
-        (from_anywhere, START - 0.2, 1),
+        *[(make, np.full(3, np.nan), 5) for make in (played, planned, at_once)],
+        (at_once, np.zeros(3), 1),
+        (at_once, START - 0.2, 1),
     ],
 )
 def test_nothing_is_sent_to_where_the_arm_is_not(make, first, readings, planar3):
     """Zeros, an old posture or no numbers come before the first state: it is waited for, and then the arm moves."""
-    arm = Late(first, readings)
+    arm = Arm(first=first, late=readings)
     record = ml.run(make(planar3), arm, 0.5)
     assert record.ordered and arm.farthest < 0.02 and np.abs(arm.sent).max() > 0.01
     np.testing.assert_array_equal(record.rollout.q[0], START)
@@ -415,7 +390,7 @@ def test_an_arm_that_is_not_where_its_motion_starts_is_refused(make, off, planar
 @pytest.mark.parametrize("start", [START, np.zeros(3)])
 def test_an_arm_near_the_start_runs_at_once(start, planar3):
     """Two readings are enough, also where the motion's own start is zero."""
-    for make in (played, planned, from_anywhere):
+    for make in (played, planned, at_once):
         arm = Arm()
         arm.q = start + [0.0, 0.04 * np.any(start), 0.0]
         assert ml.run(make(planar3, start), arm, 0.3).ordered and arm.reads - len(arm.sent) == 1
@@ -426,26 +401,25 @@ def test_first_readings_of_other_joints(robot_of):
     it was measured with the first state, in the driver's order.
     """
     robot = robot_of("rover")
-    start = 0.1 * np.arange(robot.nv)
+    start, names = 0.1 * np.arange(robot.nv), (*robot.joint_names[::-1], "gripper")
     turns = 2.0 * np.pi * np.array([b.kind == "continuous" for b in robot.blocks for _ in range(b.v.stop - b.v.start)])
-    motion = ml.Trajectory([0.0, 1.0], [start, start + 0.1])
-    names = (*robot.joint_names[::-1], "gripper")
 
-    class Reversed(Late):
-        def command(self, q: np.ndarray, u: np.ndarray) -> None:
+    class Reversed(Arm):
+        def command(self, q, u):
             assert q[-1] == 0.7
             super().command(q, u)
 
     for off, said in ((turns, "0.2 s were over"), (0.06 * (np.array(robot.joint_units) == "m"), " m where the motion")):
-        arm = Reversed(np.zeros(len(names)), 3, joint_names=names)
+        arm = Reversed(joint_names=names, first=np.zeros(len(names)), late=3)
         arm.q = np.append((start + off)[::-1], 0.7)
-        record = ml.run(ml.ServoLoop(ml.FollowMotion(robot, motion), DT), arm, 0.2)
+        motion = ml.FollowMotion(robot, ml.Trajectory([0.0, 1.0], [start, start + 0.1]))
+        record = ml.run(ml.ServoLoop(motion, DT), arm, 0.2)
         assert said in record.ended and bool(arm.sent) == record.ordered
 
 
 def test_a_driver_of_other_sizes(planar3):
     """A mapping without a joint, or one number too many, ends the run with a sentence."""
-    partial = Late({planar3.joint_names[0]: 0.1}, np.inf)
+    partial = Arm(first={planar3.joint_names[0]: 0.1}, late=np.inf)
     assert f"no position of joint {planar3.joint_names[1]}" in ml.run(loop_of(planar3), partial, 1.0).ended
     more = Arm(joint_names=(*planar3.joint_names, "gripper"))
     assert "4 joints are named, positions have shape (3,)" in ml.run(loop_of(planar3), more, 1.0).ended
