@@ -244,21 +244,6 @@ def test_where_the_program_begins_nothing_jumps(name, kind, moving, rng):
     assert changes >= 1
 
 
-@pytest.mark.parametrize("limits", [False, True])
-@pytest.mark.parametrize("kind", ["none", "ascent"])
-def test_where_damping_begins_nothing_jumps(kind, limits, robot_of):
-    """From a bent to an all but stretched arm: u has no jump at the threshold, nor below it."""
-    robot = robot_of("planar3")
-    rows = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, "tip", "x y"))
-    for b in ([0.05, 0.02], [-0.03, 0.01]):
-        law = ml.ResolvedRateController(rows, Asks(np.array(b)), POLICIES[kind](robot, rows), limits=limits, dt=DT)
-        command = commands_along(law, None, lambda s: np.array([0.3, s, 0.5 * s]))
-        s = np.geomspace(1e-3, 0.5, 300)
-        words = {command(x).status for x in s}
-        assert words & {ml.Status.OK, ml.Status.REROUTED, ml.Status.NULL_SCALED} and ml.Status.DAMPED in words
-        assert left_at_the_steepest(command, s) < 1e-5
-
-
 def test_a_wrist_that_turns_over_pulls_no_hand_off_its_hinge(robot_of):
     """A firm grip turns 3 degrees beside a wrist singularity: joints at full speed could not follow the hinge."""
     robot, q = robot_of("ur5"), np.array([-3.427, -2.081, -1.065, 1.104, -3.128, 4.212])
