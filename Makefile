@@ -29,7 +29,7 @@ QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli controller mjcf 
 # others too. A name that this machine's OpenBLAS does not have (as on ARM) is another kernel or its own, with a warning
 NUMERICAL := $(addprefix tests/test_,$(addsuffix .py,axioms closed_loops constraint constraint_mechanism \
 	controller experiments_pinned features follow_motion frame_choice free_direction gradients imposed law \
-	learning_parts limits linalg manipulability mechanism mimic motion native_engine pinned_answers places \
+	learning_parts limits linalg manipulability mechanism motion native_engine pinned_answers places \
 	planar_arm policies pose_error recombination robot rotations task_frame tasks uncertainty velocities \
 	weighted_fit witness))
 KERNELS ?= Haswell Zen Prescott Nehalem Sandybridge
