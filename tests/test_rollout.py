@@ -203,6 +203,7 @@ def test_many_starts_are_single_starts(name, robot_of, rng):
             if robot is not None and not isinstance(controller, ml.ServoLoop) and controller.limits is not None:
                 alone.append(ml.simulate(robot, ml.ServoLoop(controller, 0.02, stale_after=0.1), starts[i], 0.4, 0.02))
             np.testing.assert_array_equal(many[i].q[0], starts[i])
+            np.testing.assert_array_equal(many[i].task_error, alone[0].task_error)
             for one in alone:
                 for what in ("time", "q", "u", "manipulability"):
                     np.testing.assert_array_equal(getattr(many[i], what), getattr(one, what), err_msg=what)

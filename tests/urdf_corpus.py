@@ -94,14 +94,9 @@ XML_ROWS = [
     ("no declaration", "accept", arm.partition(b"?>\n")[2]),
     ("single quotes", "accept", arm.replace(b'"', b"'")),
     ("empty file", "empty", b""),
-    ("only spaces", "empty", b"  \n\t "),
     ("cut in the middle", "not-xml", arm[: len(arm) // 2]),
-    ("two roots", "not-xml", arm + b"<robot/>"),
     ("mismatched tags", "not-xml", arm.replace(b"</joint>", b"</jiont>")),
-    ("attribute twice", "not-xml", arm.replace(b'<link name="base"', b'<link name="base" name="b"')),
-    ("plain text", "not-xml", b"this is not a robot"),
     ("zero byte inside", "not-xml", arm.replace(b"elbow", b"el\0ow")),
-    ("control character", "not-xml", arm.replace(b"elbow", b"el\x01ow")),
     ("sdf", "not-urdf", b'<sdf version="1.6"><model name="m"/></sdf>'),
     ("xacro macro", "xacro", edited(('<link name="base"/>', '<link name="base"/><xacro:arm/>'))),
     ("xacro include", "xacro", edited(('<link name="base"/>', '<include filename="x"/>'))),
@@ -128,9 +123,7 @@ laughs = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 10))
 ENTITY_ROWS = [
     ("billion laughs", "doctype", with_dtd(f'[<!ENTITY l0 "ha">{laughs}]', "&l9;")),
     ("external entity", "doctype", with_dtd('[<!ENTITY f SYSTEM "file:///etc/passwd">]', "&f;")),
-    ("parameter entity", "doctype", with_dtd('[<!ENTITY % p SYSTEM "file:///dev/random"> %p;]')),
     ("external subset", "doctype", with_dtd('SYSTEM "file:///dev/zero"')),
-    ("default attributes", "doctype", with_dtd('[<!ATTLIST link name CDATA "x">]')),
     ("undefined entity", "entity", arm.replace("elbow", "&elbow;").encode()),
     ("built-in entities", "accept", arm.replace("elbow", "a&amp;b&lt;c&gt;").encode()),
     ("character reference", "accept", arm.replace("elbow", "el&#98;ow").encode()),
@@ -154,9 +147,7 @@ ENCODING_ROWS = [
     ("ascii with references", "accept", declared("ascii", "utf-8").replace("ö".encode(), b"&#246;")),
     ("latin-1 undeclared", "not-xml", text.encode("latin-1")),
     ("utf-8 declared as utf-16", "encoding", declared("utf-16", "utf-8")),
-    ("unknown encoding", "encoding", declared("klingon", "utf-8")),
     ("codec that is no text encoding", "encoding", declared("rot13", "utf-8")),
-    ("overlong utf-8", "not-xml", ARM.encode().replace(b"elbow", b"el\xc0\xafow")),
 ]
 
 
@@ -164,7 +155,6 @@ ENCODING_ROWS = [
 line = [("1", "a", "b"), ("2", "b", "c"), ("3", "c", "d"), ("4", "d", "e")]
 TOPOLOGY_ROWS = [
     ("one link", "warn", b'<robot name="r"><link name="a"/></robot>'),
-    ("fixed line", "warn", tree(line)),
     ("branches", "warn", tree([("1", "a", "b"), ("2", "a", "c"), ("3", "a", "d"), ("4", "d", "e")])),
     ("joints before links", "warn", tree(line, "", "".join(f'<link name="{c}"/>' for c in "abcde"))),
     ("no links", "no-links", b'<robot name="r"/>'),
@@ -177,7 +167,6 @@ TOPOLOGY_ROWS = [
     ("unknown parent", "unknown-link", tree([*line[:3], ("4", "x", "e")])),
     ("unknown child", "unknown-link", tree([*line, ("5", "e", "f")])),
     ("no parent element", "joint-link", edited((PARENT, ""))),
-    ("no child element", "joint-link", edited((CHILD, ""))),
     ("parent without attribute", "joint-link", edited((PARENT, "<parent>base</parent>"))),
     ("two parents in a joint", "element-twice", edited((PARENT, PARENT + '<parent link="tip"/>'))),
 ]
@@ -190,16 +179,12 @@ NUMBER_ROWS = [
     ("spaces and line breaks", "accept", edited((xyz, "  0\n 0\t0.3  "))),
     ("tiny number", "accept", edited((xyz, "0 0 1e-320"))),
     ("nan position", "not-finite", edited((xyz, "0 0 nan"))),
-    ("inf position", "not-finite", edited((xyz, "inf 0 0"))),
     ("overflow to inf", "not-finite", edited((xyz, "1e999 0 0"))),
     ("a light second away", "far-away", edited((xyz, "3e8 0 0"))),
     ("decimal comma", "number", edited((xyz, "0 0 0,3"))),
     ("commas between", "vector-size", edited((xyz, "0,0,0.3"))),
-    ("two numbers", "vector-size", edited((xyz, "0 0.3"))),
     ("empty vector", "vector-size", edited((xyz, ""))),
-    ("text", "number", edited((xyz, "0 0 high"))),
     ("Arabic digits", "number", edited((xyz, "0 0 \u0663"))),
-    ("minus sign of typesetters", "number", edited((xyz, "0 0 \u22120.3"))),
     ("rotation in degrees", "warn", edited(("0 0 0.1", "0 0 90"))),
     ("zero axis", "axis-zero", edited((AXIS, '<axis xyz="0 0 0"/>'))),
     ("tiny axis", "axis-norm", edited((AXIS, '<axis xyz="0 0 1e-9"/>'))),
@@ -229,7 +214,6 @@ LIMIT_ROWS = [
     ("unlimited by a large number", "warn", limited("-1e16", "1e16")),
     ("infinite", "not-finite", limited("-inf", "inf")),
     ("no lower", "warn", edited(('lower="-2" ', ""))),
-    ("no upper", "warn", edited(('upper="2.5" ', ""))),
     ("no limit", "warn", edited((LIMIT, ""))),
     ("limit twice", "element-twice", edited((LIMIT, LIMIT + LIMIT))),
     ("velocity zero", "warn", limited("-1", "1", "0")),
@@ -240,7 +224,6 @@ LIMIT_ROWS = [
     ("continuous without", "accept", edited((SHOULDER, continuous), (LIMIT, ""))),
     ("continuous, inverted", "accept", edited((SHOULDER, continuous), ("-2", "3"))),
     ("inverted but locked", "accept", limited("1", "-1"), {"locked": ("shoulder",)}),
-    ("degrees but locked", "accept", limited("-180", "180"), {"locked": ("shoulder",)}),
 ]
 
 
@@ -261,7 +244,6 @@ TYPE_ROWS = [
     ("fixed with nan limit", "not-finite", typed("fixed", ("-2", "nan"))),
     ("ball", "joint-type", typed("ball")),
     ("misspelt", "joint-type", typed("revolut")),
-    ("space after", "joint-type", typed("revolute ")),
     ("no type", "joint-type", edited((SHOULDER, '<joint name="shoulder">'))),
     ("joint of that name, fixed base", "accept", edited(("elbow", "root_joint"))),
 ]
@@ -335,10 +317,8 @@ NAME_ROWS = [
     ("link and joint share a name", "accept", edited(("elbow", "tip"))),
     ("link without name", "name-missing", edited(('<link name="tip"/>', "<link/>"))),
     ("spaces around", "warn", edited(("elbow", " elbow "))),
-    ("space inside", "accept", edited(("elbow", "the elbow"))),
     ("line break", "name-unprintable", edited(("elbow", "el&#10;bow"))),
     ("right-to-left override", "name-unprintable", edited(("elbow", "el\u202ebow"))),
-    ("emoji", "accept", edited(("elbow", "\U0001f9be"))),
     ("script", "accept", edited(("elbow", "&lt;script&gt;alert(1)&lt;/script&gt;"))),
     ("universe as joint", "name-reserved", edited(("elbow", "universe"))),
     ("world as link", "accept", edited(('<link name="base"/>', '<link name="world"/>'), ('"base"', '"world"'))),
