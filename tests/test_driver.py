@@ -357,43 +357,33 @@ def planned(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
     return ml.ServoLoop(LawSequence(there, ml.ResolvedRateController(rows, ml.motion(rows, along=0.1))), DT)
 
 
-@pytest.mark.parametrize(
-    ("make", "first", "readings"),
-    [
-        *[(make, np.zeros(3), n) for make in (played, planned) for n in (1, 10, 100)],
-        *[(make, START + [0.0, 0.2, 0.0], 10) for make in (played, planned)],
-        *[(make, np.full(3, np.nan), 5) for make in (played, planned, at_once)],
-        (at_once, np.zeros(3), 1),
-        (at_once, START - 0.2, 1),
-    ],
-)
-def test_nothing_is_sent_to_where_the_arm_is_not(make, first, readings, planar3):
-    """Zeros, an old posture or no numbers come before the first state: it is waited for, and then the arm moves."""
-    arm = Arm(first=first, late=readings)
-    record = ml.run(make(planar3), arm, 0.5)
-    assert record.ordered and arm.farthest < 0.02 and np.abs(arm.sent).max() > 0.01
-    np.testing.assert_array_equal(record.rollout.q[0], START)
+ZERO, BY_START = np.zeros(3), (played, planned)
+STARTS = [  # the motion, where the arm is, how far away the motion starts [rad], what is read first, and how often
+    *[(make, START, 0.0, ZERO, n) for make in BY_START for n in (1, 10, 100)],
+    *[(make, START, 0.0, START + [0.0, 0.2, 0.0], 10) for make in BY_START],
+    *[(make, START, 0.0, np.full(3, np.nan), 5) for make in (*BY_START, at_once)],
+    *[(at_once, START, 0.0, first, 1) for first in (ZERO, START - 0.2)],
+    *[(make, START, off, None, 0) for make in BY_START for off in (0.2, -1.0, 0.06, 0.04)],
+    *[(make, ZERO, 0.0, None, 0) for make in (*BY_START, at_once)],
+]
 
 
-@pytest.mark.parametrize("make", [played, planned])
-@pytest.mark.parametrize("off", [0.2, -1.0, 0.06])
-def test_an_arm_that_is_not_where_its_motion_starts_is_refused(make, off, planar3):
-    """Nothing is ever sent; the reason names the joint and both figures."""
-    start = START + [0.0, off, 0.0]
-    arm = Arm()
-    record = ml.run(make(planar3, start), arm, 5.0)
-    assert not record.ordered and not arm.sent and arm.held == 0 and arm.reads * DT < 1.5
-    assert planar3.joint_names[1] in record.ended and "reads 0.8 rad" in record.ended
-    assert f"{start[1]:.3g} rad where the motion starts" in record.ended
-
-
-@pytest.mark.parametrize("start", [START, np.zeros(3)])
-def test_an_arm_near_the_start_runs_at_once(start, planar3):
-    """Two readings are enough, also where the motion's own start is zero."""
-    for make in (played, planned, at_once):
-        arm = Arm()
-        arm.q = start + [0.0, 0.04 * np.any(start), 0.0]
-        assert ml.run(make(planar3, start), arm, 0.3).ordered and arm.reads - len(arm.sent) == 1
+@pytest.mark.parametrize(("make", "at", "off", "first", "late"), STARTS)
+def test_nothing_is_sent_to_where_the_arm_is_not(make, at, off, first, late, planar3):
+    """Zeros, an old posture or no numbers come before the first state: it is waited for, and then the arm moves; two
+    readings are enough. An arm that is not where its motion starts is sent nothing, and told joint and both figures.
+    """
+    arm, start, is_away = Arm(first=first, late=late), at + [0.0, off, 0.0], abs(off) > 0.05
+    arm.q = at
+    record = ml.run(make(planar3, start), arm, 5.0 if is_away else 0.5)
+    assert record.ordered != is_away
+    if is_away:
+        assert not arm.sent and arm.held == 0 and arm.reads * DT < 1.5
+        assert planar3.joint_names[1] in record.ended and "reads 0.8 rad" in record.ended
+        assert f"{start[1]:.3g} rad where the motion starts" in record.ended
+        return
+    assert arm.farthest < 0.02 and np.abs(arm.sent).max() > 0.01 and (late or arm.reads - len(arm.sent) == 1)
+    np.testing.assert_array_equal(record.rollout.q[0], at)
 
 
 def test_first_readings_of_other_joints(robot_of):

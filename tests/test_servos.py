@@ -266,4 +266,8 @@ def test_a_stiffness_that_is_not_told_is_said():
     """The limits are then distances, and a note says what they mean."""
     loop = ml.ServoLoop(to_a_point(0.0).controller, DT)
     assert "the stiffness of the servos is not told" in loop.notes[0] and "mrad off" in loop.notes[0]
+    rng = np.random.default_rng(1)
+    levers = [np.linalg.norm(rows_of(ROBOT.random_configuration(rng)), axis=0).max() for _ in range(999)]
+    told = float(loop.notes[0].split(" mrad off")[0].split()[-1])
+    assert told == pytest.approx(1e3 * 15.0 * max(levers) / STIFFNESS, rel=0.06)
     assert way().notes == ()
