@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from random_arms import Asks, random_case
+from random_arms import Asks, Drives, random_case
 from rounding import rounding
 from scipy.optimize import linprog
 from servo_cases import Arm
@@ -68,6 +68,15 @@ def test_damping_only_below_the_threshold(elbow, word, planar):
     expected = Vt[:2].T @ (values / np.maximum(values**2 + factor**2, 1e-300) * (U.T @ command.task_velocity))
     known *= np.linalg.norm(command.task_velocity) / 0.05**2  # of sigma b / (sigma^2 + factor^2)
     np.testing.assert_allclose(command.task_part, expected, rtol=1e-9, atol=known)
+
+
+def test_what_holds_the_hand_gives_way_last(planar):
+    """Below the threshold rows that are held are damped with a tenth of the lambda of those that are driven."""
+    q, b, D = np.array([0.2, 0.02, 0.0]), np.array([1e-3, -2e-3]), np.array([[0.6, 0.8]])
+    law = ml.ResolvedRateController(planar, Drives(b, D), limits=False, threshold=0.05, damping=0.05)
+    A, sigma = planar(q), np.linalg.svd(planar(q), compute_uv=False)[-1]
+    damping = (0.05 * (1.0 - (sigma / 0.05) ** 2)) ** 2 * (0.01 * np.eye(2) + 0.99 * D.T @ D)
+    np.testing.assert_allclose(law(q).task_part, A.T @ np.linalg.solve(A @ A.T + damping, b), rtol=1e-9, atol=1e-12)
 
 
 def test_the_words_are_right(robot_of):

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from conftest import tip_of
-from random_arms import Asks
+from random_arms import Asks, Drives
 
 import manip_learn as ml
 from manip_learn.constraint.features import CustomFeatures, MechanismRows, RelativeFrameJacobian
@@ -43,18 +43,6 @@ LAWS, STATES = 30, 20  # of each arm: 6,000 in all
 AGREED = 1e-9  # [rad/s or m/s] and of the speed
 EPS = float(np.finfo(float).eps)
 EXACT, BESIDE = 2e-15, 1e-11  # singular values over the largest: lost to the last bit, and not singular at all
-
-
-class Drives(Asks):
-    """Some combination of the rows is driven, the others are held."""
-
-    def __init__(self, b: np.ndarray, D: np.ndarray):
-        super().__init__(b)
-        self.D = D
-
-    def driven_rows(self, constraint: ml.Constraint) -> np.ndarray:
-        """The same everywhere."""
-        return self.D
 
 
 def rows_of(robot: ml.Robot, name: str, rng: np.random.Generator) -> ml.Constraint:
