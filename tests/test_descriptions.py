@@ -185,38 +185,24 @@ def test_the_hand_that_stood_still_is_not_learnt_about(tmp_path):
 
 
 TIPS = {  # links, and joints as (parent, child, name, kind); links without a number move no further
-    "an arm joint called after the gripper": (
-        ("gripper_link",),
-        [("b", "a", "j1"), ("a", "wrist_link", "j2"), ("wrist_link", "gripper_link", "gripper_roll_joint")]
-        + [("gripper_link", "left", "finger_joint", "prismatic")],
-    ),
-    "fingers called after the hand": (
-        ("hand_palm_link",),
-        [("b", "a", "j1"), ("a", "w", "j2"), ("w", "hand_palm_link", "p", "fixed")]
-        + [("hand_palm_link", f"hand_{s}_distal_link", f"hand_{s}_joint") for s in "lr"],
-    ),
-    "fingers without a name": (
-        ("link2",),
-        [("b", "link1", "j1"), ("link1", "link2", "j2")]
-        + [("link2", f"link{n}", f"j{n}", "prismatic") for n in (7, 8)],
-    ),
+    "an arm joint called after the gripper": (("gripper_link",), [("b", "a", "j1"), ("a", "wrist_link", "j2"),
+        ("wrist_link", "gripper_link", "gripper_roll_joint"), ("gripper_link", "left", "finger_joint", "prismatic")]),
+    "fingers called after the hand": (("hand_palm_link",), [("b", "a", "j1"), ("a", "w", "j2"),
+        ("w", "hand_palm_link", "p", "fixed"), ("hand_palm_link", "hand_l_distal_link", "hand_l_joint"),
+        ("hand_palm_link", "hand_r_distal_link", "hand_r_joint")]),
+    "fingers without a name": (("link2",), [("b", "link1", "j1"), ("link1", "link2", "j2"),
+        ("link2", "link7", "j7", "prismatic"), ("link2", "link8", "j8", "prismatic")]),
     "two turns that are no fingers": (("x", "y"), [("b", "x", "j1"), ("b", "y", "j2")]),
-    "a jaw known by where it hangs": (
-        ("gripper-static_1",),
-        [("b", "a", "Revolute 2"), ("a", "gripper-static_1", "Revolute 6")]
-        + [("gripper-static_1", "gripper-moving_1", "Revolute 7")],
-    ),
-    "a fixed jaw": (("fixed_jaw",), [("b", "w", "j1"), ("w", "fixed_jaw", "roll"), ("fixed_jaw", "moving_jaw", "j3")]),
-    "a wrist in mid-chain": (
-        ("end",),
-        [("b", "s", "j1"), ("s", "elbow_to_wrist", "wrist_pitch"), ("elbow_to_wrist", "end", "wrist_roll")],
-    ),
-    "a copy of the last link": (
-        ("link8",),
-        [("b", "l7", "j"), ("l7", "l7_sc", "c", "copy"), ("l7", "link8", "f", "fixed")],
-    ),
+    "a jaw known by where it hangs": (("gripper-static_1",), [("b", "a", "Revolute 2"),
+        ("a", "gripper-static_1", "Revolute 6"), ("gripper-static_1", "gripper-moving_1", "Revolute 7")]),
+    "a fixed jaw": (("fixed_jaw",), [("b", "w", "j1"), ("w", "fixed_jaw", "roll"),
+        ("fixed_jaw", "moving_jaw", "j3")]),
+    "a wrist in mid-chain": (("end",), [("b", "s", "j1"), ("s", "elbow_to_wrist", "wrist_pitch"),
+        ("elbow_to_wrist", "end", "wrist_roll")]),
+    "a copy of the last link": (("link8",), [("b", "l7", "j"), ("l7", "l7_sc", "c", "copy"),
+        ("l7", "link8", "f", "fixed")]),
     "a gripper alone": (("left", "right"), [("b", "left", "left_finger"), ("b", "right", "right_finger")]),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", TIPS)

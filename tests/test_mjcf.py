@@ -38,33 +38,33 @@ def load(tmp_path, text: str, **options):
 
 JOINT = '<joint name="j" axis="0 1 1"/>'
 SECOND = body("b", 'pos="0.3 0.1 0" euler="0.3 0 0.2"', '<joint name="k" axis="1 0 0.5"/>')
+
+
+def one(attributes: str, inside: str = JOINT, head: str = RADIAN) -> str:
+    """A file with one body in the world."""
+    return mjcf(body("a", attributes, inside), head)
+
+
+SLIDE, LAST = '<joint name="x" type="slide" axis="1 0 0"/>', '<joint name="z" pos="0 1 0"/>'
+OF_CLASS = body("b", 'pos="1 0 0"', '<joint name="k" class="d"/>')
 CASES = {
-    "plain": mjcf(body("a", 'pos="1 2 3"', JOINT + SECOND)),
-    "joint away from the origin": mjcf(
-        body("a", 'euler="0.1 0.2 0.3"', '<joint name="j" axis="0 0 1" pos="0.1 0.2 0.3"/>' + SECOND)
-    ),
-    "reference angle": mjcf(body("a", 'pos="0 0 1"', '<joint name="j" axis="0 0.6 0.8" ref="0.5"/>' + SECOND)),
-    "reference slide": mjcf(body("a", 'euler="1 0 0"', '<joint name="j" type="slide" ref="0.5"/>' + SECOND)),
-    "axis and angle": mjcf(body("a", 'axisangle="1 2 0 0.7"', JOINT)),
-    "axis and angle in degrees": mjcf(body("a", 'axisangle="1 2 0 70"', JOINT), head=""),
-    "two axes": mjcf(body("a", 'xyaxes="1 1 0 -1 2 0.3"', JOINT)),
-    "z axis": mjcf(body("a", 'zaxis="1 1 0.2"', JOINT)),
-    "quaternion not of length one": mjcf(body("a", 'quat="0.5 0.1 0.2 0.9"', JOINT)),
-    "Euler fixed axes": mjcf(body("a", 'euler="0.1 0.2 0.3"', JOINT), '<compiler angle="radian" eulerseq="ZYX"/>'),
-    "Euler mixed axes": mjcf(body("a", 'euler="10 20 30"', JOINT), '<compiler eulerseq="xZy"/>'),
-    "quarter turn of pitch": mjcf(body("a", f'euler="0.4 {np.pi / 2} 0"', JOINT + SECOND)),
-    "default classes": mjcf(
-        body("a", 'childclass="c"', '<joint name="j"/>' + body("b", 'pos="1 0 0"', '<joint name="k" class="d"/>')),
-        DEFAULTS,
-    ),
-    "several joints in a body": mjcf(
-        body(
-            "a", 'pos="1 0 0"', '<joint name="x" type="slide" axis="1 0 0"/>' + JOINT + '<joint name="z" pos="0 1 0"/>'
-        )
-    ),
-    "body without joint": mjcf(body("a", 'pos="1 0 0" quat="0 1 0 0"', body("b", 'pos="0 1 0"', JOINT))),
+    "plain": one('pos="1 2 3"', JOINT + SECOND),
+    "joint away from its body": one('euler="0.1 0.2 0.3"', f'<joint name="j" axis="0 0 1" pos="0.1 0.2 0.3"/>{SECOND}'),
+    "reference angle": one('pos="0 0 1"', '<joint name="j" axis="0 0.6 0.8" ref="0.5"/>' + SECOND),
+    "reference slide": one('euler="1 0 0"', '<joint name="j" type="slide" ref="0.5"/>' + SECOND),
+    "axis and angle": one('axisangle="1 2 0 0.7"'),
+    "axis and angle in degrees": one('axisangle="1 2 0 70"', head=""),
+    "two axes": one('xyaxes="1 1 0 -1 2 0.3"'),
+    "z axis": one('zaxis="1 1 0.2"'),
+    "quaternion not of length one": one('quat="0.5 0.1 0.2 0.9"'),
+    "Euler fixed axes": one('euler="0.1 0.2 0.3"', head='<compiler angle="radian" eulerseq="ZYX"/>'),
+    "Euler mixed axes": one('euler="10 20 30"', head='<compiler eulerseq="xZy"/>'),
+    "quarter turn of pitch": one(f'euler="0.4 {np.pi / 2} 0"', JOINT + SECOND),
+    "default classes": one('childclass="c"', '<joint name="j"/>' + OF_CLASS, DEFAULTS),
+    "several joints in a body": one('pos="1 0 0"', SLIDE + JOINT + LAST),
+    "body without joint": one('pos="1 0 0" quat="0 1 0 0"', body("b", 'pos="0 1 0"', JOINT)),
     "two bodies in the world": mjcf(body("a", 'pos="1 0 0"', JOINT) + body("b", 'pos="0 1 0"', '<joint name="k"/>')),
-    "free body": mjcf(body("a", 'pos="1 0 0"', '<freejoint name="f"/>' + SECOND)),
+    "free body": one('pos="1 0 0"', '<freejoint name="f"/>' + SECOND),
 }
 
 
@@ -100,8 +100,7 @@ def test_only_angles_are_in_degrees(tmp_path):
 def test_linear_couplings_become_mimic_joints(tmp_path, rng):
     """A coupled joint follows, counted from both reference values, as in MuJoCo's equation."""
     inside = '<joint name="j" ref="0.2"/>' + body("b", "", '<joint name="k" ref="0.1"/>')
-    tail = '<equality><joint joint1="k" joint2="j" polycoef="0.3 -2"/></equality>'
-    robot = load(tmp_path, mjcf(body("a", "", inside), tail=tail))
+    robot = load(tmp_path, mjcf(body("a", "", inside), tail=COUPLED.format("0.3 -2")))
     (mimic,) = robot.mimics
     assert (mimic.joint, mimic.leader, mimic.multiplier) == ("k", "j", -2.0)
     assert mimic.offset == pytest.approx(0.1 + 0.3 + 2 * 0.2)
@@ -179,22 +178,21 @@ def test_what_touches_in_mjcf_counts_for_collisions(tmp_path):
     assert known_shapes(robot) == "collision"
 
 
+COUPLED = '<equality><joint joint1="k" joint2="j" polycoef="{}"/></equality>'
 REFUSED = {
     "mjcf-element": mjcf('<include file="other.xml"/>'),
-    "mjcf-class": mjcf(body("a", "", '<joint class="nowhere"/>')),
+    "mjcf-class": one("", '<joint class="nowhere"/>'),
     "mjcf-compiler": mjcf("", head='<compiler angle="gon"/>'),
-    "mjcf-orientation": mjcf(body("a", 'quat="0 0 0 0"', JOINT)),
-    "mjcf-coupling": mjcf(
-        body("a", "", JOINT + SECOND), tail='<equality><joint joint1="k" joint2="j" polycoef="0 1 2"/></equality>'
-    ),
-    "joint-type": mjcf(body("a", "", '<joint type="ball"/>')),
-    "axis-zero": mjcf(body("a", "", '<joint axis="0 0 0"/>')),
-    "limit-order": mjcf(body("a", "", '<joint limited="true" range="1 -1"/>')),
-    "not-finite": mjcf(body("a", 'pos="nan 0 0"', JOINT)),
-    "number": mjcf(body("a", 'pos="x 0 0"', JOINT)),
+    "mjcf-orientation": one('quat="0 0 0 0"'),
+    "mjcf-coupling": mjcf(body("a", "", JOINT + SECOND), tail=COUPLED.format("0 1 2")),
+    "joint-type": one("", '<joint type="ball"/>'),
+    "axis-zero": one("", '<joint axis="0 0 0"/>'),
+    "limit-order": one("", '<joint limited="true" range="1 -1"/>'),
+    "not-finite": one('pos="nan 0 0"'),
+    "number": one('pos="x 0 0"'),
     "duplicate-link": mjcf(body("a", "", JOINT) + body("a", "", '<joint name="k"/>')),
     "name-reserved": mjcf(body("universe", "", JOINT)),
-    "doctype": "<!DOCTYPE mujoco [<!ENTITY a 'b'>]>" + mjcf(body("a", "", JOINT)),
+    "doctype": "<!DOCTYPE mujoco [<!ENTITY a 'b'>]>" + one("", JOINT),
 }
 
 

@@ -447,12 +447,7 @@ AXES = {"a": "0 0 1", "b": "0.6 0.8 0", "c": "0 1 0", "d": "1 0 0"}
 WIDE = '<limit lower="-3" upper="3" velocity="2" effort="1"/>'
 
 
-def urdf(
-    mimics: dict[str, tuple[str, float, float]],
-    order: str = "abcd",
-    types: dict[str, str] | None = None,
-    limits: dict[str, str] | None = None,
-) -> bytes:
+def urdf(mimics: dict[str, tuple[str, float, float]], order="abcd", types=None, limits=None) -> bytes:
     """A chain of the joints a, b, c, d; `mimics` maps a joint to (leader, multiplier, offset)."""
     types, limits = TYPES | (types or {}), limits or {}
     joints = {}

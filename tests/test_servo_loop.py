@@ -34,31 +34,19 @@ SILENT = [(499, SAME, OLD, STALE), (1, SAME, SAME, STALE), (1, SAME, SAME, MOVES
 FAULTS = {  # how far away the target is [m], settings, and what happens
     "stopped, and started": (2.0, {}, [GO, "stop", (400, SAME, SAME, STOPPED), "start", GO]),
     "bad input, again and again": (2.0, {}, [(51, SAME, SAME, MOVES), (49, None, SAME, INVALID)] * 4),
-    "bad input under a jerk limit": (
-        0.3,
-        {"acceleration_limit": 4.0, "jerk_limit": 80.0},
-        [GO, (300, None, SAME, INVALID), (2800, SAME, SAME, MOVES)],
-    ),
+    "bad input under a jerk limit": (0.3, {"acceleration_limit": 4.0, "jerk_limit": 80.0},
+                                     [GO, (300, None, SAME, INVALID), (2800, SAME, SAME, MOVES)]),
     "no new state": (2.0, {}, [GO, (98, SAME, OLD, HELD), (2, SAME, OLD, ANY), *SILENT]),
-    "no new state under a jerk limit": (
-        1.0,
-        {"jerk_limit": 300.0},
-        [GO, (98, SAME, OLD, MOVES), (2, SAME, OLD, ANY), *SILENT],
-    ),
-    "infinite acceleration": (
-        2.0,
-        {"acceleration_limit": np.inf},
-        [(50, SAME, SAME, MOVES), (1, None, SAME, INVALID), JUMP, (1400, AGAIN, SAME, FOLLOWING_ERROR)],
-    ),
-    "one stamp from the future": (
-        2.0,
-        {},
-        [(20, SAME, SAME, MOVES), (1, SAME, 1e6, STALE), (1, SAME, SAME, INVALID), (110, SAME, SAME, MOVES)],
-    ),
+    "no new state under a jerk limit": (1.0, {"jerk_limit": 300.0},
+                                        [GO, (98, SAME, OLD, MOVES), (2, SAME, OLD, ANY), *SILENT]),
+    "infinite acceleration": (2.0, {"acceleration_limit": np.inf}, [(50, SAME, SAME, MOVES), (1, None, SAME, INVALID),
+                                                                    JUMP, (1400, AGAIN, SAME, FOLLOWING_ERROR)]),
+    "one stamp from the future": (2.0, {}, [(20, SAME, SAME, MOVES), (1, SAME, 1e6, STALE), (1, SAME, SAME, INVALID),
+                                            (110, SAME, SAME, MOVES)]),
     "a wrong measurement": (2.0, {}, [GO, JUMP, STAY]),
     "one wrong measurement": (2.0, {}, [GO, (1, WRONG, SAME, INVALID), (110, SAME, SAME, MOVES)] * 3),
     "a wrong measurement under a jerk limit": (2.0, {"acceleration_limit": 3.0, "jerk_limit": 30.0}, [GO, JUMP, STAY]),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("fault", FAULTS)
