@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from conftest import chain_urdf
+from conftest import chain_urdf, chain_with
 from random_arms import random_tree
 
 import manip_learn as ml
@@ -226,11 +226,8 @@ def test_nothing_touches_between_the_stations_of_a_way(tmp_path):
     """A bead that thin links meet between two stations of a long way, and at none of them, is kept clear of."""
     joints = [("revolute", "0 0 1", place, "0 0 0") for place in ("0 0 0", "1 0 0", "1 0 0")]
     rod = '<origin xyz="0.5 0 0" rpy="0 1.570796 0"/><geometry><cylinder radius="0.002" length="1"/></geometry>'
-    text = chain_urdf("thin", joints).replace('lower="-2" upper="2"', 'lower="-3" upper="3"')
-    for i in range(3):
-        text = text.replace(f'<link name="link{i}">', f'<link name="link{i}"><collision>{rod}</collision>')
-    (tmp_path / "thin.urdf").write_text(text)
-    robot, start = ml.load_robot(tmp_path / "thin.urdf"), np.array([0.9, -1.2, -0.6])
+    rods = {f"link{i}": f"<collision>{rod}</collision>" for i in range(3)}
+    robot, start = chain_with(tmp_path, joints, rods, 3), np.array([0.9, -1.2, -0.6])
     held = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", "x y"))
     motion = ml.motion(held, along=-1.6)
     way = ml.plan(held, motion, start, scene=None, **FEW).way

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from conftest import chain_urdf
+from conftest import chain_with
 from test_gradients import central_difference
 from urdf_corpus import edited, stl
 
@@ -91,17 +91,17 @@ def scene_of(*things, **others):
     return ml.Scene(**lists, **others)
 
 
+def shape(kind: str, at: str = "0.1 0 0", tag: str = "collision") -> str:
+    """An element of a link."""
+    return f'<{tag}><origin xyz="{at}"/><geometry>{kind}</geometry></{tag}>'
+
+
 @pytest.fixture(scope="module")
 def balls(tmp_path_factory):
     """An arm of five joints with a ball at the end of each link but the base."""
     joints = [("revolute", axis, "0.3 0.05 0.1", "0 0 0") for axis in ("0 0 1", "0 1 0", "1 0 0", "0 1 0", "0 0 1")]
-    text = chain_urdf("balls", joints)
-    for i in range(5):
-        ball = f'<collision><origin xyz="0.1 0 0"/><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
-        text = text.replace(f'<link name="link{i}">', f'<link name="link{i}">{ball}')
-    path = tmp_path_factory.mktemp("balls") / "balls.urdf"
-    path.write_text(text, encoding="utf-8")
-    return load_robot(path)
+    ball = shape(f'<sphere radius="{RADIUS}"/>')
+    return chain_with(tmp_path_factory.mktemp("balls"), joints, {f"link{i}": ball for i in range(5)})
 
 
 def min_distances(pairs):
@@ -355,10 +355,6 @@ def collision_of(robot_of):
     return built.__getitem__
 
 
-def shape(kind: str) -> str:
-    return f'<collision><origin xyz="0.1 0 0"/><geometry>{kind}</geometry></collision>'
-
-
 @pytest.mark.parametrize("name", list(SHAPES))
 def test_gradient(robot_of, collision_of, name):
     """Of pairs that do not overlap the gradient is right to 1e-5, but for where the nearest points jump.
@@ -394,21 +390,12 @@ def test_which_pairs_count(robot_of, collision_of):
 
 def test_a_mesh_that_is_not_convex(tmp_path):
     """A ball between the legs of a U is within its hull; by its triangles it is as far away as from the nearest leg."""
-    legs = [
-        ((0.1, 0.8, 0.2), (0.75, 0.0, 0.0)),
-        ((0.5, 0.1, 0.2), (0.45, 0.45, 0.0)),
-        ((0.5, 0.1, 0.2), (0.45, -0.45, 0.0)),
-    ]
+    legs = [((0.1, 0.8, 0.2), (0.75, 0.0, 0.0)), *(((0.5, 0.1, 0.2), (0.45, y, 0.0)) for y in (0.45, -0.45))]
     boxes = [trimesh.creation.box(size, trimesh.transformations.translation_matrix(at)) for size, at in legs]
     trimesh.util.concatenate(boxes).export(tmp_path / "u.stl")
-    text = chain_urdf(
-        "hook", [("revolute", "0 0 1", "0 0 0", "0 0 0")] + [("revolute", "0 0 1", "0.3 0 0", "0 0 0")] * 2
-    )
-    mesh, ball = '<mesh filename="u.stl"/>', '<sphere radius="0.05"/>'
-    for link, kind in (("base", mesh), ("link2", ball)):
-        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{shape(kind).replace("0.1 0 0", "0 0 0")}')
-    (tmp_path / "hook.urdf").write_text(text, encoding="utf-8")
-    robot, rng = load_robot(tmp_path / "hook.urdf"), np.random.default_rng(8)
+    joints = [("revolute", "0 0 1", place, "0 0 0") for place in ("0 0 0", "0.3 0 0", "0.3 0 0")]
+    mesh, ball = shape('<mesh filename="u.stl"/>', "0 0 0"), shape('<sphere radius="0.05"/>', "0 0 0")
+    robot, rng = chain_with(tmp_path, joints, {"base": mesh, "link2": ball}), np.random.default_rng(8)
     hulls, meshes = SelfCollision(robot, free=[2.0, 0.5, 0.5]), SelfCollision(robot, free=[2.0, 0.5, 0.5], hulls=False)
     between = 0
     for _ in range(200):
@@ -450,23 +437,13 @@ def test_links_two_joints_apart_count_where_they_touch(tmp_path, deep, counts):
     """A pair is left out unless its hulls overlap by a centimetre somewhere; with more joints between it counts."""
     joints = [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] + [("revolute", "0 0 1", "0.3 0 0", "0 0 0")] * 3
     nearest = abs(0.3 + 0.1 * np.exp(2.0j))  # of a place on link1 and the first joint, at the limit of the second
-    ball, text = shape(f'<sphere radius="{0.5 * (nearest + deep)}"/>'), chain_urdf("bent", joints)
-    shapes = {"base": ball.replace("0.1 0 0", "0.4 0 0"), "link1": ball, "link3": shape('<sphere radius="0.001"/>')}
-    for link, element in shapes.items():
-        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{element}')
-    (tmp_path / "bent.urdf").write_text(text, encoding="utf-8")
-    pairs = SelfCollision(load_robot(tmp_path / "bent.urdf")).link_pairs
+    ball = f'<sphere radius="{0.5 * (nearest + deep)}"/>'
+    shapes = {"base": shape(ball, "0.4 0 0"), "link1": shape(ball), "link3": shape('<sphere radius="0.001"/>')}
+    pairs = SelfCollision(chain_with(tmp_path, joints, shapes)).link_pairs
     assert (("base", "link1") in pairs) is counts and ("base", "link3") in pairs
 
 
-def lost(robot, folder, *changes: tuple[bytes, bytes]):
-    """A copy of a robot in which meshes have other names."""
-    content = robot.description
-    for old, new in changes:
-        assert content.count(old) == 1
-        content = content.replace(old, new)
-    (folder / "lost.urdf").write_bytes(content)
-    return load_robot(folder / "lost.urdf", package_dirs=list(robot.source.parents)[:5])
+FLAT = [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] * 3
 
 
 @pytest.mark.parametrize("tag", ["collision", "visual"])
@@ -475,15 +452,18 @@ def test_a_lost_mesh_costs_its_own_link_only(tmp_path, tag):
     a replay and `inspect` say their names in the same words.
     """
     file = {"collision": "collision/{}.stl", "visual": "visual/{}.dae"}[tag]
-    changes = [(file.format(f"link{n}").encode(), file.format(f"gone{n}").encode()) for n in (3, 5)]
-    robot = lost(load_robot("panda"), tmp_path, *changes)
-    other = SelfCollision(robot, shapes=tag)
+    panda = load_robot("panda")
+    content = panda.description
+    for n in (3, 5):
+        content = content.replace(file.format(f"link{n}").encode(), file.format(f"gone{n}").encode())
+    (tmp_path / "lost.urdf").write_bytes(content)
+    robot = load_robot(tmp_path / "lost.urdf", package_dirs=list(panda.source.parents)[:5])
     kinds = {s.link: type(s.geometry).__name__ for s in collision_shapes(robot, tag)}
     assert kinds["panda_link3"] == "Capsule" and kinds["panda_link5"] == "Sphere" and kinds["panda_link4"] == "Convex"
     q = robot.positions(robot.neutral())
     full, some = (
         {p.links: p.distance for p in c.closer_than(x, 10.0) if not {"panda_link3", "panda_link5"} & {*p.links}}
-        for c, x in ((SelfCollision(load_robot("panda"), shapes=tag), q), (other, q))
+        for c, x in ((SelfCollision(arm, shapes=tag), q) for arm in (panda, robot))
     )
     shared = full.keys() & some.keys()
     assert len(shared) > 0.8 * len(full) and all(some[k] == full[k] for k in shared)
@@ -523,17 +503,13 @@ def test_a_bad_shape_costs_its_own_link_only(tmp_path, tag, kind):
     so in one sentence. The other links count as they are, and nobody claims that the robot has no shapes.
     """
     elements, stands_there, why = ONE_LINK[kind]
-    sheet = SHEET(file_type="stl")
-    files = {"sheet": sheet, "triangle": stl(value=0.1), "dots": DOTS(file_type="stl")}
+    files = {"sheet": SHEET(file_type="stl"), "triangle": stl(value=0.1), "dots": DOTS(file_type="stl")}
     files |= {"large": stl(value=300.0), "larger": stl(value=400.0)}
     for name, content in files.items():
         (tmp_path / f"{name}.stl").write_bytes(content)
-    text = chain_urdf("arm", [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] * 3)
-    box, bad = shape('<box size="0.1 0.1 0.1"/>'), "".join(map(shape, elements.split("|")))
-    for link, element in (("base", box), ("link0", box), ("link1", bad), ("link2", box)):
-        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{element.replace("collision", tag)}')
-    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
-    robot = load_robot(tmp_path / "arm.urdf")
+    shapes = dict.fromkeys(("base", "link0", "link2"), shape('<box size="0.1 0.1 0.1"/>', tag=tag))
+    shapes["link1"] = "".join(shape(element, tag=tag) for element in elements.split("|"))
+    robot = chain_with(tmp_path, FLAT, shapes)
     shapes = collision_shapes(robot, tag)
     assert [type(s.geometry).__name__ for s in shapes if s.link == "link1"] == stands_there
     cubes = {s.link for s in shapes if isinstance(s.shape, Solid) and s.shape.size == (0.1, 0.1, 0.1)}
@@ -583,8 +559,5 @@ def test_robots_without_shapes(robot_of, tmp_path):
     with pytest.raises(RobotError, match="no <collision> elements"):
         SelfCollision(robot_of("gantry"))
     for kind, message in (('<sphere radius="-1"/>', "link2"), ('<mesh filename="nowhere.stl"/>', "nowhere.stl")):
-        text = chain_urdf("broken", [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] * 3)
-        path = tmp_path / "broken.urdf"
-        path.write_text(text.replace('<link name="link2">', f'<link name="link2">{shape(kind)}'), encoding="utf-8")
         with pytest.raises(RobotError, match=message):
-            SelfCollision(load_robot(path))
+            SelfCollision(chain_with(tmp_path, FLAT, {"link2": shape(kind)}))

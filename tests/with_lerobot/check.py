@@ -21,6 +21,7 @@ from lerobot.motors import MotorCalibration
 from lerobot.robots import Robot, RobotConfig
 from lerobot.robots.so_follower import SO101Follower, SO101FollowerConfig
 from lerobot.scripts import lerobot_record
+from lerobot.utils.import_utils import register_third_party_plugins
 
 import manip_learn as ml
 
@@ -154,6 +155,7 @@ def check_record(robot: ml.Robot, folder: Path) -> None:
         f"--dataset.episode_time_s={SECONDS}", f"--dataset.fps={FPS}", "--dataset.single_task=open the drawer",
         "--dataset.video=false", "--dataset.push_to_hub=false", "--play_sounds=false",
     ]  # fmt: skip
+    register_third_party_plugins()
     start = time.perf_counter()
     lerobot_record.main()
     (demo,) = ml.load_demonstrations(folder / "recorded", robot, units="degrees")
