@@ -82,6 +82,7 @@ def test_a_plan_does_the_whole_way_from_a_start_beside_a_singularity(sawyer, dra
     for rollout in (opened.approach, opened.way):
         assert np.all(rollout.q >= sawyer.position_lower) and np.all(rollout.q <= sawyer.position_upper)
         assert np.all(np.abs(rollout.u) <= sawyer.velocity_limit)
+    assert 0.2 < np.max(np.abs(opened.approach.u) / sawyer.velocity_limit) < 0.26  # beside people, as ISO 10218-1
     law = ml.ResolvedRateController(drawer, opening(drawer, keep_orientation=True, pause=0.5))
     greedy = ml.simulate(sawyer, law, HARD, 4.5)
     assert np.min(opened.way.manipulability) > 4.0 * np.min(greedy.manipulability)
@@ -305,6 +306,19 @@ def test_the_sense_in_which_joints_have_more_room(rng):
         np.testing.assert_array_equal(limits.freer_sense(q, direction), -direction if back else direction)
         turned += back
     assert 30 < turned < 170
+
+
+def test_what_is_near_at_the_start_may_come_half_as_near():
+    """Nothing else comes nearer than the clearance of 5 mm."""
+    robot, q, away = ml.load_robot("ur5"), np.array([0.0, -1.2, 1.4, -0.4, 0.3, 0.2]), 0.3
+    place, links = robot.position(q, "tool0"), links_of(robot)[0]
+    for _ in range(30):  # the box is moved to where it is 4 mm away
+        around = ml.Scene(boxes=[ml.Box((0.1, 0.1, 0.1), place + [0.0, away, 0.0], "box")]).obstacles(robot)
+        near = links.with_obstacles(around).nearest(q)
+        away -= near.distance - 4e-3
+    clear = Clearance(robot, True, Surroundings(around), q)
+    assert near.links[1] == "box" and clear.allowed(near.links) == pytest.approx(0.5 * near.distance)
+    assert clear.least == pytest.approx(2e-3, abs=1e-4) and clear.allowed(("forearm_link", "box")) == 5e-3
 
 
 def test_what_a_recording_shows_is_possible(panda):
