@@ -393,6 +393,14 @@ def test_a_posture_that_no_arm_can_have_is_none(robot):
     assert ml.ServoLoop(law_of(robot, "sawyer")).update(0.999 * farthest, 0.0).status is OUTSIDE
 
 
+@pytest.mark.parametrize(("jump", "is_refused"), [(0.045, False), (-0.045, False), (0.06, True), (-0.06, True)])
+def test_how_far_a_reading_may_jump(jump, is_refused, robot):
+    """By 0.05 rad beyond what the joint can move meanwhile, twice 1.7 mrad here."""
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
+    arm.calls(20)
+    assert (arm.call(arm.q + jump * np.eye(7)[0]).status is INVALID) == is_refused
+
+
 def test_wrong_units_are_named(robot):
     """Degrees and milliseconds stop the arm, with what was read and what it is to be; so does a full turn too much."""
     arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
