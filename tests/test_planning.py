@@ -321,6 +321,20 @@ def test_what_is_near_at_the_start_may_come_half_as_near():
     assert clear.least == pytest.approx(2e-3, abs=1e-4) and clear.allowed(("forearm_link", "box")) == 5e-3
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_of_a_link_with_several_shapes_the_nearest_counts(tmp_path, first):
+    """4 and 8 mm away, in either order: it may come half as near as the nearer one is, so that the start is clear."""
+    ball = '<collision><origin xyz="{} 0 0"/><geometry><sphere radius="0.05"/></geometry></collision>'
+    shapes = [ball.format(0.5), ball.format(0.7)]
+    robot = chain_with(
+        tmp_path, [("revolute", "0 0 1", "0 0 0.3", "0 0 0")], {"link0": "".join(shapes[:: 1 - 2 * first])}
+    )
+    for at in (0.598, 0.602):  # between both, 4 mm from one
+        around = ml.Scene(spheres=[ml.Sphere(0.044, (at, 0.0, 0.3), "ball")]).obstacles(robot)
+        clear = Clearance(robot, True, Surroundings(around), np.zeros(1))
+        assert clear.allowed(("link0", "ball")) == pytest.approx(2e-3, abs=1e-6) and clear(np.zeros(1))
+
+
 def test_what_a_recording_shows_is_possible(panda):
     """Links that touch in a posture that was shown count as clear to that depth, and are named; a posture in which they
     are deeper into each other is not clear.
