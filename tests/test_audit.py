@@ -14,14 +14,11 @@ from scale_motions import motions
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.commands.audit import write_table
-from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import OutputError, RecordingError
 from manip_learn.learning import audit
-from manip_learn.learning.audit import AuditReport, EpisodeAudit, audit_episodes
+from manip_learn.learning.audit import AuditReport, EpisodeAudit
 from manip_learn.linalg import orthonormal_rows
-from manip_learn.recordings import RecordingSource
 from manip_learn.recordings import load as trajectory_source
-from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import jerk
 
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
@@ -29,26 +26,26 @@ DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_dra
 
 
 @pytest.fixture(scope="module")
-def features() -> FrameJacobian:
-    return FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
+def features() -> ml.FrameJacobian:
+    return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
 
 
 @pytest.fixture(scope="module")
-def constraint(features: FrameJacobian) -> ml.Constraint:
+def constraint(features: ml.FrameJacobian) -> ml.Constraint:
     return ml.Constraint(TWO, features)
 
 
 @pytest.fixture(scope="module")
-def demos(features: FrameJacobian) -> ml.Demonstrations:
+def demos(features: ml.FrameJacobian) -> ml.Demonstrations:
     return motions(features, TWO, np.random.default_rng(1), 12, noise=0.002, held=True)
 
 
-def measured(constraint: ml.Constraint, t: Trajectory) -> EpisodeAudit:
+def measured(constraint: ml.Constraint, t: ml.Trajectory) -> EpisodeAudit:
     """Measures of one recording."""
-    return audit_episodes(constraint, [t], velocities="recorded").episodes[0]
+    return ml.audit_episodes(constraint, [t], velocities="recorded").episodes[0]
 
 
-def with_one(demos: ml.Demonstrations, index: int, changed: Trajectory) -> list[Trajectory]:
+def with_one(demos: ml.Demonstrations, index: int, changed: ml.Trajectory) -> list[ml.Trajectory]:
     return [changed if i == index else t for i, t in enumerate(demos)]
 
 
@@ -64,9 +61,9 @@ def test_measures_are_those_of_the_constraint(constraint: ml.Constraint, demos: 
     assert row.n_samples == len(t) and row.duration == pytest.approx(t.duration)
 
 
-def test_displacement_is_how_far_the_tip_moves_along_held_rows(features: FrameJacobian) -> None:
+def test_displacement_is_how_far_the_tip_moves_along_held_rows(features: ml.FrameJacobian) -> None:
     """A tip that moves 30 mm along x and turns 12 degrees about z: that is what is reported, in mm and degrees."""
-    robot, target = features.robot, FrameJacobian(features.robot, "right_gripper_tip", "pose")
+    robot, target = features.robot, ml.FrameJacobian(features.robot, "right_gripper_tip", "pose")
     time = np.arange(301) * 0.01
     rate = np.zeros(6)
     rate[0], rate[5] = 0.030 / 3.0, np.radians(12.0) / 3.0
@@ -77,7 +74,7 @@ def test_displacement_is_how_far_the_tip_moves_along_held_rows(features: FrameJa
         middle = q[-1] + 0.005 * u[-1]
         q.append(q[-1] + 0.01 * np.linalg.pinv(target(middle)) @ rate)
     held = ml.Constraint(np.eye(6)[[0, 1, 5]], target)
-    row = measured(held, Trajectory(time, np.array(q[:-1]), np.array(u), tuple(robot.joint_names)))
+    row = measured(held, ml.Trajectory(time, np.array(q[:-1]), np.array(u), tuple(robot.joint_names)))
     assert row.displacement_mm == pytest.approx(30.0, rel=1e-3)
     assert row.displacement_deg == pytest.approx(12.0, rel=1e-3)
 
@@ -91,7 +88,7 @@ def test_limits_speed_and_rest(constraint: ml.Constraint) -> None:
     way = np.where(time > 2.0, (time - 2.0) * speed, 0.0)
     q, u = np.tile(robot.neutral(), (401, 1)), np.zeros((401, robot.nv))
     q[:, 1], u[:, 1] = limit + 0.1 * width - way[-1] + way, np.where(time > 2.0, speed, 0.0)
-    row = measured(constraint, Trajectory(time, q, u, tuple(robot.joint_names)))
+    row = measured(constraint, ml.Trajectory(time, q, u, tuple(robot.joint_names)))
     assert row.limit_margin == pytest.approx(-0.1, abs=1e-6) and row.limit_joint == robot.joint_names[1]
     assert 0.0 < row.beyond_limits < 0.5
     assert row.peak_speed == pytest.approx(0.5) and row.peak_speed_joint == robot.joint_names[1]
@@ -125,76 +122,76 @@ def test_false_alarms_are_rare(constraint: ml.Constraint, demos: ml.Demonstratio
             ]
             rows = iter([good._replace(**dict(zip(names, own, strict=True))) for own in values])
             monkeypatch.setattr(audit, "_measure", lambda *_, rows=rows: next(rows))
-            alarms += bool(audit_episodes(constraint, [demos[0]] * n, velocities="recorded").leave_out)
+            alarms += bool(ml.audit_episodes(constraint, [demos[0]] * n, velocities="recorded").leave_out)
         assert alarms <= 36, n  # 5 % and four standard errors
     monkeypatch.undo()
-    assert audit_episodes(constraint, demos[:4]).threshold == np.inf
+    assert ml.audit_episodes(constraint, demos[:4]).threshold == np.inf
 
 
 def test_an_episode_that_violates_the_constraint_is_left_out(
-    features: FrameJacobian, constraint: ml.Constraint, demos: ml.Demonstrations
+    features: ml.FrameJacobian, constraint: ml.Constraint, demos: ml.Demonstrations
 ) -> None:
     """Episodes of one kind stay, ranked by falling score; one of another task among them is first, left out, and the
     reason is given.
     """
-    good = audit_episodes(constraint, demos, velocities="recorded")  # with noise that positions do not have
+    good = ml.audit_episodes(constraint, demos, velocities="recorded")  # with noise that positions do not have
     scores = [e.score for e in good.episodes]
     assert good.leave_out == () and scores == sorted(scores, reverse=True) and len(scores) == 12
     other = motions(features, TWO[:, [2, 0, 1]], np.random.default_rng(3), 1, noise=0.002, held=True)[0]
     given = with_one(demos, 4, dataclasses.replace(other, name="intruder"))
-    report = audit_episodes(constraint, given, velocities="recorded")
+    report = ml.audit_episodes(constraint, given, velocities="recorded")
     assert [e.episode for e in report.leave_out] == ["intruder"]
     worst = report.episodes[0]
     assert worst.number == 4 and any("violates the constraint" in reason for reason in worst.reasons)
     assert report.to_dict()["leave_out"][0]["number"] == 4
 
 
-def test_a_shaky_episode_is_left_out(constraint: ml.Constraint, features: FrameJacobian) -> None:
+def test_a_shaky_episode_is_left_out(constraint: ml.Constraint, features: ml.FrameJacobian) -> None:
     """A tremor of 5 Hz is jerk, and it is named so."""
     demos = ml.load_demonstrations(DRAWER, features.robot, episodes="0:10")
     t = demos[7]
     tremor = 0.01 * np.sin(2 * np.pi * 5.0 * t.time)[:, None]
-    shaken = Trajectory(t.time, t.q + tremor * np.linspace(0.5, 1, t.q.shape[1]), t.u, t.joint_names, "shaky")
-    report = audit_episodes(constraint, with_one(demos, 7, shaken))
+    shaken = ml.Trajectory(t.time, t.q + tremor * np.linspace(0.5, 1, t.q.shape[1]), t.u, t.joint_names, "shaky")
+    report = ml.audit_episodes(constraint, with_one(demos, 7, shaken))
     assert [e.episode for e in report.leave_out] == ["shaky"]
     assert any("jerky" in reason for reason in report.leave_out[0].reasons)
 
 
 def test_what_an_audit_cannot_tell_is_said(
-    features: FrameJacobian, constraint: ml.Constraint, demos: ml.Demonstrations
+    features: ml.FrameJacobian, constraint: ml.Constraint, demos: ml.Demonstrations
 ) -> None:
     """Rows that the demonstrator moves are not held against an episode; of four nobody can say which is odd; a larger
     chance of false alarms is a smaller threshold; joints of another robot, no recordings and no chance are refused.
     """
     imposed = ml.Constraint(TWO[:, [2, 0, 1]], features, {"kind": "self-imposed"})
-    report = audit_episodes(imposed, demos)
+    report = ml.audit_episodes(imposed, demos)
     assert not {"violation", "displacement", "rotation"} & set(report.criteria)
     assert any("on purpose" in note for note in report.notes)
-    few = audit_episodes(constraint, demos[:4])
+    few = ml.audit_episodes(constraint, demos[:4])
     assert few.leave_out == () and any("too few" in note for note in few.notes)
-    assert 3.5 <= audit_episodes(imposed, demos, false_alarms=0.9).threshold < report.threshold
-    foreign = Trajectory(np.arange(10) * 0.1, np.zeros((10, 7)), np.zeros((10, 7)), tuple("abcdefg"))
+    assert 3.5 <= ml.audit_episodes(imposed, demos, false_alarms=0.9).threshold < report.threshold
+    foreign = ml.Trajectory(np.arange(10) * 0.1, np.zeros((10, 7)), np.zeros((10, 7)), tuple("abcdefg"))
     for given, options, code in (
         ([foreign], {}, "joint-names"),
         ([], {}, "empty"),
         (demos, {"false_alarms": 5}, "option"),
     ):
         with pytest.raises(RecordingError) as caught:
-            audit_episodes(constraint, given, **options)
+            ml.audit_episodes(constraint, given, **options)
         assert caught.value.code == code
 
 
-def test_read_part_by_part(constraint: ml.Constraint, features: FrameJacobian, tmp_path: Path, monkeypatch) -> None:
+def test_read_part_by_part(constraint: ml.Constraint, features: ml.FrameJacobian, tmp_path: Path, monkeypatch) -> None:
     """Files read part by part, one after the other, give the report of the same files in memory."""
     monkeypatch.setattr(trajectory_source, "PART_BYTES", 30_000)
     for i, t in enumerate(motions(features, TWO, np.random.default_rng(5), 9, noise=0.002, held=True)):
         arrays = {"time": t.time, "q": t.q, "u": np.asarray(t.u), "joint_names": np.array(t.joint_names)}
         np.savez(tmp_path / f"demo_{i}.npz", **arrays)  # type: ignore[arg-type]
-    source = RecordingSource(tmp_path, features.robot)
+    source = ml.RecordingSource(tmp_path, features.robot)
     assert source.n_parts > 2
-    here = audit_episodes(constraint, ml.load_demonstrations(tmp_path, features.robot))
+    here = ml.audit_episodes(constraint, ml.load_demonstrations(tmp_path, features.robot))
     told: list[float] = []
-    there = audit_episodes(constraint, source, progress=lambda _step, share: told.append(share))
+    there = ml.audit_episodes(constraint, source, progress=lambda _step, share: told.append(share))
     assert told == sorted(told) and told[-1] == 1.0
     for a, b in zip(here.episodes, there.episodes, strict=True):
         assert (a.number, a.reasons) == (b.number, b.reasons) and a.score == pytest.approx(b.score, rel=1e-9)

@@ -10,15 +10,13 @@ import pinocchio as pin
 import pytest
 from case import case
 from conftest import chain_urdf
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.constraint.features import MechanismRows
 from manip_learn.constraint.place import across
 from manip_learn.errors import ConstraintMismatchError, RecordingError, RobotError
-from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.tips import default_tip
 
 BOX = ("box.x", "box.y", "box.z", "box.rx", "box.ry", "box.rz")
@@ -26,12 +24,12 @@ TIP = "right_gripper_tip"
 
 
 @pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("sawyer", objects=("box",))
+def robot() -> ml.Robot:
+    return ml.load_robot("sawyer", objects=("box",))
 
 
 @pytest.fixture(scope="module")
-def two_arms(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+def two_arms(tmp_path_factory: pytest.TempPathFactory) -> ml.Robot:
     """Two arms of six joints on one base, tips `left` and `right`, half a metre apart."""
     joints = [("revolute", "0 0 1", "0 0 0.2", "0 0 0"), ("revolute", "0 1 0", "0.1 0 0.2", "0 0 0")]
     joints += [("revolute", "0 1 0", "0.4 0 0", "0 0 0.1")]
@@ -47,7 +45,7 @@ def two_arms(tmp_path_factory: pytest.TempPathFactory) -> Robot:
         parts.append(arm + mount + f'<origin xyz="0 {y} 0"/></joint>')
     path = tmp_path_factory.mktemp("two") / "two.urdf"
     path.write_text(f'<robot name="two"><link name="torso"/>{"".join(parts)}</robot>')
-    return load_robot(path)
+    return ml.load_robot(path)
 
 
 def smooth(rng: np.random.Generator, time: np.ndarray, n: int, size: float) -> np.ndarray:
@@ -58,7 +56,7 @@ def smooth(rng: np.random.Generator, time: np.ndarray, n: int, size: float) -> n
 
 def held_relative(
     features: ml.RelativeFrameJacobian, free: np.ndarray, rng: np.random.Generator, n: int = 4
-) -> list[Trajectory]:
+) -> list[ml.Trajectory]:
     """Motions whose relative twist lies in the columns of `free`, with everything else moving as it likes."""
     robot, trajectories = features.robot, []
     for k in range(n):
@@ -75,13 +73,13 @@ def held_relative(
                 u = push[i] + np.linalg.pinv(Phi) @ (wanted - Phi @ push[i])
             q.append(robot.integrate(q[i], 0.015 * u))
         positions = np.array([robot.positions(row) for row in q])
-        trajectories.append(Trajectory(time, positions, None, robot.joint_names, f"motion {k}"))
+        trajectories.append(ml.Trajectory(time, positions, None, robot.joint_names, f"motion {k}"))
     return trajectories
 
 
-def test_an_object_is_a_floating_joint_on_the_root_link(robot: Robot) -> None:
+def test_an_object_is_a_floating_joint_on_the_root_link(robot: ml.Robot) -> None:
     """Six more coordinates without limits, no tip; the pose of its frame is what the six numbers say."""
-    plain = load_robot("sawyer")
+    plain = ml.load_robot("sawyer")
     assert robot.objects == ("box",) and plain.objects == ()
     assert robot.nv == plain.nv + 6 and set(robot.joint_names) == {*plain.joint_names, *BOX}
     columns = [robot.joint_names.index(n) for n in BOX]
@@ -91,8 +89,8 @@ def test_an_object_is_a_floating_joint_on_the_root_link(robot: Robot) -> None:
     x = np.zeros(robot.nv)
     x[columns] = 0.4, -0.2, 0.3, 0.1, 0.7, -0.5
     pose = robot.pose(x, "box")
-    np.testing.assert_allclose(pose[:3, 3], x[columns][:3], atol=1e-12)
-    np.testing.assert_allclose(pose[:3, :3], Rotation.from_rotvec(x[columns][3:]).as_matrix(), atol=1e-12)
+    assert_allclose(pose[:3, 3], x[columns][:3], atol=1e-12)
+    assert_allclose(pose[:3, :3], Rotation.from_rotvec(x[columns][3:]).as_matrix(), atol=1e-12)
 
 
 def test_names_that_cannot_be_used() -> None:
@@ -100,24 +98,26 @@ def test_names_that_cannot_be_used() -> None:
     for names in [("",), ("right_l6",), ("right_j0",), ("a", "a"), (" a",), ("universe",), (3,)]:
         with case(names):
             with pytest.raises(RobotError) as caught:
-                load_robot("sawyer", objects=names)
+                ml.load_robot("sawyer", objects=names)
             assert caught.value.code == "object-name"
 
 
-def test_a_constraint_knows_its_objects(robot: Robot, tmp_path: Path) -> None:
+def test_a_constraint_knows_its_objects(robot: ml.Robot, tmp_path: Path) -> None:
     """Saved and loaded with the same objects; refused without them, or with others."""
     features = ml.RelativeFrameJacobian(robot, TIP, "box")
     file = ml.Constraint(np.eye(6)[:5], features).save(tmp_path / "c.json")
     assert json.loads(file.read_text())["robot"]["objects"] == ["box"]
     q = robot.random_configuration(np.random.default_rng(0))
-    np.testing.assert_array_equal(ml.Constraint.load(file, load_robot("sawyer", objects=["box"]))(q), features(q)[:5])
+    assert_array_equal(ml.Constraint.load(file, ml.load_robot("sawyer", objects=["box"]))(q), features(q)[:5])
     for objects in ((), ("cup",), ("box", "cup")):
         with pytest.raises(ConstraintMismatchError):
-            ml.Constraint.load(file, load_robot("sawyer", objects=objects))
-    assert load_robot("sawyer", objects=["box"]).fingerprint == robot.fingerprint != load_robot("sawyer").fingerprint
+            ml.Constraint.load(file, ml.load_robot("sawyer", objects=objects))
+    assert (
+        ml.load_robot("sawyer", objects=["box"]).fingerprint == robot.fingerprint != ml.load_robot("sawyer").fingerprint
+    )
 
 
-def test_velocities_are_local_twists(robot: Robot, rng: np.random.Generator) -> None:
+def test_velocities_are_local_twists(robot: ml.Robot, rng: np.random.Generator) -> None:
     """Derived velocities of an object agree with differences on the manifold, in Pinocchio's free-flyer convention."""
     for noise in [0.0, 1e-3]:
         with case(noise):
@@ -128,9 +128,9 @@ def test_velocities_are_local_twists(robot: Robot, rng: np.random.Generator) -> 
             noisy = np.array(
                 [robot.positions(robot.integrate(q, noise * rng.standard_normal(robot.nv))) for q in clean]
             )
-            derived = ml.derive_velocities(Trajectory(time, noisy, None, robot.joint_names), robot)
+            derived = ml.derive_velocities(ml.Trajectory(time, noisy, None, robot.joint_names), robot)
             assert derived.u is not None
-            np.testing.assert_allclose(derived.u[1:-1], rates, atol=2e-3 if noise == 0.0 else 0.08)
+            assert_allclose(derived.u[1:-1], rates, atol=2e-3 if noise == 0.0 else 0.08)
             if noise == 0.0:
                 for k in (0, 150, 300):
                     step = robot.difference(derived.q[k], clean[k])
@@ -141,7 +141,7 @@ def test_velocities_are_local_twists(robot: Robot, rng: np.random.Generator) -> 
                 assert error < 0.3 * np.std(raw - rates)
 
 
-def test_a_constant_twist_is_found_exactly(robot: Robot) -> None:
+def test_a_constant_twist_is_found_exactly(robot: ml.Robot) -> None:
     """A screw motion pin.exp6(v t) has the LOCAL twist v throughout, also beyond half a turn."""
     v = np.array([0.1, -0.05, 0.2, 0.3, 1.2, -0.6])
     time = np.arange(300) * 0.01
@@ -151,9 +151,9 @@ def test_a_constant_twist_is_found_exactly(robot: Robot) -> None:
     for i, t in enumerate(time):
         M = start * pin.exp6(pin.Motion(v * t))
         x[i, columns] = np.concatenate([M.translation, pin.log3(M.rotation)])
-    derived = ml.derive_velocities(Trajectory(time, x, None, robot.joint_names), robot)
+    derived = ml.derive_velocities(ml.Trajectory(time, x, None, robot.joint_names), robot)
     assert derived.u is not None
-    np.testing.assert_allclose(derived.u[:, columns], np.tile(v, (len(derived), 1)), atol=1e-4)
+    assert_allclose(derived.u[:, columns], np.tile(v, (len(derived), 1)), atol=1e-4)
 
 
 def write(path: Path, names: list[str], columns: np.ndarray, time: np.ndarray) -> Path:
@@ -161,7 +161,7 @@ def write(path: Path, names: list[str], columns: np.ndarray, time: np.ndarray) -
     return path
 
 
-def test_poses_are_read_as_rotation_vectors_or_quaternions(robot: Robot, tmp_path: Path) -> None:
+def test_poses_are_read_as_rotation_vectors_or_quaternions(robot: ml.Robot, tmp_path: Path) -> None:
     """Both spellings give the same poses; a quaternion that changes its sign, and half a turn, leave no jump."""
     time = np.arange(200) * 0.01
     x = smooth(np.random.default_rng(2), time, robot.nv, 0.3)
@@ -182,17 +182,17 @@ def test_poses_are_read_as_rotation_vectors_or_quaternions(robot: Robot, tmp_pat
         assert np.max(np.abs(np.diff(demos[0].q, axis=0))) < 0.1
         ours = Rotation.from_rotvec(demos[0].q[:, columns[3:]])
         assert np.max((ours.inv() * rotations).magnitude()) < 1e-9
-        np.testing.assert_allclose(demos[0].q[:, others], x[:, others], atol=1e-12)
+        assert_allclose(demos[0].q[:, others], x[:, others], atol=1e-12)
     assert any("quaternions" in note for note in b.notes)
     arm = [i for i in range(robot.nv) if i not in columns]
     lower, upper = robot.position_lower[arm], robot.position_upper[arm]
     scaled = wrapped.copy()
     scaled[:, arm] = 200.0 * (x[:, arm] - lower) / (upper - lower) - 100.0
     d = ml.load_demonstrations(write(tmp_path / "d.csv", names, scaled, time), robot, units="normalised")
-    np.testing.assert_allclose(d[0].q[:, others], x[:, others], atol=1e-12)  # a pose is in metres and radians
+    assert_allclose(d[0].q[:, others], x[:, others], atol=1e-12)  # a pose is in metres and radians
 
 
-def test_poses_that_cannot_be_read(robot: Robot, tmp_path: Path) -> None:
+def test_poses_that_cannot_be_read(robot: ml.Robot, tmp_path: Path) -> None:
     """No pose, part of a quaternion, one that is not of length 1: each says what is needed."""
     time = np.arange(50) * 0.01
     joints = [n for n in robot.joint_names if n not in BOX]
@@ -214,7 +214,7 @@ def test_poses_that_cannot_be_read(robot: Robot, tmp_path: Path) -> None:
             assert "without 'box.qw'" in str(caught.value)
 
 
-def test_recorded_joint_velocities_give_way_to_derived_ones(robot: Robot, tmp_path: Path) -> None:
+def test_recorded_joint_velocities_give_way_to_derived_ones(robot: ml.Robot, tmp_path: Path) -> None:
     """An arm records velocities, a camera does not: all are derived alike, and it is said."""
     time = np.arange(50) * 0.01
     x = smooth(np.random.default_rng(4), time, robot.nv, 0.2)
@@ -226,7 +226,7 @@ def test_recorded_joint_velocities_give_way_to_derived_ones(robot: Robot, tmp_pa
     assert demos[0].u is None and any("recorded velocities are not used" in note for note in demos.notes)
 
 
-def test_two_arms_carry_one_object(two_arms: Robot) -> None:
+def test_two_arms_carry_one_object(two_arms: ml.Robot) -> None:
     """Two tips of one robot: their relative twist is held but for a hinge between them, whatever the object does."""
     features = ml.RelativeFrameJacobian(two_arms, "left_tip", "right_tip", "pose")
     hinge = np.array([[0.0, 0.0, 0.0, 0.0, 0.6, 0.8]]).T
@@ -239,7 +239,7 @@ def test_two_arms_carry_one_object(two_arms: Robot) -> None:
 AXIS = np.array([0.3, -0.2, 0.9]) / np.linalg.norm([0.3, -0.2, 0.9])
 
 
-def on_mechanism(features: MechanismRows, rng: np.random.Generator, n: int = 6) -> list[Trajectory]:
+def on_mechanism(features: ml.MechanismRows, rng: np.random.Generator, n: int = 6) -> list[ml.Trajectory]:
     """Recordings with 0.1 mrad of noise in which loosely held rows stay as they are; all else moves as it likes."""
     robot, out, kept = features.robot, [], None
     for k in range(n):
@@ -255,7 +255,7 @@ def on_mechanism(features: MechanismRows, rng: np.random.Generator, n: int = 6) 
                 path.append(robot.positions(robot.integrate(q, 1e-4 * rng.standard_normal(robot.nv))))
                 A = features(robot.integrate(q, 0.01 * push[i]))
                 q = robot.integrate(q, 0.02 * (push[i] - np.linalg.pinv(A) @ (A @ push[i])))
-        out.append(Trajectory(time, np.array(path), None, robot.joint_names, f"motion {k}"))
+        out.append(ml.Trajectory(time, np.array(path), None, robot.joint_names, f"motion {k}"))
     return out
 
 
@@ -264,7 +264,7 @@ def on_mechanism(features: MechanismRows, rng: np.random.Generator, n: int = 6) 
     [("radial axial", "box"), ("spherical", "box"), ("radial axial", "right_tip"), ("radial", "right_tip")],
 )
 def test_a_mechanism_is_found_where_its_frame_sees_it(
-    robot: Robot, two_arms: Robot, rows: str, other: str, tmp_path: Path
+    robot: ml.Robot, two_arms: ml.Robot, rows: str, other: str, tmp_path: Path
 ) -> None:
     """A door, a tether or a rod that is carried about: its kind, axis and place in the other frame, whatever the axes.
 
@@ -275,7 +275,7 @@ def test_a_mechanism_is_found_where_its_frame_sees_it(
     q = own.configuration(0.3 * own.positions(own.random_configuration(rng)))
     beside = np.cross(AXIS, [1.0, 0.0, 0.0])
     point = seen.pose(q)[:3, 3] - 0.25 * beside / np.linalg.norm(beside)
-    truth = MechanismRows(own, tip, rows, axis=AXIS, point=point, relative_to=other)
+    truth = ml.MechanismRows(own, tip, rows, axis=AXIS, point=point, relative_to=other)
     demos = on_mechanism(truth, rng)
     found = ml.ConstraintLearner(seen).fit(demos).constraint_
     kind, mechanism = {"radial axial": "hinge", "spherical": "ball", "radial": "other"}[rows], found.mechanism
@@ -297,10 +297,10 @@ def test_a_mechanism_is_found_where_its_frame_sees_it(
     (x, y), places = across(AXIS), [seen.pose(at)[:3, 3] - point for at in done.q[[0, -1]]]
     angles = [np.arctan2(y @ d, x @ d) for d in places]
     assert abs((angles[1] - angles[0] + np.pi) % (2.0 * np.pi) - np.pi) == pytest.approx(0.3, abs=2e-3)
-    np.testing.assert_allclose(truth.coordinates(done.q[-1]), truth.coordinates(done.q[0]), atol=1e-4)
+    assert_allclose(truth.coordinates(done.q[-1]), truth.coordinates(done.q[0]), atol=1e-4)
 
 
-def test_command_line(robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_line(robot: ml.Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Learn relative to a recorded object, audit by it, inspect; the file names its objects, another one is refused."""
     features = ml.RelativeFrameJacobian(robot, TIP, "box", "pose")
     folder = tmp_path / "recordings"

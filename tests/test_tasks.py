@@ -6,20 +6,16 @@ from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.policies import ManipulabilityAscent
-from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.control.tasks import PointAttractor, Track
+import manip_learn as ml
 from manip_learn.errors import FeatureError, TargetError
 from manip_learn.robot.rotations import rotation_matrix
 
 
 @pytest.fixture
-def constraint(robot_of, rng) -> Constraint:
-    return Constraint(rng.standard_normal((2, 3)), FrameJacobian(robot_of("sawyer"), "right_hand"))
+def constraint(robot_of, rng) -> ml.Constraint:
+    return ml.Constraint(rng.standard_normal((2, 3)), ml.FrameJacobian(robot_of("sawyer"), "right_hand"))
 
 
 def test_three_forms_of_a_target(constraint, robot_of, rng):
@@ -29,8 +25,8 @@ def test_three_forms_of_a_target(constraint, robot_of, rng):
     point = features.coordinates(goal)
     expected = constraint.selection @ (point - features.coordinates(q))
     for target in (point, constraint.selection @ point, robot.pose(goal, features.frame)):
-        task = PointAttractor(target, gain=2.0)
-        np.testing.assert_allclose(task.velocity(constraint, q, 0.0), 2.0 * expected, rtol=0, atol=1e-12)
+        task = ml.PointAttractor(target, gain=2.0)
+        assert_allclose(task.velocity(constraint, q, 0.0), 2.0 * expected, rtol=0, atol=1e-12)
         assert task.error(constraint, q, 0.0) == pytest.approx(np.linalg.norm(expected))
 
 
@@ -38,10 +34,10 @@ def test_track_with_feed_forward_does_not_lag(constraint, rng):
     """On the target its own velocity is all that is asked for; beside it the pull is added."""
     q = rng.uniform(-1, 1, 7)
     here, rate = constraint.features.coordinates(q), np.array([0.1, -0.2, 0.3])
-    task = Track(lambda t: here + rate * (t - 1.0), lambda t: rate, gain=4.0)
-    np.testing.assert_allclose(task.velocity(constraint, q, 1.0), constraint.selection @ rate, rtol=0, atol=1e-12)
+    task = ml.Track(lambda t: here + rate * (t - 1.0), lambda t: rate, gain=4.0)
+    assert_allclose(task.velocity(constraint, q, 1.0), constraint.selection @ rate, rtol=0, atol=1e-12)
     lagging = task.velocity(constraint, q, 1.5) - constraint.selection @ rate
-    np.testing.assert_allclose(lagging, 4.0 * constraint.selection @ rate * 0.5, rtol=0, atol=1e-12)
+    assert_allclose(lagging, 4.0 * constraint.selection @ rate * 0.5, rtol=0, atol=1e-12)
     assert task.error(constraint, q, 1.5) == pytest.approx(0.5 * np.linalg.norm(constraint.selection @ rate))
     assert repr(task) == "Track(gain=4)"
 
@@ -55,17 +51,17 @@ def test_a_target_that_moves_counts_over_the_step(constraint, rng):
     def target(t: float) -> np.ndarray:
         return here + 0.01 + np.array([t * t, 0.0, t**3])
 
-    known = Track(target, lambda t: np.array([2.0 * t, 0.0, 3.0 * t * t]), gain=3.0)
+    known = ml.Track(target, lambda t: np.array([2.0 * t, 0.0, 3.0 * t * t]), gain=3.0)
     for task, wanted in (
         (known, [0.3, 0.0, 3.0 * 0.15**2]),  # in the middle of 0.1 ... 0.2
-        (Track(target, gain=3.0), [(0.04 - 0.01) / 0.1, 0.0, (0.008 - 0.001) / 0.1]),
+        (ml.Track(target, gain=3.0), [(0.04 - 0.01) / 0.1, 0.0, (0.008 - 0.001) / 0.1]),
     ):
         b, E = task.velocity_and_jacobian(constraint, q, 0.1, 0.1)
         ahead = pull + Lambda @ [0.01, 0.0, 0.001]
-        np.testing.assert_allclose(b, 3.0 * ahead + Lambda @ wanted, rtol=0, atol=1e-12)
+        assert_allclose(b, 3.0 * ahead + Lambda @ wanted, rtol=0, atol=1e-12)
         assert E is None
-    np.testing.assert_allclose(Track(target, gain=3.0).velocity(constraint, q, 0.0), 3.0 * pull, atol=1e-12)
-    np.testing.assert_allclose(known.velocity(constraint, q, 0.0), 3.0 * pull, atol=1e-12)
+    assert_allclose(ml.Track(target, gain=3.0).velocity(constraint, q, 0.0), 3.0 * pull, atol=1e-12)
+    assert_allclose(known.velocity(constraint, q, 0.0), 3.0 * pull, atol=1e-12)
 
 
 def line(t: float) -> np.ndarray:
@@ -86,9 +82,9 @@ def test_a_moving_target_is_followed(robot_of):
         pose[:3, :3], pose[:3, 3] = turn @ start[:3, :3], start[:3, 3] + line(late)
         return pose
 
-    features = FrameJacobian(robot, frame, "pose")
-    rows = Constraint(np.eye(features.n_rows), features)
-    loop = ServoLoop(ResolvedRateController(rows, Track(goal, gain=5.0), ManipulabilityAscent(rows)), 0.001)
+    features = ml.FrameJacobian(robot, frame, "pose")
+    rows = ml.Constraint(np.eye(features.n_rows), features)
+    loop = ml.ServoLoop(ml.ResolvedRateController(rows, ml.Track(goal, gain=5.0), ml.ManipulabilityAscent(rows)), 0.001)
     for k in range(1500):
         loop.update(q, 0.001 * k)
         q = loop.position
@@ -100,12 +96,12 @@ def test_bad_targets(constraint, rng):
     q = rng.uniform(-1, 1, 7)
     for target in ([np.nan, 0.0, 0.0], "there", [[1.0, 2.0], [3.0]], 5.0):
         with pytest.raises(TargetError):
-            PointAttractor(target)
+            ml.PointAttractor(target)
     with pytest.raises(TargetError, match=r"3 numbers \(x, y, z\), or 2"):
-        PointAttractor(np.zeros(4)).velocity(constraint, q, 0.0)
-    features = CustomFeatures(lambda q: np.ones((1, 2)), ("a",), 2)
+        ml.PointAttractor(np.zeros(4)).velocity(constraint, q, 0.0)
+    features = ml.CustomFeatures(lambda q: np.ones((1, 2)), ("a",), 2)
     with pytest.raises(FeatureError, match="no task coordinates"):
-        PointAttractor([1.0]).velocity(Constraint([[1.0]], features), np.zeros(2), 0.0)
+        ml.PointAttractor([1.0]).velocity(ml.Constraint([[1.0]], features), np.zeros(2), 0.0)
 
 
 def test_all_rows_are_driven_on_demand(constraint, robot_of):
@@ -113,16 +109,16 @@ def test_all_rows_are_driven_on_demand(constraint, robot_of):
     for rows of a mechanism, nor for numbers along the rows of Lambda. A task does not change.
     """
     for target in (np.zeros(3), np.eye(4)):
-        task = PointAttractor(target, driven="all")
+        task = ml.PointAttractor(target, driven="all")
         rows = task.rows(constraint)
-        np.testing.assert_array_equal(rows.selection, np.eye(3))
+        assert_array_equal(rows.selection, np.eye(3))
         assert rows.features is constraint.features and task.rows(constraint) is rows
-        assert PointAttractor(target).rows(constraint) is constraint
-    door = Constraint(np.eye(2), MechanismRows(robot_of("sawyer"), "right_hand", "radial axial"))
+        assert ml.PointAttractor(target).rows(constraint) is constraint
+    door = ml.Constraint(np.eye(2), ml.MechanismRows(robot_of("sawyer"), "right_hand", "radial axial"))
     for target, of in ((np.zeros(2), constraint), (np.zeros(2), door)):
         with pytest.raises(TargetError, match="driven='held'"):
-            PointAttractor(target, driven="all").rows(of)
+            ml.PointAttractor(target, driven="all").rows(of)
     with pytest.raises(TargetError, match="'held' or 'all'"):
-        PointAttractor(np.zeros(3), driven="free")  # type: ignore[arg-type]
+        ml.PointAttractor(np.zeros(3), driven="free")  # type: ignore[arg-type]
     with pytest.raises(FrozenInstanceError, match="gain"):  # a loop may be running it
-        PointAttractor(np.zeros(3)).gain = 2.0  # type: ignore[misc]
+        ml.PointAttractor(np.zeros(3)).gain = 2.0  # type: ignore[misc]
