@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from case import case
 from numpy.testing import assert_allclose
 
 import manip_learn as ml
@@ -23,23 +22,16 @@ def swaying(robot: ml.Robot, rng: np.random.Generator, duration: float, period: 
     time = np.arange(0.0, duration, period)
     middle = np.clip(0.5 * (robot.position_lower + robot.position_upper), -1.0, 1.0)
     waves = [0.15 / k * np.sin(0.44 * k * time[:, None] + rng.uniform(0.0, 6.0, robot.nv)) for k in (1, 2, 3)]
-    return ml.Trajectory(
-        time, middle + sum(waves) + rng.normal(0.0, 1e-4, (len(time), robot.nv)), None, robot.joint_names
-    )
+    q = middle + sum(waves) + rng.normal(0.0, 1e-4, (len(time), robot.nv))
+    return ml.Trajectory(time, q, None, robot.joint_names)
 
 
-def with_jumps(
-    motion: ml.Trajectory, rng: np.random.Generator, n: int, size: float
-) -> tuple[ml.Trajectory, np.ndarray]:
-    """The motion, in which one joint after another jumps to and fro; and when, at least a second apart."""
-    q = motion.q.copy()
-    at = np.sort(rng.choice(np.arange(100, len(q) - 100, 100), n, replace=False))
-    sense = np.ones(q.shape[1])
-    for i in at:
-        j = rng.integers(q.shape[1])
-        q[i:, j] += size * sense[j]
-        sense[j] *= -1.0
-    return ml.Trajectory(motion.time, q, None, motion.joint_names), motion.time[at]
+def play(
+    robot: ml.Robot, motion: ml.Trajectory, seconds: float, dt: float = DT, **limits
+) -> tuple[ml.ServoLoop, ml.Rollout]:
+    """Played from its first posture."""
+    loop = ml.ServoLoop(ml.FollowMotion(robot, motion, ml.Limits(robot, **limits)), dt)
+    return loop, ml.simulate(robot, loop, motion.q[0], seconds, dt)
 
 
 def kept(limits: ml.Limits, u: np.ndarray, period: float) -> bool:
@@ -50,26 +42,25 @@ def kept(limits: ml.Limits, u: np.ndarray, period: float) -> bool:
     return bool(within and (limits.jerk is None or np.all(np.abs(jerks) <= limits.jerk * (1 + 1e-9))))
 
 
-def tip_distance(robot: ml.Robot, tip: str, played: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    pairs = zip(played, wanted, strict=False)
-    return np.array([np.linalg.norm(robot.position(a, tip) - robot.position(b, tip)) for a, b in pairs])
-
-
-def test_many_jumps(panda):
+@pytest.mark.parametrize(("jerk", "allowed"), [(None, 0.3), (200.0, 0.45)])
+def test_many_jumps(panda, jerk, allowed):
     """With 12 jumps of 0.2 rad all limits are kept, nothing is delayed, and the tip is within 5 mm of the recording but
     for 0.3 s after each jump; with jerk limits, whose average takes 0.11 s longer, but for 0.45 s.
     """
     rng = np.random.default_rng(7)
-    motion, at = with_jumps(swaying(panda, rng, 20.0), rng, 12, 0.2)
-    for jerk, allowed in ((None, 0.3), (200.0, 0.45)):
-        with case(jerk):
-            loop = ml.ServoLoop(ml.FollowMotion(panda, motion, ml.Limits(panda, jerk=jerk)), DT)
-            played = ml.simulate(panda, loop, motion.q[0], 20.0, DT)
-            off = tip_distance(panda, "panda_hand_tcp", played.q, motion.q)
-            time = played.time[: len(off)]
-            calm = ~np.any((time[:, None] >= at - (jerk is not None) * 0.06) & (time[:, None] < at + allowed), axis=1)
-            assert kept(loop.limits, played.u, DT) and loop.controller.delay == 0.0
-            assert np.max(off[calm]) < 0.005 and np.max(off) > 0.05
+    motion = swaying(panda, rng, 20.0)
+    q, sense = motion.q.copy(), np.ones(7)
+    indices = np.sort(rng.choice(np.arange(100, len(q) - 100, 100), 12, replace=False))  # at least a second apart
+    for i in indices:  # one joint after another, to and fro
+        j = rng.integers(7)
+        q[i:, j] += 0.2 * sense[j]
+        sense[j] *= -1.0
+    loop, played = play(panda, ml.Trajectory(motion.time, q, None, panda.joint_names), 20.0, jerk=jerk)
+    tips = [np.array([panda.position(x, "panda_hand_tcp") for x in some[: len(q)]]) for some in (played.q, q)]
+    off, time, at = np.linalg.norm(tips[0] - tips[1], axis=1), motion.time, motion.time[indices]
+    calm = ~np.any((time[:, None] >= at - (jerk is not None) * 0.06) & (time[:, None] < at + allowed), axis=1)
+    assert kept(loop.limits, played.u, DT) and loop.controller.delay == 0.0
+    assert np.max(off[calm]) < 0.005 and np.max(off) > 0.05
 
 
 def test_between_samples_nothing_steps(panda):
@@ -95,20 +86,18 @@ def test_between_samples_nothing_steps(panda):
             assert_allclose(before, after, rtol=0, atol=1e-3)
 
 
-def test_smooth_motion_is_followed_exactly(panda):
+@pytest.mark.parametrize(("jerk", "most"), [(None, 1e-6), (100.0, 2e-3)])
+def test_smooth_motion_is_followed_exactly(panda, jerk, most):
     """Without jumps the joints are where the recording is, to a microradian or less, from the second period on, and to
     2e-3 rad with jerk limits: these delay nothing, since the motion is known ahead.
     """
     time = np.arange(0.0, 6.0, 0.02)
     waves = 0.4 * (1.0 - np.cos(np.pi / 2.99 * time))[:, None] * np.linspace(-0.5, 1.0, 7)
     motion = ml.Trajectory(time, panda.neutral() + waves, None, panda.joint_names)
-    for jerk, most in ((None, 1e-6), (100.0, 2e-3)):
-        with case(jerk):
-            loop = ml.ServoLoop(ml.FollowMotion(panda, motion, ml.Limits(panda, jerk=jerk)), DT)
-            played = ml.simulate(panda, loop, motion.q[0], 6.5, DT)
-            wanted = np.array([loop.controller.at(t) for t in played.time])
-            assert np.max(np.abs(played.q - wanted)[2:]) < most
-            assert np.max(np.abs(played.q[-1] - motion.q[-1])) < 1e-6 and np.max(np.abs(played.u[-1])) < 1e-5
+    loop, played = play(panda, motion, 6.5, jerk=jerk)
+    wanted = np.array([loop.controller.at(t) for t in played.time])
+    assert np.max(np.abs(played.q - wanted)[2:]) < most
+    assert np.max(np.abs(played.q[-1] - motion.q[-1])) < 1e-6 and np.max(np.abs(played.u[-1])) < 1e-5
 
 
 def test_gaps_are_bridged_and_other_periods_played(panda):
@@ -117,10 +106,9 @@ def test_gaps_are_bridged_and_other_periods_played(panda):
     whole = swaying(panda, rng, 5.0, 1.0 / 37.0)
     some = (whole.time < 2.0) | (whole.time > 3.5)
     motion = ml.Trajectory(whole.time[some], whole.q[some], None, whole.joint_names)
-    played = ml.simulate(panda, ml.ServoLoop(ml.FollowMotion(panda, motion), dt), motion.q[0], 5.0, dt)
+    loop, played = play(panda, motion, 5.0, dt)
     nearest = np.round(motion.time / dt).astype(int)
-    assert np.max(np.abs(played.q[nearest[5:]] - motion.q[5:])) < 3e-3
-    assert kept(ml.Limits(panda), played.u, dt)
+    assert np.max(np.abs(played.q[nearest[5:]] - motion.q[5:])) < 3e-3 and kept(loop.limits, played.u, dt)
 
 
 def test_tip_limit_slows_the_clock_and_keeps_the_path(panda):
@@ -133,9 +121,7 @@ def test_tip_limit_slows_the_clock_and_keeps_the_path(panda):
     motion = ml.Trajectory(time, q, None, panda.joint_names)
     radius = np.linalg.norm(panda.jacobian(q[0], "panda_hand_tcp")[:3, 0])
     half = 0.5 * radius * 1.2 * np.pi / 8.0  # of its largest speed [m/s]
-    limits = ml.Limits(panda, tip_speed=half, frames="panda_hand_tcp")
-    loop = ml.ServoLoop(ml.FollowMotion(panda, motion, limits), DT)
-    played = ml.simulate(panda, loop, motion.q[0], 12.0, DT)
+    loop, played = play(panda, motion, 12.0, tip_speed=half, frames="panda_hand_tcp")
     speeds = [
         np.linalg.norm(panda.jacobian(x, "panda_hand_tcp")[:3] @ u) for x, u in zip(played.q, played.u, strict=True)
     ]
@@ -175,34 +161,34 @@ def test_goes_on_after_a_stop(panda):
 
 def test_joints_that_turn_for_ever_and_other_orders():
     """Postures of joints without limits may be configurations or wrapped angles, columns may come in any order."""
-    robot = ml.load_robot("kinova")
-    time = np.arange(0.0, 3.0, 0.01)
-    turns = np.where(np.isinf(robot.position_upper), 0.3, 0.05)
-    lowest, highest = (
-        np.nan_to_num(x, posinf=2.0 * np.pi, neginf=0.0) for x in (robot.position_lower, robot.position_upper)
-    )
-    turning = 0.5 * (lowest + highest) + np.outer(np.sin(time), turns)
+    robot, time = ml.load_robot("kinova"), np.arange(0.0, 3.0, 0.01)
+    endless = np.isinf(robot.position_upper)
+    middle = np.where(endless, np.pi, 0.5 * (np.nan_to_num(robot.position_lower) + np.nan_to_num(robot.position_upper)))
+    turning = middle + np.outer(np.sin(time), np.where(endless, 0.3, 0.05))
     configurations = np.array([robot.configuration(x) for x in turning])
-    wrapped = np.where(np.isinf(robot.position_upper), (turning + np.pi) % (2.0 * np.pi) - np.pi, turning)
-    order = list(reversed(range(robot.nv)))
-    shuffled = ml.Trajectory(time, turning[:, order], None, tuple(robot.joint_names[i] for i in order))
-    motions = [ml.Trajectory(time, x, None, robot.joint_names) for x in (configurations, wrapped)]
-    for motion in [*motions, shuffled]:
-        played = ml.simulate(robot, ml.ServoLoop(ml.FollowMotion(robot, motion), DT), turning[0], 3.0, DT)
+    wrapped = np.where(endless, (turning + np.pi) % (2.0 * np.pi) - np.pi, turning)
+    names = robot.joint_names
+    for q, joints in ((configurations, names), (wrapped, names), (turning[:, ::-1], names[::-1])):
+        loop = ml.ServoLoop(ml.FollowMotion(robot, ml.Trajectory(time, q, None, joints)), DT)
+        played = ml.simulate(robot, loop, turning[0], 3.0, DT)
         off = [robot.difference(a, b) for a, b in zip(played.q[5:300], turning[5:300], strict=True)]
         assert np.max(np.abs(off)) < 0.02
 
 
 def test_what_is_no_motion_is_refused(panda):
     """One sample, other joints, a call without a period: a sentence each."""
-    with pytest.raises(ConfigurationError, match="two or more samples"):
-        ml.FollowMotion(panda, ml.Trajectory([0.0], panda.neutral()[None], None, panda.joint_names))
-    with pytest.raises(ConfigurationError, match="also has panda_joint7"):
-        names = (*panda.joint_names[:6], "elbow")
-        ml.FollowMotion(panda, ml.Trajectory([0.0, 1.0], np.zeros((2, 7)), None, names))
-    motion = ml.Trajectory([0.0, 1.0], np.zeros((2, 7)), None, panda.joint_names)
-    with pytest.raises(ConfigurationError, match="needs the period"):
-        ml.FollowMotion(panda, motion)(panda.neutral())
+    names = panda.joint_names
+
+    def motion(time: list[float], joints: tuple[str, ...]) -> ml.FollowMotion:
+        return ml.FollowMotion(panda, ml.Trajectory(time, np.zeros((len(time), 7)), None, joints))
+
+    for call, words in (
+        (lambda: motion([0.0], names), "two or more samples"),
+        (lambda: motion([0.0, 1.0], (*names[:6], "elbow")), "also has panda_joint7"),
+        (lambda: motion([0.0, 1.0], names)(panda.neutral()), "needs the period"),
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            call()
 
 
 def test_jumps_are_told() -> None:
