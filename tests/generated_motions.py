@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 import manip_learn as ml
+from manip_learn.experiments.paper_setup import AXES, Setup, demonstrate
 
 PLANAR_ROWS = {"xy": [0, 1], "x-theta": [0, 2], "y-theta": [1, 2]}
 Velocity = Callable[[np.ndarray, float], np.ndarray]
@@ -30,38 +31,11 @@ def with_noise(u: np.ndarray, share: float, rng: np.random.Generator) -> np.ndar
 
 
 def paper_motions(
-    rows: list[int],
-    rng: np.random.Generator,
-    n_trajectories: int = 100,
-    n_points: int = 10,
-    noise: float = 0.0,
-    policy: Callable[[np.ndarray], np.ndarray] | None = None,
-    gain: float = 1.0,
+    rows: list[int], rng: np.random.Generator, n_trajectories: int = 100, n_points: int = 10, noise: float = 0.0
 ) -> tuple[ml.Demonstrations, ml.Constraint]:
-    """The paper's planar reaching: u = A^+ b + N pi, Euler steps of 0.02 s; gain 0 makes it motion-constrained."""
-    features = planar_features()
-    truth = ml.Constraint(np.eye(3)[rows], features)
-    rest = np.radians([10.0, -10.0, 10.0])
-    trajectories = []
-    while len(trajectories) < n_trajectories:
-        target = np.array([rng.uniform(-1, 1), rng.uniform(0, 2), rng.uniform(0, np.pi)])
-        if np.hypot(target[0] - np.cos(target[2]), target[1] - np.sin(target[2])) > 2.0:
-            continue
-        q = np.radians([rng.uniform(0, 10), rng.uniform(90, 100), rng.uniform(0, 10)])
-        positions, velocities = [], []
-        for _ in range(n_points):
-            A, r = truth(q), np.append(features.robot.pose(q, features.frame)[:2, 3], q.sum())
-            pi = rest - q if policy is None else policy(q)
-            inverse = np.linalg.pinv(A)
-            u = inverse @ (gain * (target - r)[rows]) + pi - inverse @ (A @ pi)
-            positions.append(q)
-            velocities.append(u)
-            q = q + 0.02 * u
-        u = with_noise(np.array(velocities), noise, rng)
-        trajectories.append(
-            made(0.02 * np.arange(n_points), positions, u, features.robot.joint_names, f"reach {len(trajectories)}")
-        )
-    return ml.Demonstrations(trajectories), truth
+    """The paper's planar reaching: u = A^+ b + N pi, Euler steps of 0.02 s."""
+    setup = Setup(" ".join(np.array(AXES.split())[rows]), n_trajectories, n_points, noise)
+    return demonstrate(setup, setup.selection, rng), ml.Constraint(setup.selection, planar_features())
 
 
 def random_posture(robot: ml.Robot, rng: np.random.Generator, share: float = 0.5) -> np.ndarray:

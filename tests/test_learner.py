@@ -85,7 +85,6 @@ def arm_held(s: int, noise: float):
         *((lambda s=s: arm_held(s, 0.05), "motion-constrained", s, 0.5) for s in (1, 2)),
         (lambda: paper(60, noise=0.01), "self-imposed", 2, 1.0),
         (lambda: paper(60, noise=0.05), "self-imposed", 2, 5.0),
-        (lambda: paper(71, gain=0.0), "motion-constrained", 2, 1e-9),  # the same arm and policy with b = 0
     ],
 )
 def test_rows_and_their_kind_are_found(made, kind: str, n: int, allowed_deg: float):

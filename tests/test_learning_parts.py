@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from generated_motions import arm_features, guided_motions, oblique, paper_motions
+from generated_motions import arm_features, guided_motions, oblique
 from numpy.testing import assert_allclose
 
 import manip_learn as ml
@@ -14,7 +14,7 @@ from manip_learn.constraint.constraint import describe, free_directions
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import table
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.fit import Motion, RowFit, levels_of, levels_on
+from manip_learn.learning.fit import Motion, RowFit, levels_of
 from manip_learn.learning.gate import Evidence
 from manip_learn.learning.table import Stretch, Table, View
 from manip_learn.linalg import orthonormal_rows, row_space_angle
@@ -29,14 +29,6 @@ def held(n_trajectories: int) -> View:
 
 def whole(view: View) -> list[Stretch]:
     return [Stretch(i, *map(float, ends)) for i, ends in enumerate(view.table.ends)]
-
-
-def test_features_are_whitened():
-    """sum Phi' Phi'^T / n = I, and a selection in whitened coordinates comes back in the features' own."""
-    demos, truth = paper_motions([0, 1], np.random.default_rng(1), n_trajectories=40, noise=0.01)
-    view = View(truth.features, Table(list(demos)))
-    assert_allclose(view.all.gram.mean(axis=0), np.eye(view.r), atol=1e-9)
-    assert row_space_angle(view.selection(truth.selection @ np.linalg.pinv(view.W)), truth.selection) < 1e-9
 
 
 def test_noise_of_velocities_is_told_from_a_smooth_motion(rng):
@@ -113,18 +105,6 @@ def test_a_joint_that_hardly_moves_is_named(share: float, named: bool):
     assert bool(said) == named
 
 
-def test_levels_are_relative_to_a_motion_of_all_joints():
-    """Ten times as fast, a motion has the same levels; they are root mean squares along whitened directions."""
-    view = held(4)
-    sizes, directions, _ = levels_on(view, whole(view))
-    u = view.table.u
-    faster = [ml.Trajectory(t.time, t.q, 10.0 * t.u, t.joint_names) for t in view.table.moved]
-    assert_allclose(levels_on(View(view.features, Table(faster)), whole(view))[0], sizes, rtol=1e-6)
-    energy = np.mean(np.sum(u**2, axis=1)) / u.shape[1]
-    square = np.mean((view.all.rates @ (directions / np.linalg.norm(directions, axis=1)[:, None]).T) ** 2, axis=0)
-    assert_allclose(sizes, np.sqrt(square / energy), rtol=1e-6)
-
-
 def test_gaps():
     """The ratio of each level to the one before, 1 after the last; levels below rounding say nothing."""
 
@@ -135,19 +115,6 @@ def test_gaps():
     assert gaps_of([1e-3, 2e-3, 0.5], 3) == pytest.approx({1: 2.0, 2: 250.0})
     gaps = gaps_of([0.0, 2e-8, 1.0], 6)
     assert max(gaps, key=lambda s: gaps[s]) == 2
-
-
-def test_displacements_are_the_rates_along_the_positions(robot_of):
-    """Along fine paths those of the tip's place, whatever the clock, from the first sample of each recording."""
-    robot, t = robot_of("panda"), np.linspace(0.0, 1.0, 4000)[:, None]
-    q = np.array([0.2, -0.4, 0.1, -2.0, 0.1, 1.7, 0.8]) + 0.5 * np.sin(t * np.arange(1.0, 8.0))
-    features = ml.FrameJacobian(robot, "panda_hand_tcp", "xyz")
-    moved = [ml.Trajectory(t[:, 0], x, np.gradient(x, axis=0), robot.joint_names) for x in (q, q[::-1])]
-    view = View(features, Table(moved))
-    for some in (slice(4000), slice(4000, None)):
-        places = np.array([robot.position(x, features.frame) for x in view.table.q[some][::400]])
-        ways = np.linalg.solve(view.W, (view.y[some][::400] - view.y[some.start or 0]).T).T
-        assert_allclose(ways, places - places[0], atol=1e-7)
 
 
 def test_a_fit_evaluates_the_frame_a_few_times_a_sample(monkeypatch):

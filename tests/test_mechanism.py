@@ -366,20 +366,6 @@ def test_odd_ones_are_named_with_numbers_and_units(kind: str, seed: int):
     assert np.degrees(row_space_angle(learner.constraint_.selection, true_rows(truth, 0))) < 0.2
 
 
-@pytest.mark.parametrize(("kind", "degrees"), [("table", 2.0), ("drawer", 20.0)])
-def test_two_that_nearly_coincide_are_told_apart(kind: str, degrees: float):
-    """Four recordings of one table or drawer and four of another, some degrees apart: each has its own rows."""
-    features, first, truth = moving(kind, "panda", 2023, 8, whole=False)
-    _, second, other = moving(kind, "panda", 2023, 8, whole=False, tilt=degrees)
-    given = [*first[:4], *second[4:]]
-    learner, halves = found_in(features, given), [[t.name for t in given[:4]], [t.name for t in given[4:]]]
-    members = [shown(learner, k) for k in range(len(learner.constraints_))]
-    assert sorted(members) == halves
-    for constraint, names in zip(learner.constraints_, members, strict=True):
-        true = true_rows(truth if names == halves[0] else other, 0)
-        assert np.degrees(row_space_angle(constraint.selection, true)) < 0.1
-
-
 @pytest.mark.slow
 def test_memory_grows_with_the_samples_alone():
     """Three times as many whole recordings need at most three times as much: 4.7 times where each contact that one

