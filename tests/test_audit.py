@@ -122,6 +122,16 @@ def test_false_alarms_are_rare(constraint: ml.Constraint, demos: ml.Demonstratio
     assert alarms <= 36  # 5 % and four standard errors
 
 
+def test_small_differences_do_not_matter(constraint: ml.Constraint, demos: ml.Demonstrations, monkeypatch) -> None:
+    """Where episodes are alike, scores are in units of 10 % of a measure, or of 5 points of a share."""
+    good = measured(constraint, demos[0])._replace(duration=1.0, rest_share=0.2)
+    rows = iter([good] * 8 + [good._replace(duration=1.2, rest_share=0.3)])
+    monkeypatch.setattr(audit, "_measure", lambda *_: next(rows))
+    report = ml.audit_episodes(constraint, [demos[0]] * 9, velocities="recorded")
+    assert report.leave_out == () and report.episodes[0].number == 8
+    assert report.episodes[0].score == pytest.approx(np.hypot(np.log(1.2) / 0.1, 0.1 / 0.05))
+
+
 def test_an_odd_episode_is_left_out(
     features: ml.FrameJacobian, constraint: ml.Constraint, demos: ml.Demonstrations
 ) -> None:

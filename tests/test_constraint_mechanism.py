@@ -71,8 +71,8 @@ PITCHES = [(0.0, "hinge"), (1.5e-5, "hinge"), (1.7e-5, "screw"), (0.0032, "screw
 
 @pytest.mark.parametrize(("pitch", "kind"), PITCHES)
 def test_one_free_twist_of_the_hand(robot_of, pitch, kind) -> None:
-    """A hand that is fixed to a hinge or a screw: the twist that is left has their pitch and their distance; less than a
-    tenth of the flattest thread in use is none.
+    """A hand that is fixed to a hinge or a screw: the twist that is left has their pitch and their distance; less than
+    a tenth of the flattest thread in use is none.
     """
     features = ml.FrameJacobian(robot_of("sawyer"), TIP, "pose", "local")
     v = np.cross([0.2, -0.1, 0.05], AXIS) + pitch * AXIS  # of the hand's origin, for a turn of 1 rad/s
