@@ -27,11 +27,10 @@ QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli controller mjcf 
 
 # what adds up many numbers: other processors' sums differ in the last bits, so these are run with OpenBLAS's kernels for
 # others too. A name that this machine's OpenBLAS does not have (as on ARM) is another kernel or its own, with a warning
-NUMERICAL := $(addprefix tests/test_,$(addsuffix .py,axioms closed_loops constraint constraint_mechanism \
-	controller experiments_pinned features follow_motion frame_choice free_direction gradients imposed law \
-	learning_parts limits linalg manipulability mechanism motion native_engine pinned_answers places \
-	planar_arm policies pose_error recombination robot rotations task_frame tasks uncertainty velocities \
-	weighted_fit witness))
+NUMERICAL := $(addprefix tests/test_,$(addsuffix .py,closed_loops constraint constraint_mechanism controller \
+	features follow_motion frame_choice free_direction gradients imposed law learning_parts limits linalg \
+	mechanism motion native_engine pinned_answers planar_arm recombination robot tasks uncertainty velocities \
+	witness))
 KERNELS ?= Haswell Zen Prescott Nehalem Sandybridge
 # which no processor of today chooses by itself: without AVX and FMA
 OTHER_KERNEL ?= Prescott
