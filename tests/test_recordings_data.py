@@ -121,18 +121,6 @@ def test_the_tip_obeys_the_truth(part, kind: str) -> None:
     assert all(sum(end - start for start, end, _ in windows) > 1.0 for windows in truth["windows"])
 
 
-def test_the_rows_of_the_truth_stop_the_tip_in_contact(part) -> None:
-    """What `rows` takes of the tip's velocity is zero in the windows."""
-    trajectories, truth = part("make_recordings.kinematic_sets").make_set("screw", "panda", 6, 2, noise=0.0)
-    robot, rows = arm("panda"), np.array(truth["mechanisms"][0]["rows"]).reshape(-1, 6)
-    for (time, q), windows in zip(trajectories, truth["windows"], strict=True):
-        u = 0.5 * (q[2:] - q[:-2]) * truth["rate"]
-        motion = np.array([robot.jacobian(a, robot.frame(truth["tip"])) @ b for a, b in zip(q[1:-1], u, strict=True)])
-        inside = (time[1:-1] > windows[0][0] + 0.02) & (time[1:-1] < windows[0][1] - 0.02)
-        speed = np.sqrt(np.mean(np.sum(motion[inside] ** 2, axis=1)))
-        assert np.max(np.abs(motion[inside] @ rows.T), initial=0.0) < 2e-3 * speed
-
-
 def test_the_same_seed_gives_the_same_recordings(part) -> None:
     """Equal to the last bit; another seed gives others; the noise is drawn apart from the motion."""
     make_set = part("make_recordings.kinematic_sets").make_set
