@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
-import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -247,16 +246,6 @@ def test_package_dirs_must_exist(arm, tmp_path):
         load_robot(arm, package_dirs=[tmp_path / "nowhere"])
     for given in (str(tmp_path), tmp_path):
         assert load_robot(arm, package_dirs=given).package_dirs == (tmp_path,)
-
-
-def test_errors_survive_pickling(tmp_path):
-    """What a worker process raises arrives with its code and line."""
-    path = tmp_path / "bad.urdf"
-    path.write_bytes(edited(("0 0 0.3", "0 0 x")))
-    with pytest.raises(RobotError) as caught:
-        load_robot(path)
-    copy = pickle.loads(pickle.dumps(caught.value))
-    assert (copy.code, copy.line, copy.path, str(copy)) == ("number", 10, path, str(caught.value))
 
 
 # an expression in a xacro file -> what the sentence says

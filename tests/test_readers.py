@@ -20,7 +20,7 @@ import pytest
 from case import case
 from hypothesis import given
 from hypothesis import strategies as st
-from recording_corpus import FULL, GOOD, HEADER, JOINTS, TABLE, TIME, VELOCITIES, Q, U, csv, refusal, text
+from recording_corpus import FULL, GOOD, HEADER, JOINTS, TABLE, TIME, VELOCITIES, Q, U, csv, refusal
 from recording_formats import (
     FPS,
     KINDS,
@@ -579,8 +579,10 @@ def bomb_in_a_message(path: Path) -> None:
         database.execute("UPDATE messages SET data = ? WHERE id = 20", (BOMB,))
 
 
-def packed(kind: str, spoil: Any, **options: Any) -> Unfit:
-    return unfit("bomb", "", spoilt(bag(kind, all_in_one(), **options), spoil))
+def packed(kind: str, spoil: Any, given: Any = Path, **options: Any) -> Unfit:
+    """A bag, or its file, that unpacks to more than any recording."""
+    build = spoilt(bag(kind, all_in_one(), **options), spoil)
+    return unfit("bomb", "", lambda folder: given(build(folder)))
 
 
 POSITIONLESS = [(t, r, (s, n, (), u)) for t, r, (s, n, _, u) in all_in_one()]
@@ -666,6 +668,7 @@ REFUSED = {
     ),
     "a bomb in a block": packed("ros1", bomb_in_a_block, compression=Writer1.CompressionFormat.BZ2),
     "a claimed terabyte": packed("mcap", claimed_terabyte, mode=CompressionMode.STORAGE),
+    "... in a file": packed("mcap", claimed_terabyte, file_of, mode=CompressionMode.STORAGE),
     "a packed bomb": packed("sqlite", lambda path: path.write_bytes(BOMB), mode=CompressionMode.FILE),
     "a packed message": packed("sqlite", bomb_in_a_message, mode=CompressionMode.MESSAGE),
 }  # fmt: skip
@@ -677,6 +680,8 @@ UNMATCHED = {
     "a topic of a table": ({"topics": ["/joint_states"]}, "none of the recordings is one"),
     "names beside a header": ({"joint_names": ["a", "b", "c"]}, "name their columns or joints themselves"),
     "a feature of a table": ({"feature": "qpos"}, "features are those of LeRobot data sets"),
+}
+UNKNOWN = {
     "no option": ({"unit": "degrees"}, "there is no option 'unit'"),
     "no unit": ({"time_unit": "min"}, "'ms'"),
     "no rate": ({"rate": 0}, "positive"),
@@ -689,8 +694,10 @@ UNMATCHED = {
         for chosen in ("", "a", "1-3", "3,", "-1", "1:2:3", "1.5", [], [-1], [1.5], ["1"], 2.5, True)
     },
 }
-REFUSED |= {
-    name: unfit("option", said, one("a.csv", text(GOOD)), **options) for name, (options, said) in UNMATCHED.items()
+REFUSED |= {name: unfit("option", said, table(HEADER, TABLE), **options) for name, (options, said) in UNMATCHED.items()}
+REFUSED |= {  # before any file is opened
+    name: unfit("option", said, lambda folder: folder / "gone.csv", **options)
+    for name, (options, said) in UNKNOWN.items()
 }
 
 
