@@ -896,14 +896,6 @@ def test_paths_may_be_strings_lists_and_folders(planar3: Robot, folder: Path) ->
             refusal(paths, planar3)
 
 
-def test_broken_files_in_a_folder_are_not_passed_over(planar3: Robot, folder: Path) -> None:
-    """A recording by its name that is broken refuses the folder; a README is left out, and it is said."""
-    (folder / "README.txt").write_text("made on a Monday")
-    assert load_demonstrations(folder, planar3).notes == (f"{folder.name}: not recordings, not read: README.txt",)
-    (folder / "demo_3.csv").write_text("")
-    refusal(folder, planar3, match=r"demo_3\.csv")
-
-
 def test_trajectories_come_one_by_one(planar3: Robot, folder: Path) -> None:
     """The generator has given the first before it opens the second; notes are handed out at the end, progress is told
     after each file.

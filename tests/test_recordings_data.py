@@ -17,7 +17,6 @@ from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot
 
 MADE_WITH = "4.0.0"  # MuJoCo; other versions give other last digits
-DRAWER_AXIS = np.array([np.cos(np.deg2rad(25.0)), np.sin(np.deg2rad(25.0)), 0.0])
 FOLDERS = {"sawyer_drawer": ("sawyer", 50), "sawyer_door": ("sawyer", 8), "planar3_reach": ("planar3", 20)}
 SHIPPED = ("panda_drawer_whole", "xarm7_drawer_then_table", "ur5_loose_door", "panda_drawer_mixed")
 HELD = (
@@ -98,18 +97,6 @@ def test_the_scripts_write_the_files_again(part, tmp_path: Path, script, words, 
         (header, rows), (shipped_header, shipped) = read(tmp_path / path.name), read(path)
         assert header == shipped_header
         np.testing.assert_allclose(rows, shipped, rtol=0.0, atol=within)
-
-
-@SLOW
-def test_the_grip_keeps_to_the_rail(part) -> None:
-    """In the simulation the grip point stays within 0.1 mm of a straight line along the drawer's axis."""
-    pytest.importorskip("mujoco")
-    sawyer = arm("sawyer")
-    recording = part("record_drawer_physics").record_one(1, sawyer)
-    way = np.array([sawyer.position(q, "right_gripper_tip") for q in recording.exact])
-    way -= way[0]
-    assert np.max(np.linalg.norm(way - np.outer(way @ DRAWER_AXIS, DRAWER_AXIS), axis=1)) < 1e-4
-    np.testing.assert_allclose(-way @ DRAWER_AXIS, recording.way, atol=1e-4)
 
 
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=() if k in QUICK else SLOW) for k in HELD])

@@ -15,7 +15,7 @@ from task_sets import generated, true_rows
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.table import EvenChoice, read_evenly
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings import load as trajectory_source
@@ -167,26 +167,6 @@ def test_memory_does_not_grow(features, held):
     peak(1)  # what is loaded at first use
     small, large = peak(1), peak(5)
     assert large < small + 500_000  # the difference in data is 0.9 MB
-
-
-# ---- what cannot be used ---------------------------------------------------------------------------------------------
-
-
-def test_streams_are_checked(features, held):
-    """Joints of another robot, missing velocities and emptiness are refused in streams, too."""
-    t = held[0]
-    renamed = ml.Trajectory(t.time, t.q, t.u, tuple(f"other_{n}" for n in t.joint_names))
-    for given, words in [
-        (Yielded([*held, renamed]), "sorts by name"),
-        (Yielded([]), "no demonstrations"),
-        (iter([t, 5]), "motion 2 must be a Trajectory"),
-        (3, "must be trajectories"),
-    ]:
-        with pytest.raises(RecordingError, match=words):
-            ml.ConstraintLearner(features).fit(given)
-    plain = ml.CustomFeatures(lambda q: np.eye(7), row_names=tuple("abcdefg"), nv=7)
-    with pytest.raises(RecordingError, match="robot to derive them with|need a robot"):
-        ml.ConstraintLearner(plain, 1).fit(Yielded([ml.Trajectory(t.time, t.q)] * 300))
 
 
 # ---- files -----------------------------------------------------------------------------------------------------------
