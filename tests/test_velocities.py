@@ -93,14 +93,16 @@ def test_joints_that_turn_for_ever_and_floating_bases(robot_of, rng):
     """A continuous joint that passes pi moves on at its speed, and does not jump back by a turn; on a manifold without
     coordinates the velocities are those of the shortest way from posture to posture.
     """
-    wrist, humanoid, time, speed = robot_of("wrist"), robot_of("humanoid"), 0.02 * np.arange(60), [0.7, 0.2, -0.9, -0.1]
+    wrist, time, speed = robot_of("wrist"), 0.02 * np.arange(60), [0.7, 0.2, -0.9, -0.1]
     x = np.array([2.8, 0.1, -2.9, 0.3]) + np.outer(time, speed)
     wrapped = np.where([True, False, True, False], (x + np.pi) % (2 * np.pi) - np.pi, x)
-    u, floating = rng.uniform(-0.5, 0.5, humanoid.nv), [humanoid.random_configuration(rng)]
-    for _ in range(9):
-        floating.append(humanoid.integrate(floating[-1], 0.02 * u))
-    configurations = np.array([wrist.configuration(row) for row in x])
-    for robot, q, true in ((wrist, wrapped, speed), (wrist, configurations, speed), (humanoid, np.array(floating), u)):
+    cases = [(wrist, wrapped, speed), (wrist, np.array([wrist.configuration(row) for row in x]), speed)]
+    for base in map(robot_of, ("humanoid", "rover")):  # floating, and on a plane
+        u, moved = rng.uniform(-0.5, 0.5, base.nv), [base.random_configuration(rng)]
+        for _ in range(9):
+            moved.append(base.integrate(moved[-1], 0.02 * u))
+        cases.append((base, np.array(moved), u))
+    for robot, q, true in cases:
         derived = derive_velocities(Trajectory(time[: len(q)], q, None, robot.joint_names), robot)
         np.testing.assert_allclose(derived.u, np.tile(true, (len(q), 1)), atol=1e-9)
 
