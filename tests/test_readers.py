@@ -20,7 +20,7 @@ import pytest
 from case import case
 from hypothesis import given
 from hypothesis import strategies as st
-from recording_corpus import FULL, GOOD, HEADER, JOINTS, TABLE, TIME, VELOCITIES, Q, U, csv, refusal
+from recording_corpus import FULL, GOOD, HEADER, JOINTS, TABLE, TIME, VELOCITIES, Q, U, csv, refusal, text
 from recording_formats import (
     FPS,
     KINDS,
@@ -637,6 +637,9 @@ REFUSED = {
         f"LeRobot feature, {name}": unfit("no-state", said, droid, **{**NAMED, "feature": feature})
         for name, (feature, said) in FEATURES.items()
     },
+    "brackets in brackets": unfit(
+        "damaged", "100 brackets", lambda folder: one("metadata.yaml", text("[" * 200 + "]" * 200))(folder).parent
+    ),
     "LeRobot stamps against fps": unfit(
         "fps", "say 30 frames per second, fps says 50",
         lerobot(frames({0: motion(0)}, timestamp=pa.array(STAMPS / 30.0))), units="radians",
