@@ -21,9 +21,8 @@ export PYTHONDONTWRITEBYTECODE :=
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
 # what touches other libraries: files in and out, robots, the command line; pytest refuses a missing file
-QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli controller mjcf loading load_demonstrations \
-	playback meshes rollout_file linalg examples csv_reader lerobot_reader \
-	npz_reader robomimic_reader rosbag_reader))
+QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli controller mjcf loading playback meshes \
+	linalg examples readers saved_files))
 
 # what adds up many numbers: other processors' sums differ in the last bits, so these are run with OpenBLAS's kernels for
 # others too. A name that this machine's OpenBLAS does not have (as on ARM) is another kernel or its own, with a warning

@@ -13,8 +13,7 @@ import scipy.io
 from case import case
 from obeying import advised, obeyed, said
 from recording_corpus import TABLE, refusal
-from test_robomimic_reader import ENV_ARGS
-from test_rosbag_reader import START, write_bag
+from recording_formats import ENV_ARGS, START, write_bag
 
 from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import load_robot

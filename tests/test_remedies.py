@@ -15,10 +15,20 @@ import pyarrow as pa
 import pytest
 from obeying import advised
 from recording_corpus import GOOD, JOINTS, TABLE, TIME, VELOCITIES, Q, csv, npz, text
-from test_lerobot_reader import dataset, info, motion, version_2
-from test_lerobot_reader import table as frames
-from test_robomimic_reader import write
-from test_rosbag_reader import ROS2, START, STEPS, Writer2, all_in_one, write_bag
+from recording_formats import (
+    ROS2,
+    START,
+    STEPS,
+    Writer2,
+    all_in_one,
+    dataset,
+    frames,
+    info,
+    motion,
+    version_2,
+    write_bag,
+)
+from recording_formats import robomimic as write
 
 from manip_learn.cli import main
 
@@ -65,7 +75,7 @@ def shuffled(folder: Path) -> Path:
 
 
 def changing_names() -> list[Any]:
-    return [(t, r, (s, (f"x{k}", *n[1:]), q)) for k, (t, r, (s, n, q, *_)) in enumerate(all_in_one() * 2)]
+    return [(t, r, (s, (f"x{k}", *n[1:]), q)) for k, (t, r, (s, n, q, *_)) in enumerate(all_in_one() * 6)]
 
 
 def lerobot(described: Any = None, drop: tuple[str, ...] = (), **more: Any) -> Build:
