@@ -459,8 +459,6 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     told = known is not None and known.kind.type == "ball" and (known.mechanism.radius or 0.0) > ON_THE_AXIS
     if whole and fit.motion.J is not None and not told:
         firm = whole_fit(whole, fit, [s for s in spans if s.recording in fit.motion.recs], settings, gate)
-        # a grip that gives way turns more than it slides, and a hand that is free to turn may turn alike each time
-        firm = None if firm and known is not None and firm.variance > OVER_NOISE * fit.variance else firm
     sizes, _, gaps = levels_on(view, spans)
     a = Answer(view, spans, fit.rows, sizes, gaps, evidence=evidence, fit=fit, firm=firm)
     inside = table.inside(spans, learnt_from=True)

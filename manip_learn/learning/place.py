@@ -334,7 +334,10 @@ def whole_fit(
             moves = [np.count_nonzero(np.linalg.svd(x, compute_uv=False) > ON_THE_AXIS) for x in free]
             # where the gap is clear, rotation by independent joints alone counts
             most = min(GIVES_WAY if gap < CLEAR_GAP else np.inf, apart / CLEAR_GAP)
-            if away > most or 3 - int(np.median(moves)) < len(place.rows):
+            # where the place tells as much, it tells it better: a grip that gives way turns more than it slides, and a
+            # hand that is free to turn may turn alike each time
+            held, as_well = 3 - int(np.median(moves)), fit.variance <= OVER_NOISE * place.variance
+            if away > most or held < len(place.rows) + (not as_well):
                 continue
             named = kind_of(fit) is not None
             if (named, gap) <= largest or not (named or gap > CLEAR_GAP):
