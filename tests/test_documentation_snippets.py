@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from documentation_blocks import Block, blocks, differences
 from documentation_scene import furnish, names, vendors
-from library_source import listed
 from vendor_fakes import Clock
 
 from manip_learn.cli import main
@@ -92,7 +91,7 @@ def test_each_block_says_what_it_is():
                 for line in lines
                 if line.strip() and line not in block.commands and not OTHER_PROGRAMS.match(line.strip())
             ]
-    assert not faults, listed(faults)
+    assert not faults, faults
 
 
 def test_an_output_is_compared_in_words_and_numbers():
