@@ -443,18 +443,20 @@ def test_what_was_shown_is_drawn_and_what_was_done_is_told(ways, page_of):
         wait_until(page, f"document.querySelector('#chart .curve').getAttribute('stroke') {same} '#0072b2'")
 
 
-def test_two_panes_on_one_clock(ways, page_of):
+def test_two_panes_on_one_clock(drawer, page_of):
     """Each pane shows its own rollout alone, the clock is zero where the hand takes hold in both, captions say what
     became of them; the address opens a moment and a view, and the picture is saved.
     """
-    (robot, done, _), halves = ways, []
-    way = done["as shown"].ways[0]
-    first, late = (replace(done["as shown"], phases=(), ways=({**way, "begins": t},)) for t in (0.2, 0.9))
-    for second, zero in ((late, 0.9), (first, 0.2)):
+    robot, halves = drawer.features.robot, []
+    way = {"name": "way", "wanted": 0.15, "done": 0.12, "unit": "m", "stopped_by": None, "deviation": 0.0}
+    tasks = [ml.FreeDirection(drawer, by, 0.4) for by in (-0.15, -0.08)]
+    far, near = (ml.simulate(robot, ml.ResolvedRateController(drawer, t), START, 1.2, 0.01) for t in tasks)
+    first, late = (replace(r, ways=({**way, "begins": begins},)) for r, begins in ((far, 0.2), (near, 0.5)))
+    for second, zero in ((late, 0.5), (first, 0.2)):
         page = page_of(robot, {"a": first, "b": second}, view="#t=0.4&view=top", side_by_side=True, align="grasp")
         assert page.evaluate("manipLearn.time") == pytest.approx(zero + 0.4)
         assert page.locator("#clock").inner_text() == "0.40 s"
-        assert all("0.12 of 0.12 m" in said for said in page.locator(".panes p").all_inner_texts())
+        assert all("0.12 of 0.15 m" in said for said in page.locator(".panes p").all_inner_texts())
         box = page.locator("#scene canvas").bounding_box()
         clip = {"x": box["x"], "y": box["y"], "width": box["width"] / 2, "height": box["height"] - 60}
         halves.append([picture(page, {**clip, "x": clip["x"] + k * clip["width"]}) for k in (0, 1)])
