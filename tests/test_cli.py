@@ -279,8 +279,6 @@ def test_no_output_replaces_an_input(run, tmp_path, name, flag, read):
         spellings.append((["folder" if word == source else word for word in line], "folder/rec_02.csv"))
     if source == "arm.urdf":  # its mesh
         spellings.append((line, "folder/base.stl"))
-    if name == "export" and source == "rec_01.csv":  # which names files in a folder itself
-        spellings.append((["export", "planar3", "folder/rec_02.csv", "--to", "csv"], "folder"))
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     for words, out in spellings:
         code, said, err = run(*words, flag, out)
@@ -353,6 +351,8 @@ def test_exported_files_are_named_after_their_recordings(run, answer):
     for words, shown in (("one --to csv", "one/last.1.csv"), ("one.CSV", "one.CSV")):
         code, out, _ = run("export", "planar3", "last.1.csv", "--out", *words.split())
         assert code == 0 and Path(shown).is_file() and f"1 trajectory, {len(lines)} samples" in out
+    code, _, err = run("export", "planar3", "one/last.1.csv", "--to", "csv", "--out", "one")
+    assert code == 2 and "would replace an input" in err
 
 
 EVIL = "\x1b[31m\x9b2J\u202e"

@@ -131,7 +131,11 @@ REFUSED: dict[str, tuple[str, Build, tuple[str, ...]]] = {
     "far outside the limits": ("outside-limits", table(HEAD, TIME, Q + [0.0, 900.0, 0.0]), ()),
     "an archive without stamps": ("no-time", archive(time=None, u=None), ()),
     "an archive without names": ("no-joint-names", archive(joint_names=None, u=None), ()),
-    "an archive of another name": ("missing-array", one("a.npz", npz(time=TIME, measured=Q, other=Q, joint_names=np.array(JOINTS))), ()),
+    "an archive of another name": (
+        "missing-array",
+        one("a.npz", npz(time=TIME, measured=Q, other=Q, joint_names=JOINTS)),
+        (),
+    ),
     "too few names": ("shape", archive(joint_names=None, u=None), ("--joint-names", "joint1,joint2")),
     "several topics": ("ambiguous-topic", bag(all_in_one(topic="/real"), all_in_one(topic="/other")), ()),
     "names that change": ("unsteady-names", bag(CHANGING, all_in_one(topic="/real")), ()),
