@@ -49,8 +49,8 @@ def words(ax: Any) -> set[str]:
 
 
 def test_mu_is_drawn_with_its_status_and_what_was_shown(ax, runs):
-    """Each rollout is a curve with its name; a line "singular" at 0; the band of the recordings; the unit of mu. One, or
-    a list, needs no names; what is no rollout is told.
+    """Each rollout is a curve with its name; a line "singular" at 0; the band of the recordings; the unit of mu. One,
+    or a list, needs no names; what is no rollout is told.
     """
     assert plots.manipulability(runs, ax) is ax
     for line, rollout in zip(ax.lines, runs.values(), strict=False):

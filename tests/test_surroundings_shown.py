@@ -36,7 +36,7 @@ def planned(sawyer: ml.Robot) -> ml.Plan:
 
 
 def test_a_rollout_carries_what_stands_around(planned: ml.Plan, sawyer: ml.Robot, tmp_path: Path):
-    """Names, kinds, sizes and places, in both formats that are read back; damaged ones are refused."""
+    """Names, kinds, sizes and places, in both formats that are read back and on its page; damaged ones are refused."""
     around = {thing["name"]: thing for thing in planned.rollout.around}
     kinds = {"floor": "face", "box": "box", "ball": "sphere", "post": "cylinder", "wedge": "mesh"}
     assert {name: thing["kind"] for name, thing in around.items()} == kinds
@@ -46,20 +46,16 @@ def test_a_rollout_carries_what_stands_around(planned: ml.Plan, sawyer: ml.Robot
     assert len(around["wedge"]["faces"]) == 4 and not any(thing["assumed"] for thing in around.values())
     for name in ("a.npz", "a.csv"):
         assert ml.Rollout.load(planned.save(tmp_path / name), sawyer).around == planned.rollout.around
-    file = tmp_path / "a.csv"
-    file.write_text(file.read_text().replace('"kind": "sphere"', '"kind": "cloud"'))
-    with pytest.raises(RecordingError):
-        ml.Rollout.load(file, sawyer)
-
-
-def test_a_page_draws_what_stands_around(planned: ml.Plan, sawyer: ml.Robot, tmp_path: Path):
-    """Each thing with its kind, size and place, and the mesh with its own."""
-    ml.replay(sawyer, {"plan": planned.rollout}, tmp_path / "a.html", open_browser=False)
-    things = {thing["name"]: thing for thing in data_in(tmp_path / "a.html")["rollouts"][0]["around"]}
+    page = data_in(ml.replay(sawyer, {"plan": planned.rollout}, tmp_path / "a.html", open_browser=False).html)
+    things = {thing["name"]: thing for thing in page["rollouts"][0]["around"]}
     assert things["box"]["size"] == [0.3, 0.2, 0.1] and things["post"]["size"] == [0.05, 0.4]
     places = {name: np.reshape(thing["pose"], (4, 4))[:3, 3].tolist() for name, thing in things.items()}
     assert places["box"] == [0.3, 0.9, 0.2] and places["ball"] == [0.3, -0.9, 0.2]
     assert [name for name, thing in things.items() if thing["mesh"]] == ["wedge"]
+    file = tmp_path / "a.csv"
+    file.write_text(file.read_text().replace('"kind": "sphere"', '"kind": "cloud"'))
+    with pytest.raises(RecordingError):
+        ml.Rollout.load(file, sawyer)
 
 
 @pytest.mark.parametrize("kind", ["drawer", "door", "table"])
