@@ -9,19 +9,11 @@ import numpy as np
 import pytest
 from test_playback import data_in, waving
 
-from manip_learn.control.rollout import Rollout
+import manip_learn as ml
 from manip_learn.errors import RecordingError
-from manip_learn.playback import replay
 from manip_learn.playback.palette import PhaseBand, phase_bands, phases_from_json
-from manip_learn.recordings.trajectory import Trajectory
 
 FREE, FIRST, SECOND = ("a", 0.0, 1.0, None), ("a", 1.0, 2.0, 0), ("b", 0.5, 1.5, 1)
-
-
-def recorded(robot, start=0.0, duration=2.0):
-    """A recording whose clock does not begin at zero."""
-    rollout = waving(robot, duration)
-    return Trajectory(rollout.time + start, rollout.q, None, rollout.joint_names, "a")
 
 
 BAD_PHASES = [
@@ -55,12 +47,12 @@ def test_phases_survive_json_and_bad_ones_are_refused():
 
 def test_times_are_moved_to_the_first_sample(robot_of, tmp_path):
     """Phases are given on the recording's own clock, drawn from its first sample on, and cut where it ends."""
-    robot = robot_of("planar3")
+    robot, rollout = robot_of("planar3"), waving(robot_of("planar3"))
     phases = [("a", 99.0, 100.5, None), ("a", 100.5, 107.0, 0), ("a", 110.0, 111.0, 1)]
-    data = data_in(replay(robot, {"a": recorded(robot, start=100.0)}, tmp_path / "a.html", phases=phases).html)
-    (shown,) = data["rollouts"]
-    np.testing.assert_allclose(shown["phases"], [[0.0, 0.5, -1], [0.5, 2.0, 0]])
-    data = data_in(replay(robot, {"a": recorded(robot), "b": recorded(robot)}, tmp_path / "a.html").html)
+    recorded = ml.Trajectory(rollout.time + 100.0, rollout.q, None, rollout.joint_names, "a")
+    data = data_in(ml.replay(robot, {"a": recorded}, tmp_path / "a.html", phases=phases).html)
+    np.testing.assert_allclose(data["rollouts"][0]["phases"], [[0.0, 0.5, -1], [0.5, 2.0, 0]])
+    data = data_in(ml.replay(robot, {"a": recorded, "b": recorded}, tmp_path / "a.html").html)
     assert data["phaseKinds"] == data["mechanisms"] == [] and len({r["colour"] for r in data["rollouts"]}) == 2
 
 
@@ -68,10 +60,12 @@ OWN = (("approach", 0.0, 0.8), ("hold", 0.8, 1.0), ("way", 1.0, 2.0))
 
 
 def test_a_rollouts_own_phases_are_bands_in_its_own_colour(robot_of, tmp_path):
-    """They are in the page with their words, and the page is not one of constraints: all keep their colours."""
+    """They are in the page with their words, from its files too, and the page is not one of constraints: all keep their
+    colours; those of constraints replace them where they are given.
+    """
     robot = robot_of("planar3")
-    rollouts = {"plan": replace(waving(robot), phases=OWN), "zero": waving(robot, phase=1.0)}
-    data = data_in(replay(robot, rollouts, tmp_path / "a.html").html)
+    rollout, page = replace(waving(robot), phases=OWN), tmp_path / "a.html"
+    data = data_in(ml.replay(robot, {"plan": rollout, "zero": waving(robot, phase=1.0)}, page).html)
     plan, zero = data["rollouts"]
     assert plan["phases"] == [[0.0, 0.8, 0], [0.8, 1.0, 1], [1.0, 2.0, 2]]
     assert [k["label"] for k in plan["phaseKinds"]] == [k["mark"] for k in plan["phaseKinds"]] == [p[0] for p in OWN]
@@ -79,17 +73,11 @@ def test_a_rollouts_own_phases_are_bands_in_its_own_colour(robot_of, tmp_path):
     approach, hold, way = (k["strength"] for k in plan["phaseKinds"])
     assert approach < hold < way == 1.0
     assert zero["phases"] == data["phaseKinds"] == [] and "phaseKinds" not in zero
-
-
-def test_phases_of_files_and_of_constraints(robot_of, tmp_path):
-    """Phases saved with a rollout are drawn as its own; those of constraints replace them where they are given."""
-    robot = robot_of("planar3")
-    rollout = replace(waving(robot), phases=OWN)
-    drawn = data_in(replay(robot, {"plan": rollout}, tmp_path / "a.html").html)["rollouts"]
+    drawn = data_in(ml.replay(robot, {"plan": rollout}, page).html)["rollouts"]
     for ending in (".npz", ".csv"):
-        again, _ = Rollout.load_with_notes(rollout.save(tmp_path / f"a{ending}"), robot)
-        assert data_in(replay(robot, {"plan": again}, tmp_path / "a.html").html)["rollouts"] == drawn, ending
-    data = data_in(replay(robot, {"a": rollout, "b": rollout}, tmp_path / "a.html", phases=[FREE, FIRST]).html)
+        again, _ = ml.Rollout.load_with_notes(rollout.save(tmp_path / f"a{ending}"), robot)
+        assert data_in(ml.replay(robot, {"plan": again}, page).html)["rollouts"] == drawn, ending
+    data = data_in(ml.replay(robot, {"a": rollout, "b": rollout}, page, phases=[FREE, FIRST]).html)
     a, b = data["rollouts"]
     assert a["phases"] == [[0.0, 1.0, -1], [1.0, 2.0, 0]] and "phaseKinds" not in a
     assert len(b["phases"]) == len(b["phaseKinds"]) == 3 and len(data["phaseKinds"]) == 2

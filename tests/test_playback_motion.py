@@ -7,8 +7,7 @@ import pinocchio as pin
 import pytest
 from test_playback import data_in, unpacked, waving
 
-from manip_learn.control.rollout import Rollout
-from manip_learn.playback import replay
+import manip_learn as ml
 from manip_learn.playback.appearance import Appearance, joint_tracks, kinematic_tree
 from manip_learn.playback.recorded_motion import (
     MAX_KEY_FRAMES,
@@ -67,40 +66,26 @@ def test_key_frames_are_few_and_keep_the_ends():
     assert key_frames(np.array([0.0, 1e9])).tolist() == [0, 1]
 
 
-def played(robot, rollout, folder, **more):
-    """The only rollout of a page, and its curve, the times of the curve, and path and times of the tip, unpacked."""
-    (drawn,) = data_in(replay(robot, {"a": rollout}, folder / "a.html", **more).html)["rollouts"]
-    path, path_times = unpacked(drawn["path"], "<f4").reshape(-1, 3), unpacked(drawn["pathTimes"], "<f4")
-    return drawn, unpacked(drawn["curve"]), unpacked(drawn["curveTimes"]), path, path_times
-
-
 def test_thinned_curves_keep_every_dip(robot_of, tmp_path):
-    """A dip of one sample among 50,000 is in the curve, and the page's path and curve stay short."""
-    robot = robot_of("planar3")
-    rollout = waving(robot, 500.0)
+    """A dip of one sample among 50,000 is in the curve, and the page's path and curve stay short; the path goes through
+    the tip at its times; the strip says when each status begins.
+    """
+    robot, rollout = robot_of("planar3"), waving(robot_of("planar3"), 500.0)
     mu = np.ones(len(rollout))
     mu[33_333] = 1e-4
-    long = Rollout(rollout.time, rollout.q, rollout.u, mu, ("ok",) * mu.size, robot.joint_names, mu)
-    drawn, curve, times, path, _ = played(robot, long, tmp_path)
-    assert curve.size <= MOST_OF_A_CURVE + 2
-    assert curve.min() == 1e-4
-    assert times[np.argmin(curve)] == rollout.time[33_333]
-    assert path.shape[0] <= MAX_PATH_POINTS
-    assert drawn["status"] == [[0.0, "ok", "ok"]]
+    words = np.where(rollout.time < 2.0, "ok", np.where(rollout.time < 3.0, "damped", "singular"))
+    long = ml.Rollout(rollout.time, rollout.q, rollout.u, mu, tuple(words), robot.joint_names, mu)
+    (drawn,) = data_in(ml.replay(robot, {"a": long}, tmp_path / "a.html").html)["rollouts"]
+    curve, path = unpacked(drawn["curve"]), unpacked(drawn["path"], "<f4")
+    assert curve.size <= MOST_OF_A_CURVE + 2 and path.size <= 3 * MAX_PATH_POINTS
+    assert curve.min() == 1e-4 and unpacked(drawn["curveTimes"])[np.argmin(curve)] == rollout.time[33_333]
+    assert [(t, word) for t, word, _ in drawn["status"]] == [(0.0, "ok"), (2.0, "damped"), (3.0, "singular")]
     assert drawn["duration"] == pytest.approx(500.0)
-
-
-def test_path_and_status_are_the_rollouts(robot_of, tmp_path):
-    """The path goes through the tip at its times; the strip says when each status begins."""
     robot = robot_of("sawyer")
     tip, rollout = robot.frame("right_hand"), waving(robot)
     motion = recorded_motion(robot, tip, guided_motion(robot, "a", rollout))
     at = np.searchsorted(rollout.time, motion.path_times - 1e-9)
     np.testing.assert_allclose(motion.path, [robot.position(rollout.q[i], tip) for i in at], atol=1e-12)
-    robot, time, words = robot_of("one"), np.arange(6.0), ("ok", "ok", "damped", "ok", "ok", "singular")
-    rollout = Rollout(time, np.zeros((6, 1)), np.zeros((6, 1)), time, words, robot.joint_names, time)
-    changes = [(t, word) for t, word, _ in played(robot, rollout, tmp_path)[0]["status"]]
-    assert changes == [(0.0, "ok"), (2.0, "damped"), (3.0, "ok"), (5.0, "singular")]
 
 
 def test_planar_arms_are_seen_from_above(robot_of):
