@@ -157,7 +157,9 @@ def test_a_hand_whose_joint_meets_its_limit_stays_on_the_line(run, shown):
 
 
 def test_the_demo_shows_the_difference(run):
-    """From one start: as far as was shown with what was learnt, at most a third as far without; side by side."""
+    """From one start: as far as was shown with what was learnt, at most a third as far without; side by side. Of the
+    small robot too; or all the policies that its help names.
+    """
     code, out, _err = run("demo", "--no-browser", "--json")
     answer = json.loads(out)
     rollouts, page = answer["rollouts"], data_in(Path(answer["html"]))
@@ -170,8 +172,16 @@ def test_the_demo_shows_the_difference(run):
     assert [pane["name"] for pane in page["panes"]] == ["without", "with"]
     grasps = [r["phases"][-1][0] if r["phases"] else page["zero"] for r in page["rollouts"]]
     assert grasps == pytest.approx([page["zero"]] * 2, abs=0.02)  # one clock from the grasp
-    code, out, _err = run("demo", "--no-browser", "--json", "--all-policies")
-    assert code == 0 and list(json.loads(out)["rollouts"]) == ["plan", "manipulability", "attractor", "zero"]
+    policies = ["manipulability", "attractor", "zero"]
+    for more, names in (
+        (["--all-policies"], ["plan", *policies]),
+        (["--robot", "planar3"], ["without", "with"]),
+        (["--robot", "planar3", "--all-policies"], policies),
+    ):
+        code, out, _err = run("demo", "--no-browser", "--out", "here", *more)
+        assert code == 0 and all(f" {name} " in f" {out} " for name in names)
+        assert [rollout["name"] for rollout in data_in(Path("here/replay.html"))["rollouts"]] == names
+    assert "a plan and the policies manipulability, attractor and zero" in run("demo", "--help")[1]
 
 
 def test_a_plan_on_the_command_line(run, shown):
