@@ -69,7 +69,9 @@ def test_numbers_come_with_their_noun():
         (1200, "trajectory"): "1,200 trajectories",
         (0, "stretch"): "0 stretches",
     }
-    assert {pair: errors.counted(*pair) for pair in counts} == counts and errors.counted(2, "trajectory") == "2 trajectories"
+    assert {pair: errors.counted(*pair) for pair in counts} == counts and errors.counted(
+        2, "trajectory"
+    ) == "2 trajectories"
     assert [errors.named("joint", names) for names in (["a"], iter("abc"))] == ["joint a", "joints a, b and c"]
     said = {(8.4e-4, "degrees"): "0.0008 degrees", (7.43, "mm"): "7.4 mm", (3e-6, "m"): "better than 0.0001 m"}
     said |= {(0.0949, "mm"): "0.09 mm", (0.095, "mm"): "0.095 mm", (0.0001, "mm"): "0.0001 mm"}

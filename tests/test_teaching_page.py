@@ -45,7 +45,7 @@ RECORDINGS = [
 LINE = [packed(np.array([[0.4, 0.4, 0.0], [0.9, 0.4, 0.0]]), "<f4")]
 ANSWER = {
     "sentence": "The hand moves along a line.", "refused": False, "evidence": "They agree to 0.4 mm.",
-    "facts": [["direction", "-x", "within 0.3 degrees"]], "rows": [["1", "held", "310", "1e-6"]],
+    "facts": [["direction", "-x within 0.3 degrees"]], "rows": [["1", "held", "310", "1e-6"]],
     "warnings": ["recordings are few"], "odd": [["second", "leaves the line"]], "next": "", "offer": None,
     "phaseKinds": [{"label": HOSTILE, "colour": "#0072b2"}],
     "mechanism": {"type": "line", "sentence": "a line", "patches": [], "way": "", "hold": False, "shown": "",
