@@ -48,7 +48,7 @@ def test_each_fault_of_a_page_is_found(check, tmp_path):
     for fault, words in FAULTS.items():
         (tmp_path / "a.html").write_text(GOOD + fault, encoding="utf-8")
         assert list(check.faults_of_pages(tmp_path)) == ([f"a.html: {words}"] if words else []), fault
-    (tmp_path / "other.png").write_bytes(b"")
+    (tmp_path / "a.html").write_text(GOOD, encoding="utf-8")
     (tmp_path / "style.css").write_text('@import "https://example.org/more.css";', encoding="utf-8")
     assert list(check.faults_of_pages(tmp_path)) == ["style.css: loads https://example.org/more.css"]
 
