@@ -398,12 +398,7 @@ def test_busy_program_holds_up_nobody(heard):
     closing ends the process.
     """
     go_on, statuses = threading.Event(), []
-
-    def busy(line):
-        go_on.wait(60.0)
-        heard(line)
-
-    process = LiveProcess(lambda token: HELLO.decode(), 10.0, busy)
+    process = LiveProcess(lambda token: HELLO.decode(), 10.0, lambda line: (go_on.wait(60.0), heard(line)))
     pid, body = server_pid(), json.dumps({"text": 15_000 * "x"}).encode()
     speakers = [threading.Thread(target=lambda: statuses.append(post(process.url, body))) for _ in range(20)]
     with stream(process.url) as events:

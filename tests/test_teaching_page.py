@@ -237,28 +237,9 @@ def test_dragging_the_tip_pulls_it_in_the_plane_of_the_view(program, page):
     assert np.linalg.norm(np.cross(turn, to_eye)) < 1e-9 < np.linalg.norm(turn)
 
 
-def test_a_link_is_taken_where_it_is_hit(program, page):
-    """A pull of a link names it and the point in its joint's frame; beside the arm the camera turns, unsaid."""
-    middle = (program.robot.pose(START, program.robot.frame("link1")) @ [0.15, 0.0, 0.0, 1.0])[:3]
-    at = on_screen(page, f"screenOf({middle.tolist()})")
-    drag(page, (0, 0), start=at)
-    until(page, lambda: program.all("pull"), "the link is not taken")
-    let_go(program, page)
-    pull = program.last("pull")
-    taken = program.robot.pose(START, program.robot.frame(pull["link"])) @ [*pull["at"], 1.0]
-    np.testing.assert_allclose(taken[:3], pull["to"], atol=1e-6)
-    assert np.hypot(*(on_screen(page, f"screenOf({taken[:3].tolist()})") - at)) < 1.0  # [px]
-    assert abs(taken[2] - middle[2]) < 0.05  # [m] of the skin above the middle
-    eye, number = page.evaluate("manipLearnTeach.toEye()"), len(program.heard)
-    drag(page, (140, -40), start=(60, 300))
-    page.mouse.up()
-    assert np.linalg.norm(np.subtract(page.evaluate("manipLearnTeach.toEye()"), eye)) > 0.05
-    assert len(program.heard) == number
-
-
 def test_the_hand_is_moved_by_keys(program, page):
-    """H takes the tip, arrows and page keys move the pull by a centimetre, with shift they turn the hand about the axes
-    of the view, N goes to the nearest handle, G grips, escape lets go; after it arrows turn the camera.
+    """H takes the tip, arrows and page keys move the pull by a centimetre, N goes to the nearest handle, G
+    grips, escape lets go.
     """
     page.locator("#scene").focus()
     page.keyboard.press("h")
@@ -268,21 +249,12 @@ def test_the_hand_is_moved_by_keys(program, page):
         page.keyboard.press(key)
         until(page, lambda number=number: len(program.all("pull")) > number + 1, key)
         assert np.linalg.norm(np.array(program.last("pull")["to"]) - before) == pytest.approx(0.01, abs=1e-9), key
-    page.keyboard.press("Shift+PageUp")
-    page.keyboard.press("Shift+PageUp")
-    twice = np.radians(6.0) * np.array(page.evaluate("manipLearnTeach.toEye()"))
-    until(page, lambda: np.allclose(program.last("pull")["turn"] or 0.0, twice, atol=1e-9), "shift turns nothing")
     page.keyboard.press("n")
     until(page, partial(program.comes, count()), "N does not go to the handle")
     page.keyboard.press("g")
     until(page, lambda: program.all("grip") == [{"do": "grip", "closed": True}], "G does not grip")
     page.keyboard.press("Escape")
     until(page, lambda: program.all("release"), "escape does not let go")
-    eye, number = page.evaluate("manipLearnTeach.toEye()"), len(program.heard)
-    page.keyboard.press("ArrowLeft")
-    wait_for_frames(page)
-    assert np.linalg.norm(np.subtract(page.evaluate("manipLearnTeach.toEye()"), eye)) > 0.05
-    assert len(program.heard) == number
 
 
 def test_everything_is_text_and_keeps_no_reader_out(program, page):
@@ -390,11 +362,8 @@ def test_the_next_step_and_the_cards(program, page):
     for state, button, step in (
         ({}, "Record 1 of 5", "show"),
         ({"doing": "recording", "recording": {"name": "recording", "seconds": 1.2}}, "Stop (1.2 s)", "show"),
-        ({"recordings": five[:3], "unlearnt": 3}, "Record 4 of 5", "show"),
         (shown, "Learn", "show"),
-        ({**shown, "doing": "learning"}, "Learning …", "show"),
         ({"recordings": five, "answer": REFUSAL}, "Record another one", "learn"),
-        ({**learnt, "unlearnt": 1}, "Learn", "show"),
         (learnt, "Let the arm do it", "do"),
         ({**learnt, "doing": "running"}, "Stop", "do"),
         ({**learnt, "run": done}, "Reset the arm", "do"),
@@ -428,8 +397,8 @@ def test_an_end_and_a_lost_line_are_told(chromium, robot_of, end):
 
 
 def test_ghosts_are_played_beside_the_arm(program, page):
-    """Each has a button that hides it, a bar for the room that it has left, its curve, and says how it ended; at the
-    end they stay, the one that failed with its centimetres in the picture.
+    """Each has a button that hides it, its curve, and says how it ended; at the end they stay, the one that failed with
+    its centimetres in the picture.
     """
     times = np.linspace(0.0, 1.0, 5)
     ways = joint_tracks(program.robot, START + times[:, None] * [0.3, 0.0, 0.1])
@@ -439,14 +408,9 @@ def test_ghosts_are_played_beside_the_arm(program, page):
     ghosts = [ghost | {"name": name, "ended": ended, "colourName": "blue"} for name, ended in said.items()]
     program.say(**LEARNT)
     program.put("ghosts", {"number": 1, "kind": "compare", "rollouts": ghosts})
-    wait_until(page, "document.querySelectorAll('#ghost-ends button').length === 2")
-    assert page.locator("#ghost-ends button").first.inner_text() == HOSTILE
-    wait_until(page, "document.querySelectorAll('#chart .curve').length === 2")
     wait_until(page, "document.getElementById('scene-key').innerText.includes('without: 9.3 of 20.0 cm')")
-    assert page.locator("#ghost-ends meter").first.evaluate("bar => bar.value") == pytest.approx(1.0)
+    assert page.locator("#ghost-ends button").first.inner_text() == HOSTILE and page.locator(".curve").count() == 2
     page.locator("#ghost-ends button").last.click()
     wait_until(page, "!document.getElementById('scene-key').innerText.includes('without: 9.3')")
     page.locator("#no-ghosts").click()
     until(page, lambda: program.last("ghosts") == {"do": "ghosts", "show": False}, "not removed")
-    program.put("ghosts", None)
-    wait_until(page, "!document.getElementById('ghost-ends').checkVisibility()")
