@@ -21,17 +21,15 @@ export PYTHONDONTWRITEBYTECODE :=
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
 # what touches other libraries: files in and out, robots, the command line; pytest refuses a missing file
-QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli controller mjcf loading load_demonstrations \
-	playback meshes rollout_file linalg examples csv_reader lerobot_reader \
-	npz_reader robomimic_reader rosbag_reader))
+QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli controller mjcf loading playback meshes \
+	linalg examples readers saved_files))
 
-# what adds up many numbers: other processors' sums differ in the last bits, so these are run with OpenBLAS's kernels for
-# others too. A name that this machine's OpenBLAS does not have (as on ARM) is another kernel or its own, with a warning
-NUMERICAL := $(addprefix tests/test_,$(addsuffix .py,axioms batch_kinematics closed_loops constraint \
-	constraint_mechanism control_properties controller experiments_pinned features follow_motion \
-	frame_choice frame_kinematics free_direction gradients imposed law learning_parts limits \
-	linalg manipulability mechanism mimic motion native_engine pinned_answers places planar_arm policies \
-	pose_error recombination robot rotations task_frame tasks tip_limits uncertainty velocities weighted_fit \
+# what adds up many numbers: other processors' sums differ in the last bits, so these are run with an OpenBLAS kernel
+# that is not this machine's (`make kernels`: with all of them). A name that this machine's OpenBLAS does not have (as on
+# ARM) is another kernel or its own, with a warning
+NUMERICAL := $(addprefix tests/test_,$(addsuffix .py,closed_loops constraint constraint_mechanism controller \
+	features follow_motion frame_choice free_direction gradients imposed law learning_parts limits linalg \
+	mechanism motion native_engine pinned_answers planar_arm recombination robot tasks uncertainty velocities \
 	witness))
 KERNELS ?= Haswell Zen Prescott Nehalem Sandybridge
 # which no processor of today chooses by itself: without AVX and FMA
@@ -108,12 +106,12 @@ lint: $(VENV)/first
 types: $(VENV)/dev
 	$(BIN)/pyright
 
-# all tests with the compiled law where it could be built, those of the law without it, and the numerical ones as on
-# another processor
+# all tests with the compiled law where it could be built, the numerical ones as on another processor, and those of the
+# law without it
 check: $(VENV)/dev $(VENV)/fast
-	$(PYTEST) -n 2 --dist worksteal --benchmark-disable $(ARGS)
-	MANIP_LEARN_ENGINE=python $(PYTEST) -n 2 --dist worksteal --benchmark-disable -q tests/test_law.py
+	$(PYTEST) -n 2 --dist worksteal --benchmark-disable $(addprefix --ignore=,$(NUMERICAL)) $(ARGS)
 	OPENBLAS_CORETYPE=$(OTHER_KERNEL) $(PYTEST) -n 2 --dist worksteal --benchmark-disable -q $(NUMERICAL)
+	MANIP_LEARN_ENGINE=python $(PYTEST) -n 2 --dist worksteal --benchmark-disable -q tests/test_law.py
 
 # the numerical tests as on other processors
 kernels: $(VENV)/dev $(VENV)/fast

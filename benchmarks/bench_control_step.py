@@ -11,18 +11,51 @@ import json
 import os
 import statistics
 import subprocess
+import sys
+import venv
+from pathlib import Path
 from typing import Any
 
 import pytest
-from peer_controllers import PEERS, SCRIPTS, interpreter
 from timing import keep
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(1800)]
 ROUNDS = int(os.environ.get("BENCH_ROUNDS", "5"))
+SCRIPTS = Path(__file__).resolve().parent / "peers"
+PEERS: dict[str, tuple[str, ...]] = {  # and the packages that each needs
+    "manip_learn": (),
+    "pinocchio": (),
+    "pink": ("pin-pink", "quadprog"),
+    "mink": ("mink", "daqp"),
+    "placo": ("placo",),
+    "oink": ("roboplan-core", "roboplan-oink"),
+    "drake": ("drake",),
+    "roboticstoolbox": ("roboticstoolbox-python",),
+}
+ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 PROMISED = {  # of Pinocchio's "task only", best rounds: neighbours only ever add time
     "bare law, b given": 0.75,
     "with limits and status, reaching a point": 1.0,
 }
+
+
+def interpreter(peer: str) -> str:
+    """Python that runs a peer.
+
+    Raises:
+        OSError: The environment cannot be made.
+        subprocess.CalledProcessError: The peer cannot be installed.
+    """
+    if not PEERS[peer]:
+        return sys.executable
+    folder = SCRIPTS.parents[1] / f".venv-bench-{peer}"
+    python, made = folder / "bin" / "python", folder / "made"
+    if not made.exists():
+        venv.create(folder, with_pip=True, clear=True)
+        install = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", *PEERS[peer]]
+        subprocess.run(install, check=True, capture_output=True, text=True, timeout=900)
+        made.touch()
+    return str(python)
 
 
 def measured(peer: str, python: str) -> dict[str, Any]:
@@ -31,9 +64,8 @@ def measured(peer: str, python: str) -> dict[str, Any]:
     Raises:
         subprocess.CalledProcessError: It failed.
     """
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     command = [python, str(SCRIPTS / f"{peer}_peer.py"), "step"]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=600, env=environment)
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=600, env=ENVIRONMENT)
     return json.loads(done.stdout.strip().splitlines()[-1])
 
 
@@ -50,7 +82,7 @@ def all_rounds() -> tuple[dict[tuple[str, str], list[dict[str, float]]], dict[st
     pythons: dict[str, str] = {}
     for peer in PEERS:
         try:
-            pythons[peer] = interpreter(peer, {})
+            pythons[peer] = interpreter(peer)
         except subprocess.CalledProcessError as error:
             skipped[peer] = last_words(error)
     for _ in range(ROUNDS):

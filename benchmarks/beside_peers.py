@@ -5,7 +5,7 @@
 Times are ratios to the bare step (Pinocchio's Jacobian, NumPy's pseudo-inverse, the product with the null space) at the
 same postures: processor time, best over best of rounds in which all peers take turns, the median over the arms.
 Rollouts begin at the same starts, go to the same points and have the same limits. Both are measured for x, y, z of the
-tip and, where a peer takes rows of one's own, for two oblique rows. Environments are those of `peer_controllers.py`.
+tip and, where a peer takes rows of one's own, for two oblique rows. Environments are those of `bench_control_step.py`.
 """
 
 from __future__ import annotations
@@ -18,29 +18,66 @@ import sys
 import tempfile
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import control_states as states
 import numpy as np
-from controller_cases import ALL, Tasks, plain_robot, tasks_of, write
-from controller_scores import Scores
-from peer_controllers import DT, DURATION, GAIN, SCRIPTS, TASK_GAIN, interpreter, run
+from bench_control_step import ENVIRONMENT, SCRIPTS, interpreter
+from controller_cases import ARMS, Tasks, plain_robot, tasks_of, write
 from table_file import put
 
 import manip_learn as ml
 
-ARMS = ("so101", "ur5", "sawyer", "panda", "baxter")  # of 5, 6, 7, 7 and 14 joints
 STATES = ("free", "velocity limits", "one position limit", "near a singularity", "unreachable target")
 FAR = ("velocity limits", "unreachable target")
 KINDS = {3: "x y z of the tip", 2: "two oblique rows of x y z"}
 PEERS = ("pinocchio", "manip_learn", "placo", "oink", "mink", "pink", "drake", "roboticstoolbox")
 BARE = "bare"
 POSTURES = 24  # of a state
+GAIN, TASK_GAIN = 3.0, 2.0
+DURATION, DT = 5.0, 0.01  # [s] of a rollout and its step
 ARRIVED = 0.001  # [m]
 TIMES = ("rows", "arm", "method", "state", "of a bare step", "lowest arm", "highest arm", "postures without an answer")
 ENDS = ("rows", "method", "arrived within 1 mm", "end error, median [mm]", "three quarters below [mm]", "worst [mm]")
 EXCESS = ("largest excess of velocity [% of the limit]", "of position [mrad]", "steps without an answer")
 Row = tuple[object, ...]
+
+
+class Scores(NamedTuple):
+    """One motion.
+
+    Attributes:
+        miss: Distance to the target along the rows, in the end [m].
+        failed: Steps without an answer.
+        over_velocity: Largest velocity that was commanded, less its limit, as a share of it; 0 if within.
+        over_position: How far a command led beyond a position limit within its step [rad]; 0 if within.
+    """
+
+    miss: float
+    failed: int
+    over_velocity: float
+    over_position: float
+
+
+def run(peer: str, python: str, cases: Path, tasks: Tasks) -> dict[str, list[Scores]]:
+    """Scores of each of a peer's methods.
+
+    Raises:
+        subprocess.CalledProcessError: It failed.
+    """
+    answer = cases.with_name(f"{peer}-{cases.stem}.npz")
+    command = [python, str(SCRIPTS / f"{peer}_peer.py"), "control", str(cases), str(answer)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
+    out: dict[str, list[Scores]] = {}
+    with np.load(answer) as content:
+        for name in dict.fromkeys(key.split("|")[0] for key in content if "|" in key):
+            ends, failed, excess = (content[f"{name}|{key}"] for key in ("q", "failed", "excess"))
+            places = [tasks.robot.position(q, tasks.tip) for q in ends]
+            away = zip(tasks.rows, tasks.targets, places, strict=True)
+            misses = [float(np.linalg.norm(rows @ (place - target))) for rows, target, place in away]
+            out[name] = [Scores(*x) for x in zip(misses, failed.tolist(), *excess.T.tolist(), strict=True)]
+    answer.unlink()
+    return out
 
 
 class Peer:
@@ -55,10 +92,9 @@ class Peer:
     """
 
     def __init__(self, name: str, python: str):
-        environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         command, pipe = [python, str(SCRIPTS / f"{name}_peer.py"), "timings"], subprocess.PIPE
         self._child = subprocess.Popen(
-            command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True, env=environment
+            command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True, env=ENVIRONMENT
         )
         self.version, self.methods = self._reply()
 
@@ -89,7 +125,7 @@ def state_files(folder: Path, arms: list[str]) -> dict[tuple[int, str, str], Pat
     files = {}
     for name in arms:
         robot = plain_robot(name, folder)
-        features = ml.FrameJacobian(robot, ALL[name][0], "xyz")
+        features = ml.FrameJacobian(robot, ARMS[name][0], "xyz")
         for s in KINDS:
             rows = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0][:s] if s < 3 else np.eye(3)
             arm = states.arm_with(ml.Constraint(rows, features))
@@ -100,9 +136,9 @@ def state_files(folder: Path, arms: list[str]) -> dict[tuple[int, str, str], Pat
                     continue
                 assert isinstance(law.task, ml.PointAttractor)
                 n, goal = len(starts), law.task.target
-                tasks = Tasks(robot, ALL[name][0], [rows] * n, starts, [goal] * n, [])
+                tasks = Tasks(robot, ARMS[name][0], [rows] * n, starts, [goal] * n)
                 files[s, name, state] = folder / f"{name}-{s}-{state}.json"
-                write(tasks, files[s, name, state], [GAIN], states.DT, 0.0, law.task.gain)
+                write(tasks, files[s, name, state], GAIN, states.DT, 0.0, law.task.gain)
     return files
 
 
@@ -157,11 +193,11 @@ def rollouts(
     results: dict[int, dict[str, list[Scores]]] = {s: {} for s in KINDS}
     for s in KINDS:
         for name in arms:
-            tasks, path = tasks_of(name, folder, number, True, (s,)), folder / f"{name}-{s}.json"
-            write(tasks, path, [GAIN], DT, DURATION, TASK_GAIN)
+            tasks, path = tasks_of(name, folder, number, s), folder / f"{name}-{s}.json"
+            write(tasks, path, GAIN, DT, DURATION, TASK_GAIN)
             for peer, python in pythons.items():
                 try:
-                    for method, own in run(peer, python, path, tasks, DT).items():
+                    for method, own in run(peer, python, path, tasks).items():
                         results[s].setdefault(method, []).extend(own)
                 except subprocess.CalledProcessError as error:
                     words = (error.stderr.strip() or "no output").splitlines()[-1]
@@ -173,7 +209,7 @@ def rollouts(
 def main() -> None:
     """Measure and print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--robots", nargs="+", default=list(ARMS), choices=list(ALL))
+    parser.add_argument("--robots", nargs="+", default=list(ARMS), choices=list(ARMS))
     parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=list(PEERS))
     parser.add_argument("--tasks", type=int, default=30, help="rollouts per robot and kind of rows; 0: none")
     parser.add_argument("--rounds", type=int, default=30)
@@ -184,7 +220,7 @@ def main() -> None:
     skipped: dict[str, str] = {}
     for name in dict.fromkeys(["pinocchio", *options.peers]):
         try:
-            pythons[name] = interpreter(name, {})
+            pythons[name] = interpreter(name)
             peers[name] = Peer(name, pythons[name])
         except (subprocess.CalledProcessError, RuntimeError) as error:
             words = getattr(error, "stderr", None) or str(error)

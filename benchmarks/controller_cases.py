@@ -1,4 +1,4 @@
-"""The tasks of `peer_controllers.py`: oblique rows, reachable and unreachable targets, half from near singularities."""
+"""The tasks of `beside_peers.py`: rows of the tip, points within reach, half of the starts near singularities."""
 
 from __future__ import annotations
 
@@ -8,22 +8,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from control_states import inside
 
 import manip_learn as ml
 
-ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "panda": ("panda_hand", ("panda_finger_joint1",)),
-    "xarm7": ("link7", ()),
-    "ur5": ("tool0", ()),
-    "sawyer": ("right_l6", ()),
+ARMS: dict[str, tuple[str, tuple[str, ...], int]] = {  # tip, locked joints, seed: of 5, 6, 7, 7 and 14 joints
+    "so101": ("gripper_frame_link", ("gripper",), 4),
+    "ur5": ("tool0", (), 2),
+    "sawyer": ("right_l6", (), 1),
+    "panda": ("panda_hand", ("panda_finger_joint1",), 0),
+    "baxter": ("left_gripper", ("head_pan", "l_gripper_l_finger_joint", "r_gripper_l_finger_joint"), 5),
 }
-MORE = {  # of 5 and 14 joints
-    "so101": ("gripper_frame_link", ("gripper",)),
-    "baxter": ("left_gripper", ("head_pan", "l_gripper_l_finger_joint", "r_gripper_l_finger_joint")),
-}
-ALL = ROBOTS | MORE
 NEAR = 0.02  # mu of a near-singular start, relative to the median over random postures
-BEYOND = 0.3  # [m]
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'
 
 
@@ -35,11 +31,6 @@ class Tasks(NamedTuple):
     rows: list[np.ndarray]
     starts: list[np.ndarray]
     targets: list[np.ndarray]
-    near_singular: list[bool]
-
-    def constraint(self, i: int) -> ml.Constraint:
-        """A(q) of one case."""
-        return ml.Constraint(self.rows[i], ml.FrameJacobian(self.robot, self.tip, "xyz"))
 
 
 def plain_urdf(robot: ml.Robot, folder: Path) -> Path:
@@ -69,48 +60,21 @@ def plain_urdf(robot: ml.Robot, folder: Path) -> Path:
 
 def plain_robot(name: str, folder: Path) -> ml.Robot:
     """The robot as all peers can read it."""
-    return ml.load_robot(plain_urdf(ml.load_robot(name, locked=ALL[name][1]), folder))
+    return ml.load_robot(plain_urdf(ml.load_robot(name, locked=ARMS[name][1]), folder))
 
 
-def tasks_of(name: str, folder: Path, number: int, reachable: bool, sizes: tuple[int, ...] = (1, 2, 3)) -> Tasks:
-    """Random oblique tasks with so many rows in turn; every second one starts near a singularity."""
-    tip, robot = ALL[name][0], plain_robot(name, folder)
+def tasks_of(name: str, folder: Path, number: int, s: int) -> Tasks:
+    """Random tasks with s oblique rows; every second one starts near a singularity."""
+    (tip, _, seed), robot = ARMS[name], plain_robot(name, folder)
     features = ml.FrameJacobian(robot, tip, "xyz")
-    rows, starts, targets, near = [], [], [], []
-    seed = [*sorted(ROBOTS), *MORE].index(name)
+    rows, starts, targets = [], [], []
     for i in range(number):
-        rng = np.random.default_rng([seed, i, int(reachable)])
-        Lambda = np.linalg.qr(rng.normal(size=(3, 3)))[0][: sizes[i % len(sizes)]]
-        constraint = ml.Constraint(Lambda, features)
-        # every second of each s: starts and s do not go together
-        near.append(i // len(sizes) % 2 == 1)
-        starts.append(near_singular(constraint, rng) if near[-1] else inside(robot, rng))
-        goal = robot.position(inside(robot, rng), tip)
-        if not reachable:
-            goal = beyond_reach(constraint, tip, starts[-1], goal, rng)
+        rng = np.random.default_rng([seed, i, 1])
+        constraint = ml.Constraint(np.linalg.qr(rng.normal(size=(3, 3)))[0][:s], features)
+        starts.append(near_singular(constraint, rng) if i % 2 else inside(robot, rng))
+        targets.append(robot.position(inside(robot, rng), tip))
         rows.append(constraint.selection)
-        targets.append(goal)
-    return Tasks(robot, tip, rows, starts, targets, near)
-
-
-def inside(robot: ml.Robot, rng: np.random.Generator) -> np.ndarray:
-    """A random posture, 5 % of the range away from the limits."""
-    q = robot.positions(robot.random_configuration(rng))
-    middle = 0.5 * (robot.position_lower + robot.position_upper)
-    return np.where(np.isfinite(middle), middle + 0.9 * (q - middle), q)
-
-
-def beyond_reach(
-    constraint: ml.Constraint, tip: str, start: np.ndarray, goal: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
-    """A point towards the goal along the rows, BEYOND further than the tip came in 1,000 random postures."""
-    robot = constraint.robot
-    assert robot is not None
-    here = robot.position(start, tip)
-    way = constraint.selection.T @ constraint.selection @ (goal - here)
-    way /= np.linalg.norm(way)
-    reached = max(way @ (robot.position(inside(robot, rng), tip) - here) for _ in range(1000))
-    return here + (reached + BEYOND) * way
+    return Tasks(robot, tip, rows, starts, targets)
 
 
 def near_singular(constraint: ml.Constraint, rng: np.random.Generator) -> np.ndarray:
@@ -130,8 +94,8 @@ def near_singular(constraint: ml.Constraint, rng: np.random.Generator) -> np.nda
     return q
 
 
-def write(tasks: Tasks, path: Path, gains: list[float], dt: float, duration: float, task_gain: float) -> None:
-    """What the children read: every case once per gain."""
+def write(tasks: Tasks, path: Path, gain: float, dt: float, duration: float, task_gain: float) -> None:
+    """What the children read."""
     robot = tasks.robot
     arm: dict[str, Any] = {
         "urdf": str(robot.source),
@@ -147,7 +111,6 @@ def write(tasks: Tasks, path: Path, gains: list[float], dt: float, duration: flo
     }
     cases = [
         {"rows": rows.tolist(), "start": start.tolist(), "target": target.tolist(), "gain": gain}
-        for gain in gains
         for rows, start, target in zip(tasks.rows, tasks.starts, tasks.targets, strict=True)
     ]
     path.write_text(json.dumps({"arm": arm, "cases": cases}), encoding="utf-8")

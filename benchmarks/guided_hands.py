@@ -27,16 +27,17 @@ from jaxtyping import Float
 from make_recordings.arms import Arm, load_arm
 from make_recordings.kinds import FREE
 from make_recordings.kinematic_sets import make_set
-from recording_scores import mechanism_figures, row_angle
 from table_file import put
 
 import manip_learn as ml
 from manip_learn.errors import ManipLearnError
+from manip_learn.linalg import null_basis
 
 HELD = ("drawer", "drawer_firm", "table", "table_flat", "door", "door_firm", "hinge", "tether", "screw")
 SERIES = ("drawer_then_table", "door_then_drawer")
 ARMS = ("panda", "xarm7", "ur5", "sawyer")
 PLACES = 8  # postures of each contact at which rows are compared
+TYPES = {"slide": "line"}  # what the learner calls a mechanism of examples/make_recordings
 HEADER = ["seed", "kind", "arm", "recordings", "whole", "rate", "quantum", "zeros", "outcome", "rows", "true rows"]
 HEADER += ["off deg", "stated deg", "gap", "strength", "warnings", "type", "others", "cpu s", "words"]
 
@@ -285,13 +286,55 @@ def against_truth(learner: ml.ConstraintLearner, given: HandSet, number: int) ->
         for a, b, index in windows:
             inside = np.flatnonzero((t.time >= a) & (t.time <= b))
             for q in t.q[inside[:: max(1, len(inside) // PLACES)]] if index == k else ():
-                found, angle = row_angle(constraint(q), q, given.arm, mechanism, "xyz")
+                found, angle = row_angle(constraint(q), q, given.arm, mechanism)
                 same &= found
                 angles.append(angle)
     mechanism_told = learner.reports_[number].mechanism
-    told = mechanism_figures(mechanism_told, mechanism)["type right"]
-    off = float(np.median(angles))
-    return same and off < 10.0, off, n, "right" if told else "wrong" if mechanism_told else "none"
+    off, told = float(np.median(angles)), "none"
+    if mechanism_told is not None:
+        kind, grip = TYPES.get(mechanism["type"], mechanism["type"]), mechanism["held"]
+        alike = mechanism_told.type == kind and mechanism_told.grip == ("loose" if grip == "loose" else "firm")
+        told = "right" if alike else "wrong"
+    return same and off < 10.0, off, n, told
+
+
+def true_rows(mechanism: dict[str, Any], position: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "s 3"]:
+    """Rows of the tip's linear velocity that are zero at a place, orthonormal."""
+    axis = np.array(mechanism["axis"] or [0.0, 0.0, 1.0])
+    firm, across, none = mechanism["held"] == "firm", null_basis(axis[None]).T, np.zeros((3, 3))
+    arm = position - np.array(mechanism["point"] or [0.0, 0.0, 0.0])
+    # velocity of the point of the hand that is at the mechanism's point: v + (c - p) x ... = v - [c - p] w
+    x, y, z = -arm
+    carried = np.hstack([np.eye(3), -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])])
+    turning = np.hstack([np.zeros((2, 3)), across])
+    match mechanism["type"]:
+        case "slide":
+            rows = np.hstack([across, np.zeros((2, 3))])
+            rows = np.vstack([rows, np.hstack([none, np.eye(3)])]) if firm else rows
+        case "plane":
+            rows = np.hstack([axis, np.zeros(3)])[None]
+            rows = np.vstack([rows, turning]) if firm else rows
+        case "ball":
+            rows = np.hstack([arm / np.linalg.norm(arm), np.zeros(3)])[None]
+        case _ if firm:
+            along = axis @ carried - np.hstack([np.zeros(3), (mechanism["pitch"] or 0.0) * axis])
+            rows = np.vstack([turning, across @ carried, along])
+        case _:
+            radial = across.T @ (across @ arm)
+            rows = np.hstack([np.array([axis, radial / np.linalg.norm(radial)]), np.zeros((2, 3))])
+    free = null_basis(np.linalg.qr(rows.T)[0].T)[:3]
+    left, sizes, _ = np.linalg.svd(free)
+    return left[:, int(np.count_nonzero(sizes > 1e-6)) :].T
+
+
+def row_angle(
+    A: Float[np.ndarray, "s nv"], q: Float[np.ndarray, " nv"], arm: Arm, mechanism: dict[str, Any]
+) -> tuple[bool, float]:
+    """Whether A(q) has as many rows as the mechanism holds, and the largest angle between the two [deg]."""
+    learnt = np.linalg.qr((A @ np.linalg.pinv(arm.robot.jacobian(q, arm.tip)[:3])).T)[0]
+    true = true_rows(mechanism, arm.pose(q)[:3, 3])
+    cosine = np.linalg.svd(true @ learnt, compute_uv=False)[-1] if len(true) else 0.0
+    return len(true) == learnt.shape[1], float(np.degrees(np.arccos(min(cosine, 1.0))))
 
 
 def main() -> None:

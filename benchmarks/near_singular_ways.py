@@ -1,219 +1,262 @@
-"""The law where it is hardest: ways that begin near a singularity, firm grips, targets and ways out of reach.
+"""The law where it is hardest: ways that begin near a singularity, without and with the ascent of the task.
 
-    python benchmarks/near_singular_ways.py --short docs/figures/near_singular_ways.csv
-    python benchmarks/near_singular_ways.py [--runs FILE.csv] [--workers 1]
+    python benchmarks/near_singular_ways.py [--starts 3] [--out docs/figures/near_singular_ways.csv]
 
-The first, a minute of one core without other load, is what the ascent of a way brings to three arms. Of the second one
-line is one start with one policy; a quarter of an hour.
+A minute of one core without other load. Drawers, doors and tables stand in front of the arm, their ways centred at
+MIDDLE of its reach. A start is kept if the hand also finds postures at the end of the way, or of each stroke of a wipe,
+in the same grip: what no posture at the end can do is no question of how the arm moves.
 """
 
 from __future__ import annotations
 
 import argparse
-import tempfile
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
+import functools
+import itertools
+import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import controller_cases
 import numpy as np
-from closed_loops import PERIODS, singular_starts
-from controller_scores import scores
+from scipy.spatial.transform import Rotation
 from table_file import put
-from when_cases import ARMS, PAUSE, TASKS, Case, cases_of, exists, posture, robot_of
-from when_runs import run
 
 import manip_learn as ml
 from manip_learn.control.simulation import simulate_way
 
-SHORT_ARMS, SHORT_TASKS = ("panda", "sawyer", "xarm7"), ("drawer 0.3 m", "door 60 deg", "wipe 0.4 x 0.3 m")
-SHORT_STARTS = 3  # of each arm and task, with either hand
-SHORT = ("the hand", "policy", "ways done", "farthest off [mm]", "least μ over that without policy, median, quartiles")
-SEEDS = (41_000, 87_000)  # the law was tuned on the starts of the first one
-STARTS = 2  # of each arm and task
-DT = 0.01  # [s]
-POLICIES = ("none", "learnt", "ascent")
-XARM = (3.302, -1.7578, 0.2082, 3.0665, 5.0783, 1.7292, 0.1807)  # [rad] of the smallest case
-POINTS, SECONDS = 12, 8.0  # targets out of reach of each arm, and how long each is driven to [s]
-SPEED, BEYOND, TAIL = 0.25, 2.2, 1.0  # [m/s] of ways out of reach, their length in reaches, last seconds looked at [s]
-STILL = 1e-3  # [rad/s] below which a joint does not count as turning to and fro
+SEED, DT = 87_000, 0.01  # the law was tuned on other starts; [s]
+MIDDLE = 0.55  # of the reach: between too near to fold the arm and too far to reach
+HEIGHTS = (0.2, 0.35, 0.5)  # [m] of handles: those of the recorded drawers (examples/data/README.md)
+ASIDE = 0.2  # [m] at most, of a handle to the left or right of the arm
+OPENED, RADIUS, ANGLE = 0.3, 0.35, math.radians(60.0)  # [m] of a drawer, [m] and [rad] of a door
+TABLE = (0.4, 0.3)  # [m] of a table that is wiped: a stroke across, and one towards the arm
+HAND, PAUSE = 0.1, 0.5  # [m/s] of the hand, and [s] at rest before the way, as a gripper takes to close
+SINGULAR = 0.02  # smallest singular value of the rows held and driven, of a start near a singularity [m or 1]
+MARGIN = 0.03  # [rad] of a start from the joint limits
+DESCENT, STEPS, TRIES = 0.08, 60, 4  # [rad] a step towards a singularity, steps, and descents of one start
+HANDS = {"may turn": False, "keeps its orientation": True}
+HEADER = ("the hand", "policy", "ways done", "farthest off [mm]", "least μ over that without policy, median, quartiles")
 
 
-class Run(NamedTuple):
-    """The outcome of one start with one policy.
+class Arm(NamedTuple):
+    """An arm: its tip, joints that are locked, how far the tip comes from the base's axis [m], and its seed."""
 
-    `good` is a way that was done, a target out of reach without chatter, or a singularity that was left; `off` is how
-    far the hand was off its mechanism [mm], and `why` says what stopped it.
-    """
-
-    part: str
+    tip: str
+    locked: tuple[str, ...]
+    reach: float
     seed: int
-    arm: str
-    task: str
-    number: int
-    policy: str
-    good: bool
-    off: float
-    why: str
 
 
-def way(part: str, seed: int, arm: str, task: str, number: int, policy: str) -> Run:
-    """One start of `when_cases.py`, the hand held in its orientation, or turning with its mechanism ("firm grip")."""
-    case = cases_of(arm, task, "held", "near", number + 1, seed)[number]
-    if part == "firm grip":
-        done, off, why = firm(case, policy)
-    else:
-        score = run(case, policy, DT)
-        done, off, why = score.done, score.deviation, score.why
-    return Run(part, seed, arm, task, number, policy, done, round(1e3 * off, 3), why)
+ARMS = {
+    "panda": Arm("panda_hand_tcp", ("panda_finger_joint1", "panda_finger_joint2"), 0.95, 0),
+    "sawyer": Arm("right_gripper_tip", (), 1.17, 4),
+    "xarm7": Arm("link_eef", (), 0.77, 1),
+}
 
 
-def firm(case: Case, policy: str) -> tuple[bool, float, str]:
-    """A door or screw whose handle is gripped firmly: five constant rows of the pose in the hand's own frame."""
-    (stroke,), robot, frame = case.strokes, case.constraint.robot, case.constraint.features.frame
-    pose = robot.pose(case.start, frame)
-    moves = np.cross(stroke.axis, pose[:3, 3] - stroke.point) + stroke.pitch * stroke.axis
-    twist = np.concatenate([pose[:3, :3].T @ moves, pose[:3, :3].T @ stroke.axis])
-    rows = np.linalg.svd(twist[None])[2][1:]
-    constraint = ml.Constraint(rows, ml.FrameJacobian(robot, frame.name, "pose", reference="local"))
-    there = stroke.place(pose, stroke.distance)[:3, 3]
+class Stroke(NamedTuple):
+    """One way: along a line, or about an axis through a point; distance and speed [m or rad, a second]."""
 
-    def beside(task: ml.FreeDirection) -> float:
-        task.velocity(constraint, case.start, 0.0)  # that is where the way begins
-        return float(np.linalg.norm(task.goal()[:3, 3] - there))
+    distance: float
+    speed: float
+    direction: np.ndarray | None = None
+    axis: np.ndarray | None = None
+    point: np.ndarray | None = None
 
-    # which sense counts as positive is up to the rows
-    senses = (stroke.distance, -stroke.distance)
-    task = min((ml.FreeDirection(constraint, s, stroke.speed, unit="rad", pause=PAUSE) for s in senses), key=beside)
-    task.reset()
-    law = ml.ResolvedRateController(constraint, task, climbing(policy, task), dt=DT)
-    done = simulate_way(robot, law, case.start, DT)[1]
-    why = done.stopped_by or (f"{1e3 * done.deviation:.1f} mm off" if done.strays else "")
-    return not why, done.deviation, why
+    def end(self, start: np.ndarray) -> np.ndarray:
+        """Pose (4, 4) of the hand after the way."""
+        pose = start.copy()
+        if self.axis is None:
+            pose[:3, 3] += self.distance * self.direction
+            return pose
+        turn = Rotation.from_rotvec(self.distance * self.axis).as_matrix()
+        pose[:3, 3] = self.point + turn @ (start[:3, 3] - self.point)
+        return pose
 
 
-def climbing(policy: str, task: ml.FreeDirection) -> ml.NullSpacePolicy | None:
-    """A null-space policy for a way by its name."""
-    return {"none": None, "learnt": ml.ManipulabilityAscent(task.constraint), "ascent": task.ascent()}[policy]
+class Case(NamedTuple):
+    """What holds the hand, along what it goes, whether it keeps its orientation, and from which posture."""
+
+    constraint: ml.Constraint
+    strokes: tuple[Stroke, ...]
+    keep: bool
+    start: np.ndarray
+
+    def motion(self, number: int) -> ml.FreeDirection:
+        """The task of one stroke; only the first one waits for the gripper."""
+        stroke, pause = self.strokes[number], 0.0 if number else PAUSE
+        wanted = {"distance" if stroke.axis is None else "angle": stroke.distance}
+        wanted |= {"speed": stroke.speed, "direction": stroke.direction}
+        return ml.motion(self.constraint, keep_orientation=self.keep, pause=pause, **wanted)
 
 
-def short() -> list[tuple[str, str, str, float, str]]:
-    """54 starts of three arms: ways done, how far the hand was off [mm], and the least μ over that without policy."""
-    lines = []
-    for grip, hand in (("free", "may turn"), ("held", "keeps its orientation")):
-        cells = [(arm, task) for arm in SHORT_ARMS for task in SHORT_TASKS]
-        cases = [case for cell in cells for case in cases_of(*cell, grip, "near", SHORT_STARTS, SEEDS[1])]
-        scores = {policy: [run(case, policy, DT) for case in cases] for policy in ("none", "ascent")}
-        for policy, found in scores.items():
-            ratios = [now.least / rest.least for now, rest in zip(found, scores["none"], strict=True)]
-            least = ", ".join(f"{x:.2f}" for x in np.quantile(ratios, [0.5, 0.25, 0.75]))
-            off = round(1e3 * max(score.deviation for score in found), 2)
-            lines.append((hand, policy, f"{sum(score.done for score in found)} of {len(cases)}", off, least))
-    return lines
+Draw = Callable[[ml.Robot, Arm, np.random.Generator], tuple[ml.Constraint, tuple[Stroke, ...], np.ndarray]]
 
 
-def smallest_case(policy: str) -> Run:
-    """Half a metre along x, y and z held, from a posture with a spare joint near its limit."""
-    robot = ml.load_robot("xarm7")
-    constraint = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(robot, "link_eef"))
-    task = ml.FreeDirection(constraint, -0.5, 0.1)
-    law = ml.ResolvedRateController(constraint, task, climbing(policy, task), dt=DT)
-    done = simulate_way(robot, law, XARM, DT)[1]
-    off = round(1e3 * done.deviation, 3)
-    return Run("smallest case", 0, "xarm7", "line", 0, policy, done.is_done, off, done.stopped_by or "")
+@functools.cache
+def robot_of(name: str) -> ml.Robot:
+    """The arm by its name."""
+    return ml.load_robot(name, locked=ARMS[name].locked)
 
 
-def points(arm: str, dt: float, gain: float) -> list[Run]:
-    """Points out of reach, climbing the manipulability: whether a joint turns to and fro in the last second."""
-    out = []
-    with tempfile.TemporaryDirectory() as folder:
-        tasks = controller_cases.tasks_of(arm, Path(folder), POINTS, reachable=False)
-        for i in range(POINTS):
-            rows = tasks.constraint(i)
-            task = ml.PointAttractor(tasks.targets[i], gain)
-            law = ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows), dt=dt)
-            rollout = ml.simulate(tasks.robot, law, tasks.starts[i], SECONDS, dt)
-            flips = scores(tasks, i, rollout.q, rollout.u, dt, 0.0, 0).flips
-            why = f"{flips:.0f} changes of sign, {rollout.status[-1]}" if flips else ""
-            part = f"point out of reach, {1e3 * dt:.0f} ms, gain {gain:g}"
-            out.append(Run(part, 0, arm, f"{len(rows.selection)} rows", i, "learnt", not flips, 0.0, why))
+def handle(arm: Arm, rng: np.random.Generator) -> np.ndarray:
+    """The middle of a way, in front of an arm."""
+    return np.array([MIDDLE * arm.reach, rng.uniform(-ASIDE, ASIDE), rng.choice(HEIGHTS)])
+
+
+def drawer(robot: ml.Robot, arm: Arm, rng: np.random.Generator):
+    """A drawer that opens towards the base."""
+    out = np.array([-1.0, 0.0, 0.0])
+    constraint = ml.Constraint(np.eye(3)[1:], ml.FrameJacobian(robot, arm.tip))
+    return constraint, (Stroke(OPENED, HAND, out),), handle(arm, rng) - 0.5 * OPENED * out
+
+
+def door(robot: ml.Robot, arm: Arm, rng: np.random.Generator):
+    """A door that opens towards the base, its hinge on either side; the hand on its handle."""
+    side, axis = rng.choice([-1.0, 1.0]), np.array([0.0, 0.0, 1.0])
+    place = handle(arm, rng) + [0.5 * RADIUS * math.sin(ANGLE), 0.0, 0.0]
+    hinge = place + [0.0, side * RADIUS, 0.0]
+    rows = ml.MechanismRows(robot, arm.tip, "radial axial", axis=axis, point=hinge, radius=RADIUS)
+    return ml.Constraint(np.eye(2), rows), (Stroke(-side * ANGLE, HAND / RADIUS, axis=axis, point=hinge),), place
+
+
+def wipe(robot: ml.Robot, arm: Arm, rng: np.random.Generator):
+    """A level table: one stroke across, one towards the arm, the height held."""
+    (across, towards), side = TABLE, rng.choice([-1.0, 1.0])
+    constraint = ml.Constraint(np.eye(3)[2:], ml.FrameJacobian(robot, arm.tip))
+    strokes = (
+        Stroke(across, HAND, np.array([0.0, side, 0.0])),
+        Stroke(towards, HAND, np.array([-1.0, 0.0, 0.0])),
+    )
+    return constraint, strokes, handle(arm, rng) + 0.5 * np.array([towards, -side * across, 0.0])
+
+
+TASKS: tuple[tuple[Draw, int], ...] = ((drawer, 0), (door, 2), (wipe, 5))  # with their seeds
+
+
+def posture(robot: ml.Robot, rng: np.random.Generator) -> np.ndarray:
+    """A random posture within MARGIN of the limits."""
+    return rng.uniform(robot.position_lower + MARGIN, robot.position_upper - MARGIN)
+
+
+def brought_to(features: ml.FrameJacobian, target: np.ndarray, q: np.ndarray, most: int = 50) -> np.ndarray | None:
+    """The posture with a frame at a target that damped steps find from q; None if they find none."""
+    robot, q = features.robot, q.copy()
+    low, high = robot.position_lower + MARGIN, robot.position_upper - MARGIN
+    for _ in range(most):
+        error, E = features.error_and_jacobian(target, q)
+        size = math.sqrt(error @ error)
+        if size < 1e-7:  # [m or rad]: a hundredth of the encoders' noise
+            return q
+        E = features(q) if E is None else E
+        damped = E @ E.T + 1e-3 * min(size, 1.0) * np.eye(len(E))  # full steps near the target
+        step = E.T @ np.linalg.solve(damped, error)
+        longest = float(np.max(np.abs(step)))
+        q = np.clip(q + step * min(1.0, 0.5 / max(longest, 1e-12)), low, high)
+    return None
+
+
+def nearly_singular(rows: ml.Constraint, place: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, float]:
+    """Along the self-motion down the slope of mu: the posture nearest to a singularity, and its singular value."""
+    at = ml.FrameJacobian(rows.robot, rows.features.frame.name)
+    best, least = q, math.inf
+    for _ in range(STEPS):
+        sigma = smallest(rows, q)
+        if sigma < least:
+            best, least = q, sigma
+        if sigma < SINGULAR:
+            break
+        A = at(q)
+        slope = ml.log_manipulability_gradient(rows, q)
+        slope -= np.linalg.pinv(A) @ (A @ slope)
+        there = brought_to(at, place, q - DESCENT * slope / max(float(np.linalg.norm(slope)), 1e-12), 10)
+        if there is None:
+            break
+        q = there
+    return best, least
+
+
+def smallest(rows: ml.Constraint, q: np.ndarray) -> float:
+    """Smallest singular value of the rows [m or 1]."""
+    return float(np.linalg.svd(rows(q), compute_uv=False)[-1])
+
+
+def start_of(name: str, draw: Draw, keep: bool, rng: np.random.Generator) -> Case | None:
+    """One attempt at a start; None if no posture is found at the handle, or at the end of the way."""
+    robot, arm = robot_of(name), ARMS[name]
+    constraint, strokes, place = draw(robot, arm, rng)
+    at = ml.FrameJacobian(robot, arm.tip)
+    q = brought_to(at, place, posture(robot, rng))
+    if q is None:
+        return None
+    case = Case(constraint, strokes, keep, q)
+    rows = case.motion(0).constraint  # held and driven at the start
+    for number in range(TRIES):
+        other = brought_to(at, place, posture(robot, rng)) if number else q
+        if other is not None:
+            there, sigma = nearly_singular(rows, place, other)
+            case = min(case, case._replace(start=there), key=lambda c: smallest(rows, c.start))
+            if sigma < SINGULAR:
+                break
+    return case if ends(case, arm, rng) else None
+
+
+def ends(case: Case, arm: Arm, rng: np.random.Generator) -> bool:
+    """Whether postures are found at all ends of its ways, from the start or one of six random postures."""
+    robot, pose = case.constraint.robot, case.constraint.robot.pose(case.start, arm.tip)
+    features = ml.FrameJacobian(robot, arm.tip, "pose" if case.keep else "xyz")
+    for stroke in case.strokes:
+        pose = stroke.end(pose)
+        starts = itertools.chain([case.start], (posture(robot, rng) for _ in range(6)))
+        if all(brought_to(features, pose if case.keep else pose[:3, 3], q) is None for q in starts):
+            return False
+    return True
+
+
+def cases_of(arm: str, task: tuple[Draw, int], keep: bool, number: int) -> list[Case]:
+    """Starts; the first ones are the same whatever their number."""
+    out, (draw, seed) = [], task
+    for i in range(number):
+        rng = np.random.default_rng([SEED, ARMS[arm].seed, seed, int(keep), 1, i])
+        attempts = (start_of(arm, draw, keep, rng) for _ in itertools.count())
+        out.append(next(case for case in attempts if case is not None))
     return out
 
 
-def long_way(arm: str, number: int, dt: float, policy: str) -> Run:
-    """A straight way of two reaches and more: whether a joint turns to and fro in the last second, and how far off."""
-    rng, robot = np.random.default_rng([9, list(ARMS).index(arm), number]), robot_of(arm)
-    q, features = posture(robot, rng), ml.FrameJacobian(robot, ARMS[arm].tip)
-    constraint = ml.Constraint(np.linalg.qr(rng.normal(size=(3, 3)))[0][:2], features)
-    distance = BEYOND * ARMS[arm].reach * (1 if rng.random() < 0.5 else -1)
-    keep = robot.nv >= 6 and number % 2 == 0
-    task = ml.FreeDirection(constraint, distance, SPEED, straight=True, keep_orientation=keep)
-    law = ml.ResolvedRateController(constraint, task, climbing(policy, task), dt=dt)
-    rollout = ml.simulate(robot, law, q, abs(distance) / SPEED + 3.0, dt)
-    tail = rollout.u[-round(TAIL / dt) :]
-    moving = (np.abs(tail[1:]) > STILL) & (np.abs(tail[:-1]) > STILL)
-    flips = int(np.sum(moving & (np.sign(tail[1:]) != np.sign(tail[:-1])), axis=0).max())
-    off = max(task.deviation(posture, task.progress_near(posture, 0.0)) for posture in rollout.q[::5])
-    why = f"{flips} changes of sign, {rollout.status[-1]}" if flips else ""
-    kind = "orientation kept" if keep else "hand may turn"
-    part = f"way out of reach, {1e3 * dt:.0f} ms"
-    return Run(part, 9, arm, kind, number, policy, not flips, round(1e3 * off, 3), why)
-
-
-def singular() -> list[Run]:
-    """Exactly singular starts of ten arms (`closed_loops.py`): how many are left within a second."""
-    out = []
-    for arm, *cells in singular_starts(6):
-        for kind, cell in zip(("holding", "reaching", "along the lost direction"), cells, strict=True):
-            counts, _, of = cell.partition(" of ")
-            for dt, left in zip(PERIODS, counts.split(", "), strict=True):
-                part = f"singular start, {1e3 * dt:.0f} ms"
-                out += [Run(part, 17, arm, kind, i, "learnt", i < int(left), 0.0, "") for i in range(int(of))]
-    return out
-
-
-def policies() -> tuple[str, ...]:
-    """Without the ascent of the task, where that is the ascent of the manipulability."""
-    task = cases_of("panda", "drawer 0.3 m", "held", "near", 1, SEEDS[0])[0].motion(0)
-    return POLICIES[:2] if type(task.ascent()) is ml.ManipulabilityAscent else POLICIES
-
-
-def jobs() -> Iterable[tuple[Callable[..., Any], tuple[Any, ...]]]:
-    """All of the work, in pieces."""
-    names = policies()
-    cells = [(arm, task) for arm in ARMS for task in TASKS if exists(arm, task, "held")]
-    firmly = [cell for cell in cells if cell[1].startswith(("door", "screw"))]
-    for seed in SEEDS:
-        for part, some in (("way", cells), ("firm grip", firmly)):
-            yield from ((way, (part, seed, *c, i, p)) for c in some for i in range(STARTS) for p in names)
-    yield from ((smallest_case, (p,)) for p in names)
-    yield from ((points, (a, *g)) for g in ((0.01, 1.0), (0.02, 1.0), (0.02, 3.0)) for a in controller_cases.ROBOTS)
-    yield from ((long_way, (a, i, t, p)) for t in (0.01, 0.02) for a in ARMS for i in range(6) for p in POLICIES[:2])
-    yield singular, ()
-
-
-def done_job(job: tuple[Callable[..., Any], tuple[Any, ...]]) -> list[Run]:
-    """One piece of the work."""
-    found = job[0](*job[1])
-    return found if isinstance(found, list) else [found]
+def run(case: Case, climbs: bool) -> tuple[bool, float, float]:
+    """Whether all of the ways are done, how far the hand was off at most [m or rad], and the least mu."""
+    q, off, least = case.start, 0.0, math.inf
+    for number in range(len(case.strokes)):
+        task = case.motion(number)
+        law = ml.ResolvedRateController(case.constraint, task, task.ascent() if climbs else None, dt=DT)
+        rollout, way = simulate_way(case.constraint.robot, law, q, DT)
+        begins = rollout.time[-1] if way.begins is None else way.begins
+        off = max(off, way.deviation)
+        least = min(least, float(np.min(rollout.manipulability[rollout.time >= begins - 1e-9])))
+        if not way.is_done or way.strays:
+            return False, off, least
+        q = rollout.q[-1]
+    return True, off, least
 
 
 def main() -> None:
-    """Measure, and write the runs."""
+    """Measure, and write the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--runs", type=Path, default=Path("near_singular_ways.csv"))
-    parser.add_argument("--short", type=Path, help="write the short table here, and nothing else")
-    parser.add_argument("--workers", type=int, default=1)
-    given = parser.parse_args()
-    if given.short is not None:
-        put(SHORT, short(), given.short)
-        return
-    runs: list[Run] = []
-    with ProcessPoolExecutor(given.workers) as pool:
-        for some in pool.map(done_job, jobs()):
-            runs += some
-            put(Run._fields, runs, given.runs)  # what is done so far stays if the rest is interrupted
+    parser.add_argument("--starts", type=int, default=3, help="of each arm and task, with either hand")
+    parser.add_argument("--out", type=Path)
+    given, lines = parser.parse_args(), []
+    for hand, keep in HANDS.items():
+        cases = [case for arm in ARMS for task in TASKS for case in cases_of(arm, task, keep, given.starts)]
+        scores = {climbs: np.array([run(case, climbs) for case in cases]) for climbs in (False, True)}
+        for climbs, (done, off, least) in ((climbs, found.T) for climbs, found in scores.items()):
+            ratios = np.quantile(least / scores[False][:, 2], [0.5, 0.25, 0.75])
+            cells = (
+                f"{done.sum():.0f} of {len(cases)}",
+                round(1e3 * off.max(), 2),
+                ", ".join(f"{x:.2f}" for x in ratios),
+            )
+            lines.append((hand, "ascent" if climbs else "none", *cells))
+    put(HEADER, lines, given.out)
 
 
 if __name__ == "__main__":

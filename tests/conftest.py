@@ -46,6 +46,15 @@ def chain_urdf(name: str, joints: list[tuple[str, str, str, str]], extra: str = 
     return f'<robot name="{name}">{"".join(links)}{extra}{_tip(len(joints) - 1)}</robot>'
 
 
+def chain_with(folder: Path, joints: list[tuple[str, str, str, str]], shapes: dict[str, str], most: float = 2) -> Robot:
+    """A robot of `chain_urdf` in a folder, with limits of +-`most`, and with elements in links: link -> element."""
+    text = chain_urdf("chain", joints).replace('lower="-2" upper="2"', f'lower="-{most}" upper="{most}"')
+    for link, element in shapes.items():
+        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{element}')
+    (folder / "chain.urdf").write_text(text, encoding="utf-8")
+    return load_robot(folder / "chain.urdf")
+
+
 def _link(name: str) -> str:
     return (
         f'<link name="{name}"><inertial><origin xyz="0.1 0.02 -0.05"/><mass value="1.5"/>'

@@ -7,25 +7,22 @@ from functools import partial
 
 import numpy as np
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FeatureMap, FrameJacobian
-from manip_learn.recordings.trajectory import Demonstrations, Trajectory
-from manip_learn.robot.loading import load_robot
-from manip_learn.robot.robot import Robot
+import manip_learn as ml
+from manip_learn.experiments.paper_setup import AXES, Setup, demonstrate
 
 PLANAR_ROWS = {"xy": [0, 1], "x-theta": [0, 2], "y-theta": [1, 2]}
 Velocity = Callable[[np.ndarray, float], np.ndarray]
-made = partial(Trajectory, exact=True)  # velocities are those that made the positions
+made = partial(ml.Trajectory, exact=True)  # velocities are those that made the positions
 
 
-def planar_features() -> FrameJacobian:
+def planar_features() -> ml.FrameJacobian:
     """x, y and the angle of the tip of the paper's arm: three links of 1 m."""
-    return FrameJacobian(load_robot("planar3"), "tip", "planar")
+    return ml.FrameJacobian(ml.load_robot("planar3"), "tip", "planar")
 
 
-def arm_features(axes: str = "xyz", reference: str = "world") -> FrameJacobian:
+def arm_features(axes: str = "xyz", reference: str = "world") -> ml.FrameJacobian:
     """Rows of the Sawyer-like arm's tip."""
-    return FrameJacobian(load_robot("sawyer"), "right_gripper_tip", axes, reference)
+    return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", axes, reference)
 
 
 def with_noise(u: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
@@ -34,41 +31,14 @@ def with_noise(u: np.ndarray, share: float, rng: np.random.Generator) -> np.ndar
 
 
 def paper_motions(
-    rows: list[int],
-    rng: np.random.Generator,
-    n_trajectories: int = 100,
-    n_points: int = 10,
-    noise: float = 0.0,
-    policy: Callable[[np.ndarray], np.ndarray] | None = None,
-    gain: float = 1.0,
-) -> tuple[Demonstrations, Constraint]:
-    """The paper's planar reaching: u = A^+ b + N pi, Euler steps of 0.02 s; gain 0 makes it motion-constrained."""
-    features = planar_features()
-    truth = Constraint(np.eye(3)[rows], features)
-    rest = np.radians([10.0, -10.0, 10.0])
-    trajectories = []
-    while len(trajectories) < n_trajectories:
-        target = np.array([rng.uniform(-1, 1), rng.uniform(0, 2), rng.uniform(0, np.pi)])
-        if np.hypot(target[0] - np.cos(target[2]), target[1] - np.sin(target[2])) > 2.0:
-            continue
-        q = np.radians([rng.uniform(0, 10), rng.uniform(90, 100), rng.uniform(0, 10)])
-        positions, velocities = [], []
-        for _ in range(n_points):
-            A, r = truth(q), np.append(features.robot.pose(q, features.frame)[:2, 3], q.sum())
-            pi = rest - q if policy is None else policy(q)
-            inverse = np.linalg.pinv(A)
-            u = inverse @ (gain * (target - r)[rows]) + pi - inverse @ (A @ pi)
-            positions.append(q)
-            velocities.append(u)
-            q = q + 0.02 * u
-        u = with_noise(np.array(velocities), noise, rng)
-        trajectories.append(
-            made(0.02 * np.arange(n_points), positions, u, features.robot.joint_names, f"reach {len(trajectories)}")
-        )
-    return Demonstrations(trajectories), truth
+    rows: list[int], rng: np.random.Generator, n_trajectories: int = 100, n_points: int = 10, noise: float = 0.0
+) -> tuple[ml.Demonstrations, ml.Constraint]:
+    """The paper's planar reaching: u = A^+ b + N pi, Euler steps of 0.02 s."""
+    setup = Setup(" ".join(np.array(AXES.split())[rows]), n_trajectories, n_points, noise)
+    return demonstrate(setup, setup.selection, rng), ml.Constraint(setup.selection, planar_features())
 
 
-def random_posture(robot: Robot, rng: np.random.Generator, share: float = 0.5) -> np.ndarray:
+def random_posture(robot: ml.Robot, rng: np.random.Generator, share: float = 0.5) -> np.ndarray:
     """A posture in the middle part of the joint ranges."""
     middle = 0.5 * (robot.position_lower + robot.position_upper)
     half = 0.5 * (robot.position_upper - robot.position_lower)
@@ -84,7 +54,7 @@ def smooth_drive(n: int, rng: np.random.Generator, speed: float = 0.6) -> Callab
 
 
 def guided_motions(
-    features: FeatureMap,
+    features: ml.FeatureMap,
     selection: np.ndarray,
     rng: np.random.Generator,
     n_trajectories: int = 12,
@@ -92,13 +62,13 @@ def guided_motions(
     dt: float = 0.02,
     noise: float = 0.0,
     task_speed: float = 0.0,
-) -> tuple[Demonstrations, Constraint]:
+) -> tuple[ml.Demonstrations, ml.Constraint]:
     """An arm pushed about while the world holds the rows Lambda Phi (task_speed 0), or moves them as it likes.
 
     Integrated with the classic Runge-Kutta scheme, so that positions and velocities belong together to 1e-8.
     """
     robot = features.robot
-    truth = Constraint(selection, features)
+    truth = ml.Constraint(selection, features)
     trajectories = []
     for k in range(n_trajectories):
         push, pull = smooth_drive(robot.nv, rng), smooth_drive(truth.n_constraints, rng, max(task_speed, 1e-12))
@@ -111,7 +81,7 @@ def guided_motions(
 
         time, q, u = integrated(velocity, random_posture(robot, rng), n_points, dt)
         trajectories.append(made(time, q, with_noise(u, noise, rng), robot.joint_names, f"motion {k}"))
-    return Demonstrations(trajectories), truth
+    return ml.Demonstrations(trajectories), truth
 
 
 def integrated(
@@ -135,7 +105,7 @@ def oblique(s: int, p: int, rng: np.random.Generator) -> np.ndarray:
     return np.linalg.qr(rng.standard_normal((p, s)))[0].T
 
 
-def angle_deg(learnt: Constraint, truth: Constraint) -> float:
+def angle_deg(learnt: ml.Constraint, truth: ml.Constraint) -> float:
     """Largest principal angle between two row spaces [deg], written down anew."""
     P = truth.selection
     if learnt.selection.shape != P.shape:

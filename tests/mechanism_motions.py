@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot.robot import Robot
+import manip_learn as ml
 
 T = 60
 Path = Callable[[np.ndarray, np.random.Generator], tuple[np.ndarray, np.ndarray | None]]
@@ -30,21 +29,22 @@ def stroke(rng: np.random.Generator, size: float) -> np.ndarray:
     return far * (s + 0.05 * np.sin(2 * np.pi * rng.uniform(0.5, 1.5) * t) * t)
 
 
-def follow(robot: Robot, frame: str, q: np.ndarray, path: tuple, rng: np.random.Generator) -> np.ndarray:
-    """Postures (T, nv) whose tip is on the path; what the path leaves free wanders."""
-    tip, (p, R) = robot.frame(frame), path
-    wander = wave(rng, np.full(robot.nv, 0.1))
-    out = []
-    for t in range(T):
-        q = q + (wander[t] - wander[t - 1] if t else 0.0)
+def follow(robot: ml.Robot, frame: str, q: np.ndarray, path: tuple, wander: np.ndarray) -> np.ndarray:
+    """Postures (T, nv) whose tip is on the path; what the path leaves free wanders.
+
+    Raises:
+        RuntimeError: The arm does not get there.
+    """
+    tip, (p, R), out = robot.frame(frame), path, []
+    for t, step in enumerate(np.diff(wander, axis=0, prepend=wander[:1])):
+        q = q + step
         for _ in range(15):
             pose, J = robot.pose(q, tip), robot.jacobian(q, tip)
             error = p[t] - pose[:3, 3]
             if R is None:
                 J = J[:3]
             else:
-                turn = Rotation.from_matrix(R[t] @ pose[:3, :3].T).as_rotvec()
-                error = np.concatenate([error, turn])
+                error = np.append(error, Rotation.from_matrix(R[t] @ pose[:3, :3].T).as_rotvec())
             if np.linalg.norm(error) < 1e-9:
                 break
             q = q + J.T @ np.linalg.solve(J @ J.T + 1e-12 * np.eye(len(J)), error)
@@ -55,7 +55,7 @@ def follow(robot: Robot, frame: str, q: np.ndarray, path: tuple, rng: np.random.
 
 
 def demonstrate(
-    robot: Robot,
+    robot: ml.Robot,
     frame: str,
     middle: np.ndarray,
     path: Path,
@@ -64,7 +64,7 @@ def demonstrate(
     n: int = 5,
     grip: float = 0.2,
     noise: float = 1e-4,
-) -> list[Trajectory]:
+) -> list[ml.Trajectory]:
     """n trajectories; each takes hold in another posture with the tip at the same place.
 
     Args:
@@ -84,9 +84,9 @@ def demonstrate(
         q = middle + rng.normal(0.0, grip, robot.nv)
         for _ in range(20):
             q = q + np.linalg.pinv(robot.jacobian(q, tip)[:3]) @ (handle - robot.position(q, tip))
-        exact = follow(robot, frame, q, path(robot.pose(q, tip), rng), rng)
+        exact = follow(robot, frame, q, path(robot.pose(q, tip), rng), wave(rng, np.full(robot.nv, 0.1)))
         noisy = exact + rng.normal(0.0, noise, exact.shape)
-        out.append(Trajectory(np.arange(T) * 0.02, noisy, None, robot.joint_names, f"demo_{number}"))
+        out.append(ml.Trajectory(np.arange(T) * 0.02, noisy, None, robot.joint_names, f"demo_{number}"))
     return out
 
 

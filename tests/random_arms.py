@@ -30,6 +30,18 @@ class Asks(Task):
         return 1.0
 
 
+class Drives(Asks):
+    """Some combination of the rows is driven, the others are held."""
+
+    def __init__(self, b: np.ndarray, D: np.ndarray):
+        super().__init__(b)
+        self.D = D
+
+    def driven_rows(self, constraint: ml.Constraint) -> np.ndarray:
+        """The same everywhere."""
+        return self.D
+
+
 class Case(NamedTuple):
     """A law at a posture, what was commanded before, and the period."""
 

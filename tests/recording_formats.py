@@ -7,16 +7,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
+import pytest
 import scipy.io
 from recording_corpus import JOINTS, TIME, Q, U
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
+
+for _module in ("h5py", "pyarrow", "rosbags"):
+    pytest.importorskip(_module, reason=f"NO {_module.upper()}: THE FORMATS OF RECORDINGS ARE NOT TESTED")
+import h5py  # noqa: E402
+import pyarrow as pa  # noqa: E402
+import pyarrow.parquet as pq  # noqa: E402
+from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
+from rosbags.rosbag2 import CompressionFormat, StoragePlugin  # noqa: E402
+from rosbags.rosbag2 import Writer as Writer2  # noqa: E402
+from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
 Build = Callable[[Path], Path]  # writes something in a folder, and says where
 Message = tuple[str, int, tuple]  # topic, when it was received [ns], fields of a JointState

@@ -1,8 +1,7 @@
-"""Loops and bad input that the tests of the servo loop share."""
+"""Loops, arms and bad input that the tests of the servo loop share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,21 +9,19 @@ from conftest import tip_of
 
 import manip_learn as ml
 from manip_learn.control.command import Command, Status
-from manip_learn.control.limits import Limits
 from manip_learn.control.servo_loop import STANDING
 from manip_learn.robot.robot import Robot
 
 DT = 0.001
 ROUNDING = 1.0 + 1e-9  # of the change that the acceleration limits allow in a period
 SAME = object()  # where the arm is, and the time of its clock
-RobotOf = Callable[[str], Robot]
+OLD = object()  # the time of the last state that was given with the time of the clock
 
 
 def law_of(robot: Robot, name: str, reach: float = 0.3, seed: int = 4, **settings: Any) -> ml.ResolvedRateController:
     """Two oblique rows, a target `reach` m away, and manipulability ascent."""
     rng = np.random.default_rng(seed)
-    axes = "planar" if name == "planar3" else "xyz"
-    features = ml.FrameJacobian(robot, tip_of(name), axes)
+    features = ml.FrameJacobian(robot, tip_of(name), "planar" if name == "planar3" else "xyz")
     constraint = ml.Constraint(np.linalg.qr(rng.normal(size=(3, 3)))[0][:2], features)
     target = features.coordinates(start_of(robot)) + reach * rng.uniform(-1.0, 1.0, 3)
     task = ml.PointAttractor(target, gain=2.0)
@@ -38,10 +35,10 @@ def start_of(robot: Robot, seed: int = 2) -> np.ndarray:
     return rng.uniform(low + 0.2 * (high - low), high - 0.2 * (high - low))
 
 
-def command_of(velocity: Any, words: str = "ok") -> Command:
+def command_of(velocity: Any) -> Command:
     """A command of a user's own controller."""
     zero = np.zeros(np.size(velocity))
-    return Command(velocity, ml.Status(words), 1.0, zero[:1], zero, zero, 1.0, 1.0, 1.0)
+    return Command(velocity, Status.OK, 1.0, zero[:1], zero, zero, 1.0, 1.0, 1.0)
 
 
 class Constantly:
@@ -59,22 +56,27 @@ class Constantly:
 
 
 class Arm:
-    """A perfect servo on a loop, every command of which must keep the limits of velocity, acceleration and position."""
+    """A perfect servo on a loop, every command of which must keep the limits of position, velocity and its rates."""
 
     def __init__(self, loop: ml.ServoLoop, q: np.ndarray):
-        self.loop, self.q, self.t, self.newest, self.last = loop, q, 0.0, 0.0, np.zeros(loop.robot.nv)
+        self.loop, self.q, self.t, self.newest, self.dt = loop, q, 0.0, 0.0, loop.dt
+        self.last, self.rate = np.zeros((2, loop.robot.nv))
 
     def call(self, measured: Any = SAME, t: Any = SAME) -> Command:
         """One period: what was measured, where that is not where the arm is, and its time, where that is another."""
-        loop, robot = self.loop, self.loop.robot
+        loop, robot, dt, t = self.loop, self.loop.robot, self.dt, self.newest if t is OLD else t
         command = loop.update(self.q if measured is SAME else measured, self.t if t is SAME else t)
         self.newest = self.t if t is SAME else self.newest
-        u = command.velocity
+        u, change = command.velocity, command.velocity - self.last
         blocked = command.status is Status.FOLLOWING_ERROR  # it then brakes as hard as the arm can
-        most = np.maximum(loop.acceleration_limit, Limits(robot).acceleration) if blocked else loop.acceleration_limit
-        assert np.all(np.abs(u - self.last) <= most * DT * ROUNDING), (self.t, u, self.last)
+        most = (
+            np.maximum(loop.acceleration_limit, ml.Limits(robot).acceleration) if blocked else loop.acceleration_limit
+        )
+        assert np.all(np.abs(change) <= most * dt * ROUNDING), (self.t, u, self.last)
+        if loop.jerk_limit is not None and not blocked:
+            assert np.all(np.abs(change - self.rate) <= loop.jerk_limit * dt * dt * (1.0 + 1e-6)), self.t
         assert np.all(np.abs(u) <= loop.limits.velocity * ROUNDING)
-        self.q, self.last, self.t = robot.integrate(self.q, DT * u), u, self.t + DT
+        self.q, self.last, self.rate, self.t = robot.integrate(self.q, dt * u), u, change, self.t + dt
         x = robot.positions(self.q)
         kept = (x <= robot.position_upper + 1e-9) & (x >= robot.position_lower - 1e-9)
         assert np.all(kept | (command.outside > 0.0) | (command.status in STANDING))
@@ -104,12 +106,10 @@ BAD_TIMES = (
 
 
 class Refuses:
-    """An object that cannot be made an array."""
+    """An object that cannot be made an array or a number: it fails with an error that no number ever raises."""
 
     def __array__(self, *_: Any, **__: Any) -> np.ndarray:
-        """Fails with an error that no number ever raises."""
         raise ZeroDivisionError("no array")
 
     def __float__(self) -> float:
-        """Likewise."""
         raise ZeroDivisionError("no number")

@@ -10,12 +10,12 @@ from typing import Any, final
 
 import numpy as np
 import pytest
+from mechanism_motions import follow
 from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-KINDS = ("drawer", "door", "lid", "crank", "table")
 GRIP, WANDER, BEND = 0.12, 0.06, 0.1  # [rad] between grips, of the spare joints on the way, of a reach's detours
 FINDS_AGAIN = 4e-4  # [m] to which a person finds a handle again
 SPREAD = 0.06  # of how far people go, relative
@@ -79,23 +79,6 @@ def coordinates(one: Thing, rng: np.random.Generator, tools: Any) -> np.ndarray:
     return motion.strokes(np.array([[far], [0.0]]), np.array([speed, speed]), np.array([0.3, 0.0]))
 
 
-def follow(arm: Any, q: np.ndarray, places: np.ndarray, wander: np.ndarray) -> np.ndarray | None:
-    """Postures whose tip is at the places, the spare joints wandering; None where the arm does not get there."""
-    out = []
-    for k, place in enumerate(places):
-        q = q + (wander[k] - wander[k - 1] if k else 0.0)
-        for _ in range(12):
-            error = place - arm.pose(q)[:3, 3]
-            if np.linalg.norm(error) < 1e-9:
-                break
-            J = arm.jacobian(q)[:3]
-            q = q + J.T @ np.linalg.solve(J @ J.T + 1e-10 * np.eye(3), error)
-        else:
-            return None
-        out.append(q)
-    return np.array(out)
-
-
 def recordings(
     kinds: Sequence[str], robot: str, seed: int, n: int = 6, noise: float = 1e-4
 ) -> tuple[ml.Robot, str, list[ml.Trajectory], list[Thing], list[list[float]]]:
@@ -133,8 +116,10 @@ def _one(arm: Any, things: list[Thing], middles: list[np.ndarray], away: np.ndar
         ways.append(float(np.max(np.linalg.norm(c, axis=1))))
         places = one.place(c) + rng.normal(0.0, FINDS_AGAIN, 3)
         wander = motion.slow_curve(len(c) - 1, np.full(nv, WANDER), (0.1, 0.4), rng)
-        contact = follow(arm, middle + rng.normal(0.0, GRIP, nv), places, wander)
-        if contact is None:
+        grip = middle + rng.normal(0.0, GRIP, nv)
+        try:
+            contact = follow(arm.robot, arm.tip.name, grip, (places, None), wander)
+        except RuntimeError:
             return None
         parts += [motion.reach(q, contact[0], rng.uniform(1.6, 2.2), BEND, rng), motion.rest(contact[0], 0.25)]
         parts += [contact, motion.rest(contact[-1], 0.25)]

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.recordings.velocities import derive_velocities
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 DATA = EXAMPLES / "data"
@@ -46,7 +45,7 @@ def moving(
     features = ml.FrameJacobian(arm(robot), truth["tip"], "xyz")
     built = features.robot
     named = [ml.Trajectory(t.time, t.q, None, built.joint_names, t.name) for t in made]
-    return features, [derive_velocities(t, built) for t in named], truth
+    return features, [ml.derive_velocities(t, built) for t in named], truth
 
 
 def true_rows(truth: Truth, mechanism: int = 0) -> np.ndarray:

@@ -42,20 +42,13 @@ def client():
         yield client
 
 
-@pytest.fixture(scope="module")
-def folder(features, tmp_path_factory):
-    """Forty files without velocities, more samples than are learnt from."""
-    path = tmp_path_factory.mktemp("fleet")
-    for i, t in enumerate(motions(features, TWO, np.random.default_rng(5), 40, noise=0.02, held=True)):
-        np.savez(path / f"demo_{i:03d}.npz", time=t.time, q=t.q, joint_names=np.array(t.joint_names))
-    return path
-
-
 @pytest.fixture
-def source(features, folder, monkeypatch):
-    """The same in many parts."""
+def source(features, tmp_path, monkeypatch):
+    """Forty files without velocities, more samples than are learnt from, in many parts."""
+    for i, t in enumerate(motions(features, TWO, np.random.default_rng(5), 40, noise=0.02, held=True)):
+        np.savez(tmp_path / f"demo_{i:03d}.npz", time=t.time, q=t.q, joint_names=np.array(t.joint_names))
     monkeypatch.setattr(trajectory_source, "PART_BYTES", 12_000)
-    source = ml.RecordingSource(folder, features.robot)
+    source = ml.RecordingSource(tmp_path, features.robot)
     assert source.n_parts > 10
     return source
 
@@ -86,9 +79,9 @@ def test_workers_change_nothing(client, features, source):
         assert not deadline.wait(0.05)  # the scheduler lets go a moment later; the test's own limit ends it
 
 
-def test_the_audit_reads_there_too(client, features, folder):
+def test_the_audit_reads_there_too(client, features, source, tmp_path):
     """Measured by workers, episodes have the scores that they have here."""
-    source, drawer = ml.RecordingSource(sorted(folder.iterdir())[:9], features.robot), ml.Constraint(TWO, features)
+    source, drawer = ml.RecordingSource(sorted(tmp_path.iterdir())[:9], features.robot), ml.Constraint(TWO, features)
     here, there = (ml.audit_episodes(drawer, source, client=reader).episodes for reader in (None, client))
     assert [(e.number, e.reasons) for e in here] == [(e.number, e.reasons) for e in there]
     np.testing.assert_allclose([e.score for e in here], [e.score for e in there], rtol=1e-9)
@@ -102,11 +95,11 @@ def test_only_this_machine_can_reach_the_cluster(client):
     assert "//127.0.0.1:" in client.dashboard_link
 
 
-def test_errors_of_workers_come_back(client, features, folder, source):
+def test_errors_of_workers_come_back(client, features, source, tmp_path):
     """A recording that a worker refuses ends the fit with the same sentence as without a cluster; workers that die
     again and again end a command with one.
     """
-    with (folder / "demo_020.npz").open("wb") as file:
+    with (tmp_path / "demo_020.npz").open("wb") as file:
         np.savez(file, time=np.arange(9.0), q=np.full((9, 7), np.nan), joint_names=np.array(features.robot.joint_names))
     said = []
     for reader in (None, client):
@@ -120,9 +113,9 @@ def test_errors_of_workers_come_back(client, features, folder, source):
             list(each_part(os._exit, [1, 1], frail, None))
 
 
-def test_command_line(client, folder, capsys):
+def test_command_line(client, source, tmp_path, capsys):
     """`--dask ADDRESS` reads on that scheduler; options that work on recordings in memory are refused beside it."""
-    files = list(map(str, sorted(folder.iterdir())[:20]))
+    files = list(map(str, sorted(tmp_path.iterdir())[:20]))
     words = ["learn", "sawyer", *files, "--frame", "right_gripper_tip", "--reference", "world", "--json"]
     found = []
     for further in (["--dask", client.scheduler.address], []):

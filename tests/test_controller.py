@@ -1,118 +1,137 @@
-"""The controller's promises: exact null space, task first, limits, words, and no NaN, from any posture."""
+"""The controller's promises: exact null space, task first, limits, words, and no NaN, from any posture of any tree."""
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
-from random_arms import Asks
+from hypothesis import given
+from hypothesis import strategies as st
+from random_arms import Asks, Drives, random_case
 from rounding import rounding
+from scipy.optimize import linprog
+from servo_cases import Arm
 
+import manip_learn as ml
 from manip_learn.constraint import manipulability
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CustomFeatures, FrameJacobian
+from manip_learn.constraint.features import CustomFeatures
 from manip_learn.constraint.manipulability import svd
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
-from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
+from manip_learn.linalg import null_basis
+
+ARGUMENTS = {ml.simulate: "robot, controller, q0", ml.ResolvedRateController: "constraint, task, null_policy"}
 
 
-def test_arguments_in_another_order(robot_of):
+@pytest.fixture
+def planar(planar3):
+    """Two rows of an arm in a plane."""
+    return ml.Constraint(np.eye(2), ml.FrameJacobian(planar3, "tip", "x y"))
+
+
+@pytest.mark.parametrize(
+    ("call", "order", "said"),
+    [(ml.simulate, "controller robot start", "got a ResolvedRateController, a Robot and an ndarray of shape (7,)"),
+     (ml.simulate, "robot start controller", "got a Robot, an ndarray of shape (7,) and a ResolvedRateController"),
+     (ml.simulate, "robot constraint start", "got a Robot, a Constraint and an ndarray of shape (7,)"),
+     (ml.ResolvedRateController, "task constraint nothing", "got a PointAttractor, a Constraint and None"),
+     (ml.ResolvedRateController, "robot task nothing", "got a Robot, a PointAttractor and None"),
+     (ml.ResolvedRateController, "constraint nothing task", "got a Constraint, None and a PointAttractor")],
+)  # fmt: skip
+def test_arguments_in_another_order(call, order, said, robot_of):
     """The error says the right call, and what was given where."""
-    robot, task = robot_of("sawyer"), PointAttractor(np.zeros(2))
-    constraint = Constraint(np.eye(3)[:2], FrameJacobian(robot, "right_hand"))
+    robot, task = robot_of("sawyer"), ml.PointAttractor(np.zeros(2))
+    constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(robot, "right_hand"))
     things = {"robot": robot, "constraint": constraint, "task": task, "nothing": None, "start": np.zeros(7)}
-    things["controller"] = ResolvedRateController(constraint, task)
-    for call, order, said in (
-        (simulate, "controller robot start", "got a ResolvedRateController, a Robot and an ndarray of shape (7,)"),
-        (simulate, "robot start controller", "got a Robot, an ndarray of shape (7,) and a ResolvedRateController"),
-        (simulate, "robot constraint start", "got a Robot, a Constraint and an ndarray of shape (7,)"),
-        (ResolvedRateController, "task constraint nothing", "got a PointAttractor, a Constraint and None"),
-        (ResolvedRateController, "robot task nothing", "got a Robot, a PointAttractor and None"),
-        (ResolvedRateController, "constraint nothing task", "got a Constraint, None and a PointAttractor"),
-    ):
-        right = "robot, controller, q0" if call is simulate else "constraint, task, null_policy"
-        with pytest.raises((ConfigurationError, ConstraintError)) as caught:
-            call(*(things[name] for name in order.split()))
-        assert str(caught.value) == f"call {call.__name__}({right}): {said}, in this order"
+    things["controller"] = ml.ResolvedRateController(constraint, task)
+    with pytest.raises((ConfigurationError, ConstraintError)) as caught:
+        call(*(things[name] for name in order.split()))
+    assert str(caught.value) == f"call {call.__name__}({ARGUMENTS[call]}): {said}, in this order"
 
 
-def test_damping_only_below_the_threshold(robot_of):
+@pytest.mark.parametrize(
+    ("elbow", "word"),
+    [(1.0, "ok"), (0.3, "ok"), (0.05, "damped"), (0.02, "damped"), (1e-4, "stalled"), (0.0, "singular")],
+)
+def test_damping_only_below_the_threshold(elbow, word, planar):
     """Above the threshold the task is followed exactly; below it is damped, then stalls, and at zero it is singular."""
-    robot = robot_of("planar3")
-    constraint = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
-    words = {}
-    for elbow in (1.0, 0.3, 0.05, 0.02, 1e-4, 0.0):
-        q = np.array([0.2, elbow, 0.0])
-        controller = ResolvedRateController(
-            constraint, Track(lambda t: [0.0, 0.0], gain=1e-2), limits=False, threshold=0.05, damping=0.05
-        )
-        command = controller(q)
-        sigma = np.linalg.svd(constraint(q), compute_uv=False)[-1]
-        known = rounding(4 * 2 * 3, constraint(q))  # of a singular value
-        followed = np.allclose(constraint(q) @ command.velocity, command.task_velocity, rtol=1e-10, atol=0)
-        assert followed == (sigma >= controller.threshold)
-        assert command.smallest_singular_value == pytest.approx(sigma, rel=1e-9, abs=known)
-        words[elbow] = command.status
-        # A^T (A A^T + lambda^2)^-1 b, lambda = damping (1 - (sigma / threshold)^2) of the smallest singular value
-        A, factor = constraint(q), 0.05 * max(0.0, 1.0 - (sigma / 0.05) ** 2)
-        U, values, Vt = np.linalg.svd(A)
-        gains = values / np.maximum(values**2 + factor**2, 1e-300)
-        expected = Vt[:2].T @ (gains * (U.T @ command.task_velocity))
-        known *= np.linalg.norm(command.task_velocity) / 0.05**2  # of sigma b / (sigma^2 + factor^2)
-        np.testing.assert_allclose(command.task_part, expected, rtol=1e-9, atol=known)
-    assert words == {1.0: "ok", 0.3: "ok", 0.05: "damped", 0.02: "damped", 1e-4: "stalled", 0.0: "singular"}
+    q, task = np.array([0.2, elbow, 0.0]), ml.Track(lambda t: [0.0, 0.0], gain=1e-2)
+    controller = ml.ResolvedRateController(planar, task, limits=False, threshold=0.05, damping=0.05)
+    command, A = controller(q), planar(q)
+    U, values, Vt = np.linalg.svd(A)
+    sigma, known = values[-1], rounding(4 * 2 * 3, A)  # of a singular value
+    followed = np.allclose(A @ command.velocity, command.task_velocity, rtol=1e-10, atol=0)
+    assert followed == (sigma >= controller.threshold) and command.status == word
+    assert command.smallest_singular_value == pytest.approx(sigma, rel=1e-9, abs=known)
+    # A^T (A A^T + lambda^2)^-1 b, lambda = damping (1 - (sigma / threshold)^2) of the smallest singular value
+    factor = 0.05 * max(0.0, 1.0 - (sigma / 0.05) ** 2)
+    expected = Vt[:2].T @ (values / np.maximum(values**2 + factor**2, 1e-300) * (U.T @ command.task_velocity))
+    known *= np.linalg.norm(command.task_velocity) / 0.05**2  # of sigma b / (sigma^2 + factor^2)
+    np.testing.assert_allclose(command.task_part, expected, rtol=1e-9, atol=known)
+
+
+def test_what_holds_the_hand_gives_way_last(planar):
+    """Below the threshold rows that are held are damped with a tenth of the lambda of those that are driven."""
+    q, b, D = np.array([0.2, 0.02, 0.0]), np.array([1e-3, -2e-3]), np.array([[0.6, 0.8]])
+    law = ml.ResolvedRateController(planar, Drives(b, D), limits=False, threshold=0.05, damping=0.05)
+    A, sigma = planar(q), np.linalg.svd(planar(q), compute_uv=False)[-1]
+    damping = (0.05 * (1.0 - (sigma / 0.05) ** 2)) ** 2 * (0.01 * np.eye(2) + 0.99 * D.T @ D)
+    np.testing.assert_allclose(law(q).task_part, A.T @ np.linalg.solve(A @ A.T + damping, b), rtol=1e-9, atol=1e-12)
 
 
 def test_the_words_are_right(robot_of):
     """Each word is given for what it says, the gravest first."""
     robot = robot_of("sawyer")
-    constraint = Constraint(np.eye(3)[:2], FrameJacobian(robot, "right_hand"))
+    constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(robot, "right_hand"))
     q = np.radians([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 100.0])
-    here = constraint.features.coordinates(q)
 
-    def status(offset: float, gain: float = 0.0, posture: np.ndarray = q) -> str:
-        policy = ManipulabilityAscent(constraint, gain)
-        return ResolvedRateController(constraint, PointAttractor(here + offset), policy)(posture).status
+    def command(offset, gain=0.0, posture=q):
+        task = ml.PointAttractor(constraint.features.coordinates(posture) + offset)
+        return ml.ResolvedRateController(constraint, task, ml.ManipulabilityAscent(constraint, gain))(posture)
 
-    assert status(0.001) == "ok"
-    assert status(0.01, gain=4.0) == "null-scaled"
-    assert status(10.0) == "velocity-limited"
-    task = ResolvedRateController(constraint, PointAttractor(here + 0.1))(q).task_part
-    blocked = q.copy()
+    for offset, gain, word in ((0.001, 0.0, "ok"), (0.01, 4.0, "null-scaled"), (10.0, 0.0, "velocity-limited")):
+        assert command(offset, gain).status == word
+    task, blocked = command(0.1).task_part, q.copy()
     j = int(np.argmax(np.abs(task)))
     blocked[j] = (robot.position_upper if task[j] > 0 else robot.position_lower)[j]
-    moved = constraint.features.coordinates(blocked) + 0.1
-    assert ResolvedRateController(constraint, PointAttractor(moved))(blocked).status in ("rerouted", "position-limited")
+    assert command(0.1, 0.0, blocked).status in ("rerouted", "position-limited")
 
 
-def test_bad_input_is_refused(robot_of):
-    """NaN, wrong sizes, targets that do not fit, settings out of range: an error of this library, never a number."""
-    robot = robot_of("planar3")
-    constraint = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
-    controller = ResolvedRateController(constraint, PointAttractor([1.0, 1.0]))
+@pytest.mark.parametrize("settings", [{"threshold": 0.0}, {"damping": -1.0}, {"dt": np.nan}, {"inverse": "pinv"}])
+def test_settings_out_of_range_are_refused(settings, planar):
+    """By the name of the setting or what was given for it."""
+    with pytest.raises(ConstraintError, match="'pinv'|" + next(iter(settings))):
+        ml.ResolvedRateController(planar, **settings)
+
+
+def test_bad_input_is_refused(planar):
+    """NaN, wrong sizes, periods that are none, targets that do not fit: an error of this library, never a number."""
+    controller = ml.ResolvedRateController(planar, ml.PointAttractor([1.0, 1.0]))
     for q in ([np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0], [0.0, 0.0], np.zeros((1, 3)), None):
         with pytest.raises(ConfigurationError):
             controller(q)
-    with pytest.raises(TargetError, match="2 numbers"):
-        ResolvedRateController(constraint, PointAttractor([1.0, 1.0, 1.0]))(np.ones(3))
-    with pytest.raises(TargetError, match="2 numbers"):
-        ResolvedRateController(constraint, None, JointAttractor(np.zeros(2), robot=None))(np.ones(3))
-    for settings in ({"threshold": 0.0}, {"damping": -1.0}, {"dt": np.nan}):
-        with pytest.raises(ConstraintError, match=next(iter(settings))):
-            ResolvedRateController(constraint, **settings)
     for dt in (0.0, -0.01, np.nan, np.inf):  # which would turn the position limits round, or off
         with pytest.raises(ConfigurationError, match="positive"):
             controller(np.ones(3), 0.0, dt)
-    with pytest.raises(ConstraintError, match="'pinv'"):
-        ResolvedRateController(constraint, inverse="pinv")  # type: ignore[arg-type]
+    for wrong in ((ml.PointAttractor([1.0, 1.0, 1.0]),), (None, ml.JointAttractor(np.zeros(2), robot=None))):
+        with pytest.raises(TargetError, match="2 numbers"):
+            ml.ResolvedRateController(planar, *wrong)(np.ones(3))
+
+
+@pytest.mark.parametrize("velocity", ["fast", [1.0], [np.nan, 0.0, 0.0], None])
+def test_the_velocity_of_ones_own_controller_is_checked(velocity, planar):
+    """What is no finite number per joint is refused by `step`, in a sentence; `update` brakes."""
+    law = ml.ResolvedRateController(planar, ml.PointAttractor([1.0, 1.0]))
+    loop = ml.ServoLoop(lambda q, t, dt: law(q, t, dt)._replace(velocity=velocity), dt=0.01, robot=planar.robot)
+    with pytest.raises(ConfigurationError, match="not 3 finite numbers"):
+        loop.step(np.ones(3), 0.0)
+    assert np.all(loop.update(np.ones(3), 0.01).velocity == 0.0)
 
 
 def test_features_without_a_robot():
     """A system that is no arm: no limits, the bare law, and NaN is refused all the same."""
     features = CustomFeatures(lambda q: np.array([[1.0, q[0], 0.0]]), ("r",), 3, coordinates=lambda q: q[:1])
-    controller = ResolvedRateController(Constraint([[1.0]], features), PointAttractor([2.0]), inverse="exact")
+    controller = ml.ResolvedRateController(ml.Constraint([[1.0]], features), ml.PointAttractor([2.0]), inverse="exact")
     q = np.array([0.5, 0.0, 0.0])
     np.testing.assert_allclose(features(q) @ controller(q).velocity, [1.5], rtol=1e-14)
     with pytest.raises(ConfigurationError):
@@ -120,24 +139,131 @@ def test_features_without_a_robot():
 
 
 @pytest.mark.parametrize("limits", [True, False])
-def test_a_task_that_is_not_finite_is_named(limits: bool, robot_of):
+@pytest.mark.parametrize("climbs", [True, False])
+def test_a_task_that_is_not_finite_is_named(limits, climbs, robot_of):
     """NaN or infinity from a task is the task's fault, not the posture's; so is a wrong size."""
-    constraint, task = Constraint(np.eye(3), FrameJacobian(robot_of("sawyer"), "right_hand")), Asks(np.zeros(3))
-    for policy in (None, ManipulabilityAscent(constraint)):
-        controller = ResolvedRateController(constraint, task, policy, limits=limits)
-        for b in (np.array([0.1, np.nan, 0.0]), [np.inf, 0.0, 0.0], np.zeros(2)):
-            task.b = b
-            for q in (np.linspace(-0.5, 0.7, 7), np.zeros(7)):
-                with pytest.raises(TargetError, match="task's velocity"):
-                    controller(q)
-        task.b = np.array([1, 0, 0])
-        assert controller(np.linspace(-0.5, 0.7, 7)).task_velocity.dtype == np.float64
+    constraint = ml.Constraint(np.eye(3), ml.FrameJacobian(robot_of("sawyer"), "right_hand"))
+    task, policy = Asks(np.zeros(3)), ml.ManipulabilityAscent(constraint) if climbs else None
+    controller = ml.ResolvedRateController(constraint, task, policy, limits=limits)
+    for task.b in (np.array([0.1, np.nan, 0.0]), [np.inf, 0.0, 0.0], np.zeros(2)):
+        for q in (np.linspace(-0.5, 0.7, 7), np.zeros(7)):
+            with pytest.raises(TargetError, match="task's velocity"):
+                controller(q)
+    task.b = np.array([1, 0, 0])
+    assert controller(np.linspace(-0.5, 0.7, 7)).task_velocity.dtype == np.float64
 
 
-def test_svd_survives_a_failing_lapack(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+def test_svd_survives_a_failing_lapack(monkeypatch, rng):
     """If LAPACK reports that it did not converge, NumPy's own call has the last word."""
     A = rng.normal(size=(2, 5))
     expected = np.linalg.svd(A)
     monkeypatch.setattr(manipulability, "dgesdd", lambda A: (np.nan, np.nan, np.nan, 1))
     for got, factor in zip(svd(A), expected, strict=True):
         np.testing.assert_array_equal(got, factor)
+
+
+# ---- random trees, random rows, any posture ----
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory):
+    """Where random robots are written."""
+    return tmp_path_factory.mktemp("trees")
+
+
+def commanded(case):
+    """The command; None where the exact inverse overflows, which it says."""
+    law, _, q, previous, dt = case
+    try:
+        return law(q, 0.0, dt, previous)
+    except ConfigurationError as error:
+        if law.inverse == "damped" or re.search("overflows at this posture", str(error)) is None:
+            raise
+        return None
+
+
+def mean_velocity(case, command):
+    """A u over the step, as its rows turn by the motion before: that is what the law promises (see `Law`)."""
+    A, v = case.law.constraint(case.q), case.previous
+    if v is None or not v.any():
+        return A @ command.velocity
+    c = (case.law.constraint(case.law.robot.integrate(case.q, 0.5 * case.dt * v)) - A) @ v
+    most = 0.25 * command.smallest_singular_value * float(np.linalg.norm(v))
+    return A @ command.velocity + c * min(1.0, most / max(float(np.linalg.norm(c)), 1e-300))
+
+
+def presses(case):
+    """Whether the approach to a singularity is what bounds the command."""
+    law, _, q, _, dt = case
+    free = ml.ResolvedRateController(law.constraint, law.task, law.null_policy, "exact", dt=dt)
+    return not np.allclose(free(q, 0.0, dt).velocity, law(q, 0.0, dt).velocity, rtol=0, atol=1e-9)
+
+
+@given(seeds)
+@pytest.mark.fuzz
+def test_every_command_keeps_the_promises(folder, seed):
+    """Finite, within the limits, A null_part = 0, N^2 = N = N^T; the progress stated is that of the rows along b."""
+    case = random_case(seed, folder)
+    command = commanded(case)
+    if command is None:
+        return
+    law, b, q, previous, dt = case
+    A, u = law.constraint(q), command.velocity
+    assert np.all(np.isfinite(u))
+    bounds = law.limits.bounds(q, dt, previous)
+    assert np.all(u >= np.array(bounds.low) - 1e-12) and np.all(u <= np.array(bounds.high) + 1e-12)
+    Z = null_basis(A)
+    N = Z @ Z.T
+    np.testing.assert_array_equal(N, N.T)
+    np.testing.assert_allclose(N @ N, N, rtol=0, atol=1e-12)
+    scale = max(1.0, float(np.linalg.norm(A)) * float(np.linalg.norm(command.null_part)))
+    np.testing.assert_allclose(A @ command.null_part, 0.0, rtol=0, atol=1e-12 * scale)
+    escape = 0.0 if command.escape_part is None else command.escape_part
+    parts = command.task_part + command.null_part + escape
+    np.testing.assert_allclose(parts, u, rtol=0, atol=1e-11 * max(1.0, float(np.linalg.norm(u))))
+    progress = float(b @ mean_velocity(case, command) / (b @ b))
+    assert command.progress == pytest.approx(progress, rel=2e-3, abs=2e-3)
+    if command.status is ml.Status.OK:
+        assert command.outside == 0.0 and progress > 0.99
+        assert np.all(q <= law.limits.upper + 1e-9) and np.all(q >= law.limits.lower - 1e-9)
+
+
+@given(seeds)
+@pytest.mark.fuzz
+def test_the_direction_of_the_task_is_kept(folder, seed):
+    """Rows move forward, beside b by 1e-3 of it at most, wherever the bounds allow any motion along b (by a LP)."""
+    case = random_case(seed, folder)
+    law, b, q, previous, dt = case
+    command = commanded(case)
+    if command is None or command.escape_part is not None or b.size > q.size:
+        return
+    if command.smallest_singular_value < (law.threshold if law.inverse == "damped" else 1e-6):
+        return
+    if law.inverse == "damped" and presses(case):
+        return
+    A, along, bounds = law.constraint(q), b / np.linalg.norm(b), law.limits.bounds(q, dt, previous)
+    columns, ranges = np.column_stack((A, -along)), [*zip(bounds.low, bounds.high, strict=True), (0.0, None)]
+    best = linprog([0.0] * q.size + [-1.0], A_eq=columns, b_eq=np.zeros(b.size), bounds=ranges, method="highs")
+    if best.status != 0 or best.x[-1] < 1e-6:
+        return
+    moved = mean_velocity(case, command)
+    forward, speed = float(along @ moved), float(np.linalg.norm(moved))
+    assert forward >= -1e-12
+    if speed > 1e-9:
+        assert np.linalg.norm(moved - forward * along) < 1.2e-3 * np.linalg.norm(b) + 1e-9
+    elif np.linalg.norm(b) > 0.01:  # a smaller velocity may wait while the null space brakes
+        assert previous is not None or best.x[-1] < 1e-3
+
+
+@given(seeds)
+@pytest.mark.fuzz
+def test_a_loop_keeps_every_limit(folder, seed):
+    """In a closed loop from inside: positions, velocities and accelerations within their limits in every period."""
+    law, _, q, _, dt = random_case(seed, folder, inverse="damped")
+    loop = ml.ServoLoop(law, dt, stale_after=1.0)
+    arm = Arm(loop, np.clip(q, law.limits.lower, law.limits.upper))
+    for _ in range(60):
+        assert arm.call().status is not ml.Status.INVALID_INPUT
+        assert np.all(arm.q <= law.limits.upper + 1e-9) and np.all(arm.q >= law.limits.lower - 1e-9)

@@ -7,9 +7,9 @@ import pytest
 from case import case
 from urdf_corpus import ARM, mimic_chain
 
+import manip_learn as ml
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.catalogue import example_robots
-from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot_summary import cross_check
 
 # Refused with good reason: limits 0 ... 0, a mimic of nothing.
@@ -29,10 +29,10 @@ def test_both_readers_agree(part, rng):
         with case(name):
             if name in REFUSED:
                 with pytest.raises(RobotError) as caught:
-                    load_robot(name)
+                    ml.load_robot(name)
                 assert caught.value.code == REFUSED[name]
                 continue
-            robot = load_robot(name)
+            robot = ml.load_robot(name)
             check = cross_check(robot, rng, n=3)
             assert check.largest_difference <= 1e-9 and check.agrees
             assert check.links == len(robot.pinocchio_model.frames[1:]) // 2 + 1
@@ -46,7 +46,7 @@ def test_robots_with_limits_that_nobody_stated_load_with_a_warning():
         ("centauro", "j_wheel_1", "it has no limits, which a revolute joint should"),
     ]:
         with case(name, joint):
-            robot = load_robot(name)
+            robot = ml.load_robot(name)
             k = robot.joint_index(joint)
             assert any(f"joint {joint!r}" in w and said in w for w in robot.warnings)
             if "velocity" in said:
@@ -61,15 +61,15 @@ def test_chains_of_mimics_agree(tmp_path, rng):
         with case(order):
             path = tmp_path / "chain.urdf"
             path.write_bytes(mimic_chain(order).replace(b'multiplier="-0.5"', b'multiplier="-0.5" offset="0.2"'))
-            assert cross_check(load_robot(path), rng).agrees
+            assert cross_check(ml.load_robot(path), rng).agrees
 
 
 def test_locked_joints_and_moving_bases_agree(tmp_path, rng):
     """Locked joints stand where they are locked; a moving base is taken out."""
     path = tmp_path / "arm.urdf"
     path.write_text(ARM, encoding="utf-8")
-    assert cross_check(load_robot(path, locked={"elbow": 0.7}), rng).agrees
-    floating = cross_check(load_robot(path, base="floating"), rng)
+    assert cross_check(ml.load_robot(path, locked={"elbow": 0.7}), rng).agrees
+    floating = cross_check(ml.load_robot(path, base="floating"), rng)
     assert floating.agrees and "root_joint" in floating.left_out
 
 
@@ -84,5 +84,5 @@ def test_what_yourdfpy_cannot_do_is_no_fault_of_the_file(tmp_path, rng):
             path = tmp_path / "arm.urdf"
             follower = ARM.replace('effort="20"/>', 'effort="20"/><mimic joint="shoulder" offset="0.3"/>')
             path.write_text(follower.replace(old, new), encoding="utf-8")
-            check = cross_check(load_robot(path), rng)
+            check = cross_check(ml.load_robot(path), rng)
             assert check.agrees and left_out in check.left_out

@@ -1,43 +1,83 @@
-"""Damaged files of the library: each is read or refused in one sentence, never an internal error, never a traceback."""
+"""Damaged files are read whole or refused in one sentence: no internal error, no sample lost in silence."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import socket
+import sqlite3
+import struct
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from case import case
+from hypothesis import given
+from hypothesis import strategies as st
+from recording_corpus import CASES, FULL, JOINTS, TIME, Q, U, npz, numbers, refusal
+from recording_formats import all_in_one, bag, file_of, h5py, one, pa, pq, robomimic, table, version_2, version_3
 
+import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.commands.command_line import flags_of
+from manip_learn.commands.program import program
 from manip_learn.constraint.skill import Skill
 from manip_learn.control.rollout import Rollout
-from manip_learn.errors import ConstraintMismatchError, ManipLearnError, RecordingError, SceneError
+from manip_learn.errors import (
+    ConstraintMismatchError,
+    ManipLearnError,
+    RecordingError,
+    SceneError,
+    advice_for_command,
+)  # fmt: skip
 from manip_learn.planning.scene import Scene
-from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings import RecordingSource, load_demonstrations
+from manip_learn.recordings.saved_motion import motion_of_trajectory
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.writers.write_motion import mcap_bytes
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.identity import RobotIdentity
 
-TRIALS = 2000 if os.environ.get("HYPOTHESIS_PROFILE") == "fuzz" else 8
+FUZZ = os.environ.get("HYPOTHESIS_PROFILE") == "fuzz"
 T = 12
-# values that a damaged or forged JSON file may hold
-VALUES = (None, True, -1, 10**400, 1e308, "", "x", [], [1], {}, {"a": 1}, [[1, 2], [3]], "\ud800", float("inf"))
+# words of what is to be done, where no flag is advised
+TO_DO = re.compile(
+    r"needed|save (it|the|again)|not read|(more|larger) than|at most|not opened|given|unpack it|correct|again|write all"
+    r"|no recorded motion|keep one|left|convert|leave|remove|of no known kind|check the path|cannot|name |git lfs pull"
+    r"|download|is an|--[a-z]",
+    re.IGNORECASE,
+)
 
 
-@pytest.fixture
-def rollout(planar3: Robot) -> Rollout:
-    time = 0.1 * np.arange(T)
-    q = np.column_stack([np.sin(time), 1.0 + np.cos(time), 0.5 * time])
-    u = np.gradient(q, time, axis=0)
-    return Rollout(time, q, u, time, ("ok",) * T, planar3.joint_names, time, "", RobotIdentity.of(planar3))
+@pytest.mark.parametrize(("first", "command"), [*enumerate(("learn", "replay", "audit", "export"))])
+def test_verdict(first: int, command: str, planar3: Robot, tmp_path: Path) -> None:
+    """Each recording of the corpus is accepted, accepted with a note, or refused for the right reason, in one sentence
+    that names the file and what to do: on the command line by flags alone, and only those that the command has.
+    """
+    flags = flags_of(program, [command])
+    for one_of in CASES[first::4]:
+        path = tmp_path / one_of.name
+        one_of.write(path)
+        try:
+            with advice_for_command(flags):
+                demos = load_demonstrations(path, planar3, **one_of.options)
+        except RecordingError as error:
+            verdict, said = error.code, str(error)
+            assert len(said) < 700 and "\n" not in said and (one_of.name in said or path.is_dir()), said
+            assert TO_DO.search(said), said
+            assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", said)) <= flags, said
+            assert not re.search(r"\w=\[|\w=\{|\w='|=True", said), said
+        else:
+            verdict, said = "note" if demos.notes else "accept", "\n".join(demos.notes)
+        assert verdict == one_of.verdict, f"{one_of.name}: {said}"
 
 
+# ---- any damage
 def mutant(content: bytes, rng: np.random.Generator) -> bytes:
     """Cut off, bits flipped, bytes overwritten, a stretch repeated or left out; text gets huge numbers too."""
     broken, at = bytearray(content), int(rng.integers(len(content)))
@@ -58,6 +98,66 @@ def mutant(content: bytes, rng: np.random.Generator) -> bytes:
     else:
         broken[at : at + 4] = (b"\xff\xff\xff\xff", b"\x00\x00\x00\x80", b"\xff\xff\xff\x7f")[rng.integers(3)]
     return bytes(broken)
+
+
+def parquet_file(path: Path) -> None:
+    """Three parts, so that a damaged part can go missing by itself."""
+    state = pa.FixedSizeListArray.from_arrays(pa.array(Q.ravel()), 3)
+    columns = {"observation.state": state, "timestamp": TIME, "episode_index": np.repeat([0, 1], 30)}
+    pq.write_table(pa.table(columns), path, row_group_size=20)
+
+
+def bag_file(kind: str) -> Callable[[Path], Any]:
+    return lambda path: path.write_bytes(file_of(bag(kind, all_in_one()[:40])(path.parent)).read_bytes())
+
+
+GIVEN: dict[str, Any] = {"joint_names": JOINTS, "rate": 50.0}
+FILES: dict[str, tuple[Callable[[Path], Any], dict[str, Any]]] = {
+    "csv": (numbers(FULL), {}),
+    "npz": (npz(time=TIME, q=Q, u=U, joint_names=np.array(JOINTS)), {}),
+    "npz_compressed": (npz(True, time=TIME, q=Q, u=U, joint_names=np.array(JOINTS)), {}),
+    "mcap": (bag_file("mcap"), {}),
+    "bag": (bag_file("ros1"), {}),
+    "db3": (bag_file("sqlite"), {}),
+    "hdf5": (lambda path: robomimic(path, (0, 1, 2), None), GIVEN),
+    "parquet": (parquet_file, {"units": "radians", "joint_names": JOINTS}),
+}
+
+
+@pytest.mark.fuzz
+@pytest.mark.parametrize("name", FILES)
+def test_damaged_files_are_whole_or_refused(name: str, planar3: Robot, tmp_path: Path, rng) -> None:
+    """60 damages (5,000 with `make fuzz`): demonstrations or a RecordingError in one line, and nothing else; what is
+    accepted without a further note has all of its samples, where the format states how many there are.
+    """
+    path, (write, options) = tmp_path / "whole.npz", FILES[name]
+    write(path)
+    content, whole = path.read_bytes(), load_demonstrations(path, planar3, **options)
+    path = tmp_path / "damaged"
+    lost, accepted, trials = [], 0, 5000 if FUZZ else 60
+    for number in range(trials):
+        path.write_bytes(content[:16] + mutant(content[16:], rng))  # the beginning names the format
+        try:
+            demos = load_demonstrations(path, planar3, **options)
+        except RecordingError as error:
+            assert str(error).isprintable()
+            continue
+        accepted += 1
+        if demos.n_samples != whole.n_samples and demos.notes == whole.notes:
+            lost.append((number, demos.n_samples))
+    assert accepted < trials and (lost == [] or name == "csv")  # which states no number
+
+
+@pytest.fixture
+def rollout(planar3: Robot) -> Rollout:
+    time = 0.1 * np.arange(T)
+    q = np.column_stack([np.sin(time), 1.0 + np.cos(time), 0.5 * time])
+    u, status = np.gradient(q, time, axis=0), (*("ok",) * (T - 1), "damped")
+    return Rollout(time, q, u, time, status, planar3.joint_names, time, "", RobotIdentity.of(planar3))
+
+
+# values that a damaged or forged JSON file may hold
+VALUES = (None, True, -1, 10**400, 1e308, "", "x", [], [1], {}, {"a": 1}, [[1, 2], [3]], "\ud800", float("inf"))
 
 
 def forged(content: object, rng: np.random.Generator) -> object:
@@ -82,18 +182,18 @@ def forged(content: object, rng: np.random.Generator) -> object:
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")  # of forged numbers such as 1e308
 def test_damaged_constraints(planar3: Robot, rollout: Rollout, tmp_path: Path, rng, capsys) -> None:
     """Bytes and values changed in a constraint file, from its robot to its mechanism: one sentence, code 2."""
-    features = FrameJacobian(planar3, planar3.frame_names[-1], "planar")
-    run = rollout.save(tmp_path / "run.npz")
     learnt = {
         "phases": [["run", 0.0, 0.5, 0], ["run", 0.5, 1.0, None]],
         "mechanism": {"type": "hinge", "axis": [0, 0, 1], "point": [0, 0, 0], "radius": 1.0},
     }
-    path = Constraint([[1.0, 0.0, 0.0]], features, learnt).save(tmp_path / "c.json")
-    content = path.read_bytes()
+    path = ml.Constraint([[1.0, 0.0, 0.0]], ml.FrameJacobian(planar3, "tip", "planar"), learnt).save(
+        tmp_path / "c.json"
+    )
+    content, run = path.read_bytes(), rollout.save(tmp_path / "run.npz")
     replay = ["replay", "planar3", str(run), "--constraint", str(path), "--html", str(tmp_path / "p.html")]
     assert main(replay) == 0
     codes = set()
-    for i in range(TRIALS):
+    for i in range(2000 if FUZZ else 8):
         if i % 2:
             path.write_bytes(mutant(content, rng))
         else:
@@ -102,27 +202,230 @@ def test_damaged_constraints(planar3: Robot, rollout: Rollout, tmp_path: Path, r
         assert code in (0, 2) and "internal error" not in said and "Traceback" not in said, said
         codes.add(code)
         try:
-            Constraint.load(path, planar3)
+            ml.Constraint.load(path, planar3)
         except ManipLearnError as error:
             assert "\n" not in str(error)
     assert 2 in codes
 
 
-def test_wrong_arrays_are_refused_by_name(planar3: Robot, rollout: Rollout, tmp_path: Path) -> None:
-    """Complex or text postures, another width, an unknown status, other joint names: the message says which."""
-    path = rollout.save(tmp_path / "run.npz")
-    with np.load(path) as archive:
-        arrays = dict(archive)
-    for name, value, words in (
-        ("q", rollout.q.astype(complex), "'q' holds complex128"),
-        ("q", rollout.q.astype(str), "'q' holds <U"),
-        ("q", rollout.q[:, :2], r"q has shape \(12, 2\), \(12, 3\)"),
-        ("status", np.array(["fine"] * T), "sample 0: the status is 'fine'"),
-        ("joint_names", np.array(["a", "b", "c"]), "joint_names"),
-    ):
-        np.savez(path, **{**arrays, name: value})
-        with case(words), pytest.raises(RecordingError, match=words):
-            Rollout.load(path, planar3)
+@given(cut=st.floats(0.0, 1.0), changes=st.lists(st.tuples(st.floats(0.0, 0.999999), st.integers(0, 255)), max_size=6))
+@pytest.mark.fuzz
+def test_damaged_rollouts_are_refused_or_harmless(planar3: Robot, cut: float, changes: list) -> None:
+    """Whatever bytes are changed or missing, loading gives a rollout or a RecordingError, never anything else."""
+    with case(cut, changes) as folder:
+        path, u = folder / "damaged.npz", np.ones((4, 2))
+        np.savez(path, format="manip_learn.rollout", time=0.1 * np.arange(4), q=u, u=u, status=["ok"] * 4,
+                 manipulability=u[:, 0], task_error=u[:, 0], joint_names=["a", "b"])  # fmt: skip
+        content = bytearray(path.read_bytes())
+        for place, value in changes:
+            content[int(place * len(content))] = value
+        path.write_bytes(content[: max(1, int(np.ceil(cut * len(content))))])
+        try:
+            Rollout.load(path)
+        except RecordingError as error:
+            assert "damaged.npz" in str(error)
+
+
+# ---- samples that are stated, and are not there
+def replaced(name: str, old: str, new: str) -> Callable[[Path], Any]:
+    return lambda path: (path / name).write_text((path / name).read_text().replace(old, new))
+
+
+def attribute(where: str, name: str) -> Callable[[Path], Any]:
+    def edit(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            file[where].attrs[name] = 999
+
+    return edit
+
+
+def queried(*queries: str) -> Callable[[Path], Any]:
+    def edit(path: Path) -> None:
+        for query in queries:
+            with sqlite3.connect(file_of(path)) as database:
+                database.executescript(query)
+
+    return edit
+
+
+def mcap(folder: Path) -> Path:
+    trajectory = Trajectory(TIME, Q, U, JOINTS, "demo")
+    (folder / "d.mcap").write_bytes(mcap_bytes(motion_of_trajectory(trajectory, load_robot("planar3"))))
+    return folder / "d.mcap"
+
+
+def bytes_of(change: Callable[[bytes], bytes]) -> Callable[[Path], Any]:
+    return lambda path: path.write_bytes(change(path.read_bytes()))
+
+
+SPARE = "CREATE TABLE spare (x)", "PRAGMA writable_schema = ON; DELETE FROM sqlite_master WHERE name = 'spare'"
+COUNTED = struct.pack("<HQ", 1, 60)  # messages of a channel, in the statistics
+HDF5 = one("demo.hdf5", lambda path: robomimic(path, (0, 1, 2), None))
+SHORT = "of 60 messages that the bag states {} are of its topics"
+# what is done to which recording -> code and words of its refusal, options
+LOST: dict[str, tuple[Any, Callable[[Path], Any], str, str, dict[str, Any]]] = {
+    **{
+        f"metadata of {kind}": (
+            bag(kind, all_in_one()), replaced("metadata.yaml", "message_count: 60", "message_count: 85"),
+            "lost-messages", "60 messages.* states 85.*ros2 bag reindex", {},
+        )
+        for kind in ("sqlite", "mcap")
+    },
+    **{
+        f"the attribute {name}": (HDF5, attribute(where, name), "lost-samples", f"{name!r}.*999", GIVEN)
+        for where, name in (("data", "total"), ("data/demo_1", "num_samples"), ("data", "num_demos"))
+    },
+    "a message of no topic": (
+        lambda folder: file_of(bag("sqlite", all_in_one())(folder)),
+        queried("UPDATE messages SET topic_id = 9 WHERE id = 20"), "lost-messages", SHORT.format(59), {},
+    ),
+    "a page of nothing": (bag("sqlite", all_in_one()), queried(*SPARE), "damaged", "SQLite finds", {}),
+    "an end that is none": (
+        mcap, bytes_of(lambda b: b[: len(b) // 2] + b"xxxxxxxx"), "damaged", "File end magic is invalid", {}
+    ),
+    "more at the end": (mcap, bytes_of(lambda b: b + b"xyz"), "damaged", "the bag cannot be read", {}),
+    **{
+        f"statistics {channel}, {n}": (
+            mcap, bytes_of(lambda b, c=channel, n=n: b.replace(COUNTED, struct.pack("<HQ", c, n))), "lost-messages",
+            SHORT.format(left), {},
+        )
+        for channel, n, left in ((1, 59, 59), (7, 60, 0))
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", LOST)
+def test_what_a_file_states_is_believed(what: str, planar3: Robot, tmp_path: Path) -> None:
+    """Fewer messages, samples or demonstrations than are stated, or a file that is not sound: refused with both
+    numbers and the way out; the same recording is read before.
+    """
+    build, edit, code, words, options = LOST[what]
+    path = build(tmp_path)
+    assert load_demonstrations(path, planar3, **options).n_samples in (60, 180)
+    edit(path)
+    assert refusal(path, planar3, match=words, **options).code == code
+
+
+@pytest.mark.parametrize("end", ["-wal", "-journal"])
+def test_a_killed_recorder_is_noticed(end: str, planar3: Robot, tmp_path: Path) -> None:
+    """A log beside the database holds messages that are not in it: refused with the command; empty, it is fine."""
+    path = bag("sqlite", all_in_one())(tmp_path)
+    side = file_of(path).with_name(file_of(path).name + end)
+    for given_path in (path, file_of(path)):
+        side.write_bytes(b"")
+        assert load_demonstrations(given_path, planar3).n_samples == 60
+        side.write_bytes(b"x" * 32)
+        error = refusal(given_path, planar3)
+        assert error.code == "unfinished" and "PRAGMA wal_checkpoint(TRUNCATE)" in str(error)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite", "ros1"])
+def test_a_bag_of_many_chunks_and_topics_is_whole(kind: str, planar3: Robot, tmp_path: Path) -> None:
+    """Long messages fill several chunks, and another topic lies in between: nothing is missed, nothing suspected."""
+    others = tuple(f"finger_{i}" for i in range(1000))
+    long = [(t, r, (s, (*n, *others), (*q, *np.zeros(1000)))) for t, r, (s, n, q, _) in all_in_one(u=None)]
+    between = [("/other", r + 1, (s, ("x",), (0.5,))) for _, r, (s, *_) in long]
+    path = bag(kind, long, between)(tmp_path)
+    for given_path in (path, file_of(path)):
+        assert load_demonstrations(given_path, planar3).n_samples == 60
+
+
+@pytest.mark.parametrize(
+    ("version", "gone", "frames"), [(version_2, "episode_000002", 320), (version_3, "file-001", 240)]
+)
+def test_the_totals_of_a_lerobot_data_set_are_believed(version, gone, frames, planar3: Robot, tmp_path: Path) -> None:
+    """A data set with a file missing is refused with both numbers, in memory and in a stream; what is there can be
+    selected, and a single file is read for itself.
+    """
+
+    def load(path: Path, **options: Any) -> Any:
+        return load_demonstrations(path, planar3, units="radians", **options)
+
+    def streamed(path: Path) -> int:
+        source = RecordingSource(path, planar3, units="radians")
+        return sum(len(t) for i in range(source.n_parts) for t in source.part(i))
+
+    def state(**totals: Any) -> None:
+        info.write_text(json.dumps(json.loads(info.read_text()) | totals))
+
+    root = version(tmp_path / "set")
+    info = root / "meta" / "info.json"
+    state(total_frames=frames, total_episodes=4)
+    assert load(root).n_samples == frames == streamed(root)
+    next(root.glob(f"data/**/{gone}.parquet")).unlink()
+    for use in (load, streamed):
+        with pytest.raises(RecordingError, match="meta/info.json states total_") as caught:
+            use(root)
+        assert caught.value.code == "lost-samples" and "episodes='0:'" in str(caught.value)
+    assert len(load(root, episodes=[0, 1])) == 2
+    assert load(next(root.glob("data/**/*.parquet"))).n_samples > 0
+    state(total_frames=True, total_episodes=None)
+    assert load(root).n_samples == frames - 80
+
+
+@pytest.mark.parametrize("ending", ["npz", "csv"])
+def test_a_saved_rollout_that_lost_a_sample_is_refused(ending: str, rollout: Rollout, tmp_path: Path) -> None:
+    """In every format: it states how many there were."""
+    path = rollout.save(tmp_path / f"run.{ending}")
+    if ending == "npz":
+        with np.load(path) as archive:
+            np.savez(path, **{k: a[:-1] if a.shape[:1] == (T,) else a for k, a in archive.items()})
+    else:
+        path.write_text("".join(path.read_text(encoding="utf-8").splitlines(keepends=True)[:-1]))
+    with pytest.raises(RecordingError, match=f"written with {T} samples and holds {T - 1}") as caught:
+        Rollout.load(path)
+    assert caught.value.code == "damaged" and len(Rollout.load(rollout.save(path)).time) == T
+
+
+def test_no_control_character_of_a_file_is_printed(planar3: Robot, tmp_path: Path) -> None:
+    """Neither of its name nor of its header: in notes, errors and names of trajectories they are written out."""
+    (tmp_path / "\x9b2J.txt").write_text("no table")
+    path = table("time,joint1,joint2,joint3,force\x1b[32m", TIME, Q, TIME, name="demo\x1b[31m.csv")(tmp_path)
+    assert str(refusal(path, planar3)).isprintable()
+    for place in (path, tmp_path):
+        demos = load_demonstrations(place, planar3, columns="{joint}")
+        said: list[str] = []
+        (streamed,) = RecordingSource(place, planar3, columns="{joint}").part(0, said)
+        assert demos.notes and all(note.isprintable() for note in (*demos.notes, *said))
+        assert demos[0].name == streamed.name == "demo\\x1b[31m.csv"
+
+
+# ---- what is no rollout
+def saved_with(**changes: Any) -> Callable[[Path, Rollout], Any]:
+    def write(path: Path, rollout: Rollout) -> None:
+        with np.load(rollout.save(path)) as archive:
+            arrays = dict(archive)
+        np.savez(path, **{**arrays, **changes})
+
+    return write
+
+
+NO_ROLLOUT: dict[str, tuple[Callable[[Path, Rollout], Any], str]] = {
+    "nothing": (lambda path, _: None, r"r\.npz"),
+    "a folder": (lambda path, _: path.mkdir(), r"r\.npz"),
+    "no content": (lambda path, _: path.write_bytes(b""), r"r\.npz"),
+    "text": (lambda path, _: path.write_text("time,q\n0,1\n", encoding="utf-8"), r"r\.npz"),
+    "another archive": (lambda path, _: np.savez(path, q=np.zeros(3)), r"r\.npz"),
+    "a pickle": (lambda path, _: np.savez(path, format=np.array([{}], dtype=object)), r"r\.npz"),
+    "complex postures": (saved_with(q=np.zeros((T, 3), complex)), "'q' holds complex128"),
+    "postures of text": (saved_with(q=np.full((T, 3), "x")), "'q' holds <U"),
+    "another width": (saved_with(q=np.zeros((T, 2))), r"q has shape \(12, 2\), \(12, 3\)"),
+    "an unknown status": (saved_with(status=np.array(["fine"] * T)), "sample 0: the status is 'fine'"),
+    "other joints": (saved_with(joint_names=np.array(["a", "b", "c"])), "joint_names"),
+    "a status in a table": (
+        lambda path, r: path.write_text(r.save(path.with_suffix(".csv")).read_text().replace("damped", "fine")),
+        "'fine'",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", NO_ROLLOUT)
+def test_what_is_no_rollout_is_refused_by_name(what: str, planar3: Robot, rollout: Rollout, tmp_path: Path) -> None:
+    """No file, another kind of file, arrays of another kind, width, status or names: the message says which."""
+    write, words = NO_ROLLOUT[what]
+    write(tmp_path / "r.npz", rollout)
+    with pytest.raises(RecordingError, match=words):
+        Rollout.load(tmp_path / "r.npz", planar3)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
@@ -135,6 +438,7 @@ def test_an_answer_that_cannot_be_printed(rollout: Rollout, tmp_path: Path) -> N
     assert main(["replay", "planar3", str(rollout.save(tmp_path / "r.npz")), "--html", "/dev/full"]) == 2
 
 
+# ---- every door of the library
 def _socket(path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as end:
         end.bind(str(path))
@@ -149,17 +453,13 @@ IN_PLACE = {
     "nothing": (lambda path: None, "no such file"),
 }
 DOORS = {
-    "constraint.json": Constraint.load,
-    "skill.json": Skill.load,
-    "scene.json": Scene.load,
-    "scene.urdf": Scene.load,
-    "run.npz": Rollout.load,
-    "run.csv": Rollout.load,
-    "demo.csv": load_demonstrations,
-    "demo.npz": load_demonstrations,
-    "arm.urdf": lambda path, robot: load_robot(path),
-    "arm.xml": lambda path, robot: load_robot(path),
+    **dict.fromkeys(("arm.urdf", "arm.xml"), lambda path, robot: load_robot(path)),
     "arm.xacro": lambda path, robot: load_robot(path, xacro=True),
+    "constraint.json": ml.Constraint.load,
+    "skill.json": Skill.load,
+    **dict.fromkeys(("scene.json", "scene.urdf"), Scene.load),
+    **dict.fromkeys(("run.npz", "run.csv"), Rollout.load),
+    **dict.fromkeys(("demo.csv", "demo.npz"), load_demonstrations),
 }
 
 
@@ -190,7 +490,7 @@ def test_what_may_not_be_read_is_not_called_damaged(planar3: Robot, tmp_path: Pa
             patch.setattr(os, "open", protected)
             load(tmp_path / name, planar3)
     (tmp_path / "folder").mkdir()
-    for load in (Constraint.load, Skill.load, Scene.load):
+    for load in (ml.Constraint.load, Skill.load, Scene.load):
         with pytest.raises(ManipLearnError, match="is a folder"):
             load(tmp_path / "folder", planar3)
 
@@ -216,11 +516,13 @@ def test_json_that_parsers_take_badly(what: str, planar3: Robot, tmp_path: Path,
     content, of_constraint, of_scene = BAD_JSON[what]
     path = tmp_path / "file.json"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    for load in (Constraint.load, Skill.load):
-        with pytest.raises(ConstraintMismatchError, match=of_constraint):
+    for load, error, words in (
+        (ml.Constraint.load, ConstraintMismatchError, of_constraint),
+        (Skill.load, ConstraintMismatchError, of_constraint),
+        (Scene.load, SceneError, of_scene),
+    ):
+        with pytest.raises(error, match=words):
             load(path, planar3)
-    with pytest.raises(SceneError, match=of_scene):
-        Scene.load(path, planar3)
     for command in ("control", "repeat"):
         assert main([command, "planar3", str(path)]) == 2
         said = capsys.readouterr().err
@@ -229,19 +531,19 @@ def test_json_that_parsers_take_badly(what: str, planar3: Robot, tmp_path: Path,
 
 def test_huge_numbers_in_a_constraint_are_refused(planar3: Robot, tmp_path: Path) -> None:
     """In each entry that decides anything; a byte-order mark, which some editors write, is not."""
-    path = Constraint([[1.0, 0.0, 0.0]], FrameJacobian(planar3, "tip", "planar")).save(tmp_path / "c.json")
-    text, huge = path.read_text(), "1" + "0" * 400
-    path.write_bytes(b"\xef\xbb\xbf" + text.encode())
-    assert Constraint.load(path, planar3).n_constraints == 1
+    path = ml.Constraint([[1.0, 0.0, 0.0]], ml.FrameJacobian(planar3, "tip", "planar")).save(tmp_path / "c.json")
+    content, huge = path.read_text(), "1" + "0" * 400
+    path.write_bytes(b"\xef\xbb\xbf" + content.encode())
+    assert ml.Constraint.load(path, planar3).n_constraints == 1
     for key, old, end in (('"n_constraints": ', "1", ""), ("", "1.0", ","), ('"schema": ', "2", "")):
-        path.write_text(text.replace(key + old + end, key + huge + end, 1))
+        path.write_text(content.replace(key + old + end, key + huge + end, 1))
         with case(key, old), pytest.raises(ConstraintMismatchError, match="c.json"):
-            Constraint.load(path, planar3)
+            ml.Constraint.load(path, planar3)
 
 
 def test_too_little_memory_is_said(planar3: Robot, rollout: Rollout, tmp_path: Path, monkeypatch, capsys) -> None:
     """How much was asked for and what asks for less: of a rollout, and of a file, which is not called damaged."""
-    path = Constraint([[0.0, 1.0]], FrameJacobian(planar3, "tip", "x y")).save(tmp_path / "c.json")
+    path = ml.Constraint([[0.0, 1.0]], ml.FrameJacobian(planar3, "tip", "x y")).save(tmp_path / "c.json")
     command = ["control", "planar3", str(path), "--target", "1,1.5"]
     for t, dt, words in (("1e8", "1e-6", "1e+14 steps take 4.8e+06 GB"), ("1e300", "1e-300", "inf steps take inf GB")):
         assert main([*command, "--duration", t, "--dt", dt]) == 2

@@ -1,43 +1,45 @@
-"""Trajectories and demonstrations reject invalid data and are immutable."""
+"""Trajectories and demonstrations reject invalid data and are immutable; arrays and frames are read like files."""
 
 from __future__ import annotations
 
 import dataclasses
 import pickle
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from case import case
+from task_sets import DATA
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.trajectory import Demonstrations, Trajectory
+from manip_learn.recordings.given import recordings_given
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names, subsample
 
 NAMES = ("a", "b")
 
 
-def trajectory(T: int = 5, name: str = "demo", **changes) -> Trajectory:
-    fields = {
-        "time": np.arange(T) * 0.1,
-        "q": np.arange(2.0 * T).reshape(T, 2),
-        "u": np.ones((T, 2)),
-        "joint_names": NAMES,
-        "name": name,
-        **changes,
-    }
-    return Trajectory(**fields)
+def trajectory(T: int = 5, name: str = "demo", **changes: Any) -> Trajectory:
+    q = np.arange(2.0 * T).reshape(T, 2)
+    fields = {"time": np.arange(T) * 0.1, "q": q, "u": np.ones((T, 2)), "effort": 7.0 * q, "joint_names": NAMES}
+    return Trajectory(name=name, **{**fields, **changes})
 
 
 def test_frozen_through_and_through():
-    """No field and no entry can be changed, and the caller's own arrays stay his."""
+    """No field and no entry can be changed, and the caller's own arrays stay his; a pickle is just as frozen."""
     q = np.zeros((5, 2))
     t = trajectory(q=q)
     q[0, 0] = 7.0
     assert t.q[0, 0] == 0.0
-    with pytest.raises(ValueError, match="read-only"):
-        t.q[0, 0] = 1.0
-    with pytest.raises(ValueError, match="read-only"):
-        t.time[0] = 1.0
+    copy = pickle.loads(pickle.dumps(Demonstrations([t], ["note"])))
+    assert copy.notes == ("note",) and copy[0].name == "demo"
+    for array, other in ((t.q, copy[0].q), (t.time, copy[0].time), (t.u, copy[0].u), (t.effort, copy[0].effort)):
+        np.testing.assert_array_equal(array, other)
+        for frozen in (array, other):
+            with pytest.raises(ValueError, match="read-only"):
+                frozen[0] = 1.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         t.q = q  # type: ignore[misc]
 
@@ -47,21 +49,22 @@ def test_any_numbers_become_float64_in_native_order():
     q = np.arange(10).reshape(5, 2)
     for numbers in (q.tolist(), q, q.astype(np.float32), q.astype(">f8"), np.asfortranarray(q)):
         t = trajectory(q=numbers)
-        assert t.q.dtype == np.float64
-        assert t.q.dtype.isnative
+        assert t.q.dtype == np.float64 and t.q.dtype.isnative
         np.testing.assert_array_equal(t.q, q)
 
 
-def test_refuses():
-    """What cannot be used is refused by name: the trajectory, the sample, the joint and the value."""
-    for changes, code, words in [
-        ({"time": []}, "empty", "no samples"),
+@pytest.mark.parametrize(
+    ("changes", "code", "words"),
+    [
+        ({"time": [], "q": np.zeros((0, 2)), "u": None, "effort": None}, "empty", "no samples"),
         ({"time": [0, 1, 2]}, "shape", "got"),
         ({"time": [[0, 1, 2, 3, 4]]}, "shape", "1 dimension"),
         ({"q": np.zeros(5)}, "shape", "2 dimension"),
         ({"q": np.zeros((5, 1))}, "shape", "q must have shape"),
         ({"u": np.zeros((5, 3))}, "shape", "u must have shape"),
         ({"u": np.zeros((4, 2))}, "shape", "u must have shape"),
+        ({"effort": np.zeros((5, 1))}, "shape", "effort must have shape"),
+        ({"effort": np.where(np.eye(5, 2), np.nan, 0.0)}, "not-finite", "effort of sample 0, joint 'a' is nan"),
         ({"q": [["x", "y"]] * 5}, "not-a-number", "must be numbers"),
         ({"q": [[1.0, 2.0], [3.0]]}, "not-a-number", "must be numbers"),
         ({"q": None}, None, "demo"),
@@ -70,97 +73,222 @@ def test_refuses():
         ({"time": [0, 1, np.nan, 2, 3]}, "not-finite", "sample 2"),
         ({"q": [[0, 0], [0, np.nan], [0, 0], [0, 0], [0, 0]]}, "not-finite", "sample 1, joint 'b' is nan"),
         ({"joint_names": ("a", "a")}, "duplicate-joint", "must differ"),
-    ]:
-        with case(changes, code, words):
-            if "time" in changes and len(changes["time"]) == 0:
-                changes = {"time": [], "q": np.zeros((0, 2)), "u": np.zeros((0, 2))}
-            with pytest.raises(RecordingError) as caught:
-                trajectory(**changes)
-            assert words in str(caught.value)
-            assert str(caught.value).startswith("demo: ")
-            if code is not None:
-                assert caught.value.code == code
+    ],
+)
+def test_what_cannot_be_used_is_refused_by_name(changes: dict[str, Any], code: str | None, words: str):
+    """The trajectory, the sample, the joint and the value."""
+    with pytest.raises(RecordingError) as caught:
+        trajectory(**changes)
+    assert words in str(caught.value) and str(caught.value).startswith("demo: ")
+    assert code in (None, caught.value.code)
 
 
 def test_parts():
-    """A slice and an index array pick the same samples of time, q and u; the name follows."""
+    """Slices, index arrays and spans of time pick the same samples of time, q, u and efforts; the name follows."""
     t = trajectory(T=6)
     for samples in (slice(1, 6, 2), np.array([1, 3, 5])):
         part = t.part(samples)
-        np.testing.assert_array_equal(part.time, t.time[1::2])
-        np.testing.assert_array_equal(part.q, t.q[1::2])
-        assert part.u is not None
-        np.testing.assert_array_equal(part.u, np.ones((3, 2)))
+        for name in ("time", "q", "u", "effort"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(t, name)[1::2])
         assert part.name == "demo"
-    assert trajectory(u=None).part(slice(1, 3)).u is None
-    assert not Demonstrations([trajectory(), trajectory(u=None)]).has_velocities
-    assert t.part(slice(0, 2), "start").name == "start"
-    assert len(t) == 6
-    assert t.duration == pytest.approx(0.5)
+    bare = trajectory(u=None, effort=None)
+    assert bare.part(slice(1, 3)).u is None and "efforts" in repr(t) and "efforts" not in repr(bare)
+    np.testing.assert_array_equal(t.with_joint_names(("c", "d")).effort, t.effort)
+    assert not Demonstrations([trajectory(), bare]).has_velocities
+    assert t.part(slice(0, 2), "start").name == "start" and len(t) == 6 and t.duration == pytest.approx(0.5)
     with pytest.raises(RecordingError, match="no samples"):
         t.part(slice(3, 3))
+    long = trajectory(T=100, time=np.arange(100) * 0.1 + 5.0)
+    part = long[6.0:7.0]
+    assert part.time[0] == pytest.approx(6.0) and part.time[-1] == pytest.approx(7.0) and part.name == "demo"
+    np.testing.assert_array_equal(part.effort, long.effort[10:21])
+    assert len(long[:6.0]) == 11 and len(long[14.0:]) == 10
+    with pytest.raises(RecordingError, match=r"no sample lies between 100 s .* runs from 5 s to 14.9 s"):
+        long[100.0:]
+    with pytest.raises(RecordingError, match="span of time"):
+        long[3]  # type: ignore[index]
+
+
+def test_an_even_choice_keeps_both_ends(planar3: ml.Robot):
+    """And all samples where they are few; derived velocities leave the efforts as they are."""
+    time = 0.01 * np.arange(80)
+    q = np.column_stack([np.sin(time), np.cos(time), 0.3 * time])
+    t = Trajectory(time, q, np.gradient(q, time, axis=0), planar3.joint_names, "demo", effort=7.0 * q)
+    few = subsample(t, 9)
+    assert (len(few), few.time[0], few.time[-1]) == (9, time[0], time[-1])
+    assert subsample(t, 1000) is t and len(subsample(t, 1)) == 1
+    with pytest.raises(RecordingError, match="positive"):
+        subsample(t, 0)
+    for cut in (few, ml.derive_velocities(t, planar3)):
+        np.testing.assert_array_equal(cut.effort, 7.0 * q[np.searchsorted(time, cut.time - 1e-6)])
 
 
 def test_demonstrations_are_a_sequence():
     """Length, order, iteration and slices are those of the trajectories; notes stay with slices."""
     one, two, three = trajectory(3, "one"), trajectory(4, "two"), trajectory(5, "three")
     demos = Demonstrations(iter([one, two, three]), ["trimmed"])
-    assert len(demos) == 3
-    assert demos[1] is two
-    assert list(demos) == [one, two, three]
+    assert len(demos) == 3 and demos[1] is two and list(demos) == [one, two, three] and two in demos
     assert isinstance(demos[1:], Demonstrations)
-    assert demos[1:].trajectories == (two, three)
-    assert demos[1:].notes == ("trimmed",)
-    assert demos.joint_names == NAMES
-    assert demos.n_samples == 12
-    assert two in demos
-
-
-def test_demonstrations_refuse():
-    """None at all, another type, or other joints (in another order too) are refused with the reason."""
+    assert demos[1:].trajectories == (two, three) and demos[1:].notes == ("trimmed",)
+    assert demos.joint_names == NAMES and demos.n_samples == 12
     for content, words in [
         ([], "at least one"),
-        ([trajectory(), "text"], "got str"),
-        ([trajectory(), trajectory(name="other", joint_names=("b", "a"))], "other has the joints"),
-        ([trajectory(), trajectory(name="other", joint_names=("a", "c"))], "same joints in the same order"),
+        ([one, "text"], "got str"),
+        ([one, trajectory(name="other", joint_names=("b", "a"))], "other has the joints"),
+        ([one, trajectory(name="other", joint_names=("a", "c"))], "same joints in the same order"),
     ]:
-        with case(content, words):
-            with pytest.raises(RecordingError, match=words):
-                Demonstrations(content)
+        with case(words), pytest.raises(RecordingError, match=words):
+            Demonstrations(content)
 
 
-def test_demonstrations_travel():
-    """Pickling (workers) keeps everything, and what arrives is just as frozen."""
-    copy = pickle.loads(pickle.dumps(Demonstrations([trajectory()], ["note"])))
-    np.testing.assert_array_equal(copy[0].q, trajectory().q)
-    assert copy.notes == ("note",)
-    with pytest.raises(ValueError, match="read-only"):
-        copy[0].q[0, 0] = 1.0
+# ---- motions in memory
+@pytest.fixture(scope="module")
+def features() -> ml.FrameJacobian:
+    return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
 
 
-def test_a_trajectory_is_cut_by_time():
-    """`trajectory[a:b]` keeps the samples from a to b on the recording's own clock; an empty span is refused."""
-    t = Trajectory(np.arange(100) * 0.1 + 5.0, np.zeros((100, 2)), None, ("a", "b"), "demo")
-    part = t[6.0:7.0]
-    assert part.time[0] == pytest.approx(6.0) and part.time[-1] == pytest.approx(7.0) and part.name == "demo"
-    assert len(t[:6.0]) == 11 and len(t[14.0:]) == 10
-    with pytest.raises(RecordingError, match=r"no sample lies between 100 s .* runs from 5 s to 14.9 s"):
-        t[100.0:]
-    with pytest.raises(RecordingError, match="span of time"):
-        t[3]  # type: ignore[index]
+@pytest.fixture(scope="module")
+def demos(features: ml.FrameJacobian) -> Demonstrations:
+    return ml.load_demonstrations([DATA / "sawyer_drawer" / f"demo_0{k}.csv" for k in range(1, 7)], features.robot)
 
 
-def test_joint_names_are_those_of_the_robot_where_none_are_given():
-    """Positions alone make a trajectory; a learner takes its columns to be the robot's joints, in order."""
-    robot = ml.load_robot("planar3")
-    rng = np.random.default_rng(3)
-    time = np.arange(60) * 0.05
-    swing = rng.standard_normal((3, 3))
-    motions = [np.sin(np.outer(time, [0.7, 1.1, 1.3]) + 0.3 * i) @ swing * 0.3 + 0.5 for i in range(6)]
-    unnamed = [ml.Trajectory(time, q) for q in motions]
-    named = [ml.Trajectory(time, q, None, robot.joint_names) for q in motions]
-    features = ml.FrameJacobian(robot, "tip", "x y rz")
-    answers = [
-        ml.ConstraintLearner(features, 1, "null-space").fit(demos).constraint_.selection for demos in (unnamed, named)
+def test_arrays_are_read_like_files(demos: Demonstrations, features: ml.FrameJacobian):
+    """Pairs of arrays, nested lists, an iterator and unnamed trajectories are the same recordings, bit for bit; the
+    columns of unnamed ones are the robot's joints, in order.
+    """
+    given: list[Any] = [
+        [(t.time, t.q) for t in demos],
+        tuple([t.time, t.q] for t in demos),
+        [(t.time.tolist(), t.q.tolist()) for t in demos],
+        [Trajectory(t.time, t.q) for t in demos],
     ]
-    np.testing.assert_array_equal(*answers)
+    for motions in given:
+        read = recordings_given(motions, features.robot, 7)
+        assert isinstance(read, Demonstrations)
+        for one, other in zip(read, demos, strict=True):
+            assert one.joint_names == features.robot.joint_names
+            np.testing.assert_array_equal(one.time, other.time)
+            np.testing.assert_array_equal(one.q, other.q)
+    selection = ml.ConstraintLearner(features).fit(demos).constraint_.selection
+    for arriving in (((t.time, t.q) for t in demos), given[-1]):
+        np.testing.assert_array_equal(ml.ConstraintLearner(features).fit(arriving).constraint_.selection, selection)
+
+
+def test_one_motion_needs_no_list(demos: Demonstrations, features: ml.FrameJacobian):
+    """A trajectory, a pair or a triple of arrays is one motion, with the velocities that were given."""
+    t = ml.derive_velocities(demos[0], features.robot)
+    for given in (t, (t.time, t.q), [t.time, t.q], (t.time, t.q, t.u), (list(t.time), t.q)):
+        held = recordings_given(given, features.robot, 7, "recorded")
+        assert isinstance(held, Demonstrations) and len(held) == 1
+        np.testing.assert_array_equal(held[0].q, t.q)
+        assert (held[0].u is not None) == (given is t or (isinstance(given, tuple) and len(given) == 3))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code", "words"),
+    [
+        (lambda t: t.q, "type", "times are not known"),
+        (lambda t: [t.q], "type", "motion 1 must be a Trajectory"),
+        (lambda t: (t.time, t.q[:, :6]), "shape", "q has 6 columns, robot 'sawyer' has 7 joints"),
+        (lambda t: (t.time, np.degrees(t.q)), "degrees", "look like degrees"),
+        (lambda t: (t.time[:-1], t.q), "shape", "q must have shape"),
+        (lambda t: (t.time[::-1], t.q), "time-order", "time goes back in 338 of 338 steps"),
+        (lambda t: [(t.time, t.q), (t.time, np.full_like(t.q, np.nan))], "not-finite", "motion 2"),
+        (lambda t: "demo.csv", "type", "load_demonstrations"),
+        (lambda t: [5], "type", "got int"),
+        (lambda t: 5, "type", "got int"),
+        (lambda t: iter([t, 5]), "type", "motion 2 must be a Trajectory"),
+        (lambda t: iter([t, t.with_joint_names(tuple("abcdefg"))]), "joint-names", "sorts by name"),
+        (lambda t: iter([]), "empty", "no demonstrations"),
+    ],
+)
+def test_what_is_no_motion_is_refused(spoil: Callable, code: str, words: str, demos, features: ml.FrameJacobian):
+    """What is wrong with the arrays, and which motion it is."""
+    with pytest.raises(RecordingError, match=words) as caught:
+        ml.ConstraintLearner(features).fit(spoil(demos[0]))
+    assert caught.value.code == code
+
+
+def test_system_without_robot():
+    """Arrays of a system that is no robot are taken as they are, with velocities of their own, which it needs."""
+    features = ml.CustomFeatures(lambda q: np.eye(2), row_names=("a", "b"), nv=2)
+    time, along = np.linspace(0, 1, 200), np.array([1.0, 2.0])
+    angles = [3 * time + phase for phase in np.random.default_rng(0).uniform(0, 6, size=5)]
+    motions = [(time, np.outer(np.sin(x), along), np.outer(3 * np.cos(x), along)) for x in angles]
+    learnt = ml.ConstraintLearner(features, 1).fit(motions).constraint_.selection
+    np.testing.assert_allclose(learnt @ along, 0.0, atol=1e-9)
+    with pytest.raises(RecordingError, match="robot to derive them with|need a robot"):
+        ml.ConstraintLearner(features, 1).fit(motion[:2] for motion in motions)
+
+
+# ---- data frames
+def same(a: Demonstrations, b: Demonstrations) -> None:
+    assert len(a) == len(b)
+    for t, s in zip(a, b, strict=True):
+        np.testing.assert_array_equal(t.q, s.q)
+        np.testing.assert_allclose(t.time, s.time, rtol=0, atol=1e-12)
+        assert (t.u is None) == (s.u is None)
+        if t.u is not None and s.u is not None:
+            np.testing.assert_array_equal(t.u, s.u)
+
+
+def test_frames_come_back(demos: Demonstrations, features: ml.FrameJacobian):
+    """Names, order, positions, velocities and efforts, of all, of some or of no trajectories; one frame of all, or one
+    a motion.
+    """
+    robot = features.robot
+    moving = [dataclasses.replace(t, u=np.gradient(t.q, t.time, axis=0), effort=7.0 * t.q) for t in demos]
+    for trajectories in (list(demos), moving, [*moving[:2], *list(demos)[2:]]):
+        original = Demonstrations(trajectories)
+        frame = original.to_frame()
+        assert len(frame) == original.n_samples
+        back = ml.load_demonstrations(frame, robot, velocities="recorded")
+        same(original, back)
+        assert [(t.name, t.effort is None) for t in back] == [(t.name, t.effort is None) for t in original]
+    single = [Demonstrations([t]).to_frame().drop(columns="trajectory") for t in demos]
+    for given in (demos.to_frame(), single):  # as a learner takes them
+        same(demos, recordings_given(given, robot, robot.nv))
+
+
+FRAMES: dict[str, Callable[[pd.DataFrame], Any]] = {
+    "column": lambda f: f,
+    "named index": lambda f: f.set_index("time"),
+    "durations": lambda f: f.set_index(pd.to_timedelta(f.time.to_numpy(), unit="s")).drop(columns="time"),
+    "dates": lambda f: f.set_index(pd.Timestamp("2026-01-01") + pd.to_timedelta(f.time.to_numpy(), unit="s")).drop(
+        columns="time"
+    ),
+    "shuffled": lambda f: f[list(reversed(f.columns))],
+    "foreign columns": lambda f: f.assign(seq=range(len(f)), frame_id="base"),
+}
+
+
+@pytest.mark.parametrize("kind", FRAMES)
+def test_frames_of_others(kind: str, demos: Demonstrations, features: ml.FrameJacobian):
+    """Times as a column or an index, columns in any order, and columns that are not needed."""
+    t = demos[0]
+    back = ml.load_demonstrations(
+        FRAMES[kind](Demonstrations([t]).to_frame().drop(columns="trajectory")), features.robot
+    )
+    np.testing.assert_array_equal(back[0].q, t.q)
+    np.testing.assert_allclose(back[0].time - back[0].time[0], t.time - t.time[0], rtol=0, atol=2e-9)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda f: f.where(~((f.index == 700)[:, None] & (f.columns == "right_j3"))), r"demo_03\.csv.*right_j3"),
+        (lambda f: f.assign(**{f"right_j{k}": np.degrees(f[f"right_j{k}"]) for k in range(7)}), "look like degrees"),
+        (lambda f: f.iloc[:0], "nothing in it"),
+    ],
+)
+def test_frames_that_cannot_be_used(spoil: Callable, words: str, demos: Demonstrations, features: ml.FrameJacobian):
+    """As for files: named by trajectory, with the value; and a frame that is empty."""
+    with pytest.raises(RecordingError, match=words):
+        ml.load_demonstrations(spoil(demos.to_frame()), features.robot)
+
+
+def test_names_that_are_told_apart_stay_apart():
+    """A number that tells two of a name apart makes no other's name."""
+    given = [ml.Trajectory(np.arange(3.0), np.zeros((3, 1)), None, ("a",), name) for name in ("a 2", "a", "a", "b")]
+    names = distinct_names(given)
+    assert len(set(names)) == 4 and names[3] == "b"

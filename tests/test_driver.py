@@ -23,20 +23,30 @@ START = np.array([0.3, 0.8, 0.4])
 
 
 class Arm:
-    """A perfect arm whose driver goes wrong after some cycles; its clock is the number of commands."""
+    """A perfect arm whose driver goes wrong after some cycles; its clock is the number of commands.
 
-    period: float = DT
-    simulated = True
+    Attributes:
+        fault: What goes wrong.
+        first: What is read before the first state.
+        late: How often that is.
+        hands: Those of a clock that moves on: a period of 20 ms is then held.
+        slow: The reading that takes longer, and by how much [s].
+    """
 
-    def __init__(self, fault: str = "", joint_names: tuple[str, ...] | None = None):
-        self.q, self.fault, self.reads, self.sent = START.copy(), fault, 0, []
-        self.frozen, self.held = START, 0
+    def __init__(self, fault="", joint_names=None, first=None, late=0.0, hands=None, slow=(0, 0.0)):
+        self.q, self.fault, self.reads, self.sent, self.farthest = START.copy(), fault, 0, [], 0.0
+        self.frozen, self.held, self.first, self.late = START, 0, first, late
+        self.hands, self.slow, self.simulated, self.period = hands, slow, hands is None, 0.02 if hands else DT
         if joint_names is not None:
             self.joint_names = joint_names
 
-    def read(self) -> Any:
+    def read(self):
         """What the fault makes of the posture."""
+        if self.hands is not None:
+            self.hands.time += self.slow[1] * (self.reads == self.slow[0])
         self.reads += 1
+        if self.reads <= self.late:
+            return self.first, None, None
         if self.reads <= BEFORE:
             self.frozen = self.q.copy()
             return self.q, None, None
@@ -59,11 +69,12 @@ class Arm:
         readings |= {"shorter": self.q[:2], "once": nan if first else self.q}
         return readings.get(self.fault, self.q), None, None
 
-    def command(self, q: np.ndarray, u: np.ndarray) -> None:
+    def command(self, q, u) -> None:
         """Go there at once."""
         self.sent.append(u.copy())
         if self.fault == "deaf" and self.reads > BEFORE:
             raise OSError("bus off")
+        self.farthest = max(self.farthest, float(np.abs(q - self.q).max()))
         self.q = np.asarray(q)
 
     def hold(self) -> None:
@@ -77,7 +88,7 @@ def loop_of(robot: ml.Robot, dt: float = DT) -> ml.ServoLoop:
     return ml.ServoLoop(ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5])), dt)
 
 
-def test_a_run_ends_braked_after_its_duration(planar3: ml.Robot) -> None:
+def test_a_run_ends_braked_after_its_duration(planar3):
     """What is recorded is what was measured and commanded; the last velocity is zero."""
     arm = Arm()
     record = ml.run(loop_of(planar3), arm, 0.5)
@@ -115,7 +126,7 @@ def braked(arm: Arm, loop: ml.ServoLoop, dt: float = DT) -> bool:
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_whatever_the_driver_does_the_arm_brakes(fault: str, planar3: ml.Robot) -> None:
+def test_whatever_the_driver_does_the_arm_brakes(fault, planar3):
     """A braked stop, one sentence, an arm that holds itself, and the collector and Ctrl-C as they were."""
     arm, loop = Arm(fault, planar3.joint_names if fault == "renamed" else None), loop_of(planar3)
     before = signal.getsignal(signal.SIGINT)
@@ -128,42 +139,39 @@ def test_whatever_the_driver_does_the_arm_brakes(fault: str, planar3: ml.Robot) 
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_one_wrong_reading_does_not_end_a_run(planar3: ml.Robot) -> None:
+def test_one_wrong_reading_does_not_end_a_run(planar3):
     """The arm brakes for a period and goes on."""
     arm = Arm("once")
     record = ml.run(loop_of(planar3), arm, 0.5)
     assert record.ordered and record.rollout.status.count(ml.Status.INVALID_INPUT) == 1 and not arm.held
 
 
-def test_joints_are_mapped_by_name(planar3: ml.Robot) -> None:
+def test_joints_are_mapped_by_name(planar3):
     """Another order and a gripper, or messages with names: the same motion, and the gripper is sent where it was."""
-    names = ("gripper", *planar3.joint_names[::-1])
+    names = planar3.joint_names[::-1]
 
     class Named(Arm):
-        def read(self) -> Any:
+        def read(self):
             return np.append(0.7, super().read()[0][::-1]), None, None
 
-        def command(self, q: np.ndarray, u: np.ndarray) -> None:
+        def command(self, q, u):
             assert q[0] == 0.7 and u[0] == 0.0
             super().command(q[:0:-1], u[:0:-1])
 
     class Messages(Arm):
-        def read(self) -> Any:
-            return dict(zip(reversed(planar3.joint_names), super().read()[0][::-1], strict=True)), None, None
+        def read(self):
+            return dict(zip(names, super().read()[0][::-1], strict=True)), None, None
 
-    arms = Arm(), Named(joint_names=names), Messages()
+    arms = Arm(), Named(joint_names=("gripper", *names)), Messages()
     for arm in arms:
         ml.run(loop_of(planar3), arm, 0.3)
         np.testing.assert_array_equal(arm.sent, arms[0].sent)
-    for given, said in (
-        (planar3.joint_names[1:], f"missing {planar3.joint_names[0]}"),
-        ((*planar3.joint_names, "a", "a"), "one name occurs twice"),
-    ):
+    for given, said in ((names[:2], f"missing {names[2]}"), ((*names, "a", "a"), "one name occurs twice")):
         with pytest.raises(ConfigurationError, match=said):
             ml.run(loop_of(planar3), Arm(joint_names=given), 0.1)
 
 
-def test_another_period_is_refused(planar3: ml.Robot) -> None:
+def test_another_period_is_refused(planar3):
     """A loop made for another period says how to make the right one."""
     with pytest.raises(ConfigurationError, match=r"dt=0.005"):
         ml.run(loop_of(planar3, 0.001), Arm())
@@ -186,25 +194,10 @@ class Hands:
         self.time = max(self.time, moment)
 
 
-class Timed(Arm):
-    """An arm on a clock, one of whose readings takes longer."""
-
-    simulated, period = False, 0.02
-
-    def __init__(self, hands: Hands, slow: int, seconds: float):
-        super().__init__()
-        self.hands, self.slow, self.seconds = hands, slow, seconds
-
-    def read(self) -> Any:
-        """After as long as that reading takes."""
-        self.hands.time += self.seconds * (self.reads == self.slow)
-        return super().read()
-
-
-def test_the_period_is_held_and_late_cycles_are_counted(planar3: ml.Robot) -> None:
+def test_the_period_is_held_and_late_cycles_are_counted(planar3):
     """0.5 s are 0.5 s of the clock; after a cycle of 3.5 periods, those that were missed are not made up for."""
     hands = Hands()
-    record = ml.run(loop_of(planar3, 0.02), Timed(hands, 11, 0.07), 0.5, clock=hands)
+    record = ml.run(loop_of(planar3, 0.02), Arm(hands=hands, slow=(11, 0.07)), 0.5, clock=hands)
     assert record.ordered and record.overruns == 1 and record.longest_delay == pytest.approx(0.05)
     np.testing.assert_allclose(np.diff(record.rollout.time)[:14], [*[0.02] * 10, 0.07, 0.01, 0.02, 0.02])
     assert 0.49 < hands.time - 1000.0 < 0.9
@@ -214,10 +207,10 @@ def test_the_period_is_held_and_late_cycles_are_counted(planar3: ml.Robot) -> No
     ("seconds", "words"),
     [(0.06, "the 1 s were over"), (0.2, "no new state for more than 100 ms"), (0.5, "period of 20 ms cannot be held")],
 )
-def test_a_driver_that_blocks_once(seconds: float, words: str, planar3: ml.Robot) -> None:
+def test_a_driver_that_blocks_once(seconds, words, planar3):
     """Longer than `stale_after` ends the run; no command jumps, and the last one is zero."""
     hands, loop = Hands(), loop_of(planar3, 0.02)
-    arm = Timed(hands, 20, seconds)
+    arm = Arm(hands=hands, slow=(20, seconds))
     record = ml.run(loop, arm, 1.0, clock=hands)
     assert words in record.ended and record.overruns == 1
     assert braked(arm, loop, 0.02)
@@ -282,7 +275,7 @@ print("returned:", done.ended, flush=True)
         ("", "thread", "held", 0),
     ],
 )
-def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name: str, how: str, said: str, code: int) -> None:
+def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name, how, said, code):
     """The last velocity sent is zero, `hold` comes after it, and the program ends as the signal has it end.
 
     The same where the interpreter ends while a thread runs the arm.
@@ -308,7 +301,7 @@ def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name: str, how: s
     assert ("own handler\n" in lines) == (how == "own")
 
 
-def test_a_loop_runs_again(planar3: ml.Robot) -> None:
+def test_a_loop_runs_again(planar3):
     """A second run goes on from where the first one left the arm; of an arm that was moved by hand, it is refused."""
     loop, arm = loop_of(planar3), Arm()
     ml.run(loop, arm, 0.3)
@@ -320,7 +313,7 @@ def test_a_loop_runs_again(planar3: ml.Robot) -> None:
     assert "nothing was sent" in ml.run(loop, arm, 0.1).ended and len(arm.sent) == sent
 
 
-def test_long_runs_keep_every_second_cycle(planar3: ml.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_runs_keep_every_second_cycle(planar3, monkeypatch):
     """Half of the samples go whenever there are too many: those left are evenly spaced, from the first one on."""
     monkeypatch.setattr(driver, "SAMPLES", 50)
     record = ml.run(loop_of(planar3), Arm(), 1.0)
@@ -330,7 +323,7 @@ def test_long_runs_keep_every_second_cycle(planar3: ml.Robot, monkeypatch: pytes
     assert record.rollout.time[0] == 0.0
 
 
-def test_a_stop_that_takes_too_long_ends_all_the_same(planar3: ml.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_that_takes_too_long_ends_all_the_same(planar3, monkeypatch):
     """10 s after the reason to stop, a run ends with the arm still in motion; until then it brakes."""
     monkeypatch.setattr(driver, "LONGEST_STOP", 0.1)
     gentle = ml.ServoLoop(loop_of(planar3).controller, DT, acceleration_limit=0.01)
@@ -339,30 +332,17 @@ def test_a_stop_that_takes_too_long_ends_all_the_same(planar3: ml.Robot, monkeyp
     assert record.rollout.u[-1].any()
 
 
-def test_a_driver_that_is_not_ready_yet_is_waited_for(planar3: ml.Robot) -> None:
+def test_a_driver_that_is_not_ready_yet_is_waited_for(planar3):
     """Nothing for less than `stale_after` at the start is no reason to end; for longer it is, with the loop's words."""
-    assert ml.run(loop_of(planar3), Late(None, 15), 0.3).ordered
-    record = ml.run(loop_of(planar3), Late(None, np.inf), 2.0)
+    assert ml.run(loop_of(planar3), Arm(late=15), 0.3).ordered
+    record = ml.run(loop_of(planar3), Arm(late=np.inf), 2.0)
     assert not record.ordered and record.ended == "no posture: None" and record.cycles == round(0.1 / DT)
     assert len(record.rollout) == 0 and "late" in repr(record)
 
 
-class Late(Arm):
-    """An arm at `START` whose driver gives something else until its first state has come."""
-
-    def __init__(self, first: Any, readings: float, joint_names: tuple[str, ...] | None = None):
-        super().__init__(joint_names=joint_names)
-        self.first, self.readings, self.farthest = first, readings, 0.0
-
-    def read(self) -> Any:
-        """What it gives instead, or the posture."""
-        self.reads += 1
-        return (self.first if self.reads <= self.readings else self.q), None, None
-
-    def command(self, q: np.ndarray, u: np.ndarray) -> None:
-        """Go there at once, unless that is far away."""
-        self.farthest = max(self.farthest, float(np.abs(q - self.q).max()))
-        super().command(q, u)
+def at_once(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
+    """A motion that starts where the arm is."""
+    return loop_of(robot)
 
 
 def played(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
@@ -377,81 +357,65 @@ def planned(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
     return ml.ServoLoop(LawSequence(there, ml.ResolvedRateController(rows, ml.motion(rows, along=0.1))), DT)
 
 
-def from_anywhere(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
-    """A motion that starts where the arm is."""
-    return loop_of(robot)
+ZERO, BY_START = np.zeros(3), (played, planned)
+STARTS = [  # the motion, where the arm is, how far away the motion starts [rad], what is read first, and how often
+    *[(make, START, 0.0, ZERO, n) for make in BY_START for n in (1, 10, 100)],
+    *[(make, START, 0.0, START + [0.0, 0.2, 0.0], 10) for make in BY_START],
+    *[(make, START, 0.0, np.full(3, np.nan), 5) for make in (*BY_START, at_once)],
+    *[(at_once, START, 0.0, first, 1) for first in (ZERO, START - 0.2)],
+    *[(make, START, off, None, 0) for make in BY_START for off in (0.2, -1.0, 0.06, 0.04)],
+    *[(make, ZERO, 0.0, None, 0) for make in (*BY_START, at_once)],
+]
 
 
-@pytest.mark.parametrize(
-    ("make", "first", "readings"),
-    [
-        *[(make, np.zeros(3), n) for make in (played, planned) for n in (1, 10, 100)],
-        *[(make, START + [0.0, 0.2, 0.0], 10) for make in (played, planned)],
-        *[(make, np.full(3, np.nan), 5) for make in (played, planned, from_anywhere)],
-        (from_anywhere, np.zeros(3), 1),
-        (from_anywhere, START - 0.2, 1),
-    ],
-)
-def test_nothing_is_sent_to_where_the_arm_is_not(make: Any, first: Any, readings: int, planar3: ml.Robot) -> None:
-    """Zeros, an old posture or no numbers come before the first state: it is waited for, and then the arm moves."""
-    arm = Late(first, readings)
-    record = ml.run(make(planar3), arm, 0.5)
-    assert record.ordered and arm.farthest < 0.02 and np.abs(arm.sent).max() > 0.01
-    np.testing.assert_array_equal(record.rollout.q[0], START)
+@pytest.mark.parametrize(("make", "at", "off", "first", "late"), STARTS)
+def test_nothing_is_sent_to_where_the_arm_is_not(make, at, off, first, late, planar3):
+    """Zeros, an old posture or no numbers come before the first state: it is waited for, and then the arm moves; two
+    readings are enough. An arm that is not where its motion starts is sent nothing, and told joint and both figures.
+    """
+    arm, start, is_away = Arm(first=first, late=late), at + [0.0, off, 0.0], abs(off) > 0.05
+    arm.q = at
+    record = ml.run(make(planar3, start), arm, 5.0 if is_away else 0.5)
+    assert record.ordered != is_away
+    if is_away:
+        assert not arm.sent and arm.held == 0 and arm.reads * DT < 1.5
+        assert planar3.joint_names[1] in record.ended and "reads 0.8 rad" in record.ended
+        assert f"{start[1]:.3g} rad where the motion starts" in record.ended
+        return
+    assert arm.farthest < 0.02 and np.abs(arm.sent).max() > 0.01 and (late or arm.reads - len(arm.sent) == 1)
+    np.testing.assert_array_equal(record.rollout.q[0], at)
 
 
-@pytest.mark.parametrize("make", [played, planned])
-@pytest.mark.parametrize("off", [0.2, -1.0, 0.06])
-def test_an_arm_that_is_not_where_its_motion_starts_is_refused(make: Any, off: float, planar3: ml.Robot) -> None:
-    """Nothing is ever sent; the reason names the joint and both figures."""
-    start = START + [0.0, off, 0.0]
-    arm = Arm()
-    record = ml.run(make(planar3, start), arm, 5.0)
-    assert not record.ordered and not arm.sent and arm.held == 0 and arm.reads * DT < 1.5
-    assert planar3.joint_names[1] in record.ended and "reads 0.8 rad" in record.ended
-    assert f"{start[1]:.3g} rad where the motion starts" in record.ended
-
-
-@pytest.mark.parametrize("start", [START, np.zeros(3)])
-def test_an_arm_near_the_start_runs_at_once(start: np.ndarray, planar3: ml.Robot) -> None:
-    """Two readings are enough, also where the motion's own start is zero."""
-    for make in (played, planned, from_anywhere):
-        arm = Arm()
-        arm.q = start + [0.0, 0.04 * np.any(start), 0.0]
-        assert ml.run(make(planar3, start), arm, 0.3).ordered and arm.reads - len(arm.sent) == 1
-
-
-def test_first_readings_of_other_joints(robot_of: Any) -> None:
+def test_first_readings_of_other_joints(robot_of):
     """A turn more of a continuous joint is no distance; figures of prismatic joints are metres; a gripper is sent where
     it was measured with the first state, in the driver's order.
     """
     robot = robot_of("rover")
-    start = 0.1 * np.arange(robot.nv)
+    start, names = 0.1 * np.arange(robot.nv), (*robot.joint_names[::-1], "gripper")
     turns = 2.0 * np.pi * np.array([b.kind == "continuous" for b in robot.blocks for _ in range(b.v.stop - b.v.start)])
-    motion = ml.Trajectory([0.0, 1.0], [start, start + 0.1])
-    names = (*robot.joint_names[::-1], "gripper")
 
-    class Reversed(Late):
-        def command(self, q: np.ndarray, u: np.ndarray) -> None:
+    class Reversed(Arm):
+        def command(self, q, u):
             assert q[-1] == 0.7
             super().command(q, u)
 
     for off, said in ((turns, "0.2 s were over"), (0.06 * (np.array(robot.joint_units) == "m"), " m where the motion")):
-        arm = Reversed(np.zeros(len(names)), 3, joint_names=names)
+        arm = Reversed(joint_names=names, first=np.zeros(len(names)), late=3)
         arm.q = np.append((start + off)[::-1], 0.7)
-        record = ml.run(ml.ServoLoop(ml.FollowMotion(robot, motion), DT), arm, 0.2)
+        motion = ml.FollowMotion(robot, ml.Trajectory([0.0, 1.0], [start, start + 0.1]))
+        record = ml.run(ml.ServoLoop(motion, DT), arm, 0.2)
         assert said in record.ended and bool(arm.sent) == record.ordered
 
 
-def test_a_driver_of_other_sizes(planar3: ml.Robot) -> None:
+def test_a_driver_of_other_sizes(planar3):
     """A mapping without a joint, or one number too many, ends the run with a sentence."""
-    partial = Late({planar3.joint_names[0]: 0.1}, np.inf)
+    partial = Arm(first={planar3.joint_names[0]: 0.1}, late=np.inf)
     assert f"no position of joint {planar3.joint_names[1]}" in ml.run(loop_of(planar3), partial, 1.0).ended
     more = Arm(joint_names=(*planar3.joint_names, "gripper"))
     assert "4 joints are named, positions have shape (3,)" in ml.run(loop_of(planar3), more, 1.0).ended
 
 
-def test_a_reason_of_the_caller_ends_a_run(planar3: ml.Robot) -> None:
+def test_a_reason_of_the_caller_ends_a_run(planar3):
     """`until` is asked in each cycle; once it gives a reason, the arm brakes within its limits and stands, in order."""
     arm, loop = Arm(), loop_of(planar3)
     done = ml.run(loop, arm, until=lambda: "seen enough" if len(arm.sent) > 50 else "")
@@ -460,7 +424,7 @@ def test_a_reason_of_the_caller_ends_a_run(planar3: ml.Robot) -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError("of the caller"), SystemExit(3), KeyboardInterrupt()])
-def test_what_a_callback_raises_is_raised_when_the_arm_stands(error: BaseException, planar3: ml.Robot) -> None:
+def test_what_a_callback_raises_is_raised_when_the_arm_stands(error, planar3):
     """The arm brakes within its limits, the last command is zero, it holds itself, and then the error goes on."""
     arm, loop = Arm(), loop_of(planar3)
 

@@ -1,4 +1,4 @@
-"""Running experiments: seeds, output folders, and what is refused."""
+"""Experiments: seeds, output folders, what is refused; their systems obey what they claim and are the paper's."""
 
 from __future__ import annotations
 
@@ -9,36 +9,44 @@ from typing import Any
 
 import numpy as np
 import pytest
+from case import case
 from numpy.random import Generator
 from numpy.testing import assert_allclose
+from rounding import rounding
 
+from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.manipulability import manipulability_gradient
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
-from manip_learn.experiments import EXPERIMENTS, reproduce, table
+from manip_learn.experiments import EXPERIMENTS, reproduce, rmse, sawyer, singular_starts, table
 from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie
-from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
+from manip_learn.experiments.paper_setup import (
+    PAPER_NMIE,
+    REST,
+    SELECTIONS,
+    STEP,
+    Setup,
+    demonstrate,
+    draw_starts,
+    draw_targets,
+    null_parts,
+    planar_arm,
+    planar_features,
+    tip,
+)  # fmt: skip
 from manip_learn.experiments.reproduce import write_result
 from manip_learn.experiments.results import TrialsResult, markdown_table, mean_and_sd, number, share, summary
-from manip_learn.experiments.table import LearningCase, learning_trial
+from manip_learn.experiments.table import LABELS, LearningCase, learning_trial
 from manip_learn.experiments.trials import Trials
 
+pytestmark = pytest.mark.timeout(400)  # fixtures of half a minute, which others on the machine may stretch
 ANSWER = {"rows": 2, "train": 0.1, "scale_free": 0.2, "angle_deg": 0.3, "seconds": 0.5}
 
 
 class Result(TrialsResult):
     """Outcomes without tables."""
 
-    def to_dict(self) -> dict[str, Any]:
-        """Nothing."""
-        return {}
-
-    def markdown(self) -> str:
-        """Nothing."""
-        return ""
-
-    def figures(self) -> dict[str, Any]:
-        """Nothing."""
-        return {}
+    to_dict = markdown = figures = lambda self: {}  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)
@@ -48,14 +56,14 @@ class Dice:
     sides: int
 
 
-def throw(case: Dice, rng: Generator) -> dict[str, int]:
+def throw(of: Dice, rng: Generator) -> dict[str, int]:
     """A trial."""
-    return {"value": int(rng.integers(case.sides))}
+    return {"value": int(rng.integers(of.sides))}
 
 
-def run(name: str, trial, case, trials: int, seed: int, workers: int = 1) -> list[dict[str, Any]]:
+def run(name: str, trial, setting, trials: int, seed: int, workers: int = 1) -> list[dict[str, Any]]:
     """Outcomes of one case."""
-    experiment = Trials(name, trial, {"case": case}, Result)
+    experiment = Trials(name, trial, {"case": setting}, Result)
     return experiment.run(trials, np.random.default_rng(seed), workers).outcomes["case"]
 
 
@@ -71,25 +79,18 @@ def test_trials_have_seeds_of_their_own():
 
 def test_number_of_workers_does_not_change_numbers():
     """One process and two give the same trials in the same order, learning included (seconds aside)."""
-    case = LearningCase(Setup("x y", trajectories=20), ("joint-affine",))
-    one, two = (run("few", learning_trial, case, 2, 1, workers) for workers in (1, 2))
+    few = LearningCase(Setup("x y", trajectories=20), ("joint-affine",))
+    one, two = (run("few", learning_trial, few, 2, 1, workers) for workers in (1, 2))
     assert [[{**t[n], "seconds": 0} for n in t] for t in one] == [[{**t[n], "seconds": 0} for n in t] for t in two]
 
 
 def test_what_is_asked_for_is_checked_before_anything_is_written(tmp_path):
     """Trials, seed and workers out of range are refused; an unknown name is answered with those that exist."""
-    for options, said in (
-        ({"trials": 0}, "from 1"),
-        ({"trials": -3}, "from 1"),
-        ({"trials": 2.5}, "whole number"),
-        ({"trials": True}, "whole number"),
-        ({"trials": 100_001}, "to 100000"),
-        ({"seed": -1}, "seed"),
-        ({"seed": "a"}, "seed"),
-        ({"workers": 0}, "workers"),
-    ):
-        with pytest.raises(ExperimentError, match=said):
-            reproduce("rmse", out=tmp_path / "out", **({"trials": 1} | options))
+    trials = {0: "from 1", -3: "from 1", 2.5: "whole number", True: "whole number", 100_001: "to 100000"}
+    for name, values in {"trials": trials, "seed": {-1: "seed", "a": "seed"}, "workers": {0: "workers"}}.items():
+        for value, said in values.items():
+            with case(name, value), pytest.raises(ExperimentError, match=said):
+                reproduce("rmse", out=tmp_path / "out", **({"trials": 1} | {name: value}))
     with pytest.raises(UnknownNameError, match="did you mean 'singular-start'"):
         reproduce("singularstart", out=tmp_path / "out")
     for gone in ("beyond", "bounds", "recorded", "variants"):
@@ -154,7 +155,9 @@ def test_statistics_and_numbers_for_tables():
 
 
 def test_errors_are_as_defined(robot_of, rng):
-    """MIE, NMIE and its scale-free form on given postures, from mu = sqrt(det(A A^T)) written out."""
+    """MIE, NMIE and its scale-free form on given postures, from mu = sqrt(det(A A^T)) written out; where
+    mu~ = 0 everywhere no factor is best, and the scale-free error is that of zero, not NaN.
+    """
     robot = robot_of("sawyer")
     features = FrameJacobian(robot, "right_hand")
     true, learnt = rng.standard_normal((2, 2, 3))
@@ -169,12 +172,7 @@ def test_errors_are_as_defined(robot_of, rng):
     scales = np.linspace(0.1, 10.0, 20001)
     best = min(np.mean((mu[:, None] - other[:, None] * scales) ** 2, axis=0))
     assert scale_free_nmie(mu, other) == pytest.approx(best / np.var(mu), rel=1e-3)
-
-
-def test_a_learnt_constraint_without_manipulability_has_the_error_of_zero():
-    """mu~ = 0 everywhere has no best factor: the scale-free error is that of zero, not NaN."""
-    mu = np.array([1.0, 2.0, 4.0])
-    assert scale_free_nmie(mu, np.zeros(3)) == pytest.approx(np.mean(mu**2) / np.var(mu))
+    assert scale_free_nmie(mu, np.zeros(30)) == pytest.approx(np.mean(mu**2) / np.var(mu))
 
 
 def test_policy_rmse():
@@ -184,3 +182,134 @@ def test_policy_rmse():
     assert_allclose(policy_rmse(pi[1:], pi[:1]), [np.sqrt((2.0**2 + 3.0**2) / 2)])
     longer = np.concatenate([pi, pi], axis=1)
     assert_allclose(policy_rmse(longer, np.zeros_like(longer)), [1.0, np.sqrt(12.5)])
+
+
+# ---- the systems that the experiments run on
+def differences(function, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
+    """Central differences, the derivative index last."""
+    steps = h * np.eye(len(q))
+    return np.stack([(np.asarray(function(q + s)) - np.asarray(function(q - s))) / (2 * h) for s in steps], axis=-1)
+
+
+def test_tip_is_that_of_the_shipped_arm(rng):
+    """The closed form agrees with the robot, and its derivative is Phi."""
+    q = rng.uniform(-3.0, 3.0, size=(5, 3))
+    for row, point in zip(q, tip(q), strict=True):
+        pose, known = planar_arm().pose(row, "tip"), rounding(8 * 3, row, 3.0)  # [m] long
+        assert_allclose(pose[:2, 3], point[:2], atol=known)
+        assert_allclose(differences(lambda p: tip(p[None])[0], row), planar_features().batch(row[None])[0], atol=1e-8)
+
+
+def test_demonstrations_follow_the_papers_law(rng):
+    """A u = r* - r on the constrained rows along a trajectory, N u = N (rest - q), and each step is an Euler step."""
+    Lambda = Setup("x rz").selection
+    demos = demonstrate(Setup("x rz", trajectories=6), Lambda, rng)
+    assert len(demos) == 6 and len(demos[0]) == 10
+    w = null_parts(planar_features(), demos, Lambda).reshape(6, 10, 3)
+    for t, part in zip(demos, w, strict=True):
+        assert_allclose(np.diff(t.q, axis=0), STEP * t.u[:-1], atol=1e-14)
+        A = Lambda @ planar_features().batch(t.q)
+        goal = np.einsum("nsv,nv->ns", A, t.u) + tip(t.q) @ Lambda.T
+        assert_allclose(goal, np.tile(goal[0], (10, 1)), atol=1e-12)
+        N = np.eye(3) - np.linalg.pinv(A) @ A
+        assert_allclose(part, np.einsum("nij,nj->ni", N, REST - t.q), atol=1e-12)
+
+
+def test_climbing_rollouts_are_euler_steps_of_the_papers_law(rng):
+    """From posture to posture in 0.02 s: u = A^+ b + N grad mu, and the policies returned are grad mu."""
+    constraint = Constraint(Setup("x y").selection, planar_features())
+    starts, targets = draw_starts(3, rng), draw_targets(3, rng)
+    for q, pi, target in zip(*rmse.climbing(constraint, starts, targets), targets, strict=True):
+        assert q.shape == (100, 3)
+        assert_allclose(pi[7], manipulability_gradient(constraint, q[7]), atol=1e-12)
+        for i in (0, 1, 40, 98):
+            A = constraint(q[i])
+            N, b = np.eye(3) - np.linalg.pinv(A) @ A, (target - tip(q[i][None])[0])[:2]
+            u = np.linalg.pinv(A) @ b + N @ manipulability_gradient(constraint, q[i])
+            assert_allclose((q[i + 1] - q[i]) / 0.02, u, atol=1e-9)
+
+
+def test_every_way_to_learn_learns(rng):
+    """Each estimator of the table finds x, y on clean demonstrations, as well as it claims."""
+    assert len(set(LABELS.values())) == len(LABELS)
+    outcome = learning_trial(LearningCase(Setup("x y"), tuple(LABELS)), rng)
+    for name in LABELS:
+        assert outcome[name]["test"] < (1e-5 if "separate" in name else 1e-12), name
+        assert outcome[name]["rows"] == 2
+    assert outcome["joint-affine"]["test"] < 1e-24
+    few = learning_trial(LearningCase(Setup("x y", trajectories=1), ("joint-affine",)), rng)
+    assert set(few["joint-affine"]) == {"refused"}  # what cannot be learnt is recorded as such
+
+
+@pytest.fixture(scope="module")
+def singular():
+    """One result of the first comparison."""
+    return singular_starts.SINGULAR.run(1, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def near_singular():
+    """One result of the second comparison."""
+    return singular_starts.NEAR_SINGULAR.run(1, np.random.default_rng(0))
+
+
+def test_singular_start_is_the_papers_picture(singular):
+    """Zero is stuck at 3 m, the attractor dips, climbing keeps mu above 0.866 from step 3; the threshold is Matlab's.
+
+    The dip is at step 37 of 50 Hz and not "around 70": that is 100 Hz, and the verdict says both.
+    """
+    printed = {c.text: c for c in singular.claims}
+    late = printed.pop("... after around 70 steps")
+    assert all(c.holds for c in printed.values()) and any("1.332e-15" in text for text in printed)
+    assert not late.holds and late.verdict == "**no** at the paper's 50 Hz, yes at 100 Hz"
+    assert late.seen == "lowest at step 37 at 50 Hz; lowest at step 72 at 100 Hz"
+    numbers = singular.to_dict()["ours"]
+    assert numbers["manipulability, dt 0.02 s"]["min_manipulability"] > 0.866
+    assert numbers["attractor, dt 0.01 s"]["min_manipulability"] == pytest.approx(0.0312, abs=1e-3)
+    assert numbers["attractor, dt 0.02 s"]["min_manipulability"] == pytest.approx(0.0831, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_near_singular_start_is_not(near_singular):
+    """The leap of 6e11 rad/s happens in joint 2 only, whatever the policy; what Figure 2 shows of the policies holds.
+
+    After it nothing is printed: neither the tables nor the JSON have a digit of what is rounding noise.
+    """
+    printed = {c.text: c.holds for c in near_singular.claims}
+    assert not printed.pop("The next state is beyond 1e9 rad for each joint")
+    assert len(printed) == 2 and all(text.startswith("Figure 2") and holds for text, holds in printed.items())
+    for law, numbers in near_singular.to_dict()["ours"].items():
+        chaotic = "our controller" not in law
+        assert numbers["chaotic"] == chaotic
+        assert (numbers["final_error"] is None) == (numbers["min_manipulability"] is None) == chaotic
+    assert near_singular.markdown().count("| chaotic | chaotic |") == 6
+    for law, rollout in near_singular.rollouts.items():
+        if "our controller" not in law:
+            assert np.max(np.abs(rollout.u[0])) == pytest.approx(5.73e11, rel=1e-2)
+            assert np.all(np.isfinite(rollout.q))
+
+
+def test_figure_2_is_judged_over_starts_that_differ_by_rounding(near_singular, singular):
+    """Zero and manipulability policies rest on the target from all of them, the attractor from none."""
+    rounding = near_singular.to_dict()["rounding"]
+    assert not singular.rounding
+    for policy in ("zero", "manipulability"):
+        assert rounding[policy]["at_rest"] == rounding[policy]["n"]
+    assert rounding["attractor"]["at_rest"] == 0 and rounding["attractor"]["least_late_speed"] > 1e6
+
+
+@pytest.mark.parametrize("name", [
+    pytest.param(n, marks=pytest.mark.slow) if c.direction == "y" or c.points is None else n
+    for n, c in sawyer.CASES.items()
+])  # fmt: skip
+def test_drawer_is_learnt(name):
+    """Every reading finds its rows by itself; the model to rounding, kind physics to 0.1 and hard to 2 degrees.
+
+    All samples, and a drawer along y, which opens as that along x does, are for long runs.
+    """
+    of = sawyer.CASES[name]
+    outcome = sawyer.sawyer_trial(of, np.random.default_rng(0))
+    assert outcome["rows"] == of.constraint.n_constraints == outcome["rows_true"]
+    assert outcome["angle_deg"] < {"model": 1e-9, "kind physics": 0.1, "hard physics": 2.0}[of.source]
+    assert len(outcome["rmse"]) == 20 and max(outcome["rmse"]) < 0.05
+    assert outcome["nmie_held"] < 1e-3

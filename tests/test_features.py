@@ -8,32 +8,21 @@ import numpy as np
 import pytest
 from case import case
 from conftest import tip_of
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 from test_gradients import bent_rail, central_difference
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import (
-    CentreOfMass,
-    CurveRows,
-    CustomFeatures,
-    FrameJacobian,
-    MechanismRows,
-    RelativeFrameJacobian,
-    Stacked,
-)
+import manip_learn as ml
 from manip_learn.constraint.features.feature_map import parse_axes
 from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
 from manip_learn.constraint.place import ROW_UNITS, across
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import Hold, PointAttractor, motion
-from manip_learn.errors import ConstraintError, FeatureError, ManipLearnError, TargetError, UnknownNameError
+from manip_learn.errors import ConstraintError, FeatureError, TargetError, UnknownNameError
 from manip_learn.linalg import row_space_angle
 
 TCP = "panda_hand_tcp"
 PLACE = {"axis": (0.3, -0.5, 0.8), "point": (0.4, 0.2, 0.3), "pitch": 0.07}
+NAN = np.nan
 
 
 @pytest.fixture
@@ -42,151 +31,124 @@ def panda(robot_of):
 
 
 def test_axes():
-    """Named sets, words in any order, commas and sequences all mean the rows that they say."""
-    known = {
-        "xyz": ("x", "y", "z"),
-        "pose": AXES,
-        "planar": ("x", "y", "rz"),
-        "rotation": ("rx", "ry", "rz"),
-        "x": ("x",),
-        " x  rz ": ("x", "rz"),
-        "ry,z": ("ry", "z"),
-        ("rz", "x"): ("rz", "x"),
-    }
-    assert {axes: parse_axes(axes) for axes in known} == known
-    assert parse_axes(["x"]) == ("x",)
+    """Named sets, words in any order, commas and sequences all mean the rows that they say; nothing else is axes."""
+    known = {"xyz": "x y z", "pose": " ".join(AXES), "planar": "x y rz", "rotation": "rx ry rz", "x": "x"}
+    known |= {" x  rz ": "x rz", "ry,z": "ry z", ("rz", "x"): "rz x"}
+    assert {axes: " ".join(parse_axes(axes)) for axes in known} == known and parse_axes(["x"]) == ("x",)
+    for bad in ("", "  ", "xy", "x w", "x x", "XYZ", [], ["x", ""], "0 1"):
+        with case(bad), pytest.raises(FeatureError, match="x y z rx ry rz"):
+            parse_axes(bad)
 
 
 def test_what_is_refused(robot_of, panda):
-    """Unknown axes, frames, references and rows, places that are none, functions of the wrong shape, targets of another
+    """Unknown frames, references and rows, places that are none, functions of the wrong shape, targets of another
     size: each with what was wrong, and near names or the valid ones.
     """
-    sawyer, flat = robot_of("sawyer"), robot_of("planar3")
-    hand, mass = FrameJacobian(panda, TCP), CentreOfMass(panda)
-    seen = RelativeFrameJacobian(sawyer, "right_hand", "right_l3", "x")
-    rail = CurveRows(panda, TCP, np.eye(4, 3))
+    sawyer, zero = robot_of("sawyer"), np.zeros(7)
+    hand, mass, other = ml.FrameJacobian(panda, TCP), ml.CentreOfMass(panda), ml.FrameJacobian(sawyer, "right_hand")
+    rail = ml.CurveRows(panda, TCP, np.eye(4, 3))
+    on_rail = ml.Constraint(np.eye(2, 3), rail)
+    one = ml.CustomFeatures(lambda q: [[1.0, 0.0]], ("f",), nv=2)
 
-    def custom(value):
-        return CustomFeatures(lambda q: value, ("f",), nv=2)
+    def rows(names: str, **place) -> ml.MechanismRows:
+        return ml.MechanismRows(panda, TCP, names, **place)
 
+    def seen(frame: str, axes: str = "x") -> ml.RelativeFrameJacobian:
+        return ml.RelativeFrameJacobian(sawyer, "right_hand", frame, axes)
+
+    def custom(value) -> np.ndarray:
+        return ml.CustomFeatures(lambda q: value, ("f",), nv=2)([0.0, 0.0])
+
+    wrong_targets = ([1.0], [1.0, 2.0, 3.0, 4.0], [1.0, NAN, 2.0], 1.0, [[1.0, 2.0, 3.0]], np.zeros((6, 6)))
     refused = [
-        *(
-            (lambda axes=axes: parse_axes(axes), FeatureError, "x y z rx ry rz")
-            for axes in ("", "  ", "xy", "x w", "x x")
-        ),
-        *(
-            (lambda axes=axes: parse_axes(axes), FeatureError, "x y z rx ry rz")
-            for axes in ("XYZ", [], ["x", ""], "0 1")
-        ),
-        (lambda: FrameJacobian(panda, "panda_hand_tpc"), UnknownNameError, "'panda_hand_tcp'"),
-        (lambda: FrameJacobian(panda, TCP, reference="base"), FeatureError, "'world' or 'local'"),
-        (lambda: CentreOfMass(panda, "planar"), FeatureError, "x y z only"),
-        (lambda: Stacked([]), FeatureError, "one robot"),
-        (lambda: Stacked([FrameJacobian(flat, "tip"), hand]), FeatureError, "one robot"),
-        (lambda: Stacked([FrameJacobian(sawyer, "right_hand"), hand]), FeatureError, "share one robot"),
-        (lambda: RelativeFrameJacobian(sawyer, "right_hand", "rihgt_l3"), UnknownNameError, "right_l3"),
-        (lambda: RelativeFrameJacobian(sawyer, "right_hand", "right_hand"), FeatureError, "relative to itself"),
-        (lambda: RelativeFrameJacobian(sawyer, "right_hand", "right_l3", "x w"), FeatureError, "x y z"),
-        (lambda: MechanismRows(panda, TCP, "radia"), FeatureError, "unknown row"),
-        (lambda: MechanismRows(panda, TCP, "radial radial"), FeatureError, "twice"),
-        (lambda: MechanismRows(panda, TCP, ""), FeatureError, "no row"),
-        (lambda: MechanismRows(panda, TCP, "axial", axis=(0, 0, 0)), FeatureError, "no direction"),
-        (lambda: MechanismRows(panda, TCP, "axial", point=(0, np.nan, 0)), FeatureError, "finite"),
-        (lambda: MechanismRows(panda, TCP, "axial", pitch=np.inf), FeatureError, "pitch"),
-        *(
-            (lambda r=r: MechanismRows(panda, TCP, "radial", radius=r), FeatureError, "radius")
-            for r in (0.0, np.nan, np.inf)
-        ),
-        (lambda: MechanismRows(panda, TCP, "tangential").coordinates(panda.neutral()), FeatureError, "coordinates"),
+        (lambda: ml.FrameJacobian(panda, "panda_hand_tpc"), UnknownNameError, "'panda_hand_tcp'"),
+        (lambda: ml.FrameJacobian(panda, TCP, reference="base"), FeatureError, "'world' or 'local'"),
+        (lambda: ml.CentreOfMass(panda, "planar"), FeatureError, "x y z only"),
+        (lambda: ml.Stacked([]), FeatureError, "one robot"),
+        (lambda: ml.Stacked([ml.FrameJacobian(robot_of("planar3"), "tip"), hand]), FeatureError, "one robot"),
+        (lambda: ml.Stacked([other, hand]), FeatureError, "share one robot"),
+        (lambda: seen("rihgt_l3"), UnknownNameError, "right_l3"),
+        (lambda: seen("right_hand"), FeatureError, "relative to itself"),
+        (lambda: seen("right_l3", "x w"), FeatureError, "x y z"),
+        (lambda: rows("radia"), FeatureError, "unknown row"),
+        (lambda: rows("radial radial"), FeatureError, "twice"),
+        (lambda: rows(""), FeatureError, "no row"),
+        (lambda: rows("axial", axis=(0, 0, 0)), FeatureError, "no direction"),
+        (lambda: rows("axial", point=(0, NAN, 0)), FeatureError, "finite"),
+        (lambda: rows("axial", pitch=np.inf), FeatureError, "pitch"),
+        *((lambda r=r: rows("radial", radius=r), FeatureError, "radius") for r in (0.0, NAN, np.inf)),
+        (lambda: rows("tangential").coordinates(panda.neutral()), FeatureError, "coordinates"),
         (lambda: PlaceRows(panda, TCP, "line", (0, 0, 0)), FeatureError, "form must be"),
-        (lambda: PlaceRows(panda, TCP, "point", (0, 0)), FeatureError, "middle"),
-        (lambda: PlaceRows(panda, TCP, "point", (0, 0, np.nan)), FeatureError, "middle"),
+        *((lambda m=m: PlaceRows(panda, TCP, "point", m), FeatureError, "middle") for m in ((0, 0), (0, 0, NAN))),
         *(
-            (lambda p=p: CurveRows(panda, TCP, p), FeatureError, "curve")
-            for p in (np.zeros((3, 3)), np.zeros((5, 3)), np.full((5, 3), np.nan))
+            (lambda p=p: ml.CurveRows(panda, TCP, p), FeatureError, "curve")
+            for p in (np.zeros((3, 3)), np.zeros((5, 3)), np.full((5, 3), NAN))
         ),
         (lambda: rail.with_rows(("up",)), FeatureError, "unknown row 'up'"),
-        (lambda: motion(Constraint(np.eye(2, 3), rail), turn=0.2), ConstraintError, "does not turn"),
-        (lambda: motion(Constraint(np.eye(2, 3), rail), along=0.1, direction=(1, 0, 0)), TargetError, "forth"),
+        (lambda: ml.motion(on_rail, turn=0.2), ConstraintError, "does not turn"),
+        (lambda: ml.motion(on_rail, along=0.1, direction=(1, 0, 0)), TargetError, "forth"),
+        *((lambda v=v: custom(v), FeatureError, "must have shape") for v in (np.zeros((2, 2)), np.zeros(2))),
+        (lambda: custom([[NAN, 0]]), FeatureError, "not fin"),
+        (lambda: one.coordinates([0.0, 0.0]), FeatureError, "no task coordinates"),
+        (lambda: one.describe(), FeatureError, "cannot be saved"),
+        (lambda: one.with_rotation(np.eye(1)), ConstraintError, "belong to no frame"),
+        (lambda: ml.CustomFeatures(lambda q: q, ("f",)), FeatureError, "nv="),
+        (lambda: ml.CustomFeatures(lambda q: q, (), nv=2), FeatureError, "row name"),
         *(
-            (lambda v=v: custom(v)([0.0, 0.0]), FeatureError, "must have shape")
-            for v in (np.zeros((2, 2)), np.zeros(2))
+            (lambda f=f, t=t: f.error_to(t, zero), TargetError, "x, y, z")
+            for f, t in product((hand, mass), wrong_targets)
         ),
-        (lambda: custom([[np.nan, 0]])([0.0, 0.0]), FeatureError, "not fin"),
-        (lambda: custom([[1.0, 0.0]]).coordinates([0.0, 0.0]), FeatureError, "no task coordinates"),
-        (lambda: custom([[1.0, 0.0]]).describe(), FeatureError, "cannot be saved"),
-        (lambda: custom([[1.0, 0.0]]).with_rotation(np.eye(1)), ConstraintError, "belong to no frame"),
-        (lambda: CustomFeatures(lambda q: q, ("f",)), FeatureError, "nv="),
-        (lambda: CustomFeatures(lambda q: q, (), nv=2), FeatureError, "row name"),
-        *(
-            (lambda f=f, t=t: f.error_to(t, np.zeros(7)), TargetError, "x, y, z")
-            for f in (hand, mass)
-            for t in ([1.0], [1.0, 2.0, 3.0, 4.0], [1.0, np.nan, 2.0], 1.0, [[1.0, 2.0, 3.0]], np.zeros((6, 6)))
-        ),
-        (lambda: seen.error_to([1.0, 2.0], np.zeros(7)), TargetError, "1 finite"),
-        (lambda: Stacked([hand, mass]).error_to([0.1, 0.2], np.zeros(7)), TargetError, "6 finite"),
-        (
-            lambda: FrameJacobian(panda, TCP, "x z", "local").error_to([0.1, 0.2], np.zeros(7)),
-            TargetError,
-            "4 x 4 pose",
-        ),
+        (lambda: seen("right_l3").error_to([1.0, 2.0], zero), TargetError, "1 finite"),
+        (lambda: ml.Stacked([hand, mass]).error_to([0.1, 0.2], zero), TargetError, "6 finite"),
+        (lambda: ml.FrameJacobian(panda, TCP, "x z", "local").error_to([0.1, 0.2], zero), TargetError, "4 x 4 pose"),
     ]
     for number, (call, error, words) in enumerate(refused):
         with case(number, words), pytest.raises(error, match=words) as caught:
             call()
-        assert isinstance(caught.value, ManipLearnError)
+        assert isinstance(caught.value, ml.ManipLearnError)
 
 
 def test_rows_are_those_of_the_full_jacobian(panda, rng):
-    """Each row is the row of that name of the six-row Jacobian, in the order asked for."""
+    """Each row is the row of that name of the six-row Jacobian, in the order asked for; stacked rows come in the parts'
+    order with names that tell them apart, and targets are cut up the same way.
+    """
     q = panda.random_configuration(rng)
     for axes, reference in product(("xyz", "planar", "rz x", "z"), ("world", "local")):
         with case(axes, reference):
-            full, some = (FrameJacobian(panda, TCP, names, reference) for names in ("pose", axes))
+            full, some = (ml.FrameJacobian(panda, TCP, names, reference) for names in ("pose", axes))
             rows = [AXES.index(n) for n in some.row_names]
-            np.testing.assert_array_equal(some(q), full(q)[rows])
-            np.testing.assert_array_equal(some.derivative(q), full.derivative(q)[rows])
+            assert_array_equal(some(q), full(q)[rows])
             assert some.row_units == tuple("rad/s" if n.startswith("r") else "m/s" for n in some.row_names)
+    parts = [ml.FrameJacobian(panda, TCP, "x y"), ml.CentreOfMass(panda, "z")]
+    stacked = ml.Stacked(parts)
+    assert stacked.row_names == ("0.x", "0.y", "1.z")
+    assert_array_equal(stacked(q), np.vstack([p(q) for p in parts]))
+    expected = np.concatenate([parts[0].error_to([0.1, 0.2], q), parts[1].error_to([0.3], q)])
+    assert_array_equal(stacked.error_to([0.1, 0.2, 0.3], q), expected)
 
 
 def test_error_to_a_pose(robot_of, rng):
     """The displacement vanishes at the target, and following it (r' = error) leads there from half a radian away; six
-    numbers, position and rotation vector, mean the same as the 4 x 4 pose.
+    numbers, position and rotation vector, mean the same as the 4 x 4 pose; an angle goes the short way, through pi.
     """
     robot = robot_of("ur5")
     goal = robot.configuration([0.3, -1.0, 1.2, -0.4, 1.0, 0.2])
     for axes, reference in product(("xyz", "pose", "rotation"), ("world", "local")):
         with case(axes, reference):
-            features = FrameJacobian(robot, tip_of("ur5"), axes, reference)
+            features = ml.FrameJacobian(robot, tip_of("ur5"), axes, reference)
             pose = robot.pose(goal, features.frame)
-            np.testing.assert_allclose(features.error_to(pose, goal), 0.0, rtol=0, atol=1e-12)
+            assert_allclose(features.error_to(pose, goal), 0.0, rtol=0, atol=1e-12)
             q = robot.integrate(goal, 0.2 * rng.normal(size=robot.nv))
-            numbers = np.concatenate([pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_rotvec()])
             if axes == "pose":
-                np.testing.assert_allclose(features.coordinates(goal), numbers, rtol=0, atol=1e-12)
-                np.testing.assert_allclose(features.error_to(numbers, q), features.error_to(pose, q), atol=1e-10)
+                numbers = np.concatenate([pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_rotvec()])
+                assert_allclose(features.coordinates(goal), numbers, rtol=0, atol=1e-12)
+                assert_allclose(features.error_to(numbers, q), features.error_to(pose, q), atol=1e-10)
             for _ in range(30):
                 q = robot.integrate(q, 0.5 * np.linalg.pinv(features(q)) @ features.error_to(pose, q))
             assert np.linalg.norm(features.error_to(pose, q)) < 1e-6
-
-
-def test_error_to_turns_the_short_way(robot_of):
-    """A planar target at 3 rad is reached from -3 rad through pi: 0.28 rad, not 6."""
-    robot = robot_of("planar3")
-    features = FrameJacobian(robot, "tip", "planar")
-    q = np.array([-1.0, -1.0, -1.0])
-    target = [*robot.pose(q, features.frame)[:2, 3], 3.0]
-    np.testing.assert_allclose(features.error_to(target, q), [0, 0, 6.0 - 2.0 * np.pi], rtol=0, atol=1e-12)
-
-
-def test_stacked(panda, rng):
-    """Rows come in the parts' order with names that tell them apart; targets are cut up the same way."""
-    parts = [FrameJacobian(panda, TCP, "x y"), CentreOfMass(panda, "z")]
-    stacked, q = Stacked(parts), panda.random_configuration(rng)
-    assert stacked.row_names == ("0.x", "0.y", "1.z")
-    np.testing.assert_array_equal(stacked(q), np.vstack([p(q) for p in parts]))
-    expected = np.concatenate([parts[0].error_to([0.1, 0.2], q), parts[1].error_to([0.3], q)])
-    np.testing.assert_array_equal(stacked.error_to([0.1, 0.2, 0.3], q), expected)
+    features, q = ml.FrameJacobian(robot_of("planar3"), "tip", "planar"), np.array([-1.0, -1.0, -1.0])
+    target = [*features.robot.pose(q, features.frame)[:2, 3], 3.0]
+    assert_allclose(features.error_to(target, q), [0, 0, 6.0 - 2.0 * np.pi], rtol=0, atol=1e-12)
 
 
 def test_custom_features_without_a_robot():
@@ -195,47 +157,46 @@ def test_custom_features_without_a_robot():
     def function(q: np.ndarray) -> np.ndarray:
         return np.array([[np.sin(q[0]), q[1] ** 2]])
 
-    features = CustomFeatures(function, ("f",), nv=2, coordinates=lambda q: [q @ q])
+    features = ml.CustomFeatures(function, ("f",), nv=2, coordinates=lambda q: [q @ q])
     exact = np.array([[[np.cos(0.3), 0.0], [0.0, 1.4]]])
-    np.testing.assert_allclose(features.derivative([0.3, 0.7]), exact, rtol=0, atol=1e-9)
-    given = CustomFeatures(function, ("f",), nv=2, derivative=lambda q: exact)
-    np.testing.assert_array_equal(given.derivative([0.3, 0.7]), exact)
-    np.testing.assert_allclose(features.error_to([26.0], [3.0, 4.0]), [1.0])
+    assert_allclose(features.derivative([0.3, 0.7]), exact, rtol=0, atol=1e-9)
+    given = ml.CustomFeatures(function, ("f",), nv=2, derivative=lambda q: exact)
+    assert_array_equal(given.derivative([0.3, 0.7]), exact)
+    assert_allclose(features.error_to([26.0], [3.0, 4.0]), [1.0])
 
 
-def test_rows_of_a_mechanism_in_numbers(panda, rng):
+@pytest.mark.parametrize("radius", [None, 0.3])
+def test_rows_of_a_mechanism_in_numbers(panda, rng, radius):
     """Each row is the velocity that its name says, in numbers; with a radius those of that distance."""
     h, q = PLACE["pitch"], panda.random_configuration(rng)
     J, p = panda.jacobian(q, TCP), panda.position(q, TCP)
     a, c = np.array(PLACE["axis"]) / np.linalg.norm(PLACE["axis"]), np.array(PLACE["point"])
-    for radius in (None, 0.3):
-        features = MechanismRows(panda, TCP, tuple(ROW_UNITS), **PLACE, radius=radius)
-        first, second = across(features.geometry.axis)
-        np.testing.assert_allclose(np.linalg.det([first, second, a]), 1.0, rtol=1e-12)  # a right-handed base
-        d = p - c
-        x = d - (a @ d) * a
-        rho, far = (np.linalg.norm(x), np.linalg.norm(d)) if radius is None else (radius, radius)
-        at_c = J[:3] + np.cross(J[3:].T, c - p).T  # of the hand's point that is at c
-        wanted = {
-            "radial": x / rho @ J[:3],
-            "tangential": np.cross(a, x) / rho @ J[:3],
-            "axial": a @ J[:3],
-            "across-1": first @ J[:3],
-            "across-2": second @ J[:3],
-            "helical": (rho**2 * a - h * np.cross(a, x)) / (rho * np.hypot(rho, h)) @ J[:3],
-            "spherical": d / far @ J[:3],
-            "turn-1": first @ J[3:],
-            "turn-2": second @ J[3:],
-            "turn": a @ J[3:],
-            "slide-1": first @ at_c,
-            "slide-2": second @ at_c,
-            "slide": a @ at_c,
-            "screw": a @ at_c - h * a @ J[3:],
-        }
-        units = ["rad/s" if name.startswith("turn") else "m/s" for name in features.row_names]
-        assert set(wanted) == set(features.row_names) and list(features.row_units) == units
-        for name, row in zip(features.row_names, features(q), strict=True):
-            np.testing.assert_allclose(row, wanted[name], rtol=0, atol=1e-8, err_msg=f"{name}, radius {radius}")
+    features = ml.MechanismRows(panda, TCP, tuple(ROW_UNITS), **PLACE, radius=radius)
+    first, second = across(features.geometry.axis)
+    assert_allclose(np.linalg.det([first, second, a]), 1.0, rtol=1e-12)  # a right-handed base
+    d = p - c
+    x = d - (a @ d) * a
+    rho, far = (np.linalg.norm(x), np.linalg.norm(d)) if radius is None else (radius, radius)
+    at_c = J[:3] + np.cross(J[3:].T, c - p).T  # of the hand's point that is at c
+    wanted = {
+        "radial": x / rho @ J[:3],
+        "tangential": np.cross(a, x) / rho @ J[:3],
+        "axial": a @ J[:3],
+        "across-1": first @ J[:3],
+        "across-2": second @ J[:3],
+        "helical": (rho**2 * a - h * np.cross(a, x)) / (rho * np.hypot(rho, h)) @ J[:3],
+        "spherical": d / far @ J[:3],
+        "turn-1": first @ J[3:],
+        "turn-2": second @ J[3:],
+        "turn": a @ J[3:],
+        "slide-1": first @ at_c,
+        "slide-2": second @ at_c,
+        "slide": a @ at_c,
+        "screw": a @ at_c - h * a @ J[3:],
+    }
+    units = ["rad/s" if name.startswith("turn") else "m/s" for name in features.row_names]
+    assert set(wanted) == set(features.row_names) and list(features.row_units) == units
+    assert_allclose(features(q), [wanted[name] for name in features.row_names], rtol=0, atol=1e-8)
 
 
 def test_rows_of_a_place_in_numbers(panda, rng):
@@ -251,7 +212,7 @@ def test_rows_of_a_place_in_numbers(panda, rng):
     }
     for form, (rows, names, units) in forms.items():
         features = PlaceRows(panda, TCP, form, m)
-        np.testing.assert_allclose(features(q), rows, rtol=0, atol=1e-12, err_msg=form)
+        assert_allclose(features(q), rows, rtol=0, atol=1e-12, err_msg=form)
         assert (features.row_names, features.row_units) == (tuple(names.split()), units)
 
 
@@ -262,32 +223,28 @@ def test_finite_on_the_axis(panda, rng):
     for rows, off in product(("radial axial", "helical radial", "spherical", "tangential"), (0, 1e-12, 1e-6, 1e-4)):
         with case(rows, off):
             point = p + off * np.array([1.0, 0.6, 0.0])
-            features = MechanismRows(panda, TCP, rows, axis=PLACE["axis"], point=point)
-            constraint = Constraint(np.eye(features.n_rows), features)
-            assert np.all(np.isfinite(features.derivative(q)))
-            assert np.all(np.isfinite(manipulability_gradient(constraint, q)))
-            assert np.all(np.isfinite(ResolvedRateController(constraint, task=Hold())(q).velocity))
-            assert (manipulability(constraint, q) < 1e-6) == (off < 1e-9)
+            features = ml.MechanismRows(panda, TCP, rows, axis=PLACE["axis"], point=point)
+            constraint = ml.Constraint(np.eye(features.n_rows), features)
+            velocity = ml.ResolvedRateController(constraint, task=ml.Hold())(q).velocity
+            for values in (features.derivative(q), ml.manipulability_gradient(constraint, q), velocity):
+                assert np.all(np.isfinite(values))
+            assert (ml.manipulability(constraint, q) < 1e-6) == (off < 1e-9)
 
 
 def test_targets_are_come_to(robot_of, panda):
     """Distances from a door's axis and along it, of known radius, and places seen from another arm."""
     q = panda.configuration([0.1, -0.3, -0.1, -2.0, 0.1, 1.8, 0.7])
-    features = MechanismRows(panda, TCP, "radial axial", **PLACE, radius=0.3)
-    expected = central_difference(features.coordinates, panda, q)
-    np.testing.assert_allclose(features.coordinates_jacobian(q), expected, atol=1e-8)
-    tree = robot_of("tree")
-    seen = RelativeFrameJacobian(tree, "tip", "arm_b", "x y z")
-    rows = np.array([[1.0, 0.2, 0.0], [0.0, 0.0, 1.0]])
-    start = tree.random_configuration(np.random.default_rng(20191103))
-    for constraint, begin, step in (
-        (Constraint(np.eye(2), features), q, [0.05, -0.04]),
-        (Constraint(rows, seen), start, [0.02, 0.0, 0.01]),
+    door = ml.MechanismRows(panda, TCP, "radial axial", **PLACE, radius=0.3)
+    assert_allclose(door.coordinates_jacobian(q), central_difference(door.coordinates, panda, q), atol=1e-8)
+    seen = ml.RelativeFrameJacobian(robot_of("tree"), "tip", "arm_b", "x y z")
+    start = seen.robot.random_configuration(np.random.default_rng(20191103))
+    for f, rows, begin, step in (
+        (door, np.eye(2), q, [0.05, -0.04]),
+        (seen, np.array([[1.0, 0.2, 0.0], [0.0, 0.0, 1.0]]), start, [0.02, 0.0, 0.01]),
     ):
-        f = constraint.features
-        goal = f.coordinates(begin) + step
-        controller = ResolvedRateController(constraint, PointAttractor(goal, 4.0))
-        rollout = simulate(f.robot, controller, begin, 3.0, 0.01)
+        constraint, goal = ml.Constraint(rows, f), f.coordinates(begin) + step
+        law = ml.ResolvedRateController(constraint, ml.PointAttractor(goal, 4.0))
+        rollout = ml.simulate(f.robot, law, begin, 3.0, 0.01)
         assert np.max(np.abs(constraint.selection @ f.error_to(goal, rollout.q[-1]))) < 1e-4
 
 
@@ -299,34 +256,33 @@ def test_rows_move_with_what_holds_the_hand(panda):
     T[:3, :3], T[:3, 3] = np.linalg.qr(rng.normal(size=(3, 3)))[0], (0.1, 0.2, -0.3)
     T[:3, :3] *= np.linalg.det(T[:3, :3])
     pose = panda.pose(panda.neutral(), TCP)
-    door = MechanismRows(panda, TCP, "radial axial turn screw", **PLACE, radius=0.3)
-    rail = CurveRows(panda, TCP, pose[:3, 3] + np.cumsum(0.05 * rng.normal(size=(6, 3)), axis=0), "across-1 across-2")
-    for features in (FrameJacobian(panda, TCP, "x y"), FrameJacobian(panda, TCP, "rz y x"), door, rail):
+    door = ml.MechanismRows(panda, TCP, "radial axial turn screw", **PLACE, radius=0.3)
+    path = pose[:3, 3] + np.cumsum(0.05 * rng.normal(size=(6, 3)), axis=0)
+    rail = ml.CurveRows(panda, TCP, path, "across-1 across-2")
+    for features in (ml.FrameJacobian(panda, TCP, "x y"), ml.FrameJacobian(panda, TCP, "rz y x"), door, rail):
         selection = np.linalg.qr(rng.normal(size=(features.n_rows, 2)))[0].T
         moved, rows = features.moved(T, selection)
         here = selection @ features.weights_at(pose[None])[0]
         there = rows @ moved.weights_at((T @ pose)[None])[0] @ np.kron(np.eye(2), T[:3, :3])
         assert row_space_angle(here, there) < 1e-6, features
-    seen, own = MechanismRows(panda, TCP, "radial", relative_to="panda_link3"), FrameJacobian(panda, TCP, "x", "local")
-    for features in (seen, own, RelativeFrameJacobian(panda, TCP, "panda_link3", "x"), CentreOfMass(panda)):
+    link = "panda_link3"
+    seen, own = ml.MechanismRows(panda, TCP, "radial", relative_to=link), ml.FrameJacobian(panda, TCP, "x", "local")
+    for features in (seen, own, ml.RelativeFrameJacobian(panda, TCP, link, "x"), ml.CentreOfMass(panda)):
         assert features.moved(T, np.eye(1, features.n_rows))[0] is features
 
 
 def test_a_hand_is_led_along_a_curve_and_back_wherever_it_stands(robot_of, tmp_path):
     """The way is as long as asked for, and the hand stays as near to the curve; saved and moved ones, too."""
-    robot = robot_of("sawyer")
-    q = np.random.default_rng(1).uniform(-1.0, 1.0, robot.nv)
-    path = Constraint(np.eye(2), bent_rail(robot, "right_gripper_tip", q, "across-1 across-2")).save(
-        tmp_path / "c.json"
-    )
-    constraint = Constraint.load(path, robot)
+    robot, q = robot_of("sawyer"), np.random.default_rng(1).uniform(-1.0, 1.0, 7)
+    rail = ml.Constraint(np.eye(2), bent_rail(robot, "right_gripper_tip", q, "across-1 across-2"))
+    constraint, shift = ml.Constraint.load(rail.save(tmp_path / "c.json"), robot), np.eye(4)
     assert constraint.mechanism is not None and constraint.mechanism.name == "curve"
-    shift = np.eye(4)
     shift[:3, 3] = 0.01, 0.0, 0.02
     moved = constraint.moved(shift)
     for held, way in ((constraint, 0.05), (moved, -0.05)):
-        task = motion(held, along=way)
-        rollout = simulate(robot, ResolvedRateController(held, task), q, duration=task.duration + 1.0, dt=0.02)
+        task = ml.motion(held, along=way)
+        law = ml.ResolvedRateController(held, task)
+        rollout = ml.simulate(robot, law, q, duration=task.duration + 1.0, dt=0.02)
         assert task.progress(rollout.q[-1]) == pytest.approx(way, abs=1e-4)
         off = np.array([held.features.coordinates(row) for row in rollout.q])
         assert np.abs(off - off[0]).max() < 5e-4

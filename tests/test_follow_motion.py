@@ -4,45 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from case import case
+from numpy.testing import assert_allclose
 
-from manip_learn.control.joint_motion import FollowMotion
-from manip_learn.control.limits import Limits
-from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.control.simulation import simulate
+import manip_learn as ml
 from manip_learn.errors import ConfigurationError
-from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot import Robot, load_robot
 
 DT = 0.01
 
 
 @pytest.fixture(scope="module")
-def panda() -> Robot:
-    return load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
+def panda() -> ml.Robot:
+    return ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
 
 
-def swaying(robot: Robot, rng: np.random.Generator, duration: float, period: float = 0.01) -> Trajectory:
+def swaying(robot: ml.Robot, rng: np.random.Generator, duration: float, period: float = 0.01) -> ml.Trajectory:
     """Slow waves of all joints about the middle of their ranges, with encoder noise."""
     time = np.arange(0.0, duration, period)
     middle = np.clip(0.5 * (robot.position_lower + robot.position_upper), -1.0, 1.0)
     waves = [0.15 / k * np.sin(0.44 * k * time[:, None] + rng.uniform(0.0, 6.0, robot.nv)) for k in (1, 2, 3)]
-    return Trajectory(time, middle + sum(waves) + rng.normal(0.0, 1e-4, (len(time), robot.nv)), None, robot.joint_names)
+    q = middle + sum(waves) + rng.normal(0.0, 1e-4, (len(time), robot.nv))
+    return ml.Trajectory(time, q, None, robot.joint_names)
 
 
-def with_jumps(motion: Trajectory, rng: np.random.Generator, n: int, size: float) -> tuple[Trajectory, np.ndarray]:
-    """The motion, in which one joint after another jumps to and fro; and when, at least a second apart."""
-    q = motion.q.copy()
-    at = np.sort(rng.choice(np.arange(100, len(q) - 100, 100), n, replace=False))
-    sense = np.ones(q.shape[1])
-    for i in at:
-        j = rng.integers(q.shape[1])
-        q[i:, j] += size * sense[j]
-        sense[j] *= -1.0
-    return Trajectory(motion.time, q, None, motion.joint_names), motion.time[at]
+def play(
+    robot: ml.Robot, motion: ml.Trajectory, seconds: float, dt: float = DT, **limits
+) -> tuple[ml.ServoLoop, ml.Rollout]:
+    """Played from its first posture."""
+    loop = ml.ServoLoop(ml.FollowMotion(robot, motion, ml.Limits(robot, **limits)), dt)
+    return loop, ml.simulate(robot, loop, motion.q[0], seconds, dt)
 
 
-def kept(limits: Limits, u: np.ndarray, period: float) -> bool:
+def kept(limits: ml.Limits, u: np.ndarray, period: float) -> bool:
     """Whether velocities keep to the limits of velocity, acceleration and jerk."""
     changes = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1]))) / period
     jerks = np.diff(changes, axis=0) / period
@@ -50,26 +42,25 @@ def kept(limits: Limits, u: np.ndarray, period: float) -> bool:
     return bool(within and (limits.jerk is None or np.all(np.abs(jerks) <= limits.jerk * (1 + 1e-9))))
 
 
-def tip_distance(robot: Robot, tip: str, played: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    pairs = zip(played, wanted, strict=False)
-    return np.array([np.linalg.norm(robot.position(a, tip) - robot.position(b, tip)) for a, b in pairs])
-
-
-def test_many_jumps(panda):
+@pytest.mark.parametrize(("jerk", "allowed"), [(None, 0.3), (200.0, 0.45)])
+def test_many_jumps(panda, jerk, allowed):
     """With 12 jumps of 0.2 rad all limits are kept, nothing is delayed, and the tip is within 5 mm of the recording but
     for 0.3 s after each jump; with jerk limits, whose average takes 0.11 s longer, but for 0.45 s.
     """
     rng = np.random.default_rng(7)
-    motion, at = with_jumps(swaying(panda, rng, 20.0), rng, 12, 0.2)
-    for jerk, allowed in ((None, 0.3), (200.0, 0.45)):
-        with case(jerk):
-            loop = ServoLoop(FollowMotion(panda, motion, Limits(panda, jerk=jerk)), DT)
-            played = simulate(panda, loop, motion.q[0], 20.0, DT)
-            off = tip_distance(panda, "panda_hand_tcp", played.q, motion.q)
-            time = played.time[: len(off)]
-            calm = ~np.any((time[:, None] >= at - (jerk is not None) * 0.06) & (time[:, None] < at + allowed), axis=1)
-            assert kept(loop.limits, played.u, DT) and loop.controller.delay == 0.0
-            assert np.max(off[calm]) < 0.005 and np.max(off) > 0.05
+    motion = swaying(panda, rng, 20.0)
+    q, sense = motion.q.copy(), np.ones(7)
+    indices = np.sort(rng.choice(np.arange(100, len(q) - 100, 100), 12, replace=False))  # at least a second apart
+    for i in indices:  # one joint after another, to and fro
+        j = rng.integers(7)
+        q[i:, j] += 0.2 * sense[j]
+        sense[j] *= -1.0
+    loop, played = play(panda, ml.Trajectory(motion.time, q, None, panda.joint_names), 20.0, jerk=jerk)
+    tips = [np.array([panda.position(x, "panda_hand_tcp") for x in some[: len(q)]]) for some in (played.q, q)]
+    off, time, at = np.linalg.norm(tips[0] - tips[1], axis=1), motion.time, motion.time[indices]
+    calm = ~np.any((time[:, None] >= at - (jerk is not None) * 0.06) & (time[:, None] < at + allowed), axis=1)
+    assert kept(loop.limits, played.u, DT) and loop.controller.delay == 0.0
+    assert np.max(off[calm]) < 0.005 and np.max(off) > 0.05
 
 
 def test_between_samples_nothing_steps(panda):
@@ -79,10 +70,10 @@ def test_between_samples_nothing_steps(panda):
     rng = np.random.default_rng(2)
     time = np.cumsum(rng.choice([0.01, 0.03, 0.2], 40))
     q = panda.neutral() + 0.02 * np.cumsum(rng.normal(size=(40, 7)), axis=0) * np.gradient(time)[:, None]
-    motion = FollowMotion(panda, Trajectory(time, q, None, panda.joint_names))
+    motion = ml.FollowMotion(panda, ml.Trajectory(time, q, None, panda.joint_names))
     assert motion.jumps == ()
     for k in range(40):
-        np.testing.assert_allclose(motion.at(time[k] - time[0]), q[k], rtol=0, atol=1e-12)
+        assert_allclose(motion.at(time[k] - time[0]), q[k], rtol=0, atol=1e-12)
     h = 1e-6
     for k in range(39):
         low, high = np.minimum(q[k], q[k + 1]), np.maximum(q[k], q[k + 1])
@@ -92,23 +83,21 @@ def test_between_samples_nothing_steps(panda):
         if 0 < k:  # the velocities on both sides of a sample
             s = time[k] - time[0]
             before, after = (motion.at(s) - motion.at(s - h)) / h, (motion.at(s + h) - motion.at(s)) / h
-            np.testing.assert_allclose(before, after, rtol=0, atol=1e-3)
+            assert_allclose(before, after, rtol=0, atol=1e-3)
 
 
-def test_smooth_motion_is_followed_exactly(panda):
+@pytest.mark.parametrize(("jerk", "most"), [(None, 1e-6), (100.0, 2e-3)])
+def test_smooth_motion_is_followed_exactly(panda, jerk, most):
     """Without jumps the joints are where the recording is, to a microradian or less, from the second period on, and to
     2e-3 rad with jerk limits: these delay nothing, since the motion is known ahead.
     """
     time = np.arange(0.0, 6.0, 0.02)
     waves = 0.4 * (1.0 - np.cos(np.pi / 2.99 * time))[:, None] * np.linspace(-0.5, 1.0, 7)
-    motion = Trajectory(time, panda.neutral() + waves, None, panda.joint_names)
-    for jerk, most in ((None, 1e-6), (100.0, 2e-3)):
-        with case(jerk):
-            loop = ServoLoop(FollowMotion(panda, motion, Limits(panda, jerk=jerk)), DT)
-            played = simulate(panda, loop, motion.q[0], 6.5, DT)
-            wanted = np.array([loop.controller.at(t) for t in played.time])
-            assert np.max(np.abs(played.q - wanted)[2:]) < most
-            assert np.max(np.abs(played.q[-1] - motion.q[-1])) < 1e-6 and np.max(np.abs(played.u[-1])) < 1e-5
+    motion = ml.Trajectory(time, panda.neutral() + waves, None, panda.joint_names)
+    loop, played = play(panda, motion, 6.5, jerk=jerk)
+    wanted = np.array([loop.controller.at(t) for t in played.time])
+    assert np.max(np.abs(played.q - wanted)[2:]) < most
+    assert np.max(np.abs(played.q[-1] - motion.q[-1])) < 1e-6 and np.max(np.abs(played.u[-1])) < 1e-5
 
 
 def test_gaps_are_bridged_and_other_periods_played(panda):
@@ -116,11 +105,10 @@ def test_gaps_are_bridged_and_other_periods_played(panda):
     rng, dt = np.random.default_rng(3), 0.004
     whole = swaying(panda, rng, 5.0, 1.0 / 37.0)
     some = (whole.time < 2.0) | (whole.time > 3.5)
-    motion = Trajectory(whole.time[some], whole.q[some], None, whole.joint_names)
-    played = simulate(panda, ServoLoop(FollowMotion(panda, motion), dt), motion.q[0], 5.0, dt)
+    motion = ml.Trajectory(whole.time[some], whole.q[some], None, whole.joint_names)
+    loop, played = play(panda, motion, 5.0, dt)
     nearest = np.round(motion.time / dt).astype(int)
-    assert np.max(np.abs(played.q[nearest[5:]] - motion.q[5:])) < 3e-3
-    assert kept(Limits(panda), played.u, dt)
+    assert np.max(np.abs(played.q[nearest[5:]] - motion.q[5:])) < 3e-3 and kept(loop.limits, played.u, dt)
 
 
 def test_tip_limit_slows_the_clock_and_keeps_the_path(panda):
@@ -130,12 +118,10 @@ def test_tip_limit_slows_the_clock_and_keeps_the_path(panda):
     q = np.tile(panda.neutral(), (len(time), 1))
     q[:, 3] = -1.8
     q[:, 0] = turn
-    motion = Trajectory(time, q, None, panda.joint_names)
+    motion = ml.Trajectory(time, q, None, panda.joint_names)
     radius = np.linalg.norm(panda.jacobian(q[0], "panda_hand_tcp")[:3, 0])
     half = 0.5 * radius * 1.2 * np.pi / 8.0  # of its largest speed [m/s]
-    limits = Limits(panda, tip_speed=half, frames="panda_hand_tcp")
-    loop = ServoLoop(FollowMotion(panda, motion, limits), DT)
-    played = simulate(panda, loop, motion.q[0], 12.0, DT)
+    loop, played = play(panda, motion, 12.0, tip_speed=half, frames="panda_hand_tcp")
     speeds = [
         np.linalg.norm(panda.jacobian(x, "panda_hand_tcp")[:3] @ u) for x, u in zip(played.q, played.u, strict=True)
     ]
@@ -147,8 +133,8 @@ def test_tip_limit_slows_the_clock_and_keeps_the_path(panda):
 def test_first_posture_is_reached_before_the_clock_starts(panda):
     """From elsewhere the joints first go to the first posture, at a quarter of their limits, and then all is played."""
     motion = swaying(panda, np.random.default_rng(5), 3.0)
-    loop = ServoLoop(FollowMotion(panda, motion), DT)
-    played = simulate(panda, loop, motion.q[0] + 0.3, 6.0, DT)
+    loop = ml.ServoLoop(ml.FollowMotion(panda, motion), DT)
+    played = ml.simulate(panda, loop, motion.q[0] + 0.3, 6.0, DT)
     first = next(i for i, x in enumerate(played.q) if np.linalg.norm(x - motion.q[0]) < 1e-3)
     assert np.all(np.abs(played.u[:first]) <= 0.25 * panda.velocity_limit + 1e-9)
     off = np.abs(played.q[first + 50 : first + 250] - motion.q[50:250])
@@ -158,7 +144,7 @@ def test_first_posture_is_reached_before_the_clock_starts(panda):
 def test_goes_on_after_a_stop(panda):
     """While the loop is stopped the motion waits, and goes on from where it was: no joint hurries after it."""
     motion = swaying(panda, np.random.default_rng(6), 4.0)
-    loop = ServoLoop(FollowMotion(panda, motion), DT)
+    loop = ml.ServoLoop(ml.FollowMotion(panda, motion), DT)
     loop.reset(motion.q[0])
     q, fastest = motion.q[0], 0.0
     for k in range(800):
@@ -175,43 +161,43 @@ def test_goes_on_after_a_stop(panda):
 
 def test_joints_that_turn_for_ever_and_other_orders():
     """Postures of joints without limits may be configurations or wrapped angles, columns may come in any order."""
-    robot = load_robot("kinova")
-    time = np.arange(0.0, 3.0, 0.01)
-    turns = np.where(np.isinf(robot.position_upper), 0.3, 0.05)
-    lowest, highest = (
-        np.nan_to_num(x, posinf=2.0 * np.pi, neginf=0.0) for x in (robot.position_lower, robot.position_upper)
-    )
-    turning = 0.5 * (lowest + highest) + np.outer(np.sin(time), turns)
+    robot, time = ml.load_robot("kinova"), np.arange(0.0, 3.0, 0.01)
+    endless = np.isinf(robot.position_upper)
+    middle = np.where(endless, np.pi, 0.5 * (np.nan_to_num(robot.position_lower) + np.nan_to_num(robot.position_upper)))
+    turning = middle + np.outer(np.sin(time), np.where(endless, 0.3, 0.05))
     configurations = np.array([robot.configuration(x) for x in turning])
-    wrapped = np.where(np.isinf(robot.position_upper), (turning + np.pi) % (2.0 * np.pi) - np.pi, turning)
-    order = list(reversed(range(robot.nv)))
-    shuffled = Trajectory(time, turning[:, order], None, tuple(robot.joint_names[i] for i in order))
-    motions = [Trajectory(time, x, None, robot.joint_names) for x in (configurations, wrapped)]
-    for motion in [*motions, shuffled]:
-        played = simulate(robot, ServoLoop(FollowMotion(robot, motion), DT), turning[0], 3.0, DT)
+    wrapped = np.where(endless, (turning + np.pi) % (2.0 * np.pi) - np.pi, turning)
+    names = robot.joint_names
+    for q, joints in ((configurations, names), (wrapped, names), (turning[:, ::-1], names[::-1])):
+        loop = ml.ServoLoop(ml.FollowMotion(robot, ml.Trajectory(time, q, None, joints)), DT)
+        played = ml.simulate(robot, loop, turning[0], 3.0, DT)
         off = [robot.difference(a, b) for a, b in zip(played.q[5:300], turning[5:300], strict=True)]
         assert np.max(np.abs(off)) < 0.02
 
 
 def test_what_is_no_motion_is_refused(panda):
     """One sample, other joints, a call without a period: a sentence each."""
-    with pytest.raises(ConfigurationError, match="two or more samples"):
-        FollowMotion(panda, Trajectory([0.0], panda.neutral()[None], None, panda.joint_names))
-    with pytest.raises(ConfigurationError, match="also has panda_joint7"):
-        names = (*panda.joint_names[:6], "elbow")
-        FollowMotion(panda, Trajectory([0.0, 1.0], np.zeros((2, 7)), None, names))
-    motion = Trajectory([0.0, 1.0], np.zeros((2, 7)), None, panda.joint_names)
-    with pytest.raises(ConfigurationError, match="needs the period"):
-        FollowMotion(panda, motion)(panda.neutral())
+    names = panda.joint_names
+
+    def motion(time: list[float], joints: tuple[str, ...]) -> ml.FollowMotion:
+        return ml.FollowMotion(panda, ml.Trajectory(time, np.zeros((len(time), 7)), None, joints))
+
+    for call, words in (
+        (lambda: motion([0.0], names), "two or more samples"),
+        (lambda: motion([0.0, 1.0], (*names[:6], "elbow")), "also has panda_joint7"),
+        (lambda: motion([0.0, 1.0], names)(panda.neutral()), "needs the period"),
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            call()
 
 
 def test_jumps_are_told() -> None:
     """A joint that steps faster than its limit is named with how far and when; an even motion has nothing to tell."""
-    robot = load_robot("planar3")
+    robot = ml.load_robot("planar3")
     time = np.linspace(0.0, 2.0, 41)
     q = np.outer(0.1 * time, np.ones(3))
-    assert FollowMotion(robot, Trajectory(time, q)).jumps == ()
+    assert ml.FollowMotion(robot, ml.Trajectory(time, q)).jumps == ()
     q[20:, 1] += 0.8
-    loop = ServoLoop(FollowMotion(robot, Trajectory(time, q)), dt=0.01)
+    loop = ml.ServoLoop(ml.FollowMotion(robot, ml.Trajectory(time, q)), dt=0.01)
     (note,) = [note for note in loop.notes if "jumps" in note]
     assert note.startswith(f"joint {robot.joint_names[1]} of the motion jumps 1 time, at most by 0.805 rad at 0.95 s")

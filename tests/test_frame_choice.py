@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import manip_learn as ml
 from manip_learn.commands.loading import choose_frame
-from manip_learn.errors import ManipLearnError, UnknownNameError
-from manip_learn.robot.loading import load_robot
+from manip_learn.errors import UnknownNameError
 from manip_learn.robot.tips import distance_to_last_joint
 
 
 def test_the_distance_is_that_of_the_origins():
     """From the frame to the axis of the last joint above it, at whatever posture."""
-    robot = load_robot("sawyer")
+    robot = ml.load_robot("sawyer")
     for q in (robot.neutral(), robot.random_configuration(np.random.default_rng(0))):
         joint, tip = (robot.pose(q, robot.frame(name))[:3, 3] for name in ("right_l6", "right_gripper_tip"))
         assert distance_to_last_joint(robot, "right_gripper_tip") == pytest.approx(np.linalg.norm(tip - joint))
@@ -21,7 +21,7 @@ def test_the_distance_is_that_of_the_origins():
 
 def test_a_wrong_frame_is_answered_with_tips():
     """Near names, and the likely tips with their distance."""
-    robot = load_robot("sawyer")
+    robot = ml.load_robot("sawyer")
     tip = choose_frame(robot, None)
     assert choose_frame(robot, "right_hand") == "right_hand"
     with pytest.raises(UnknownNameError, match=f"likely tips: {tip} \\(0\\.124 m from its last joint\\)"):
@@ -39,6 +39,6 @@ def test_a_missing_frame_is_answered_with_the_flag(tmp_path):
     both = "".join(arm.format(side, joints.format(side)) for side in ("left", "right"))
     path = tmp_path / "two.urdf"
     path.write_text(f'<robot name="two"><link name="base"/>{both}</robot>', encoding="utf-8")
-    with pytest.raises(ManipLearnError, match="--frame left_tool0; likely tips: left_tool0 \\(0.5 m from") as caught:
-        choose_frame(load_robot(path), None)
+    with pytest.raises(ml.ManipLearnError, match="--frame left_tool0; likely tips: left_tool0 \\(0.5 m from") as caught:
+        choose_frame(ml.load_robot(path), None)
     assert caught.value.code == "frame"

@@ -1,89 +1,74 @@
-"""Every derivative of the library against central differences: feature maps x references x robots x postures."""
+"""Every derivative of the library against central differences: feature maps x references x robots x postures; what
+manipulability is at singularities, and the derivatives of pose errors.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import product
 
 import numpy as np
 import pytest
 from case import case
 from conftest import TIPS, URDFS, tip_of
+from numpy.testing import assert_allclose, assert_array_equal
 from rounding import rounding
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import (
-    CentreOfMass,
-    CurveRows,
-    CustomFeatures,
-    FeatureMap,
-    FrameJacobian,
-    MechanismRows,
-    RelativeFrameJacobian,
-    Stacked,
-)
+import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.constraint.manipulability import (
-    gradient_from,
-    log_manipulability_gradient,
-    manipulability,
-    manipulability_batch,
-    manipulability_gradient,
-    smallest_gradient,
-)
+from manip_learn.constraint.manipulability import gradient_from, smallest_gradient
 from manip_learn.constraint.place import ROW_UNITS
-from manip_learn.robot.robot import Robot
+from manip_learn.errors import ConfigurationError, TargetError
+from manip_learn.linalg import EPS, manipulability_of
+from manip_learn.robot.rotations import rotation_matrix
 
 H = 1e-5
 LOST = 1e3  # of the digits of a gradient, three are lost where the rows are nearly dependent: LEAST_LENGTH_RATIO
 ROBOTS = [*URDFS, *TIPS]
 ABOUT = {"axis": (0.3, -0.5, 0.8), "point": (0.4, 0.2, 0.3), "pitch": 0.07}
-RobotOf = Callable[[str], Robot]
+RobotOf = Callable[[str], ml.Robot]
+MU_GRADIENTS = (ml.manipulability_gradient, ml.log_manipulability_gradient)
 
 
-def central_difference(f: Callable[[np.ndarray], np.ndarray | float], robot: Robot, q: np.ndarray) -> np.ndarray:
+def central_difference(f: Callable[[np.ndarray], np.ndarray | float], robot: ml.Robot, q: np.ndarray) -> np.ndarray:
     """d f / d q along every tangent coordinate, last axis."""
-    columns = []
-    for k in range(robot.nv):
-        step = np.zeros(robot.nv)
-        step[k] = H
-        columns.append((np.asarray(f(robot.integrate(q, step))) - np.asarray(f(robot.integrate(q, -step)))) / (2 * H))
-    return np.stack(columns, axis=-1)
+    steps = H * np.eye(robot.nv)
+    ends = [[np.asarray(f(robot.integrate(q, sign * step))) for sign in (1.0, -1.0)] for step in steps]
+    return np.stack([(after - before) / (2 * H) for after, before in ends], axis=-1)
 
 
-def postures(robot: Robot, rng: np.random.Generator) -> np.ndarray:
+def postures(robot: ml.Robot, rng: np.random.Generator) -> np.ndarray:
     """One at random, and two where arms are singular: stretched (all joints zero) and one elbow only bent."""
     zero, bent = np.zeros(robot.nv), np.zeros(robot.nv)
     bent[robot.nv // 2] = 0.9
     return np.stack([robot.random_configuration(rng), robot.configuration(zero), robot.configuration(bent)])
 
 
-def other_frame(robot: Robot) -> str:
+def other_frame(robot: ml.Robot) -> str:
     """A frame that moves otherwise than the tip: on another branch where there is one, else halfway up the arm."""
     return "arm_b" if robot.name == "tree" else robot.frame_names[len(robot.frame_names) // 2]
 
 
-def bent_rail(robot: Robot, frame: str, q: np.ndarray, rows: str = "across-1 across-2 along") -> CurveRows:
+def bent_rail(robot: ml.Robot, frame: str, q: np.ndarray, rows: str = "across-1 across-2 along") -> ml.CurveRows:
     """Rows along a curve that passes the hand at a centimetre."""
     t = np.linspace(-1.0, 1.0, 12)
     shape = np.column_stack([0.2 * t, 0.1 * np.sin(2.0 * t) + 0.01, 0.1 * t**2])
-    return CurveRows(robot, frame, robot.position(q, frame) + shape, rows)
+    return ml.CurveRows(robot, frame, robot.position(q, frame) + shape, rows)
 
 
-def feature_maps(robot: Robot, tip: str, q: np.ndarray) -> Iterator[FeatureMap]:
+def feature_maps(robot: ml.Robot, tip: str, q: np.ndarray) -> Iterator[ml.FeatureMap]:
     """Each kind of features that has derivatives of its own; a curve's rows beside a posture."""
     other = other_frame(robot)
-    for reference in ("world", "local"):
-        yield from (FrameJacobian(robot, tip, axes, reference) for axes in ("xyz", "pose", "ry x"))
-    yield FrameJacobian(robot, other, "planar")
-    yield from (CentreOfMass(robot, axes) for axes in ("xyz", "z y"))
-    yield from (RelativeFrameJacobian(robot, tip, other, axes) for axes in ("pose", "y rz"))
-    yield from (MechanismRows(robot, tip, tuple(ROW_UNITS), **ABOUT, radius=radius) for radius in (None, 0.3))
-    yield MechanismRows(robot, tip, "radial screw turn-1", **ABOUT, relative_to=other)
+    yield from (ml.FrameJacobian(robot, tip, *x) for x in product(("xyz", "pose", "ry x"), ("world", "local")))
+    yield ml.FrameJacobian(robot, other, "planar")
+    yield from (ml.CentreOfMass(robot, axes) for axes in ("xyz", "z y"))
+    yield from (ml.RelativeFrameJacobian(robot, tip, other, axes) for axes in ("pose", "y rz"))
+    yield from (ml.MechanismRows(robot, tip, tuple(ROW_UNITS), **ABOUT, radius=radius) for radius in (None, 0.3))
+    yield ml.MechanismRows(robot, tip, "radial screw turn-1", **ABOUT, relative_to=other)
     yield PlaceRows(robot, tip, "point", (0.1, 0.2, 0.5), relative_to=other)
     yield from (PlaceRows(robot, tip, form, (0.1, 0.2, 0.5)) for form in ("point and rotation", "twist", "surface"))
-    yield Stacked(
-        [FrameJacobian(robot, tip, "x rz", "local"), CentreOfMass(robot, "z"), FrameJacobian(robot, tip, "y")]
-    )
+    stacked = ml.FrameJacobian(robot, tip, "x rz", "local"), ml.CentreOfMass(robot, "z")
+    yield ml.Stacked([*stacked, ml.FrameJacobian(robot, tip, "y")])
     yield bent_rail(robot, tip, q, "rx across-2 along across-1")
 
 
@@ -94,29 +79,28 @@ def test_every_feature_map(robot_of: RobotOf, rng: np.random.Generator, name: st
     every = postures(robot, rng)
     for features in feature_maps(robot, tip_of(name), every[0]):
         with case(features):
-            q = every[:1] if isinstance(features, CurveRows) else every  # elsewhere the nearest place is not one
+            q = every[:1] if isinstance(features, ml.CurveRows) else every  # elsewhere the nearest place is not one
             Phi, dPhi = (np.stack([f(x) for x in q]) for f in (features, features.derivative))
             expected = np.stack([central_difference(features, robot, x) for x in q])
             scale = max(1.0, float(np.max(np.abs(expected))))
             assert dPhi.shape == (len(q), features.n_rows, robot.nv, robot.nv)
-            np.testing.assert_allclose(dPhi, expected, rtol=0, atol=1e-8 * scale)
+            assert_allclose(dPhi, expected, rtol=0, atol=1e-8 * scale)
             both = [features.value_and_derivative(x) for x in q]
-            np.testing.assert_allclose([value for value, _ in both], Phi, rtol=0, atol=1e-13 * scale)
-            np.testing.assert_array_equal([slope for _, slope in both], dPhi)
+            assert_allclose([value for value, _ in both], Phi, rtol=0, atol=1e-13 * scale)
+            assert_array_equal([slope for _, slope in both], dPhi)
             many, slopes = features.batch_with_derivative(q)
-            np.testing.assert_allclose(features.batch(q), Phi, rtol=0, atol=1e-12 * scale)
-            np.testing.assert_allclose(many, Phi, rtol=0, atol=1e-12 * scale)
-            np.testing.assert_allclose(slopes, dPhi, rtol=0, atol=1e-11 * scale)
             positions = np.stack([robot.positions(x) for x in q])
-            np.testing.assert_allclose(features.batch(positions), Phi, rtol=0, atol=1e-12 * scale)
-            constraint = Constraint(rng.normal(size=(min(4, features.n_rows), features.n_rows)), features)
+            for values in (many, features.batch(q), features.batch(positions)):
+                assert_allclose(values, Phi, rtol=0, atol=1e-12 * scale)
+            assert_allclose(slopes, dPhi, rtol=0, atol=1e-11 * scale)
+            constraint = ml.Constraint(rng.normal(size=(min(4, features.n_rows), features.n_rows)), features)
             for i, x in enumerate(q):
                 A, vjp = constraint.value_and_vjp(x)
                 for value in (A, constraint(x)):
-                    np.testing.assert_allclose(value, constraint.selection @ Phi[i], rtol=0, atol=1e-13 * scale)
+                    assert_allclose(value, constraint.selection @ Phi[i], rtol=0, atol=1e-13 * scale)
                 dA = np.einsum("sp,pij->sij", constraint.selection, dPhi[i])
-                np.testing.assert_allclose(constraint.derivative(x), dA, rtol=0, atol=1e-11 * scale)
-                np.testing.assert_allclose(vjp(A), np.einsum("ij,ijk->k", A, dA), rtol=0, atol=1e-11 * scale**2)
+                assert_allclose(constraint.derivative(x), dA, rtol=0, atol=1e-11 * scale)
+                assert_allclose(vjp(A), np.einsum("ij,ijk->k", A, dA), rtol=0, atol=1e-11 * scale**2)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -127,8 +111,8 @@ def test_rows_are_rates(robot_of: RobotOf, rng: np.random.Generator, name: str):
     """
     robot = robot_of(name)
     frame, other = robot.frame(tip_of(name)), robot.frame(other_frame(robot))
-    mass, relative = CentreOfMass(robot), RelativeFrameJacobian(robot, frame.name, other.name)
-    custom = CustomFeatures(lambda q: robot.jacobian(q, frame)[:2], ("x", "y"), robot=robot)
+    mass, relative = ml.CentreOfMass(robot), ml.RelativeFrameJacobian(robot, frame.name, other.name)
+    custom = ml.CustomFeatures(lambda q: robot.jacobian(q, frame)[:2], ("x", "y"), robot=robot)
 
     def twist(pose: Callable[[np.ndarray], np.ndarray], q: np.ndarray) -> np.ndarray:
         rate = central_difference(pose, robot, q)
@@ -139,15 +123,18 @@ def test_rows_are_rates(robot_of: RobotOf, rng: np.random.Generator, name: str):
         with case(q.tolist()):
             R = robot.pose(q, frame)[:3, :3]
             world, local = robot.jacobian(q, frame, "world"), robot.jacobian(q, frame, "local")
-            np.testing.assert_allclose(world, twist(lambda x: robot.pose(x, frame), q), rtol=0, atol=1e-8)
-            np.testing.assert_allclose(local, np.concatenate([R.T @ world[:3], R.T @ world[3:]]), rtol=0, atol=1e-12)
             seen = twist(lambda x: np.linalg.inv(robot.pose(x, other)) @ robot.pose(x, frame), q)
-            np.testing.assert_allclose(relative(q), seen, rtol=0, atol=1e-8)
-            np.testing.assert_allclose(mass(q), central_difference(mass.coordinates, robot, q), rtol=0, atol=1e-8)
             rail = bent_rail(robot, frame.name, q)
-            np.testing.assert_allclose(rail(q), central_difference(rail.coordinates, robot, q), rtol=0, atol=2e-6)
-            exact = FrameJacobian(robot, frame.name, "x y").derivative(q)
-            np.testing.assert_allclose(custom.derivative(q), exact, rtol=0, atol=1e-8)
+            exact = ml.FrameJacobian(robot, frame.name, "x y").derivative(q)
+            for got, wanted, atol in (
+                (world, twist(lambda x: robot.pose(x, frame), q), 1e-8),
+                (local, np.concatenate([R.T @ world[:3], R.T @ world[3:]]), 1e-12),
+                (relative(q), seen, 1e-8),
+                (mass(q), central_difference(mass.coordinates, robot, q), 1e-8),
+                (rail(q), central_difference(rail.coordinates, robot, q), 2e-6),
+                (custom.derivative(q), exact, 1e-8),
+            ):
+                assert_allclose(got, wanted, rtol=0, atol=atol)
 
 
 @pytest.mark.parametrize("name", ["one", "gantry", "wrist", "humanoid", "tree", "mimic", "planar3", "ur5", "panda"])
@@ -159,14 +146,13 @@ def test_manipulability_gradients(robot_of: RobotOf, rng: np.random.Generator, n
     middle = np.stack([robot.configuration(0.5 * robot.positions(robot.random_configuration(rng))) for _ in range(2)])
     for features in feature_maps(robot, tip_of(name), middle[0]):
         for s in {1, min(features.n_rows, robot.nv, 3)}:
-            constraint = Constraint(rng.normal(size=(s, features.n_rows)), features)
-            turned = Constraint(np.linalg.qr(rng.normal(size=(s, s)))[0] @ constraint.selection, features)
-            q = middle[:1] if isinstance(features, CurveRows) else middle
-            batch = manipulability_batch(constraint, q)
+            constraint = ml.Constraint(rng.normal(size=(s, features.n_rows)), features)
+            turned = ml.Constraint(np.linalg.qr(rng.normal(size=(s, s)))[0] @ constraint.selection, features)
+            q = middle[:1] if isinstance(features, ml.CurveRows) else middle
+            batch = ml.manipulability_batch(constraint, q)
             for i, x in enumerate(q):
                 with case(constraint, i):
-                    mu, gradient = manipulability(constraint, x), manipulability_gradient(constraint, x)
-                    log = log_manipulability_gradient(constraint, x)
+                    mu, (gradient, log) = ml.manipulability(constraint, x), (f(constraint, x) for f in MU_GRADIENTS)
                     sigma = np.linalg.svd(constraint(x), compute_uv=False)
                     # both come from a factorisation, as products of s or s - 1 numbers that are sigma[0] at most; rows
                     # add up levers and unit axes, their slopes levers crossed with axes
@@ -175,35 +161,45 @@ def test_manipulability_gradients(robot_of: RobotOf, rng: np.random.Generator, n
                     known = rounding(4 * s * robot.nv, largest**s)
                     slack = LOST * rounding(4 * s * robot.nv, largest ** (s - 1), slopes)
                     assert batch.mu[i] == pytest.approx(mu, rel=0, abs=known)
-                    np.testing.assert_allclose(batch.gradient[i], gradient, rtol=0, atol=slack)
+                    assert_allclose(batch.gradient[i], gradient, rtol=0, atol=slack)
                     scale = max(float(np.max(np.abs(gradient))), mu)
-                    if sigma[-1] <= max(
-                        1e-2 * sigma[0], 1e-4
-                    ):  # differences lose their digits near the tip of the cone
+                    if sigma[-1] <= max(1e-2 * sigma[0], 1e-4):  # differences lose digits near the tip of the cone
                         continue
                     assert mu == pytest.approx(float(np.prod(sigma)), rel=0, abs=known)
-                    assert manipulability(turned, x) == pytest.approx(mu, rel=0, abs=known)
-                    np.testing.assert_allclose(manipulability_gradient(turned, x), gradient, rtol=0, atol=slack)
-                    np.testing.assert_allclose(batch.log_gradient[i], log, rtol=0, atol=slack / mu)
-                    expected = central_difference(lambda y, c=constraint: manipulability(c, y), robot, x)
-                    np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-6 * scale)
-                    np.testing.assert_allclose(log, gradient / mu, rtol=1e-12, atol=slack / mu)
+                    assert ml.manipulability(turned, x) == pytest.approx(mu, rel=0, abs=known)
+                    assert_allclose(ml.manipulability_gradient(turned, x), gradient, rtol=0, atol=slack)
+                    assert_allclose(batch.log_gradient[i], log, rtol=0, atol=slack / mu)
+                    expected = central_difference(lambda y, c=constraint: ml.manipulability(c, y), robot, x)
+                    assert_allclose(gradient, expected, rtol=0, atol=1e-6 * scale)
+                    assert_allclose(log, gradient / mu, rtol=1e-12, atol=slack / mu)
                     compared += 1
     assert compared > 15
 
 
-def test_more_rows_than_joints(robot_of: RobotOf, rng: np.random.Generator):
-    """With more rows than joints mu is 0 everywhere, and so is its gradient, of one posture and of many."""
+def test_singular_is_zero_never_nan(robot_of: RobotOf, rng: np.random.Generator):
+    """Stretched arms, A = 0, and more rows than joints, of one posture and of many: mu is 0 to rounding, its gradients
+    are finite, and 0 where there are more rows than joints or the rank is short by two.
+    """
+    stretched = ml.Constraint(np.eye(2), ml.FrameJacobian(robot_of("planar3"), "tip", "x y"))
+    crowded = ml.Constraint(np.eye(4), ml.CustomFeatures(lambda q: np.arange(8.0).reshape(4, 2) + q[0], "abcd", 2))
+    nothing = ml.Constraint([[1.0]], ml.CustomFeatures(lambda q: np.zeros((1, 2)), "a", 2))
+    cases = [(stretched, np.zeros(3)), (crowded, np.ones(2)), (nothing, np.ones(2))]
     for name in ("one", "planar3", "gantry", "wrist", "mimic"):
-        with case(name):
-            robot = robot_of(name)
-            constraint = Constraint(np.eye(6), FrameJacobian(robot, tip_of(name), "pose"))
-            q, none = robot.random_configuration(rng), np.zeros(robot.nv)
-            assert manipulability(constraint, q) == 0.0
-            np.testing.assert_array_equal(manipulability_gradient(constraint, q), none)
-            np.testing.assert_array_equal(log_manipulability_gradient(constraint, q), none)
-            batch = manipulability_batch(constraint, np.stack([q, q]))
-            assert not batch.mu.any() and not batch.gradient.any() and batch.gradient.shape == (2, robot.nv)
+        features = ml.FrameJacobian(robot_of(name), tip_of(name), "pose")
+        cases.append((ml.Constraint(np.eye(6), features), features.robot.random_configuration(rng)))
+    for number, (constraint, q) in enumerate(cases):
+        with case(constraint, number):
+            A, mu = constraint(q), ml.manipulability(constraint, q)
+            assert 0.0 <= mu <= rounding(4 * A.size, *[A] * len(A))
+            assert mu == constraint.manipulability(q) == manipulability_of(A)
+            assert all(np.all(np.isfinite(gradient(constraint, q))) for gradient in MU_GRADIENTS)
+            if len(A) > A.shape[1]:
+                assert mu == 0.0 and not any(gradient(constraint, q).any() for gradient in MU_GRADIENTS)
+                batch = ml.manipulability_batch(constraint, np.stack([q, q]))
+                assert not batch.mu.any() and not batch.gradient.any() and batch.gradient.shape == (2, A.shape[1])
+    A, dA = np.zeros((2, 3)), np.ones((2, 3, 3))
+    mu, gradient, _ = gradient_from(A.shape, np.linalg.svd(A), lambda weights: np.tensordot(weights, dA, 2))
+    assert mu == 0.0 and not gradient.any()
 
 
 # Each is exactly singular with its rank short by one: robot, axes, selection (None: all rows; "blocked": one row that
@@ -223,18 +219,6 @@ CONES = {
 }
 
 
-def cone(robot_of: RobotOf, name: str, axes: str, selection: list | str | None, positions: list[float]):
-    robot = robot_of(name)
-    features = FrameJacobian(robot, tip_of(name), axes)
-    q = robot.configuration(positions)
-    if selection is None:
-        selection = np.eye(features.n_rows)
-    elif selection == "blocked":
-        still = np.linalg.svd(features(q))[0][:, -1]
-        selection = np.stack([still, np.random.default_rng(3).normal(size=features.n_rows)])
-    return robot, Constraint(selection, features), q
-
-
 @pytest.mark.parametrize("which", CONES)
 def test_singularities(robot_of: RobotOf, rng: np.random.Generator, which: str):
     """At an exact singularity grad mu has the direction and the rate of the cone's steepest ascent: mu rises along it
@@ -242,77 +226,186 @@ def test_singularities(robot_of: RobotOf, rng: np.random.Generator, which: str):
     From 1e-2 down to 1e-13 beside it the gradients stay finite, and grad mu keeps pointing up the cone: a step along it
     raises mu (one of 1e-9 where the distance itself drowns in rounding).
     """
-    robot, constraint, q = cone(robot_of, *CONES[which])
-    gradient = manipulability_gradient(constraint, q)
+    name, axes, selection, positions = CONES[which]
+    robot = robot_of(name)
+    features, q = ml.FrameJacobian(robot, tip_of(name), axes), robot.configuration(positions)
+    if selection is None:
+        selection = np.eye(features.n_rows)
+    elif selection == "blocked":
+        still = np.linalg.svd(features(q))[0][:, -1]
+        selection = np.stack([still, np.random.default_rng(3).normal(size=features.n_rows)])
+    constraint = ml.Constraint(selection, features)
+    gradient = ml.manipulability_gradient(constraint, q)
     rate = float(np.linalg.norm(gradient))
     assert np.all(np.isfinite(gradient)) and rate > 1e-3
     assert np.max(gradient) == np.max(np.abs(gradient))
 
     def rise(direction: np.ndarray, h: float = 1e-6) -> float:
-        return manipulability(constraint, robot.integrate(q, h * direction)) / h
+        return ml.manipulability(constraint, robot.integrate(q, h * direction / np.linalg.norm(direction))) / h
 
     A = constraint(q)
     others = np.prod(np.linalg.svd(A, compute_uv=False)[:-1])
-    assert manipulability(constraint, q) <= rounding(4 * A.size, A, others)
-    assert rise(gradient / rate) == pytest.approx(rate, rel=1e-4)
-    assert rise(-gradient / rate) == pytest.approx(rate, rel=1e-4)
+    assert ml.manipulability(constraint, q) <= rounding(4 * A.size, A, others)
+    assert rise(gradient) == pytest.approx(rate, rel=1e-4) and rise(-gradient) == pytest.approx(rate, rel=1e-4)
     directions = rng.normal(size=(200, robot.nv))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    assert max(rise(d) for d in directions) <= rate * (1 + 1e-4)
-    for d in directions[:50]:  # nor does any small turn of the direction itself help
-        turned = gradient / rate + 0.05 * d
-        assert rise(turned / np.linalg.norm(turned)) <= rate * (1 + 1e-4)
+    # nor does any small turn of the direction itself help
+    assert max(map(rise, [*directions, *(gradient / rate + 0.05 * directions[:50])])) <= rate * (1 + 1e-4)
     away = rng.normal(size=robot.nv)
     for distance in 10.0 ** -np.arange(2.0, 14.0):
         with case(distance):
             near = robot.integrate(q, distance * away)
-            gradient = manipulability_gradient(constraint, near)
+            gradient, log = (f(constraint, near) for f in MU_GRADIENTS)
             length = float(np.linalg.norm(gradient))
-            assert np.all(np.isfinite(gradient)) and length <= 1.5 * rate + 0.1
-            assert np.all(np.isfinite(log_manipulability_gradient(constraint, near)))
+            assert np.all(np.isfinite([gradient, log])) and length <= 1.5 * rate + 0.1
             step = robot.integrate(near, (1e-2 * distance if distance > 1e-11 else 1e-9) * gradient / length)
-            assert manipulability(constraint, step) >= manipulability(constraint, near)
-
-
-def test_rank_short_by_two(robot_of: RobotOf):
-    """Where the rank is short by two, mu grows faster than linearly in no direction: the gradient is zero, not NaN."""
-    robot = robot_of("planar3")
-    A, dA = np.zeros((2, robot.nv)), np.ones((2, robot.nv, robot.nv))
-    mu, gradient, _ = gradient_from(A.shape, np.linalg.svd(A), lambda weights: np.tensordot(weights, dA, 2))
-    assert mu == 0.0
-    np.testing.assert_array_equal(gradient, np.zeros(robot.nv))
+            assert ml.manipulability(constraint, step) >= ml.manipulability(constraint, near)
 
 
 def test_gradient_keeps_its_digits_near_the_cone(robot_of: RobotOf):
     """1e-7 from a singularity the gradient of the stretched planar arm is still right to 1e-6 (closed form)."""
-    robot = robot_of("planar3")
-    constraint = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
+    constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(robot_of("planar3"), "tip", "x y"))
     # links of 1 m: mu^2 is the sum of the squared 2 x 2 minors of the planar Jacobian
-    q1, q2, q3 = 0.4, 1e-7, 2e-7
-
-    def minors(q2: float, q3: float) -> np.ndarray:
-        return np.array([np.sin(q2) + np.sin(q2 + q3), np.sin(q2 + q3) + np.sin(q3), np.sin(q3)])
-
-    m = minors(q2, q3)
+    q2, q3 = 1e-7, 2e-7
+    m = np.array([np.sin(q2) + np.sin(q2 + q3), np.sin(q2 + q3) + np.sin(q3), np.sin(q3)])
     d2 = np.array([np.cos(q2) + np.cos(q2 + q3), np.cos(q2 + q3), 0.0])
     d3 = np.array([np.cos(q2 + q3), np.cos(q2 + q3) + np.cos(q3), np.cos(q3)])
-    mu = float(np.linalg.norm(m))
+    mu, q = float(np.linalg.norm(m)), np.array([0.4, q2, q3])
     expected = np.array([0.0, m @ d2, m @ d3]) / mu
-    got = manipulability_gradient(constraint, np.array([q1, q2, q3]))
-    assert manipulability(constraint, np.array([q1, q2, q3])) == pytest.approx(mu, rel=1e-6)
-    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6 * np.linalg.norm(expected))
+    assert ml.manipulability(constraint, q) == pytest.approx(mu, rel=1e-6)
+    got = ml.manipulability_gradient(constraint, q)
+    assert_allclose(got, expected, rtol=0, atol=1e-6 * np.linalg.norm(expected))
+
+
+def test_many_postures_at_and_near_singularities(robot_of: RobotOf):
+    """The gradient in bulk is that of the single posture, ever closer to the singularity and on it, where it is the
+    steepest ascent, in the middle of good postures too; a bad posture is refused by its row.
+    """
+    for (name, axes), distance in product((("planar3", "x y"), ("sawyer", "xyz")), (1e-1, 1e-3, 1e-5, 1e-8, 1e-11)):
+        with case(name, axes, distance):
+            robot = robot_of(name)
+            q = np.full((3, robot.nv), distance) * np.array([[1.0], [0.5], [-1.0]])
+            q[:, 0] = [0.3, -0.4, 1.0]
+            features = ml.FrameJacobian(robot, tip_of(name), axes)
+            constraint = ml.Constraint(np.eye(features.n_rows), features)
+            expected = np.array([ml.manipulability_gradient(constraint, x) for x in q])
+            scale = np.max(np.abs(expected), axis=1, keepdims=True)
+            got = ml.manipulability_batch(constraint, q).gradient
+            assert_allclose(got / scale, expected / scale, atol=1e-9)
+    constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(robot_of("planar3"), "tip", "x y"))
+    q = np.array([[0.3, 0.7, -0.4], [0.5, 0.0, 0.0], [1.0, -0.3, 0.9], [0.2, 0.0, np.pi]])
+    batch = ml.manipulability_batch(constraint, q)
+    for i, x in enumerate(q):
+        gradient, log = (f(constraint, x) for f in MU_GRADIENTS)
+        assert_allclose(batch.gradient[i], gradient, rtol=0, atol=1e-10)
+        assert_allclose(batch.log_gradient[i], log, rtol=0, atol=1e-6 * np.max(np.abs(log)))
+    sigma = np.linalg.svd(constraint(q[1]), compute_uv=False)
+    assert_allclose(batch.floor, [0.0, 64.0 * EPS * sigma[0] ** 2, 0.0, batch.floor[3]], rtol=1e-9)
+    assert batch.mu[1] <= rounding(4 * 2 * 3, sigma, sigma) and np.linalg.norm(batch.gradient[1]) > 0.1
+    assert ml.manipulability_batch(constraint, np.zeros((0, 3))).gradient.shape == (0, 3)
+    many = np.zeros((9000, 3))
+    many[7000, 1] = np.nan
+    for evaluate in (lambda: ml.manipulability_batch(constraint, many), lambda: constraint.features.batch(many)):
+        with pytest.raises(ConfigurationError, match="row 7000"):
+            evaluate()
 
 
 @pytest.mark.parametrize("name", ["planar3", "panda", "gantry"])
 def test_gradient_of_the_smallest_singular_value(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """It is the slope of sigma_min, wherever that is neither 0 nor double."""
     robot = robot_of(name)
-    constraint = Constraint(np.eye(2), FrameJacobian(robot, tip_of(name), "x y"))
+    constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, tip_of(name), "x y"))
     for _ in range(5):
         q = robot.random_configuration(rng)
-        sigma = np.linalg.svd(constraint(q), compute_uv=False)
-        if min(sigma[1], sigma[0] - sigma[1]) < 0.05:
-            continue
-        slope = central_difference(lambda x: float(np.linalg.svd(constraint(x), compute_uv=False)[-1]), robot, q)
         A, vjp = constraint.value_and_vjp(q)
-        np.testing.assert_allclose(smallest_gradient(np.linalg.svd(A), vjp), slope.reshape(-1), atol=1e-6)
+        sigma = np.linalg.svd(A, compute_uv=False)
+        if min(sigma[1], sigma[0] - sigma[1]) >= 0.05:
+            slope = central_difference(lambda x: float(np.linalg.svd(constraint(x), compute_uv=False)[-1]), robot, q)
+            assert_allclose(smallest_gradient(np.linalg.svd(A), vjp), slope.reshape(-1), atol=1e-6)
+
+
+ANGLES = [0.0, 1e-9, 1e-4, 0.5, 2.6, 3.1]
+AXES = ["pose", "xyz", "rotation", "x y rz", "rx ry", "rz", "z rx"]
+
+
+def features_of(robot: ml.Robot, axes: str, view: str) -> ml.FeatureMap:
+    """Rows of the hand in the base, in itself, or as a link sees it."""
+    tip = "panda_hand_tcp"
+    relative = view == "relative"
+    return (
+        ml.RelativeFrameJacobian(robot, tip, "panda_link3", axes)
+        if relative
+        else ml.FrameJacobian(robot, tip, axes, view)
+    )
+
+
+def pose_of(features: ml.FeatureMap, q: np.ndarray) -> np.ndarray:
+    """Its pose there."""
+    pose = features.robot.pose(q, features.frame)
+    relative = isinstance(features, ml.RelativeFrameJacobian)
+    return np.linalg.inv(features.robot.pose(q, features.relative_to)) @ pose if relative else pose
+
+
+def check_rate(features: ml.FeatureMap, target: np.ndarray, q: np.ndarray, u: np.ndarray) -> None:
+    """d/dt error = -E u, by a central difference of order four along u; of the coordinates C u."""
+    error, h = [features.error_to(target, q + k * H * u) for k in (-2, -1, 1, 2)], 12.0 * H
+    E = features.error_jacobian(target, q)
+    E = features(q) if E is None else E
+    assert_allclose(-E @ u, (error[0] - 8.0 * error[1] + 8.0 * error[2] - error[3]) / h, rtol=0, atol=1e-6)
+    value, together = features.error_and_jacobian(target, q)
+    assert_array_equal(value, features.error_to(target, q))
+    assert_array_equal(features(q) if together is None else together, E)
+
+
+@pytest.mark.parametrize("view", ["world", "local", "relative"])
+def test_error_jacobian(robot_of: RobotOf, rng: np.random.Generator, view: str) -> None:
+    """d/dt error = -E u to 1e-6 for every mix of axes, at every angle between frame and target that is a pose, on which
+    E is A(q); and for targets that are numbers, where coordinates that are not among the rows go with the frame. For
+    positions along the base E is A(q) everywhere (None).
+    """
+    robot = robot_of("panda")
+    for axes in AXES:
+        features, compared = features_of(robot, axes, view), 0
+        for angle in ANGLES:
+            with case(axes, angle):
+                q, u = rng.uniform(-1.0, 1.0, (2, 7))
+                axis, away = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+                target = pose_of(features, q)
+                if axes != "xyz":
+                    E = features.error_jacobian(target, q)
+                    assert_allclose(E, features(q), rtol=0, atol=rounding(8 * robot.nv, E))
+                target[:3, :3] = rotation_matrix(angle * axis) @ target[:3, :3]
+                target[:3, 3] += 0.2 * away
+                check_rate(features, target, q, u)
+        if view == "local" and axes not in ("pose", "xyz", "rotation"):
+            continue  # numbers do not determine such a target
+        for _ in range(6):
+            q, goal, u = rng.uniform(-1.0, 1.0, (3, 7))
+            target = features.coordinates(goal)
+            if any(np.linalg.norm(features.error_to(target, q + k * 1e-4 * u)[-3:]) > 3.0 for k in (-1, 0, 1)):
+                continue  # next to half a turn the error changes its sign
+            with case(axes, target):
+                check_rate(features, target, q, u)
+                C = features.coordinates_jacobian(q)
+                C = features(q) if C is None else C
+                if view != "local":
+                    assert_allclose(C, central_difference(features.coordinates, robot, q), rtol=0, atol=1e-6)
+            compared += 1
+        assert compared > 2, axes
+    for features in (features_of(robot, "x z", "world"), ml.CentreOfMass(robot)):
+        target, q = np.zeros(features.n_rows), rng.uniform(-1.0, 1.0, 7)
+        assert features.error_jacobian(target, q) is None and features.coordinates_jacobian(q) is None
+        task = ml.PointAttractor(target)
+        assert task.error_jacobian(ml.Constraint(np.eye(len(target)), features), q, 0.0) is None
+
+
+def test_poses_that_are_none(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """A matrix that is no rotation is refused with a sentence; one written with few digits is taken."""
+    features, q = features_of(robot_of("panda"), "pose", "world"), rng.uniform(-1.0, 1.0, 7)
+    pose = pose_of(features, q)
+    assert np.linalg.norm(features.error_to(np.round(pose, 5), q)) < 1e-4
+    for fault in (np.diag([1.0, 1.0, -1.0, 1.0]), np.zeros((4, 4)), np.diag([2.0, 2.0, 2.0, 1.0])):
+        with pytest.raises(TargetError, match="not a rotation matrix"):
+            features.error_to(pose @ fault, q)
+    with pytest.raises(TargetError):
+        features.error_jacobian(np.full((4, 4), np.nan), q)

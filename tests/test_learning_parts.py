@@ -2,55 +2,33 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from case import case
-from generated_motions import arm_features, guided_motions, oblique, paper_motions
+from generated_motions import arm_features, guided_motions, oblique
+from numpy.testing import assert_allclose
 
+import manip_learn as ml
 from manip_learn.constraint.constraint import describe, free_directions
-from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
-from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.learning import ConstraintLearner
+from manip_learn.learning import table
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.fit import Motion, RowFit, levels_of, levels_on
+from manip_learn.learning.fit import Motion, RowFit, levels_of
 from manip_learn.learning.gate import Evidence
-from manip_learn.learning.table import (
-    ArmErrors,
-    Settings,
-    Stretch,
-    Table,
-    View,
-    refuse_unusable,
-    unusable,
-    velocity_noise,
-)
+from manip_learn.learning.table import Stretch, Table, View
 from manip_learn.linalg import orthonormal_rows, row_space_angle
-from manip_learn.recordings.load import load_demonstrations
-from manip_learn.recordings.trajectory import Demonstrations, Trajectory
-from manip_learn.robot import load_robot
 
 
-def held(n_trajectories: int, n_samples: int = 8, noise: float = 0.1) -> tuple[View, np.ndarray]:
-    """Motions of an arm with two held rows, and noise of the velocities; the rows."""
+def held(n_trajectories: int) -> View:
+    """Noisy motions of an arm with two held rows."""
     rng = np.random.default_rng([4, n_trajectories])
-    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, n_trajectories, n_samples, 0.05, noise=noise)
-    return View(truth.features, Table(list(demos))), truth.selection
+    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, n_trajectories, 8, 0.05, noise=0.1)
+    return View(truth.features, Table(list(demos)))
 
 
 def whole(view: View) -> list[Stretch]:
     return [Stretch(i, *map(float, ends)) for i, ends in enumerate(view.table.ends)]
-
-
-def test_features_are_whitened():
-    """sum Phi' Phi'^T / n = I, and a selection in whitened coordinates comes back in the features' own."""
-    demos, truth = paper_motions([0, 1], np.random.default_rng(1), n_trajectories=40, noise=0.01)
-    view = View(truth.features, Table(list(demos)))
-    np.testing.assert_allclose(view.all.gram.mean(axis=0), np.eye(view.r), atol=1e-9)
-    assert row_space_angle(view.selection(truth.selection @ np.linalg.pinv(view.W)), truth.selection) < 1e-9
 
 
 def test_noise_of_velocities_is_told_from_a_smooth_motion(rng):
@@ -58,37 +36,40 @@ def test_noise_of_velocities_is_told_from_a_smooth_motion(rng):
     time = np.arange(0.0, 3.0, 0.01)
     smooth = np.sin(time[:, None] * np.linspace(0.5, 2.0, 7))
     noisy = smooth + 0.03 * rng.standard_normal(smooth.shape)
-    assert velocity_noise(time, noisy) == pytest.approx(9e-4, rel=0.2)
-    assert velocity_noise(time, smooth) < 1e-8
-    assert velocity_noise(time, noisy[:, :2]) == pytest.approx(9e-4, rel=0.2)
+    for x in (noisy, noisy[:, :2]):
+        assert table.velocity_noise(time, x) == pytest.approx(9e-4, rel=0.2)
+    assert table.velocity_noise(time, smooth) < 1e-8
+
+
+def quarters(q: np.ndarray, u: np.ndarray) -> list[ml.Trajectory]:
+    """Samples in four recordings, of joints a, b, ..."""
+    parts, names = np.array_split(np.arange(len(q)), 4), tuple("abcd"[: q.shape[1]])
+    return [ml.Trajectory(1.0 * k, q[k], u[k], names) for k in parts]
 
 
 def test_the_fastest_sample_may_not_be_far_out_of_line(rng):
     """An outlier is 1e4 times the usual speed, and named."""
-    names, u = tuple("abcd"), rng.standard_normal((40, 4))
+    u = rng.standard_normal((40, 4))
     fast = u / np.linalg.norm(u, axis=1)[:, None]
-    moves = Demonstrations([Trajectory(0.01 * np.arange(40), np.outer(np.linspace(0.0, 1.0, 40), np.ones(4)))])
-    for factor in (0.98e4, 1.02e4):
+    way = np.outer(np.linspace(0.0, 1.0, 40), np.ones(4))
+    moves = ml.Demonstrations([ml.Trajectory(0.01 * np.arange(40), way)])
+
+    def check(factor: float) -> None:
         fast[7] = [0.0, 0.0, -factor, 0.0]
-        parts = np.array_split(np.arange(40), 4)
-        given = Demonstrations([Trajectory(1.0 * k, np.cumsum(u, axis=0)[k], fast[k], names) for k in parts])
-        if factor < 1e4:
-            refuse_unusable(moves, given, SENSORS)
-            continue
-        with pytest.raises(
-            RecordingError, match=r"sample 7 \(trajectory 0\) moves at -1.02e\+04 in joint 'c', 1.0e\+04"
-        ):
-            refuse_unusable(moves, given, SENSORS)
+        table.refuse_unusable(moves, ml.Demonstrations(quarters(np.cumsum(u, axis=0), fast)), SENSORS)
+
+    check(0.98e4)
+    with pytest.raises(RecordingError, match=r"sample 7 \(trajectory 0\) moves at -1.02e\+04 in joint 'c', 1.0e\+04"):
+        check(1.02e4)
 
 
 def test_what_is_too_little_or_too_odd_to_learn_from(rng):
     """An outlier is 1e4 times as far as the usual; too few different moving samples, one joint, and no motion."""
 
     def said(q: np.ndarray, u: np.ndarray, r: int, asked: int | None = None) -> NotIdentifiableError | None:
-        parts = np.array_split(np.arange(len(q)), 4)
-        return unusable(Table([Trajectory(1.0 * k, q[k], u[k], tuple("abcd"[: q.shape[1]])) for k in parts]), r, asked)
+        return table.unusable(Table(quarters(q, u)), r, asked)
 
-    u, far = rng.standard_normal((40, 4)), rng.standard_normal((40, 4))
+    u, far = rng.standard_normal((2, 40, 4))
     middle = np.median(far, axis=0)
     usual = np.quantile(np.linalg.norm(far - middle, axis=1), 0.9)
     for factor in (0.98e4, 1.02e4):
@@ -101,8 +82,12 @@ def test_what_is_too_little_or_too_odd_to_learn_from(rng):
         told = said(few, few, rows, asked)
         assert (told is None) == (needed is None)
         assert needed is None or f"{different} different moving samples" in str(told) and f"{needed} can" in str(told)
-    assert said(u[:, :1], u[:, :1], 1).code == "no-freedom" and said(u, 0.0 * u, 4).code == "no-motion"
-    assert said(0.0 * u, u, 4).code == "constant-posture"
+    for q, moved, r, code in (
+        (u[:, :1], u[:, :1], 1, "no-freedom"),
+        (u, 0.0 * u, 4, "no-motion"),
+        (0.0 * u, u, 4, "constant-posture"),
+    ):
+        assert said(q, moved, r).code == code
 
 
 @pytest.mark.parametrize(("share", "named"), [(0.9e-6, True), (1.1e-6, False)])
@@ -114,22 +99,10 @@ def test_a_joint_that_hardly_moves_is_named(share: float, named: bool):
     size = np.sqrt(share * rest / sum(np.sum(np.asarray(t.u)[:, 6] ** 2) for t in demos))
     for t in demos:  # the last joint turns the tip about itself, or nearly so
         u = np.asarray(t.u) * ([1.0] * 6 + [size])
-        given.append(Trajectory(t.time, t.q, u, t.joint_names, t.name, exact=True))
-    learner = ConstraintLearner(A, 2, "null-space", velocities="recorded").fit(given)
+        given.append(ml.Trajectory(t.time, t.q, u, t.joint_names, t.name, exact=True))
+    learner = ml.ConstraintLearner(A, 2, "null-space", velocities="recorded").fit(given)
     said = [w for w in learner.report_.warnings if f"{demos.joint_names[6]} hardly moved" in w]
     assert bool(said) == named
-
-
-def test_levels_are_relative_to_a_motion_of_all_joints():
-    """Ten times as fast, a motion has the same levels; they are root mean squares along whitened directions."""
-    view, _ = held(4)
-    sizes, directions, _ = levels_on(view, whole(view))
-    table = view.table
-    faster = [Trajectory(t.time, t.q, 10.0 * np.asarray(t.u), t.joint_names) for t in table.moved]
-    np.testing.assert_allclose(levels_on(View(view.features, Table(faster)), whole(view))[0], sizes, rtol=1e-6)
-    energy = np.mean(np.sum(table.u**2, axis=1)) / table.u.shape[1]
-    square = np.mean((view.all.rates @ (directions / np.linalg.norm(directions, axis=1)[:, None]).T) ** 2, axis=0)
-    np.testing.assert_allclose(sizes, np.sqrt(square / energy), rtol=1e-6)
 
 
 def test_gaps():
@@ -144,26 +117,13 @@ def test_gaps():
     assert max(gaps, key=lambda s: gaps[s]) == 2
 
 
-def test_displacements_are_the_rates_along_the_positions(robot_of):
-    """Along fine paths those of the tip's place, whatever the clock, from the first sample of each recording."""
-    robot, t = robot_of("panda"), np.linspace(0.0, 1.0, 4000)[:, None]
-    q = np.array([0.2, -0.4, 0.1, -2.0, 0.1, 1.7, 0.8]) + 0.5 * np.sin(t * np.arange(1.0, 8.0))
-    features = FrameJacobian(robot, "panda_hand_tcp", "xyz")
-    moved = [Trajectory(t[:, 0], x, np.gradient(x, axis=0), robot.joint_names) for x in (q, q[::-1])]
-    view = View(features, Table(moved))
-    for some in (slice(4000), slice(4000, None)):
-        places = np.array([robot.position(x, features.frame) for x in view.table.q[some][::400]])
-        ways = np.linalg.solve(view.W, (view.y[some][::400] - view.y[some.start or 0]).T).T
-        np.testing.assert_allclose(ways, places - places[0], atol=1e-7)
-
-
 def test_a_fit_evaluates_the_frame_a_few_times_a_sample(monkeypatch):
     """All feature maps of one frame share its Jacobian: at and between the samples, on the mechanism, in the gate."""
-    robot, evaluated, plain = load_robot("sawyer"), list[int](), FrameJacobian.batch
-    demos = load_demonstrations("sawyer_drawer", robot)[:6]
-    monkeypatch.setattr(FrameJacobian, "batch", lambda self, q: evaluated.append(len(q)) or plain(self, q))
-    both = [FrameJacobian(robot, "right_gripper_tip", "xyz", reference) for reference in ("world", "local")]
-    assert ConstraintLearner(both).fit(demos).report_.n_constraints == 2
+    robot, evaluated, plain = ml.load_robot("sawyer"), list[int](), ml.FrameJacobian.batch
+    demos = ml.load_demonstrations("sawyer_drawer", robot)[:6]
+    monkeypatch.setattr(ml.FrameJacobian, "batch", lambda self, q: evaluated.append(len(q)) or plain(self, q))
+    both = [ml.FrameJacobian(robot, "right_gripper_tip", "xyz", reference) for reference in ("world", "local")]
+    assert ml.ConstraintLearner(both).fit(demos).report_.n_constraints == 2
     assert sum(evaluated) < 5 * demos.n_samples
 
 
@@ -171,9 +131,9 @@ def motion(n: int = 6, noise: float = 1e-3, dt: float = 0.05) -> tuple[Motion, n
     """A hand on two rows, by its positions, with an arm that may be off; and the true rows, whitened."""
     rng = np.random.default_rng(3)
     demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, n, 40, dt)
-    given = [Trajectory(t.time, t.q + rng.normal(0.0, noise, t.q.shape), t.u, t.joint_names) for t in demos]
+    given = [ml.Trajectory(t.time, t.q + rng.normal(0.0, noise, t.q.shape), t.u, t.joint_names) for t in demos]
     view = View(truth.features, Table(given))
-    moved = Motion.of(view, whole(view), Settings(arm=ArmErrors(np.radians(0.1), 5e-4)))
+    moved = Motion.of(view, whole(view), table.Settings(arm=table.ArmErrors(np.radians(0.1), 5e-4)))
     return moved, np.linalg.qr((truth.selection @ np.linalg.pinv(view.W)).T)[0].T
 
 
@@ -204,24 +164,14 @@ def test_columns_of_the_fit_are_derivatives():
     steps += [(np.zeros_like(true), delta) for delta in np.eye(nv)]
     for column, (rows, zeros) in enumerate(steps):
         slope = residual(true + h * rows, h * zeros) - residual(true - h * rows, -h * zeros)
-        np.testing.assert_allclose(fit.X[:, :, column], slope / (2.0 * h), atol=1e-6)
+        assert_allclose(fit.X[:, :, column], slope / (2.0 * h), atol=1e-6)
     n_errors = fit.X.shape[2] - fit.m - 1
-    assert n_errors == nv + 6 * len(
-        moved.view.features.robot.joint_names
-    )  # six of each link behind the first, and the tip
+    assert n_errors == nv + 6 * len(moved.view.features.robot.joint_names)  # of each link behind the first, and the tip
 
 
-def answer(gap: float, strengths: tuple[float, ...]) -> Answer:
-    """Two of three rows, with gaps and strengths of one's own."""
-    view, _ = held(4)
-    strength, p = np.array(strengths), np.full(2, 0.005)
-    rows = Evidence(strength, strength, p, np.full(2, 0.1), 5)
-    return Answer(view, whole(view), np.eye(3)[:2], np.ones(3), {1: 2.0, 2: gap}, evidence=rows)
-
-
-def test_its_own_tests_decide_on_an_answer():
-    """Fewer rows by recombination, or a gap thrice as large at another number, speak against it; clear needs both."""
-    for gap, strengths, says, clear in (
+@pytest.mark.parametrize(
+    ("gap", "strengths", "says", "clear"),
+    [
         (12.0, (30.0, 9.0), "", True),
         (12.0, (9.0, 3.5), "", False),
         (4.1, (12.0, 10.0), "", False),
@@ -229,23 +179,21 @@ def test_its_own_tests_decide_on_an_answer():
         (12.0, (0.9, 1.2), "the recombination test supports 0: ", False),
         (1.1, (12.0, 10.0), "", False),
         (0.6, (12.0, 10.0), "the gap supports 1: 2 against 0.6", False),
-    ):
-        with case(gap, strengths):
-            a = answer(gap, strengths)
-            assert a.contradiction.startswith(says) and bool(says) == bool(a.contradiction)
-            assert a.clear == clear
-
-
-LINE = Mechanism("line", axis=np.array([0.8, 0.6, 0.0]), uncertainty={"axis": 0.3})
-HINGE = Mechanism(
-    "hinge",
-    axis=np.array([0.0, 0.0, 1.0]),
-    point=np.array([0.4, 0.1, 0.0]),
-    radius=0.3,
-    orientation="carried",
-    uncertainty={"axis": 0.004, "point": 7e-5},
+    ],
 )
-SENSORS = CustomFeatures(lambda q: np.eye(3), ("a", "b", "c"), 3)
+def test_its_own_tests_decide_on_an_answer(gap: float, strengths: tuple[float, ...], says: str, clear: bool):
+    """Fewer rows by recombination, or a gap thrice as large at another number, speak against it; clear needs both."""
+    view, strength, p = held(4), np.array(strengths), np.full(2, 0.005)
+    rows = Evidence(strength, strength, p, np.full(2, 0.1), 5)
+    answer = Answer(view, whole(view), np.eye(3)[:2], np.ones(3), {1: 2.0, 2: gap}, evidence=rows)
+    assert answer.contradiction.startswith(says) and bool(says) == bool(answer.contradiction)
+    assert answer.clear == clear
+
+
+LINE = ml.Mechanism("line", axis=np.array([0.8, 0.6, 0.0]), uncertainty={"axis": 0.3})
+KNOWN = {"axis": 0.004, "point": 7e-5}
+HINGE = ml.Mechanism("hinge", np.eye(3)[2], np.array([0.4, 0.1, 0.0]), 0.3, orientation="carried", uncertainty=KNOWN)
+SENSORS = ml.CustomFeatures(lambda q: np.eye(3), ("a", "b", "c"), 3)
 ACROSS = np.array([[-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
 
 
@@ -291,19 +239,10 @@ def test_the_first_sentence(features, held, imposed, angle, mechanism, words):
     """What can move, what is blocked, what it looks like, how sure: each said once, for every kind of rows."""
     if isinstance(features, tuple):
         axes, reference = features
-        robot, frame = load_robot("sawyer"), "right_gripper_tip"
-        features = FrameJacobian(robot, frame, axes, reference) if reference else MechanismRows(robot, frame, axes)
+        robot, frame = ml.load_robot("sawyer"), "right_gripper_tip"
+        features = (
+            ml.FrameJacobian(robot, frame, axes, reference) if reference else ml.MechanismRows(robot, frame, axes)
+        )
     kind = "self-imposed" if imposed else "motion-constrained"
     used = np.ones(features.n_rows, dtype=bool)
     assert describe(kind, free_directions(held, used), features, used, angle, mechanism) == words
-
-
-def test_report_in_json_and_in_words():
-    """NaN becomes null, tuples become lists, and the warnings are printed under the sentence."""
-    demos, truth = guided_motions(arm_features(), np.eye(3)[:2], np.random.default_rng(6), 1, 60, noise=0.01)
-    report = ConstraintLearner(truth.features, estimator="null-space").fit(demos).report_
-    plain = json.loads(json.dumps(report.to_dict(), allow_nan=False))
-    assert plain["uncertainty_deg"] is None
-    assert isinstance(plain["warnings"], list) and set(plain["gap_table"]) == {"1", "2", "3"}
-    assert str(report).splitlines()[0] == report.sentence
-    assert "warning: only one trajectory" in str(report)

@@ -1,20 +1,26 @@
-"""A LeRobot robot as a driver: motors to joints and back, what is never sent, and how runs end."""
+"""A LeRobot robot as a driver, and the teleoperator for LeRobot (make lerobot has the real classes)."""
 
 from __future__ import annotations
 
+import importlib
 import logging
 import os
 import signal
+import sys
 import threading
-from types import SimpleNamespace
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from test_driver import Hands
+from test_driver import Hands, loop_of
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
+
+# ---- A LeRobot robot as a driver: motors to joints and back, what is never sent, and how runs end ----
 
 START = np.array([0.3, 0.8, 0.4])
 PERIOD = 0.01  # [s]
@@ -65,28 +71,16 @@ def in_units(arm: Arm, mode: str, low: int = 1024, high: int = 3072) -> Arm:
     return arm
 
 
-def loop_of(robot: ml.Robot, dt: float = PERIOD) -> ml.ServoLoop:
-    """A motion of some seconds."""
-    constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
-    return ml.ServoLoop(ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5])), dt)
-
-
-@pytest.fixture
-def planar3() -> ml.Robot:
-    """The robot of three joints."""
-    return ml.load_robot("planar3")
-
-
 def driver_of(arm: Any, robot: ml.Robot, **options: Any) -> ml.LeRobotDriver:
     """The driver of an arm with a gripper."""
     return ml.LeRobotDriver(arm, robot, PERIOD, others=("gripper",), **options)
 
 
-def test_a_run_in_degrees(planar3: ml.Robot) -> None:
+def test_a_run_in_degrees(planar3):
     """The arm moves as the loop commands, the gripper stays, each cycle reads once and sends once."""
     arm = Arm()
     driver = driver_of(arm, planar3)
-    record = ml.run(loop_of(planar3), driver, 0.5)
+    record = ml.run(loop_of(planar3, PERIOD), driver, 0.5)
     assert record.ordered and arm.observed - 1 == len(arm.sent) == record.cycles
     assert {action["gripper.pos"] for action in arm.sent} == {37.5}
     sent = np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in arm.sent])
@@ -96,7 +90,7 @@ def test_a_run_in_degrees(planar3: ml.Robot) -> None:
 
 
 @pytest.mark.parametrize("mode", ["degrees", "range_m100_100", "range_0_100"])
-def test_units_signs_and_zeros(mode: str, planar3: ml.Robot) -> None:
+def test_units_signs_and_zeros(mode, planar3):
     """Each motor's unit is the bus's; joint = zero + sign * motor; what is read is what would be sent."""
     arm = in_units(Arm(), mode)
     arm.values |= {"joint1": 20.0, "joint2": 30.0, "joint3": 60.0}
@@ -111,17 +105,17 @@ def test_units_signs_and_zeros(mode: str, planar3: ml.Robot) -> None:
     np.testing.assert_allclose([arm.sent[-1][f"joint{i}.pos"] for i in (1, 2, 3)], values, atol=1e-12)
 
 
-def test_motors_are_matched_by_name(planar3: ml.Robot) -> None:
+def test_motors_are_matched_by_name(planar3):
     """LeRobot may list them in any order."""
-    arm = Arm(motors=("gripper", "joint3", "joint1", "joint2"))
-    arm.values = {"joint1": 10.0, "gripper": 5.0, "joint3": 30.0, "joint2": 20.0}
+    arm = Arm(np.radians([5.0, 30.0, 10.0]), ("gripper", "joint3", "joint1", "joint2"))
+    arm.values = dict(zip(arm.motors, (5.0, 30.0, 10.0, 20.0), strict=True))
     driver = driver_of(arm, planar3)
     np.testing.assert_allclose(driver.read()[0], np.radians([10.0, 20.0, 30.0]))
     driver.command(np.radians([11.0, 21.0, 31.0]), np.zeros(3))
     assert arm.sent[-1] == pytest.approx({"joint1.pos": 11.0, "joint2.pos": 21.0, "joint3.pos": 31.0, "gripper.pos": 5})
 
 
-def test_a_gripper_among_the_others_shuts_and_opens(planar3: ml.Robot) -> None:
+def test_a_gripper_among_the_others_shuts_and_opens(planar3):
     """0 is shut and 100 open, as LeRobot calibrates it; other motors stay where they were."""
     arm = in_units(Arm(), "degrees")
     driver = driver_of(arm, planar3)
@@ -135,8 +129,9 @@ def test_a_gripper_among_the_others_shuts_and_opens(planar3: ml.Robot) -> None:
     assert arm.sent[-1]["gripper.pos"] == 100.0
 
 
-def test_spans_without_calibration(planar3: ml.Robot) -> None:
+def test_spans_without_calibration():
     """-100 .. 100 is the span that is given, or the joint's limits; radians are radians; a wide range needs a span."""
+    planar3 = ml.load_robot("planar3")  # whose limits are changed below
     arm = Arm()
     arm.config = None
     arm.values |= {"joint1": 50.0, "joint2": 50.0, "joint3": 50.0}
@@ -153,49 +148,45 @@ def test_spans_without_calibration(planar3: ml.Robot) -> None:
         driver_of(arm, planar3, units="normalised")
 
 
-def without(arm: Arm, **changes: Any) -> Arm:
-    """An arm with other attributes."""
-    vars(arm).update(changes)
-    return arm
+FEATURE = {f"{m}.pos": float for m in Arm().motors}
+SO101 = ml.load_robot("so101", locked=("gripper",))
+REFUSED = {  # words of the sentence -> changes of the arm, and options of the driver
+    "not connected: call its connect": ({"is_connected": False}, {}),
+    r"gripper of fake_follower moves no joint of planar3: .*others=\('gripper',\)": ({}, {"others": ()}),
+    "has no motor elbow: its motors are joint1": ({}, {"motors": {"elbow": "joint1"}}),
+    "joint1 has two motors, joint1 and joint2": ({}, {"motors": {"joint2": "joint1"}}),
+    "does not say in which unit motor joint1 is: give units=": ({"config": None}, {}),
+    "joint1 is in degrees by LeRobot's own config": ({}, {"units": "radians"}),
+    "units must be 'degrees'": ({}, {"units": "deg"}),
+    "takes x.speed: only positions": ({"action_features": FEATURE | {"x.speed": float}}, {}),
+    "does not observe the position of motors": ({"observation_features": {}}, {}),
+    "period must be a positive number": ({}, {"period": 0.0}),
+}
 
 
-def test_what_does_not_fit_is_refused_in_a_sentence(planar3: ml.Robot) -> None:
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_does_not_fit_is_refused_in_a_sentence(message, planar3):
     """Motors, joints, units and numbers that do not fit: what, where, and what to do."""
-    feature = {f"{m}.pos": float for m in Arm().motors}
-    so101 = ml.load_robot("so101", locked=("gripper",))
-    arms = {name: Arm(np.zeros(5), (*so101.joint_names, "gripper")) for name in ("so101",)}
-    for message, make in {
-        "not connected: call its connect": lambda: driver_of(without(Arm(), is_connected=False), planar3),
-        r"gripper of fake_follower moves no joint of planar3: .*others=\('gripper',\)": lambda: ml.LeRobotDriver(
-            Arm(), planar3, PERIOD
-        ),
-        r"gripper .* moves no joint of .* \(that joint is locked\)": lambda: ml.LeRobotDriver(
-            arms["so101"], so101, PERIOD
-        ),
-        "no motor of fake_follower moves joint joint3 of planar3: .*locked=": lambda: driver_of(
-            Arm(motors=("joint1", "joint2", "gripper")), planar3
-        ),
-        "has no motor elbow: its motors are joint1": lambda: driver_of(Arm(), planar3, motors={"elbow": "joint1"}),
-        "joint1 has two motors, joint1 and joint2": lambda: driver_of(Arm(), planar3, motors={"joint2": "joint1"}),
-        "does not say in which unit motor joint1 is: give units=": lambda: driver_of(
-            without(Arm(), config=None), planar3
-        ),
-        "joint1 is in degrees by LeRobot's own config": lambda: driver_of(Arm(), planar3, units="radians"),
-        "units must be 'degrees'": lambda: driver_of(Arm(), planar3, units="deg"),
-        "takes x.speed: only positions": lambda: driver_of(
-            without(Arm(), action_features=feature | {"x.speed": float}), planar3
-        ),
-        "does not observe the position of motors": lambda: driver_of(without(Arm(), observation_features={}), planar3),
-        "period must be a positive number": lambda: ml.LeRobotDriver(Arm(), planar3, 0.0, others="gripper"),
-        "sign must be 1 or -1": lambda: ml.LeRobotMotor("joint1", sign=2),
-        "span a positive one": lambda: ml.LeRobotMotor("joint1", span=0.0),
-        "zero a finite number": lambda: ml.LeRobotMotor("joint1", zero=np.nan),
-    }.items():
-        with pytest.raises(ConfigurationError, match=message):
-            make()
+    changes, options = REFUSED[message]
+    arm = Arm()
+    vars(arm).update(changes)
+    with pytest.raises(ConfigurationError, match=message):
+        ml.LeRobotDriver(arm, planar3, **{"period": PERIOD, "others": ("gripper",), **options})
 
 
-def test_joints_in_m_are_not_in_degrees() -> None:
+def test_motors_and_joints_that_do_not_fit(planar3):
+    """A joint that is locked or has no motor; numbers of a motor that are none."""
+    with pytest.raises(ConfigurationError, match=r"gripper .* moves no joint of .* \(that joint is locked\)"):
+        ml.LeRobotDriver(Arm(np.zeros(5), (*SO101.joint_names, "gripper")), SO101, PERIOD)
+    with pytest.raises(ConfigurationError, match="no motor of fake_follower moves joint joint3 of planar3: .*locked="):
+        driver_of(Arm(motors=("joint1", "joint2", "gripper")), planar3)
+    words = {"sign": "sign must be 1 or -1", "span": "span a positive one", "zero": "zero a finite number"}
+    for name, value in (("sign", 2), ("span", 0.0), ("zero", np.nan)):
+        with pytest.raises(ConfigurationError, match=words[name]):
+            ml.LeRobotMotor("joint1", **{name: value})
+
+
+def test_joints_in_m_are_not_in_degrees():
     """A gripper's linear joint takes a range of 100 and no degrees."""
     panda = ml.load_robot("panda")
     arm = Arm(np.zeros(8), (*panda.joint_names, "gripper"))
@@ -209,7 +200,7 @@ def test_joints_in_m_are_not_in_degrees() -> None:
 
 
 @pytest.mark.parametrize("calibrated", [False, True])
-def test_nothing_outside_the_ranges_is_sent(calibrated: bool, planar3: ml.Robot) -> None:
+def test_nothing_outside_the_ranges_is_sent(calibrated, planar3):
     """A motion that leaves the limits, or the calibrated range, ends with a sentence; the arm stands where it was."""
     arm = in_units(Arm(), "degrees", 2048 - 180, 2048 + 540) if calibrated else Arm()
     arm.values |= {"joint1": 10.0, "joint2": 10.0, "joint3": 10.0}
@@ -238,10 +229,10 @@ def test_nothing_outside_the_ranges_is_sent(calibrated: bool, planar3: ml.Robot)
 
 
 @pytest.mark.parametrize("value", [None, float("nan"), "off"])
-def test_readings_that_are_no_numbers(value: Any, planar3: ml.Robot) -> None:
+def test_readings_that_are_no_numbers(value, planar3):
     """A motor that is not reported, or not as a number, brakes the arm with its name."""
     arm = Arm()
-    loop, driver = loop_of(planar3), driver_of(arm, planar3)
+    loop, driver = loop_of(planar3, PERIOD), driver_of(arm, planar3)
     get = arm.get_observation
 
     def observe() -> dict[str, Any]:
@@ -257,7 +248,7 @@ def test_readings_that_are_no_numbers(value: Any, planar3: ml.Robot) -> None:
         driver.read()
 
 
-def test_velocities_and_torques_of_arms_that_have_them(planar3: ml.Robot) -> None:
+def test_velocities_and_torques_of_arms_that_have_them(planar3):
     """Velocities come from degrees, torques in N m with the motor's sign; currents are no torques."""
     arm = Arm()
     for kind in ("vel", "torque"):
@@ -278,7 +269,7 @@ def test_velocities_and_torques_of_arms_that_have_them(planar3: ml.Robot) -> Non
     assert driver_of(arm, planar3).read()[1] is None  # of a unit per second that nobody knows
 
 
-def test_actions_that_lerobot_cuts_are_told(planar3: ml.Robot, caplog: pytest.LogCaptureFixture) -> None:
+def test_actions_that_lerobot_cuts_are_told(planar3, caplog):
     """With max_relative_target LeRobot sends less: counted, said once, with the motor and by how much."""
     arm = Arm()
     send = arm.send_action
@@ -300,7 +291,7 @@ def test_actions_that_lerobot_cuts_are_told(planar3: ml.Robot, caplog: pytest.Lo
     assert driver.cut == 2
 
 
-def test_release_and_hold(planar3: ml.Robot) -> None:
+def test_release_and_hold(planar3):
     """Torque off for guiding by hand, without the gripper's; the goals are where the arm is before torque is on."""
     arm = Arm()
     driver = driver_of(arm, planar3)
@@ -319,48 +310,122 @@ def test_release_and_hold(planar3: ml.Robot) -> None:
     assert done == ["off"]
 
 
-def interrupted(hands: Hands, seconds: float, times: int = 1) -> None:
-    """A call that does not return, and Ctrl-C after so long [s], once or several times."""
-    for _ in range(times):
-        hands.time += seconds
-        os.kill(os.getpid(), signal.SIGINT)
-    threading.Event().wait(10.0)
+@pytest.mark.parametrize(
+    ("call", "seconds", "times", "said"),
+    [("get_observation", 0.3, 1, "read() had not returned for 0.3"),
+     ("send_action", 0.3, 1, "command() had not returned for 0.3"),
+     ("get_observation", 0.02, 2, "read() had not returned for 0.0")],
+)  # fmt: skip
+def test_an_arm_that_blocks(call, seconds, times, said, planar3):
+    """For ever: Ctrl-C ends the run with the name of the call, and what can still be sent brakes the arm; two in a row
+    give it up however short it has been so far.
+    """
+    arm, hands, calls = Arm(), Hands(), [0]
+    original, driver, loop = getattr(arm, call), driver_of(arm, planar3), loop_of(planar3, PERIOD)
 
-
-@pytest.mark.parametrize("call", ["get_observation", "send_action"])
-def test_an_arm_that_blocks(call: str, planar3: ml.Robot) -> None:
-    """For ever: Ctrl-C ends the run with the name of the call, and what can still be sent brakes the arm."""
-    arm, hands = Arm(), Hands()
-    original, calls = getattr(arm, call), [0]
-    driver, loop = driver_of(arm, planar3), loop_of(planar3)
-
-    def blocking(*arguments: Any) -> Any:
+    def blocking(*arguments):
         calls[0] += 1
         if calls[0] >= 20:
-            interrupted(hands, 0.3)
+            for _ in range(times):
+                hands.time += seconds
+                os.kill(os.getpid(), signal.SIGINT)
+            threading.Event().wait(10.0)
         return original(*arguments)
 
     setattr(arm, call, blocking)
     record = ml.run(loop, driver, 1.0, clock=hands)
-    name = {"get_observation": "read()", "send_action": "command()"}[call]
-    assert record.ended.startswith(f"Ctrl-C; the driver's {name} had not returned for 0.3") and not record.ordered
+    assert record.ended.startswith(f"Ctrl-C; the driver's {said}") and not record.ordered and calls[0] == 20
     sent = np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in arm.sent])
     assert np.abs(np.diff(sent, axis=0)).max() > 0.05 * PERIOD
     if call == "get_observation":
         assert not record.rollout.u[-1].any() and np.abs(sent[-1] - sent[-2]).max() < 1e-9
 
 
-def test_a_second_interrupt_waits_for_nothing(planar3: ml.Robot) -> None:
-    """Two in a row give up the call that is under way, however short it has been so far."""
-    arm, hands = Arm(), Hands()
-    get, driver, loop = arm.get_observation, driver_of(arm, planar3), loop_of(planar3)
+# ---- The teleoperator for LeRobot, on stand-ins for LeRobot's base classes (make lerobot has the real ones) ----
 
-    def blocking() -> Any:
-        if arm.observed == 20:
-            interrupted(hands, 0.02, times=2)
-        return get()
+FOLDER = Path(__file__).resolve().parents[1] / "examples" / "lerobot_teleoperator_manip_learn"
+PACKAGE = "lerobot_teleoperator_manip_learn"
 
-    arm.get_observation = blocking  # type: ignore[method-assign]
-    record = ml.run(loop, driver, 8.0, clock=hands)
-    assert record.ended.startswith("Ctrl-C; the driver's read() had not returned for 0.0") and arm.observed == 20
-    assert not record.rollout.u[-1].any()
+
+@dataclass
+class Config:
+    """Stands for `TeleoperatorConfig`."""
+
+    @classmethod
+    def register_subclass(cls, name: str) -> Any:
+        return lambda kind: kind
+
+
+class Base:
+    """Stands for `Teleoperator`."""
+
+    def __init__(self, config: Any):
+        self.id = "fake"
+
+
+@pytest.fixture
+def package(monkeypatch):
+    """The plugin, imported on the stand-ins."""
+    stands_for = {
+        "lerobot": {}, "lerobot.teleoperators": {}, "lerobot.utils": {},
+        "lerobot.teleoperators.config": {"TeleoperatorConfig": Config},
+        "lerobot.teleoperators.teleoperator": {"Teleoperator": Base},
+        "lerobot.utils.decorators": {"check_if_not_connected": lambda method: method},
+    }  # fmt: skip
+    for name, members in stands_for.items():
+        module = ModuleType(name)
+        vars(module).update(members)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.syspath_prepend(str(FOLDER))
+    yield importlib.import_module(PACKAGE)
+    for name in [name for name in sys.modules if name.startswith(PACKAGE)]:
+        del sys.modules[name]
+
+
+@pytest.fixture
+def drawer(tmp_path):
+    """The settings of a motion: 0.1 m along y, x held."""
+    robot = ml.load_robot("planar3")
+    constraint = ml.Constraint([[1, 0]], ml.FrameJacobian(robot, "tip", axes="x y"))
+    constraint.save(tmp_path / "drawer.json")
+    start = {"joint1": 17.0, "joint2": 46.0, "joint3": 23.0, "gripper": 12.0}
+    return {
+        "robot": "planar3", "constraint": str(tmp_path / "drawer.json"), "start": start, "along": 0.1,
+        "others": ["gripper"], "fps": 30.0,
+    }  # fmt: skip
+
+
+def test_actions_keep_the_constraint(package, drawer, monkeypatch):
+    """At 30 Hz: from the start 0.1 m along what is free, the held row held, the gripper where it was."""
+    clock = [0.0]
+    teleop = package.ManipLearn(package.ManipLearnConfig(**drawer))
+    monkeypatch.setattr(f"{PACKAGE}.manip_learn.time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    assert teleop.is_calibrated and not teleop.is_connected
+    teleop.connect()
+    actions = []
+    for _ in range(150):
+        actions.append(teleop.get_action())
+        clock[0] += 1.0 / 30.0
+    robot = ml.load_robot("planar3")
+    q = np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in actions])
+    way = np.array([robot.position(row, "tip") for row in q])
+    first = robot.position(np.radians([17.0, 46.0, 23.0]), "tip")
+    assert abs(way[-1, 1] - first[1]) == pytest.approx(0.1, abs=1e-3)
+    assert np.abs(way[:, 0] - first[0]).max() < 1e-4
+    assert {action["gripper.pos"] for action in actions} == {12.0}
+    assert teleop.action_features == dict.fromkeys(actions[0], float) == teleop.feedback_features
+    teleop.disconnect()
+    assert not teleop.is_connected
+
+
+def test_the_arm_stands_where_an_action_would_leave_the_limits(package, drawer, caplog):
+    """A start outside the limits is never left by an action: one warning with the motor, the start again and again."""
+    drawer["start"]["joint1"] = 800.0
+    teleop = package.ManipLearn(package.ManipLearnConfig(**drawer))
+    teleop.connect()
+    with caplog.at_level(logging.WARNING):
+        actions = [teleop.get_action() for _ in range(5)]
+    assert {action["joint1.pos"] for action in actions} == {800.0}
+    assert [r.getMessage() for r in caplog.records if "motor joint1 is not sent to" in r.getMessage()] == [
+        r.getMessage() for r in caplog.records
+    ] and len(caplog.records) == 1

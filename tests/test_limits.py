@@ -1,41 +1,51 @@
-"""Limits: bounds on the next velocity that can always be kept in the step that follows."""
+"""Limits: bounds on the next velocity that can always be kept in the step that follows, of joints, frames and links."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from itertools import product
 
 import numpy as np
 import pytest
+from servo_cases import Arm, Constantly
 
 import manip_learn as ml
 from manip_learn.control.barriers import approach_bound
-from manip_learn.control.limits import Limits
-from manip_learn.errors import ConfigurationError
-from manip_learn.robot.robot import Robot
+from manip_learn.control.joint_motion import JointMotion, every_joint
+from manip_learn.errors import ConfigurationError, ManipLearnError, UnknownNameError
 
-RobotOf = Callable[[str], Robot]
+TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002
+CLEARANCE, SLACK = 0.005, 1e-4  # [m]
+BENT = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
 
 
-def test_greedy_motion_keeps_every_limit(robot_of: RobotOf, rng: np.random.Generator) -> None:
+@pytest.fixture
+def sawyer(robot_of):
+    return robot_of("sawyer")
+
+
+# ---- joints ----
+
+
+@pytest.mark.parametrize(("name", "dt"), list(product(("sawyer", "gantry", "kinova"), (1e-4, 1e-3, 0.01, 0.05))))
+def test_greedy_motion_keeps_every_limit(name, dt, robot_of, rng):
     """A joint that always takes an extreme of its bounds meets no limit of position, velocity or acceleration."""
-    for name, dt in product(("sawyer", "gantry", "kinova"), (1e-4, 1e-3, 0.01, 0.05)):
-        robot = robot_of(name)
-        limits = Limits(robot)
-        low = np.where(np.isfinite(robot.position_lower), robot.position_lower, -3.0)
-        high = np.where(np.isfinite(robot.position_upper), robot.position_upper, 3.0)
-        q, u = rng.uniform(low, high), np.zeros(robot.nv)
-        for step in range(600):
-            if step % 100 == 0:
-                sense = rng.choice([-1.0, 1.0], robot.nv)
-            bounds = limits.bounds(q, dt, u)
-            lowest, highest = np.array(bounds.low), np.array(bounds.high)
-            assert np.all(lowest <= highest)
-            following = np.where(sense > 0.0, highest, lowest)
-            assert np.all(np.abs(following - u) <= limits.acceleration * dt * (1.0 + 1e-12))
-            assert np.all(np.abs(following) <= limits.velocity * (1.0 + 1e-12))
-            q, u = q + dt * following, following
-            assert np.all(q <= robot.position_upper + 1e-12) and np.all(q >= robot.position_lower - 1e-12)
+    robot = robot_of(name)
+    limits = ml.Limits(robot)
+    low = np.where(np.isfinite(robot.position_lower), robot.position_lower, -3.0)
+    high = np.where(np.isfinite(robot.position_upper), robot.position_upper, 3.0)
+    q, u = rng.uniform(low, high), np.zeros(robot.nv)
+    for step in range(600):
+        if step % 100 == 0:
+            sense = rng.choice([-1.0, 1.0], robot.nv)
+        bounds = limits.bounds(q, dt, u)
+        lowest, highest = np.array(bounds.low), np.array(bounds.high)
+        assert np.all(lowest <= highest)
+        following = np.where(sense > 0.0, highest, lowest)
+        assert np.all(np.abs(following - u) <= limits.acceleration * dt * (1.0 + 1e-12))
+        assert np.all(np.abs(following) <= limits.velocity * (1.0 + 1e-12))
+        q, u = q + dt * following, following
+        assert np.all(q <= robot.position_upper + 1e-12) and np.all(q >= robot.position_lower - 1e-12)
 
 
 def braking(d: float, v: float, a: float, dt: float) -> float:
@@ -48,94 +58,71 @@ def braking(d: float, v: float, a: float, dt: float) -> float:
     return min(v, np.sqrt(2.0 * a * (d - d0) + (0.5 * a * dt) ** 2) - 0.5 * a * dt)
 
 
-def test_bounds_are_those_of_the_docstring(robot_of: RobotOf, rng: np.random.Generator) -> None:
+DISTANCES = (-0.3, -1e-3, 0.0, 1e-3, 0.03, 0.2, 9.0)  # from the upper limit [rad]
+
+
+@pytest.mark.parametrize(("dt", "mirrored"), list(product((0.001, 0.02, 0.1), (False, True))))
+def test_bounds_are_those_of_the_docstring(dt, mirrored, sawyer, rng):
     """Velocity, braking distance and change of velocity, on both sides, and which of them each bound comes from."""
-    robot = robot_of("sawyer")
     speed, acceleration = rng.uniform(0.5, 2.0, 7), rng.uniform(1.0, 8.0, 7)
-    limits = Limits(robot, velocity=speed, acceleration=acceleration, margin=0.01)
-    low, high = robot.position_lower + 0.01, robot.position_upper - 0.01
-    for dt, distance, previous in product((0.001, 0.02, 0.1), (-0.3, -1e-3, 0.0, 1e-3, 0.03, 0.2, 9.0), (None, 0.3)):
+    limits = ml.Limits(sawyer, velocity=speed, acceleration=acceleration, margin=0.01)
+    low, high = sawyer.position_lower + 0.01, sawyer.position_upper - 0.01
+    for distance, previous in product(DISTANCES, (None, 0.3)):
         q = np.maximum(high - distance, 0.5 * (low + high))
         u = None if previous is None else previous * speed
-        for mirrored in (False, True):
-            x, before = (low + high - q, u if u is None else -u) if mirrored else (q, u)
-            together = 0.0 if u is None else float(np.max(np.abs(u) / acceleration))  # [s] in which all joints stop
-            bounds = limits.bounds(x, dt, before)
-            far, near = (bounds.high, bounds.low) if mirrored else (bounds.low, bounds.high)
-            causes = bounds.low_cause if mirrored else bounds.high_cause
-            for j in range(7):
-                v, a = float(speed[j]), float(acceleration[j])
-                top, bottom = (
-                    min(braking(d, v, a, dt), d / together if together > 0.0 and d > 0.0 else np.inf)
-                    for d in (high[j] - q[j], q[j] - low[j])
-                )
-                bottom, cause = -bottom, 0 if top < v else 1
-                if u is not None:
-                    cause = 2 if u[j] + a * dt < top else cause
-                    top, bottom = min(top, u[j] + a * dt), max(bottom, u[j] - a * dt)
-                    if bottom > top:  # the acceleration limit has precedence
-                        top = bottom = u[j] - a * dt if top < u[j] - a * dt else u[j] + a * dt
-                sign = -1.0 if mirrored else 1.0
-                assert sign * near[j] == pytest.approx(top, rel=1e-12, abs=1e-14)
-                assert sign * far[j] == pytest.approx(bottom, rel=1e-12, abs=1e-14)
-                assert causes[j] == cause
-            assert bounds.outside == pytest.approx(max(0.0, -distance), abs=1e-12)
+        x, before = (low + high - q, u if u is None else -u) if mirrored else (q, u)
+        together = 0.0 if u is None else float(np.max(np.abs(u) / acceleration))  # [s] in which all joints stop
+        bounds = limits.bounds(x, dt, before)
+        far, near = (bounds.high, bounds.low) if mirrored else (bounds.low, bounds.high)
+        causes, sign = (bounds.low_cause, -1.0) if mirrored else (bounds.high_cause, 1.0)
+        for j in range(7):
+            v, a = float(speed[j]), float(acceleration[j])
+            top, bottom = (
+                min(braking(d, v, a, dt), d / together if together > 0.0 and d > 0.0 else np.inf)
+                for d in (high[j] - q[j], q[j] - low[j])
+            )
+            bottom, cause = -bottom, 0 if top < v else 1
+            if u is not None:
+                cause = 2 if u[j] + a * dt < top else cause
+                top, bottom = min(top, u[j] + a * dt), max(bottom, u[j] - a * dt)
+                if bottom > top:  # the acceleration limit has precedence
+                    top = bottom = u[j] - a * dt if top < u[j] - a * dt else u[j] + a * dt
+            assert sign * near[j] == pytest.approx(top, rel=1e-12, abs=1e-14)
+            assert sign * far[j] == pytest.approx(bottom, rel=1e-12, abs=1e-14)
+            assert causes[j] == cause
+        assert bounds.outside == pytest.approx(max(0.0, -distance), abs=1e-12)
 
 
-def test_a_joint_outside_returns(robot_of: RobotOf) -> None:
+@pytest.mark.parametrize("speed", [0.0, 1.0])
+def test_a_joint_outside_returns(speed, sawyer):
     """From outside, at rest or still moving out, the joint brakes at its acceleration limit and comes back."""
-    robot = robot_of("sawyer")
-    limits, dt = Limits(robot), 0.001
-    for speed in (0.0, 1.0):
-        q, u = robot.position_upper + 0.1, np.full(7, speed)
-        assert limits.bounds(q, dt, u).outside == pytest.approx(0.1)
-        for _ in range(4000):
-            bounds = limits.bounds(q, dt, u)
-            following = np.clip(np.full(7, 9.0), bounds.low, bounds.high)
-            assert np.all(np.abs(following - u) <= limits.acceleration * dt * (1.0 + 1e-12))
-            q, u = q + dt * following, following
-        np.testing.assert_allclose(q, robot.position_upper, rtol=0, atol=1e-6)
+    limits, dt, q, u = ml.Limits(sawyer), 0.001, sawyer.position_upper + 0.1, np.full(7, speed)
+    assert limits.bounds(q, dt, u).outside == pytest.approx(0.1)
+    for _ in range(4000):
+        bounds = limits.bounds(q, dt, u)
+        following = np.clip(np.full(7, 9.0), bounds.low, bounds.high)
+        assert np.all(np.abs(following - u) <= limits.acceleration * dt * (1.0 + 1e-12))
+        q, u = q + dt * following, following
+    np.testing.assert_allclose(q, sawyer.position_upper, rtol=0, atol=1e-6)
 
 
-def test_defaults_and_settings(robot_of: RobotOf) -> None:
+def test_defaults_and_settings(sawyer):
     """The default acceleration is documented; every limit can be given, as one number or one per joint."""
-    robot = robot_of("sawyer")
-    np.testing.assert_array_equal(Limits(robot).acceleration, 5.0 * robot.velocity_limit)
-    assert Limits(robot).acceleration.min() == 5.0 * robot.velocity_limit.min()
-    unbounded = Limits(robot, velocity=np.where(np.arange(7) == 2, np.inf, 1.0)).acceleration
+    np.testing.assert_array_equal(ml.Limits(sawyer).acceleration, 5.0 * sawyer.velocity_limit)
+    unbounded = ml.Limits(sawyer, velocity=np.where(np.arange(7) == 2, np.inf, 1.0)).acceleration
     np.testing.assert_array_equal(unbounded, np.where(np.arange(7) == 2, 10.0, 5.0))
-    other = Limits(robot, jerk=100.0).with_rates(2.0, None)
+    other = ml.Limits(sawyer, jerk=100.0).with_rates(2.0, None)
     np.testing.assert_array_equal([other.acceleration, other.jerk], [np.full(7, 2.0), np.full(7, 100.0)])
-    assert other.acceleration.min() == 2.0 and other.bounds(np.zeros(7), 0.01, np.zeros(7)).high[0] == pytest.approx(
-        0.02
-    )
-    own = Limits(robot, velocity=0.5, acceleration=np.arange(1.0, 8.0), jerk=100.0, margin=0.05)
+    assert other.bounds(np.zeros(7), 0.01, np.zeros(7)).high[0] == pytest.approx(0.02)
+    own = ml.Limits(sawyer, velocity=0.5, acceleration=np.arange(1.0, 8.0), jerk=100.0, margin=0.05)
     np.testing.assert_array_equal(own.velocity, np.full(7, 0.5))
-    np.testing.assert_array_equal(own.upper, robot.position_upper - 0.05)
+    np.testing.assert_array_equal(own.upper, sawyer.position_upper - 0.05)
     assert own.jerk is not None and own.jerk[0] == 100.0
-    free = Limits(robot, position=False)
-    assert np.all(np.isinf(free.upper)) and free.bounds(robot.position_upper + 1.0, 0.01, None).outside == 0.0
+    free = ml.Limits(sawyer, position=False)
+    assert np.all(np.isinf(free.upper)) and free.bounds(sawyer.position_upper + 1.0, 0.01, None).outside == 0.0
 
 
-def test_wrong_limits_are_refused(robot_of: RobotOf) -> None:
-    """The joint and the value seen are named, and the width of a range that a margin uses up."""
-    robot = robot_of("sawyer")
-    widths = robot.position_upper - robot.position_lower
-    narrow = robot.joint_names[int(widths.argmin())]
-    for settings, words in (
-        ({"velocity": 0.0}, "velocity limit of joint 'right_j0' must be positive, got 0"),
-        ({"acceleration": [1.0, 1.0]}, "7 numbers"),
-        ({"acceleration": [1, 1, -1, 1, 1, 1, 1]}, "'right_j2' must be positive, got -1"),
-        ({"jerk": np.nan}, "must be positive, got nan"),
-        ({"margin": 4.0}, "no room to joint 'right_j0'"),
-        ({"margin": 0.501 * float(widths.min())}, f"'{narrow}', whose range is {widths.min():g} wide"),
-        ({"margin": -0.1}, "margin"),
-    ):
-        with pytest.raises(ConfigurationError, match=words):
-            ml.Limits(robot, **settings)
-
-
-def test_a_singularity_is_approached_so_slowly_that_the_arm_can_stop() -> None:
+def test_a_singularity_is_approached_so_slowly_that_the_arm_can_stop():
     """Half of the joints' deceleration brakes sigma to the crossing speed within the distance that is left."""
     slope, acceleration = np.array([3.0, 0.0, 4.0]), np.array([6.0, 1e-3, 2.0])
     # a joint that does not move sigma has no say; the others brake it with 0.5 * 5 * min(6 / 0.6, 2 / 0.8)
@@ -146,3 +133,236 @@ def test_a_singularity_is_approached_so_slowly_that_the_arm_can_stop() -> None:
     # a long step leaves less: half of the distance in each
     assert approach_bound(1e-3, slope, acceleration, 0.1) == pytest.approx(5.0 * 5e-4 + 5.0 * 1e-3)
     assert approach_bound(0.1, np.zeros(3), acceleration, 1e-3) == np.inf
+
+
+REFUSED = [
+    ({"velocity": 0.0}, "velocity limit of joint 'right_j0' must be positive, got 0"),
+    ({"acceleration": [1.0, 1.0]}, "7 numbers"),
+    ({"acceleration": [1, 1, -1, 1, 1, 1, 1]}, "'right_j2' must be positive, got -1"),
+    ({"jerk": np.nan}, "must be positive, got nan"),
+    ({"margin": 4.0}, "no room to joint 'right_j0'"),
+    ({"margin": 2.977}, "'right_j4', whose range is 5.9522 wide"),
+    ({"margin": -0.1}, "margin"),
+    *(({"tip_speed": speed}, "tip_speed") for speed in (0.0, -1.0, np.nan, np.inf, "fast")),
+    ({"tip_speed": 1.0, "frames": "nowhere"}, "nowhere"),
+    *(({"tip_box": x}, "a box is two rows") for x in ([0.0, 1.0], [[0.0] * 3, [1.0, 0, 1]], [[0.0] * 3, [np.nan] * 3])),
+    *(({"tip_walls": x}, "walls must be rows") for x in ([1.0, 0, 0, 1], [[0.0, 0, 0, 1]], [[1.0, 0, 0, np.inf]])),
+    *(({"clear_of": ml.Scene(floor=-1.0), "clearance": x}, f"clearance is {x}") for x in (-0.1, math.nan)),
+]
+
+
+@pytest.mark.parametrize(("settings", "words"), REFUSED)
+def test_impossible_limits_are_refused(settings, words, sawyer):
+    """The joint or the setting and the value seen are named, and the width of a range that a margin uses up."""
+    unknown = "frames" in settings
+    with pytest.raises(UnknownNameError if unknown else ConfigurationError, match=words):
+        ml.Limits(sawyer, **settings)
+
+
+# ---- frames ----
+
+
+@pytest.mark.parametrize(("axes", "frames"), [("xyz", (TIP,)), ("pose", (TIP, "right_l4"))])
+def test_no_frame_is_faster(axes, frames, sawyer, rng):
+    """Far targets with a large gain: the tip moves at its limit and never beyond it; without a limit far beyond it."""
+    features = ml.FrameJacobian(sawyer, TIP, axes)
+    rows = ml.Constraint(np.eye(features.n_rows)[: 2 if axes == "xyz" else 6], features)
+    for _ in range(2):
+        q = rng.uniform(-0.8, 0.8, 7)
+        aim = q + rng.uniform(-0.6, 0.6, 7)
+        task = ml.PointAttractor(sawyer.position(aim, TIP) if axes == "xyz" else sawyer.pose(aim, TIP), gain=5.0)
+        most = []
+        for limits in (ml.Limits(sawyer, tip_speed=SPEED, frames=frames), True):
+            arm = Arm(
+                ml.ServoLoop(ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows), limits=limits), DT), q
+            )
+            speeds = [
+                [np.linalg.norm(sawyer.jacobian(at, frame)[:3] @ arm.last) for frame in frames]
+                for at, _ in ((arm.q, arm.call()) for _ in range(600))
+            ]
+            most.append(np.max(speeds))
+        assert 0.99 * SPEED <= most[0] <= SPEED + 1e-9 and most[1] > 1.5 * SPEED
+
+
+def test_the_direction_of_the_task_is_kept(sawyer):
+    """Slowed down, the hand goes the same way, and the status says why."""
+    rows, way = ml.Constraint(np.eye(3), ml.FrameJacobian(sawyer, TIP, "xyz")), np.array([0.3, -0.4, 0.1])
+    task = ml.PointAttractor(sawyer.position(BENT, TIP) + way, gain=5.0)
+    command = ml.ResolvedRateController(rows, task, limits=ml.Limits(sawyer, tip_speed=SPEED))(BENT)
+    v = rows(BENT) @ command.velocity
+    np.testing.assert_allclose(v / np.linalg.norm(v), way / np.linalg.norm(way), atol=1e-9)
+    assert 0.998 * SPEED <= np.linalg.norm(v) <= SPEED
+    assert command.status is ml.Status.VELOCITY_LIMITED and command.task_scale < 0.2
+
+
+@pytest.mark.parametrize(("gain", "ways"), [(1.0, np.diag([1.0, -1.0, 1.0])), (10.0, np.diag([-1.0, 1.0, -1.0]))])
+def test_the_tip_stays_in_its_box(gain, ways, sawyer, rng):
+    """Targets beyond each face, and beyond two: the tip comes to rest at the nearest point of the box, at most 0.1 mm
+    beyond a face, within all other limits.
+    """
+    rows, start = ml.Constraint(np.eye(3), ml.FrameJacobian(sawyer, TIP, "xyz")), sawyer.position(BENT, TIP)
+    box = np.array([start - 0.06, start + 0.08])
+    for way in (*ways, rng.uniform(-1.0, 1.0, 3)):
+        task, climb = ml.PointAttractor(start + 0.2 * way, gain=gain), ml.ManipulabilityAscent(rows)
+        law = ml.ResolvedRateController(rows, task, climb, limits=ml.Limits(sawyer, tip_box=box))
+        arm, beyond, words = Arm(ml.ServoLoop(law, 0.001), BENT), -np.inf, set()
+        for _ in range(4000):
+            words.add(arm.call().status)
+            place = sawyer.position(arm.q, TIP)
+            beyond = max(beyond, float(np.max(np.maximum(place - box[1], box[0] - place))))
+        assert -2e-3 < beyond < 1e-4
+        assert np.linalg.norm(place - np.clip(task.target, *box)) < 5e-3
+        assert np.linalg.norm(sawyer.jacobian(arm.q, TIP)[:3] @ arm.last) < 5e-3
+        assert ml.Status.POSITION_LIMITED in words
+
+
+def test_an_oblique_wall_and_a_start_beyond_it(sawyer):
+    """Half-spaces are boxes' faces in any direction; a tip that starts behind one comes back."""
+    rows, n = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(sawyer, TIP, "xyz")), np.array([1.0, 2.0, -1.0])
+    wall = [*n, n @ sawyer.position(BENT, TIP) - 0.02 * np.linalg.norm(n)]  # 20 mm behind it
+    limits = ml.Limits(sawyer, tip_walls=[wall], tip_speed=1.0)
+    law = ml.ResolvedRateController(rows, null_policy=ml.ManipulabilityAscent(rows), limits=limits)
+    rollout = ml.simulate(sawyer, law, BENT, 1.5, DT)
+    behind = [(n @ sawyer.position(x, TIP) - wall[3]) / np.linalg.norm(n) for x in rollout.q]
+    assert behind[0] == pytest.approx(0.02) and abs(behind[-1]) < 1e-3
+
+
+def test_a_motion_of_the_joints_takes_the_time_that_the_tip_needs(sawyer, rng):
+    """From posture to posture the tip keeps its speed and the joints their straight lines, which are clear."""
+    knots = np.cumsum([BENT, *rng.uniform(-0.3, 0.3, (2, 7))], axis=0)
+    limits = ml.Limits(sawyer).with_tip_speed(0.1, [TIP])
+    task = JointMotion(limits, knots)
+    law = ml.ResolvedRateController(every_joint(sawyer), task, limits=limits)
+    rollout = ml.simulate(sawyer, law, knots[0], task.duration + 0.1, 0.01)
+    places = np.array([sawyer.position(q, TIP) for q in rollout.q])
+    assert 0.09 < np.linalg.norm(np.diff(places, axis=0), axis=1).max() / 0.01 <= 0.1
+    away = np.full(len(rollout), np.inf)  # from the straight lines
+    for a, d in zip(knots[:-1], np.diff(knots, axis=0), strict=True):
+        share = np.clip((rollout.q - a) @ d / (d @ d), 0.0, 1.0)
+        away = np.minimum(away, np.linalg.norm(rollout.q - a - share[:, None] * d, axis=1))
+    assert away.max() < 1e-3 and np.linalg.norm(rollout.q[-1] - knots[-1]) < 1e-3
+    assert JointMotion(ml.Limits(sawyer), knots).duration < 0.5 * task.duration
+
+
+def test_a_speed_for_frames_beside_the_limits_that_there_are(sawyer):
+    """The lower speed counts, for the frames of both; walls, rates and what is kept clear of stay."""
+    own = ml.Limits(sawyer, tip_speed=0.2, tip_walls=[[0.0, 0.0, 2.0, 1.0]], jerk=50.0, frames="right_l4")
+    for speed, least in ((0.1, 0.1), (0.4, 0.2)):
+        both = own.with_tip_speed(speed, [TIP])
+        assert own.barriers.speed == 0.2 and both.barriers.speed == least
+        assert [frame.name for frame in both.barriers.frames] == ["right_l4", TIP]
+        np.testing.assert_array_equal(both.barriers.walls, own.barriers.walls)
+        np.testing.assert_array_equal(both.jerk, own.jerk)
+    for speed, frame, error in ((0.0, TIP, ConfigurationError), (0.1, "nowhere", UnknownNameError)):
+        with pytest.raises(error):
+            own.with_tip_speed(speed, [frame])
+
+
+# ---- links, and what stands around ----
+
+STARTS = {  # tip, start, and a way through a thing that stands in its middle
+    "panda": ("panda_hand", [0.0, -0.4, 0.0, -2.0, 0.0, 1.7, 0.8], [0.1, 0.5, 0.0]),
+    "ur5": ("tool0", [0.0, -1.2, 1.4, -0.4, 0.3, 0.2], [0.1, 0.5, 0.0]),
+    "planar3": ("tip", [0.3, 0.8, 0.4], [-0.6, 0.6, 0.0]),
+}
+
+
+def to_a_point(robot, tip, goal, limits):
+    """The tip goes to a point, x and y only for an arm in a plane."""
+    axes, n = ("x y", 2) if robot.nv == 3 else ("xyz", 3)
+    rows = ml.Constraint(np.eye(n), ml.FrameJacobian(robot, tip, axes))
+    return ml.ResolvedRateController(rows, ml.PointAttractor(goal[:n], max_speed=0.5), limits=limits)
+
+
+def standing(kind, place, size=0.08):
+    """A box or a ball."""
+    if kind == "ball":
+        return ml.Scene(spheres=[ml.Sphere(size, place, "ball")])
+    return ml.Scene(boxes=[ml.Box((2 * size, 2 * size, 2 * size), place, "box")])
+
+
+def distance(pairs, q) -> float:
+    """Of the two that are nearest to each other [m]."""
+    return pairs.nearest(q).distance
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "dt", "acceleration"),
+    [("panda", "box", 0.01, None), ("ur5", "ball", 0.004, None), ("ur5", "box", 0.01, math.inf),
+     ("planar3", "ball", 0.01, None), ("planar3", "box", 0.01, math.inf)],
+)  # fmt: skip
+def test_nothing_comes_nearer_than_the_clearance(name, kind, dt, acceleration, robot_of):
+    """A task that leads through a thing: no pair is nearer than the clearance, at any step, and the arm moved."""
+    robot = ml.load_robot("panda", locked=("panda_finger_joint1",)) if name == "panda" else robot_of(name)
+    tip, q, way = STARTS[name]
+    place = robot.position(q, tip)
+    obstacles = standing(kind, place + 0.5 * np.array(way)).obstacles(robot)
+    shapes = "visual" if name == "planar3" else "collision"
+    pairs = ml.SelfCollision(robot, shapes=shapes, obstacles=obstacles)
+    assert distance(pairs, q) > CLEARANCE
+    limits = ml.Limits(robot, acceleration=acceleration, clear_of=pairs, clearance=CLEARANCE)
+    free, kept = (
+        ml.simulate(robot, to_a_point(robot, tip, place + way, one), q, 1.2, dt)
+        for one in (ml.Limits(robot, acceleration=acceleration), limits)
+    )
+    assert min(distance(pairs, x) for x in free.q) < 0.0
+    assert min(distance(pairs, x) for x in kept.q) > CLEARANCE - SLACK
+    assert np.abs(kept.q - q).max() > 0.1
+    assert np.all(np.abs(np.diff(kept.u, axis=0)) <= dt * limits.acceleration * (1.0 + 1e-9))
+
+
+def test_the_loop_says_what_is_in_the_way(robot_of):
+    """A target within a thing: the arm stands at the clearance, and the words name link and thing."""
+    robot, (tip, q, _) = robot_of("ur5"), STARTS["ur5"]
+    place = robot.position(q, tip) + np.array([0.0, 0.3, 0.0])
+    scene = standing("box", place)
+    arm = Arm(ml.ServoLoop(to_a_point(robot, tip, place, ml.Limits(robot, clear_of=scene)), 0.005), np.array(q))
+    words = {command.status for command in arm.calls(600)}
+    pair = ml.SelfCollision(robot, obstacles=scene.obstacles(robot)).nearest(arm.q)
+    assert pair.distance == pytest.approx(CLEARANCE, abs=1e-3)
+    assert words & {ml.Status.POSITION_LIMITED, ml.Status.STALLED}
+    assert arm.loop.stopped_by == f"{pair.links[0]} 5 mm from the box"
+
+
+def test_a_start_within_the_clearance_may_leave(robot_of):
+    """It comes no nearer, and goes where the way leads away."""
+    robot, (frame, q, _) = robot_of("ur5"), STARTS["ur5"]
+    tip, along, own, apart = robot.position(q, frame), np.array([0.0, 1.0, 0.0]), ml.SelfCollision(robot), 0.3
+    for _ in range(30):  # the box is moved to where it is 3 mm away
+        pairs = own.with_obstacles(standing("box", tip + apart * along, 0.05).obstacles(robot))
+        apart -= distance(pairs, q) - 0.003
+    near, limits = distance(pairs, q), ml.Limits(robot, clear_of=pairs)
+    assert 0.0 < near < CLEARANCE
+    for way, arrives in ((-0.1, True), (0.1, False)):
+        run = ml.simulate(robot, to_a_point(robot, frame, tip + way * along, limits), q, 2.5, 0.01)
+        assert min(distance(pairs, x) for x in run.q) > near - SLACK
+        assert (run.task_error[-1] < 1e-2) == arrives
+
+
+def test_a_controller_of_the_users_own_keeps_the_limits_too(sawyer, robot_of):
+    """Its velocity is scaled as a whole where a frame is too fast, and braked where links would touch."""
+    arm = Arm(ml.ServoLoop(Constantly(sawyer, np.full(7, 0.5)), DT, limits=ml.Limits(sawyer, tip_speed=0.1)), BENT)
+    for _ in range(300):
+        at = arm.q
+        assert np.linalg.norm(sawyer.jacobian(at, TIP)[:3] @ arm.call().velocity) <= 0.101
+    assert np.linalg.norm(arm.last) > 0.05
+    robot, (tip, q, _) = robot_of("planar3"), STARTS["planar3"]
+    scene = standing("ball", robot.position(np.add(q, [0.6, 0.0, 0.0]), tip))
+    pairs = ml.SelfCollision(robot, shapes="visual", obstacles=scene.obstacles(robot))
+    own, limits = Constantly(robot, np.array([0.5, 0.0, 0.0])), ml.Limits(robot, clear_of=pairs)
+    arm = Arm(ml.ServoLoop(own, 0.005, limits=limits), np.array(q))
+    least = math.inf
+    for _ in range(500):
+        command = arm.call()
+        least = min(least, distance(pairs, arm.q))
+    assert CLEARANCE - SLACK < least < 0.05
+    assert command.status is ml.Status.POSITION_LIMITED and np.abs(command.velocity).max() < 0.05
+
+
+def test_what_can_be_kept_clear(robot_of):
+    """Pairs are those of the same arm; an arm without shapes has capsules, for which a scene is enough."""
+    with pytest.raises(ConfigurationError, match="of another"):
+        ml.Limits(robot_of("ur5"), clear_of=ml.SelfCollision(robot_of("panda")))
+    with pytest.raises(ManipLearnError):
+        ml.SelfCollision(robot_of("gantry"))
+    assert ml.Limits(robot_of("gantry"), clear_of=ml.Scene(floor=-3.0)).barriers.clear is not None

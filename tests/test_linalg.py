@@ -1,4 +1,4 @@
-"""Inverses, null spaces and angles between row spaces; laws for every input are in test_axioms.py."""
+"""Laws that must hold for every input: inverses, null spaces, row spaces, rotations, motion on the manifold."""
 
 from __future__ import annotations
 
@@ -8,74 +8,106 @@ import sys
 
 import numpy as np
 import pytest
-from case import case
+from conftest import TIPS, URDFS, tip_of
+from hypothesis import given
+from hypothesis import strategies as st
 from rounding import rounding
-from test_axioms import pseudo_inverse
+from scipy.spatial.transform import Rotation
 
-from manip_learn.linalg import (
-    EPS,
-    along_axes,
-    batch_row_spaces,
-    finite,
-    inverse_singular_values,
-    inverse_triangles_beside,
-    matlab_tolerance,
-    rank_of,
-    row_bases,
-    row_basis,
-    row_space_angle,
-    row_space_angles,
-    whitener,
-)
+from manip_learn import linalg
+from manip_learn.linalg import EPS, row_space_angle
+from manip_learn.robot import rotations
+
+seeds = st.integers(0, 2**32 - 1)
 
 
-def with_singular_values(rng: np.random.Generator, sigma: list[float], n: int) -> np.ndarray:
-    """A random (s, n) matrix with these singular values."""
-    U = np.linalg.qr(rng.normal(size=(len(sigma), len(sigma))))[0]
-    V = np.linalg.qr(rng.normal(size=(n, len(sigma))))[0]
-    return (U * sigma) @ V.T
+def pseudo_inverse(A: np.ndarray, inverse: linalg.Inverse = "exact") -> np.ndarray:
+    """A^+ = V diag(1/sigma) U^T in the chosen sense."""
+    U, sigma, Vt = np.linalg.svd(A, full_matrices=False)
+    return (Vt.T * linalg.inverse_singular_values(sigma, A.shape, inverse)) @ U.T
 
 
-def test_exact_inverse_inverts_however_small(rng):
-    """The exact inverse keeps a singular value of 1e-200; truncation at Matlab's tolerance drops it."""
-    A = np.array([[1.0, 0.0, 0.0], [0.0, 1e-200, 0.0]])
-    assert pseudo_inverse(A, "exact")[1, 1] == pytest.approx(1e200)
-    assert pseudo_inverse(A, "truncated")[1, 1] == 0.0
-    assert pseudo_inverse(A, "truncated")[0, 0] == 1.0
-    sigma = np.array([1000.0, 4e-13, 3e-13])  # max(size) eps(norm) = 3.4e-13
-    np.testing.assert_array_equal(inverse_singular_values(sigma, (3, 3), "truncated"), [1e-3, 1.0 / 4e-13, 0.0])
-    at = matlab_tolerance(sigma, (3, 3))  # what is exactly at the tolerance is dropped, one rounding above it is kept
-    np.testing.assert_array_equal(
-        inverse_singular_values(np.array([1000.0, np.nextafter(at, 1.0), at]), (3, 3), "truncated"),
-        [1e-3, 1.0 / np.nextafter(at, 1.0), 0.0],
-    )
-    for values in (
-        [[1, 2, 3]],
-        [1, 2],
-        [1, np.nan, 2],
-        "xyz",
-        ["1", "2", "3"],
-        [True, False, True],
-        [[1], [2, 3]],
-        None,
-    ):
-        assert finite(values, 3) is None
-    assert [rank_of(np.array([1.0, x]), (2, 3)) for x in (3 * EPS, 3.1 * EPS, 0.0)] == [1, 2, 1]
-    assert rank_of(np.array([]), (0, 3)) == rank_of(np.zeros(2), (2, 3)) == 0
-    with pytest.raises(ValueError, match="'exact' or 'truncated'"):
-        pseudo_inverse(np.eye(2), "damp")  # type: ignore[arg-type]
-    np.testing.assert_array_equal(finite((1, 2.5, 3), 3), [1.0, 2.5, 3.0])
+def null_projector(A: np.ndarray) -> np.ndarray:
+    """N = I - A^+ A = Z Z^T."""
+    Z = linalg.null_basis(A)
+    return Z @ Z.T
 
 
-def test_angles_of_every_size():
-    """Angles of 1e-16 to 1 radian are known to the rounding of the rows: no digits are lost to the arc cosine."""
-    for angle in 10.0 ** -np.arange(17):
-        M1 = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]])
-        M2 = np.array([[np.cos(angle), np.sin(angle), 0.0, 0.0]])
-        M2 = np.vstack([M2, 3.0 * M2 + [0.0, 0.0, 0.0, 5.0]])  # same space, other rows
-        known = rounding(4 * M2.size, np.linalg.cond(M2))
-        assert row_space_angle(M2, M1) == pytest.approx(angle, rel=1e-9, abs=known)
-        assert row_space_angles(M2[None], row_basis(M1))[0] == pytest.approx(angle, rel=1e-9, abs=known)
+def near(got: np.ndarray, wanted: np.ndarray | float, known: float) -> None:
+    """Equal to what rounding lets be known."""
+    np.testing.assert_allclose(got, wanted, rtol=0, atol=known)
+
+
+@st.composite
+def constraint_matrices(draw: st.DrawFn, smallest: float = 1e-16) -> tuple[np.ndarray, np.ndarray]:
+    """A (s, nv) and its singular values: random directions, singular values from `smallest` to 10."""
+    nv = draw(st.integers(1, 8))
+    s = draw(st.integers(1, nv))
+    exponents = st.floats(np.log10(smallest), 1.0)
+    sigma = np.sort(10.0 ** np.array(draw(st.lists(exponents, min_size=s, max_size=s))))[::-1]
+    rng = np.random.default_rng(draw(seeds))
+    U, V = (np.linalg.qr(rng.normal(size=(n, s)))[0] for n in (s, nv))
+    return (U * sigma) @ V.T, sigma
+
+
+@given(constraint_matrices())
+@pytest.mark.fuzz
+def test_null_projector_and_inverse(draw):
+    """N = N^T, N^2 = N, A N = 0 and trace N = nv - rank, however near A is to a singularity.
+
+    The exact inverse X satisfies A X A = A, X A X = X, and A X and X A are symmetric, to the conditioning of A; away
+    from singularities N = I - X A, and task and null-space parts are orthogonal.
+    """
+    A, sigma = draw
+    N, X, known = null_projector(A), pseudo_inverse(A), rounding(2 * (4 + 1) * A.shape[1] ** 2)
+    computed = np.linalg.svd(A, compute_uv=False)
+    tolerance = linalg.matlab_tolerance(computed, A.shape)
+    near(N, N.T, known)
+    near(N @ N, N, known)
+    near(A @ N, 0.0, known * sigma[0])
+    rank = A.shape[1] - np.trace(N)
+    assert rank == pytest.approx(round(rank), abs=A.shape[1] * known)
+    # two ways to compute singular values may fall on two sides of the tolerance
+    assert np.count_nonzero(computed > 2.0 * tolerance) <= round(rank) <= np.count_nonzero(computed > 0.5 * tolerance)
+    # a factorisation and a product with its inverse, on both sides of a comparison
+    slack = rounding(2 * (4 + 1) * A.shape[1] ** 2, computed[0] / max(computed[-1], 1e-16 * computed[0]))
+    near(A @ X @ A, A, slack * sigma[0])
+    near(X @ A @ X, X, slack * np.max(np.abs(X)))
+    near(A @ X, (A @ X).T, slack)
+    near(X @ A, (X @ A).T, slack)
+    if computed[-1] > 1e-3:
+        near(N, np.eye(A.shape[1]) - X @ A, slack)
+        near(N @ X, 0.0, slack * np.max(np.abs(X)))
+
+
+@given(constraint_matrices(smallest=1e-6), seeds)
+@pytest.mark.fuzz
+def test_only_the_row_space_counts(draw, seed):
+    """Any invertible mixing of the rows leaves N, the polar factor's row space and the angles as they are."""
+    A, sigma = draw
+    s, rng = len(A), np.random.default_rng(seed)
+    G = np.linalg.qr(rng.normal(size=(s, s)))[0] * rng.uniform(0.5, 2.0, s)
+    known = rounding(4 * A.shape[1] ** 2, sigma[0] / sigma[-1], 2.0 / 0.5)  # by the conditions of A and of the mixing
+    near(null_projector(G @ A), null_projector(A), known)
+    Q = linalg.orthonormal_rows(A)
+    near(Q @ Q.T, np.eye(s), rounding(4 * A.shape[1] ** 2))
+    assert row_space_angle(G @ A, A) <= known and row_space_angle(Q, A) <= known
+
+
+@given(st.integers(2, 7), st.integers(1, 6), st.floats(-16.0, 0.0), seeds)
+@pytest.mark.fuzz
+def test_principal_angles_of_turned_spaces(p, s, exponent, seed):
+    """A row space turned by a known angle is found at that angle, from 1e-16 to 1 rad, and angles are symmetric."""
+    s, angle, rng = min(s, p - 1), 10.0**exponent, np.random.default_rng(seed)
+    basis = np.linalg.qr(rng.normal(size=(p, p)))[0].T
+    turned = basis[:s].copy()
+    turned[0] = np.cos(angle) * basis[0] + np.sin(angle) * basis[s]
+    mixed = rng.normal(size=(s, s)) + 3.0 * np.eye(s)
+    known = rounding(4 * p * p, np.linalg.cond(mixed))
+    for one, other in ((mixed @ basis[:s], turned), (turned, mixed @ basis[:s])):
+        assert row_space_angle(one, other) == pytest.approx(angle, abs=known + 1e-9 * angle)
+        many = linalg.row_space_angles(one[None], linalg.row_basis(other))[0]
+        assert many == pytest.approx(angle, abs=known + 1e-9 * angle)
 
 
 def test_angles_see_no_rows_that_add_nothing():
@@ -88,50 +120,67 @@ def test_angles_see_no_rows_that_add_nothing():
     assert row_space_angle(np.zeros((2, 3)), np.zeros((1, 3))) == 0.0
 
 
+def test_exact_inverse_inverts_however_small():
+    """The exact inverse keeps a singular value of 1e-200; truncation at Matlab's tolerance drops it."""
+    A = np.array([[1.0, 0.0, 0.0], [0.0, 1e-200, 0.0]])
+    assert pseudo_inverse(A, "exact")[1, 1] == pytest.approx(1e200)
+    np.testing.assert_array_equal(pseudo_inverse(A, "truncated")[:2, :2], [[1.0, 0.0], [0.0, 0.0]])
+    at = linalg.matlab_tolerance(np.array([1000.0]), (3, 3))  # max(size) eps(norm) = 3.4e-13: at it dropped, above kept
+    for kept, dropped in ((4e-13, 3e-13), (np.nextafter(at, 1.0), at)):
+        sigma = np.array([1000.0, kept, dropped])
+        got = linalg.inverse_singular_values(sigma, (3, 3), "truncated")
+        np.testing.assert_array_equal(got, [1e-3, 1.0 / kept, 0.0])
+    with pytest.raises(ValueError, match="'exact' or 'truncated'"):
+        pseudo_inverse(np.eye(2), "damp")  # type: ignore[arg-type]
+    for bad in ([[1, 2, 3]], [1, 2], [1, np.nan, 2], "xyz", ["1", "2", "3"], [True, False, True], [[1], [2, 3]], None):
+        assert linalg.finite(bad, 3) is None
+    np.testing.assert_array_equal(linalg.finite((1, 2.5, 3), 3), [1.0, 2.5, 3.0])
+    assert [linalg.rank_of(np.array([1.0, x]), (2, 3)) for x in (3 * EPS, 3.1 * EPS, 0.0)] == [1, 2, 1]
+    assert linalg.rank_of(np.array([]), (0, 3)) == linalg.rank_of(np.zeros(2), (2, 3)) == 0
+
+
 def test_whitener(rng):
     """W S W^T = I over what S determines, whatever the units of the unknowns; what is rounding is left out."""
     B = rng.normal(size=(5, 5)) * [1e-6, 1.0, 1e5, 1.0, 1.0]
-    W = whitener(B.T @ B)
-    np.testing.assert_allclose(W @ B.T @ B @ W.T, np.eye(5), rtol=0, atol=1e-9)
+    W = linalg.whitener(B.T @ B)
+    near(W @ B.T @ B @ W.T, np.eye(5), 1e-9)
     flat = B.copy()
     flat[:, 4] = flat[:, 3] * (1.0 + 1e-8)  # nearly the same unknown twice: 1e-16 of the largest eigenvalue
-    assert whitener(flat.T @ flat).shape == (4, 5) and whitener(np.zeros((3, 3))).shape == (0, 3)
-    np.testing.assert_allclose(whitener(np.diag([4.0, 0.0])), [[0.5, 0.0]])
-    assert whitener(np.array([[1.0, 0.9], [0.9, 1.0]]), least=0.1).shape == (1, 2)  # 0.1 over 1.9
+    assert linalg.whitener(flat.T @ flat).shape == (4, 5) and linalg.whitener(np.zeros((3, 3))).shape == (0, 3)
+    np.testing.assert_allclose(linalg.whitener(np.diag([4.0, 0.0])), [[0.5, 0.0]])
+    assert linalg.whitener(np.array([[1.0, 0.9], [0.9, 1.0]]), least=0.1).shape == (1, 2)  # 0.1 over 1.9
 
 
 def test_rows_along_axes(rng):
     """The same space in rows along single axes where they can be, in the axes' order, the largest entry positive."""
     wanted = np.array([[0.6, -0.8, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]) * [[-1], [1], [1]]
     for _ in range(5):
-        mixed = np.linalg.qr(rng.normal(size=(3, 3)))[0] @ wanted
-        np.testing.assert_allclose(along_axes(mixed), wanted, rtol=0, atol=1e-12)
+        near(linalg.along_axes(np.linalg.qr(rng.normal(size=(3, 3)))[0] @ wanted), wanted, 1e-12)
 
 
-def test_batch_row_spaces(rng):
+@pytest.mark.parametrize(("s", "nv"), [(0, 7), (1, 3), (2, 3), (3, 3), (2, 7), (6, 7)])
+def test_batch_row_spaces(rng, s, nv):
     """In a stack, each Q is orthogonal, A^T = Q[:, :s] R, and Q[:, s:] is a null basis, as matrix by matrix; the thin
     factors are the first columns of the full ones, for singular and zero matrices too.
     """
-    for s, nv in ((0, 7), (1, 3), (2, 3), (3, 3), (2, 7), (6, 7)):
-        with case(s, nv):
-            A = rng.normal(size=(30, s, nv))
-            A[3, :1], A[4, -1:], A[7] = 0.0, A[4, :1], 0.0
-            Q, R = batch_row_spaces(A)
-            longest = max(1.0, *np.linalg.norm(A, axis=(1, 2)))
-            known = rounding(4 * nv * nv, longest)
-            sigma = np.linalg.svd(np.delete(A, [3, 4, 7], axis=0), compute_uv=False)  # of independent rows
-            turned = rounding(4 * nv * nv, longest, np.max(sigma[:, :1] / sigma[:, -1:], initial=1.0))
-            unit = np.broadcast_to(np.eye(nv), (30, nv, nv))
-            np.testing.assert_allclose(Q.transpose(0, 2, 1) @ Q, unit, rtol=0, atol=known)
-            np.testing.assert_allclose(Q[:, :, :s] @ R, A.transpose(0, 2, 1), rtol=0, atol=known)
-            np.testing.assert_allclose(A @ Q[:, :, s:], 0.0, rtol=0, atol=known)
-            np.testing.assert_array_equal(R, np.triu(R))
-            thin_Q, thin_R = (x.transpose(2, 0, 1) for x in row_bases(A.transpose(2, 1, 0)))
-            others = np.arange(30) != 4  # of dependent rows rounding decides what is added
-            np.testing.assert_allclose(thin_Q[others], Q[others, :, :s], rtol=0, atol=turned)
-            np.testing.assert_allclose(thin_R[others], R[others], rtol=0, atol=turned)
-            np.testing.assert_allclose(thin_Q @ thin_R, A.transpose(0, 2, 1), rtol=0, atol=known)
-            np.testing.assert_allclose(thin_Q.transpose(0, 2, 1) @ thin_Q, unit[:, :s, :s], rtol=0, atol=turned)
+    A = rng.normal(size=(30, s, nv))
+    A[3, :1], A[4, -1:], A[7] = 0.0, A[4, :1], 0.0
+    Q, R = linalg.batch_row_spaces(A)
+    longest = max(1.0, *np.linalg.norm(A, axis=(1, 2)))
+    known = rounding(4 * nv * nv, longest)
+    sigma = np.linalg.svd(np.delete(A, [3, 4, 7], axis=0), compute_uv=False)  # of independent rows
+    turned = rounding(4 * nv * nv, longest, np.max(sigma[:, :1] / sigma[:, -1:], initial=1.0))
+    unit = np.broadcast_to(np.eye(nv), (30, nv, nv))
+    near(Q.transpose(0, 2, 1) @ Q, unit, known)
+    near(Q[:, :, :s] @ R, A.transpose(0, 2, 1), known)
+    near(A @ Q[:, :, s:], 0.0, known)
+    np.testing.assert_array_equal(R, np.triu(R))
+    thin_Q, thin_R = (x.transpose(2, 0, 1) for x in linalg.row_bases(A.transpose(2, 1, 0)))
+    others = np.arange(30) != 4  # of dependent rows rounding decides what is added
+    near(thin_Q[others], Q[others, :, :s], turned)
+    near(thin_R[others], R[others], turned)
+    near(thin_Q @ thin_R, A.transpose(0, 2, 1), known)
+    near(thin_Q.transpose(0, 2, 1) @ thin_Q, unit[:, :s, :s], turned)
 
 
 def test_samples_that_lose_rank_have_no_say(rng):
@@ -140,12 +189,11 @@ def test_samples_that_lose_rank_have_no_say(rng):
     A[1, 2] = A[1, 0] - 0.5 * A[1, 1]  # dependent
     A[3] = 0.0
     A[4, 2] = A[4, 0] + 1e-6 * A[4, 2]  # nearly, and still told apart
-    _, R = batch_row_spaces(A)
-    inverses = inverse_triangles_beside(R.transpose(1, 2, 0)).transpose(2, 0, 1)
+    _, R = linalg.batch_row_spaces(A)
+    inverses = linalg.inverse_triangles_beside(R.transpose(1, 2, 0)).transpose(2, 0, 1)
     for i in (0, 2, 4):
         np.testing.assert_allclose(inverses[i] @ R[i], np.eye(3), atol=1e-8)
-    for i in (1, 3):
-        np.testing.assert_array_equal(inverses[i], np.zeros((3, 3)))
+    np.testing.assert_array_equal(inverses[[1, 3]], np.zeros((2, 3, 3)))
 
 
 def test_one_thread_for_libraries_that_are_loaded_later():
@@ -164,3 +212,65 @@ with one_thread():
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
+
+
+ANGLES = [0.0, 1e-300, 1e-12, 1e-6, 0.1, 0.0999999, 0.1000001, 1.0, 3.0, *(np.pi - x for x in (1e-2, 1e-6, 1e-12, 0.0))]
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_rotations(rng: np.random.Generator, angle: float) -> None:
+    """Vectors and matrices become each other as SciPy has them, one by one and many at once, to rounding, up to the
+    sign at half a turn; the left Jacobian turns rates of the vector into angular velocities, and its inverse is one.
+    """
+    axes = np.concatenate([np.eye(3), -np.eye(3), rng.normal(size=(50, 3))])
+    vectors = angle * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    R = Rotation.from_rotvec(vectors).as_matrix()
+    known = rounding(16, max(1.0, angle))  # products and sums on either way, of an angle of this size
+    near(np.array([rotations.rotation_matrix(v) for v in vectors]), R, known)
+    got = np.array([rotations.rotation_vector(x) for x in R])
+    near(rotations.rotation_vectors(R), got, rounding(16, np.pi))
+    sign = np.where((angle > np.pi - 1e-9) & (np.sum(got * vectors, axis=1) < 0.0), -1.0, 1.0)
+    near(sign[:, None] * got, vectors, known)
+    assert np.max(np.linalg.norm(got, axis=1)) <= np.pi + known
+    assert rotations.rotation_vectors(np.zeros((0, 3, 3))).shape == (0, 3)
+    for r in vectors[-10:] if angle < np.pi - 1e-3 else ():
+        J, inverse, h = rotations.left_jacobian(r), rotations.left_jacobian_inverse(r), 1e-5
+        near(J @ inverse, np.eye(3), rounding(24, J, inverse))
+        near(inverse @ r, r, rounding(24, inverse, r))
+        for rate in np.eye(3):
+            turned = rotations.rotation_matrix(r + h * rate) @ rotations.rotation_matrix(r - h * rate).T
+            near(J @ rate, rotations.rotation_vector(turned) / (2.0 * h), 1e-9)
+
+
+@pytest.mark.parametrize("name", [*URDFS, *TIPS])
+def test_postures(robot_of, rng, name):
+    """integrate and difference undo each other, as positions and configuration do; kinematics from either kind of
+    vector agree, also after a full turn of an unlimited joint.
+    """
+    robot, frame = robot_of(name), tip_of(name)
+    for scale in (1e-12, 1e-6, 0.5, 0.5, 0.5):
+        q, v = robot.random_configuration(rng), scale * rng.uniform(-1.0, 1.0, robot.nv)
+        positions = robot.positions(q)
+        assert (q.shape, positions.shape) == ((robot.nq,), (robot.nv,))
+        known = rounding(8, q)
+        near(robot.configuration(positions), q, known)
+        near(robot.positions(robot.configuration(positions)), positions, known)
+        near(robot.configuration(q), q, known)
+        for posture in (q, positions):
+            moved = robot.integrate(posture, v)
+            assert moved.shape == posture.shape
+            near(robot.difference(posture, moved), v, 1e-14 + 1e-9 * scale)
+        r = robot.integrate(q, v)
+        near(robot.difference(robot.integrate(q, robot.difference(q, r)), r), 0.0, 1e-12)
+        turned = positions.copy()
+        for block in robot.blocks:
+            turned[block.v] += 2.0 * np.pi * (block.kind == "continuous")
+        J = robot.jacobian(q, frame)
+        known = rounding(8 * robot.nv, turned, 1.0 + np.linalg.norm(J))  # angles of this size, and levers like J's
+        near(robot.pose(turned, frame), robot.pose(q, frame), known)
+        near(robot.jacobian(turned, frame), J, known)
+        near(robot.difference(q, turned), 0.0, rounding(8, turned))
+    a, b, short = np.array([3.0, 1.0, -3.0, 0.0]), np.array([-3.0, -1.0, 3.0, 0.0]), 2.0 * np.pi - 6.0
+    near(
+        robot_of("wrist").difference(a, b), [short, -2.0, -short, 0.0], 1e-14
+    )  # through pi, of continuous joints alone

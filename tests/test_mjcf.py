@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from case import case
 from urdf_corpus import ARM, stl
 
 from manip_learn.errors import RobotError
@@ -31,66 +30,61 @@ def mjcf(bodies: str, head: str = RADIAN, tail: str = "") -> str:
     return f'<mujoco model="m">{head}<worldbody>{bodies}</worldbody>{tail}</mujoco>'
 
 
+def load(tmp_path, text: str, **options):
+    """Load a text."""
+    (tmp_path / "robot.xml").write_text(text, encoding="utf-8")
+    return load_robot(tmp_path / "robot.xml", **options)
+
+
 JOINT = '<joint name="j" axis="0 1 1"/>'
 SECOND = body("b", 'pos="0.3 0.1 0" euler="0.3 0 0.2"', '<joint name="k" axis="1 0 0.5"/>')
+
+
+def one(attributes: str, inside: str = JOINT, head: str = RADIAN) -> str:
+    """A file with one body in the world."""
+    return mjcf(body("a", attributes, inside), head)
+
+
+SLIDE, LAST = '<joint name="x" type="slide" axis="1 0 0"/>', '<joint name="z" pos="0 1 0"/>'
+OF_CLASS = body("b", 'pos="1 0 0"', '<joint name="k" class="d"/>')
 CASES = {
-    "plain": mjcf(body("a", 'pos="1 2 3"', JOINT + SECOND)),
-    "joint away from the origin": mjcf(
-        body("a", 'euler="0.1 0.2 0.3"', '<joint name="j" axis="0 0 1" pos="0.1 0.2 0.3"/>' + SECOND)
-    ),
-    "reference angle": mjcf(body("a", 'pos="0 0 1"', '<joint name="j" axis="0 0.6 0.8" ref="0.5"/>' + SECOND)),
-    "reference slide": mjcf(body("a", 'euler="1 0 0"', '<joint name="j" type="slide" ref="0.5"/>' + SECOND)),
-    "axis and angle": mjcf(body("a", 'axisangle="1 2 0 0.7"', JOINT)),
-    "axis and angle in degrees": mjcf(body("a", 'axisangle="1 2 0 70"', JOINT), head=""),
-    "two axes": mjcf(body("a", 'xyaxes="1 1 0 -1 2 0.3"', JOINT)),
-    "z axis": mjcf(body("a", 'zaxis="1 1 0.2"', JOINT)),
-    "quaternion not of length one": mjcf(body("a", 'quat="0.5 0.1 0.2 0.9"', JOINT)),
-    "Euler fixed axes": mjcf(body("a", 'euler="0.1 0.2 0.3"', JOINT), '<compiler angle="radian" eulerseq="ZYX"/>'),
-    "Euler mixed axes": mjcf(body("a", 'euler="10 20 30"', JOINT), '<compiler eulerseq="xZy"/>'),
-    "quarter turn of pitch": mjcf(body("a", f'euler="0.4 {np.pi / 2} 0"', JOINT + SECOND)),
-    "default classes": mjcf(
-        body("a", 'childclass="c"', '<joint name="j"/>' + body("b", 'pos="1 0 0"', '<joint name="k" class="d"/>')),
-        DEFAULTS,
-    ),
-    "several joints in a body": mjcf(
-        body(
-            "a", 'pos="1 0 0"', '<joint name="x" type="slide" axis="1 0 0"/>' + JOINT + '<joint name="z" pos="0 1 0"/>'
-        )
-    ),
-    "body without joint": mjcf(body("a", 'pos="1 0 0" quat="0 1 0 0"', body("b", 'pos="0 1 0"', JOINT))),
+    "plain": one('pos="1 2 3"', JOINT + SECOND),
+    "joint away from its body": one('euler="0.1 0.2 0.3"', f'<joint name="j" axis="0 0 1" pos="0.1 0.2 0.3"/>{SECOND}'),
+    "reference angle": one('pos="0 0 1"', '<joint name="j" axis="0 0.6 0.8" ref="0.5"/>' + SECOND),
+    "reference slide": one('euler="1 0 0"', '<joint name="j" type="slide" ref="0.5"/>' + SECOND),
+    "axis and angle": one('axisangle="1 2 0 0.7"'),
+    "axis and angle in degrees": one('axisangle="1 2 0 70"', head=""),
+    "two axes": one('xyaxes="1 1 0 -1 2 0.3"'),
+    "z axis": one('zaxis="1 1 0.2"'),
+    "quaternion not of length one": one('quat="0.5 0.1 0.2 0.9"'),
+    "Euler fixed axes": one('euler="0.1 0.2 0.3"', head='<compiler angle="radian" eulerseq="ZYX"/>'),
+    "Euler mixed axes": one('euler="10 20 30"', head='<compiler eulerseq="xZy"/>'),
+    "quarter turn of pitch": one(f'euler="0.4 {np.pi / 2} 0"', JOINT + SECOND),
+    "default classes": one('childclass="c"', '<joint name="j"/>' + OF_CLASS, DEFAULTS),
+    "several joints in a body": one('pos="1 0 0"', SLIDE + JOINT + LAST),
+    "body without joint": one('pos="1 0 0" quat="0 1 0 0"', body("b", 'pos="0 1 0"', JOINT)),
     "two bodies in the world": mjcf(body("a", 'pos="1 0 0"', JOINT) + body("b", 'pos="0 1 0"', '<joint name="k"/>')),
-    "free body": mjcf(body("a", 'pos="1 0 0"', '<freejoint name="f"/>' + SECOND)),
+    "free body": one('pos="1 0 0"', '<freejoint name="f"/>' + SECOND),
 }
 
 
-def test_every_body_is_where_mujoco_puts_it(tmp_path, rng):
+@pytest.mark.parametrize("name", CASES)
+def test_every_body_is_where_mujoco_puts_it(tmp_path, rng, name):
     """Positions and orientations of all bodies agree to 1e-12 at random joint values."""
-    for name in CASES:
-        with case(name):
-            mujoco = pytest.importorskip("mujoco")
-            path = tmp_path / "robot.xml"
-            path.write_text(CASES[name], encoding="utf-8")
-            robot = load_robot(path)
-            model = mujoco.MjModel.from_xml_string(CASES[name])
-            data = mujoco.MjData(model)
-            for _ in range(5):
-                q = robot.random_configuration(rng)
-                for block in robot.blocks:
-                    values = q[block.q]
-                    # a quaternion is x y z w here and w x y z there
-                    data.joint(block.name).qpos = values[[0, 1, 2, 6, 3, 4, 5]] if block.kind == "floating" else values
-                mujoco.mj_kinematics(model, data)
-                for link in (n for n in ("a", "b") if n in robot.frame_names):
-                    pose = robot.pose(q, robot.frame(link))
-                    np.testing.assert_allclose(pose[:3, 3], data.body(link).xpos, atol=1e-12)
-                    np.testing.assert_allclose(pose[:3, :3].ravel(), data.body(link).xmat, atol=1e-12)
-
-
-def load(tmp_path, text: str, **options):
-    """Load a text."""
-    path = tmp_path / "robot.xml"
-    path.write_text(text, encoding="utf-8")
-    return load_robot(path, **options)
+    mujoco = pytest.importorskip("mujoco")
+    robot, model = load(tmp_path, CASES[name]), mujoco.MjModel.from_xml_string(CASES[name])
+    data = mujoco.MjData(model)
+    for _ in range(5):
+        q = robot.random_configuration(rng)
+        for block in robot.blocks:
+            values = q[block.q]
+            # a quaternion is x y z w here and w x y z there
+            data.joint(block.name).qpos = values[[0, 1, 2, 6, 3, 4, 5]] if block.kind == "floating" else values
+        mujoco.mj_kinematics(model, data)
+        for link in (n for n in ("a", "b") if n in robot.frame_names):
+            pose = robot.pose(q, robot.frame(link))
+            np.testing.assert_allclose(pose[:3, 3], data.body(link).xpos, atol=1e-12)
+            np.testing.assert_allclose(pose[:3, :3].ravel(), data.body(link).xmat, atol=1e-12)
 
 
 def test_only_angles_are_in_degrees(tmp_path):
@@ -106,8 +100,7 @@ def test_only_angles_are_in_degrees(tmp_path):
 def test_linear_couplings_become_mimic_joints(tmp_path, rng):
     """A coupled joint follows, counted from both reference values, as in MuJoCo's equation."""
     inside = '<joint name="j" ref="0.2"/>' + body("b", "", '<joint name="k" ref="0.1"/>')
-    tail = '<equality><joint joint1="k" joint2="j" polycoef="0.3 -2"/></equality>'
-    robot = load(tmp_path, mjcf(body("a", "", inside), tail=tail))
+    robot = load(tmp_path, mjcf(body("a", "", inside), tail=COUPLED.format("0.3 -2")))
     (mimic,) = robot.mimics
     assert (mimic.joint, mimic.leader, mimic.multiplier) == ("k", "j", -2.0)
     assert mimic.offset == pytest.approx(0.1 + 0.3 + 2 * 0.2)
@@ -117,23 +110,26 @@ def test_linear_couplings_become_mimic_joints(tmp_path, rng):
     assert cross_check(robot, rng).agrees
 
 
-def test_limits_are_those_of_mujoco(tmp_path):
-    """A range is a limit where MuJoCo's compiler makes one of it; many turns are told how MJCF says them."""
+@pytest.mark.parametrize("range_", ["0 0", "1 0", "1 1", "0 1", "-2 2"])
+@pytest.mark.parametrize("limited", ["", 'limited="auto"', 'limited="false"'])
+def test_limits_are_those_of_mujoco(tmp_path, range_, limited):
+    """A range is a limit where MuJoCo's compiler makes one of it."""
     mujoco = pytest.importorskip("mujoco")
     head = RADIAN + '<default><joint range="-1 1"/></default>'
-    for range_ in ("0 0", "1 0", "1 1", "0 1", "-2 2"):
-        for limited in ("", 'limited="auto"', 'limited="false"'):
-            with case(range_, limited):
-                text = mjcf(body("a", "", f'<joint name="j" {limited} range="{range_}"/>'), head)
-                model, robot = mujoco.MjModel.from_xml_string(text), load(tmp_path, text)
-                expected = model.jnt_range[0] if model.jnt_limited[0] else (-np.inf, np.inf)
-                assert (robot.position_lower[0], robot.position_upper[0]) == tuple(expected)
-                is_odd = range_ in ("1 0", "1 1") and limited != 'limited="false"'
-                assert any("is no limit" in w for w in robot.warnings) == is_odd
-    for name, text in (("many", 'range="-31 31"'), ("other way", 'limited="true" range="1 0"')):
-        with case(name), pytest.raises(RobotError, match='or limited="false"') as caught:
-            load(tmp_path, mjcf(body("a", "", f'<joint name="j" {text}/>')))
-        assert "type=" not in str(caught.value)
+    text = mjcf(body("a", "", f'<joint name="j" {limited} range="{range_}"/>'), head)
+    model, robot = mujoco.MjModel.from_xml_string(text), load(tmp_path, text)
+    expected = model.jnt_range[0] if model.jnt_limited[0] else (-np.inf, np.inf)
+    assert (robot.position_lower[0], robot.position_upper[0]) == tuple(expected)
+    is_odd = range_ in ("1 0", "1 1") and limited != 'limited="false"'
+    assert any("is no limit" in w for w in robot.warnings) == is_odd
+
+
+@pytest.mark.parametrize("limit", ['range="-31 31"', 'limited="true" range="1 0"'])
+def test_limits_that_cannot_be_are_told_as_mjcf_says_them(tmp_path, limit):
+    """Many turns, and a range the other way round."""
+    with pytest.raises(RobotError, match='or limited="false"') as caught:
+        load(tmp_path, mjcf(body("a", "", f'<joint name="j" {limit}/>')))
+    assert "type=" not in str(caught.value)
 
 
 def test_a_mesh_has_the_scale_of_its_class(tmp_path):
@@ -157,12 +153,9 @@ def test_sites_are_frames_and_shapes_are_drawn(tmp_path):
     robot = load(tmp_path, mjcf(body("a", "", JOINT + shapes + '<site name="tcp" pos="0 0 0.5"/>')))
     assert "tcp" in robot.frame_names
     drawn = {v.shape.kind: v for v in visual_shapes(robot)}
-    assert drawn["box"].shape.size == (0.2, 0.4, 0.6) and drawn["box"].colour == (1.0, 0.0, 0.0, 1.0)
-    assert drawn["capsule"].shape.size == (0.1, 0.4)
-    assert drawn["cylinder"].shape.size[1] == pytest.approx(0.6) and drawn["cylinder"].placement[2, 3] == pytest.approx(
-        0.3
-    )
-    assert drawn["sphere"].shape.size == (0.1,)
+    sizes = {"box": (0.2, 0.4, 0.6), "capsule": (0.1, 0.4), "cylinder": (0.05, 0.6), "sphere": (0.1,)}
+    assert {kind: v.shape.size for kind, v in drawn.items()} == {k: pytest.approx(x) for k, x in sizes.items()}
+    assert drawn["box"].colour == (1.0, 0.0, 0.0, 1.0) and drawn["cylinder"].placement[2, 3] == pytest.approx(0.3)
 
 
 def test_what_touches_in_mjcf_counts_for_collisions(tmp_path):
@@ -185,44 +178,37 @@ def test_what_touches_in_mjcf_counts_for_collisions(tmp_path):
     assert known_shapes(robot) == "collision"
 
 
+COUPLED = '<equality><joint joint1="k" joint2="j" polycoef="{}"/></equality>'
 REFUSED = {
     "mjcf-element": mjcf('<include file="other.xml"/>'),
-    "mjcf-class": mjcf(body("a", "", '<joint class="nowhere"/>')),
+    "mjcf-class": one("", '<joint class="nowhere"/>'),
     "mjcf-compiler": mjcf("", head='<compiler angle="gon"/>'),
-    "mjcf-orientation": mjcf(body("a", 'quat="0 0 0 0"', JOINT)),
-    "mjcf-coupling": mjcf(
-        body("a", "", JOINT + SECOND), tail='<equality><joint joint1="k" joint2="j" polycoef="0 1 2"/></equality>'
-    ),
-    "joint-type": mjcf(body("a", "", '<joint type="ball"/>')),
-    "axis-zero": mjcf(body("a", "", '<joint axis="0 0 0"/>')),
-    "limit-order": mjcf(body("a", "", '<joint limited="true" range="1 -1"/>')),
-    "not-finite": mjcf(body("a", 'pos="nan 0 0"', JOINT)),
-    "number": mjcf(body("a", 'pos="x 0 0"', JOINT)),
+    "mjcf-orientation": one('quat="0 0 0 0"'),
+    "mjcf-coupling": mjcf(body("a", "", JOINT + SECOND), tail=COUPLED.format("0 1 2")),
+    "joint-type": one("", '<joint type="ball"/>'),
+    "axis-zero": one("", '<joint axis="0 0 0"/>'),
+    "limit-order": one("", '<joint limited="true" range="1 -1"/>'),
+    "not-finite": one('pos="nan 0 0"'),
+    "number": one('pos="x 0 0"'),
     "duplicate-link": mjcf(body("a", "", JOINT) + body("a", "", '<joint name="k"/>')),
     "name-reserved": mjcf(body("universe", "", JOINT)),
-    "doctype": "<!DOCTYPE mujoco [<!ENTITY a 'b'>]>" + mjcf(body("a", "", JOINT)),
+    "doctype": "<!DOCTYPE mujoco [<!ENTITY a 'b'>]>" + one("", JOINT),
 }
 
 
-def test_what_cannot_be_kept_is_refused(tmp_path):
+@pytest.mark.parametrize("code", REFUSED)
+def test_what_cannot_be_kept_is_refused(tmp_path, code):
     """Files that Pinocchio's own reader takes in silence or garbles are refused with a code and a line."""
-    for code in REFUSED:
-        with case(code):
-            with pytest.raises(RobotError) as caught:
-                load(tmp_path, REFUSED[code])
-            assert caught.value.code == code
-            assert caught.value.line is not None
-            assert str(tmp_path) in str(caught.value)
+    with pytest.raises(RobotError, match=str(tmp_path)) as caught:
+        load(tmp_path, REFUSED[code])
+    assert caught.value.code == code and caught.value.line is not None
 
 
-def test_an_mjcf_file_is_known_by_its_content(tmp_path):
+@pytest.mark.parametrize("name", ["a.xml", "a.urdf", "a.mjcf"])
+def test_an_mjcf_file_is_known_by_its_content(tmp_path, name):
     """Not by its extension: a long licence comes first, and a URDF may have MuJoCo's settings inside."""
-    text = mjcf(body("a", "", JOINT))
     licence = f"<?xml version='1.0'?>\n<!-- not a <robot> {'licence ' * 2000}-->\n"
-    for name in ("a.xml", "a.urdf", "a.mjcf"):
-        (tmp_path / name).write_text(licence + text, encoding="utf-8")
-        assert load_robot(tmp_path / name).joint_names == ("j",)
-    (tmp_path / "b.xml").write_text(
-        ARM.replace('<link name="base"/>', '<mujoco/><link name="base"/>'), encoding="utf-8"
-    )
-    assert load_robot(tmp_path / "b.xml").joint_names == ("shoulder", "elbow")
+    urdf = ARM.replace('<link name="base"/>', '<mujoco/><link name="base"/>')
+    for text, joints in ((licence + mjcf(body("a", "", JOINT)), ("j",)), (urdf, ("shoulder", "elbow"))):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        assert load_robot(tmp_path / name).joint_names == joints

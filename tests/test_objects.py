@@ -10,44 +10,47 @@ import pinocchio as pin
 import pytest
 from case import case
 from conftest import chain_urdf
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.constraint.features import MechanismRows
 from manip_learn.constraint.place import across
 from manip_learn.errors import ConstraintMismatchError, RecordingError, RobotError
-from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.tips import default_tip
 
 BOX = ("box.x", "box.y", "box.z", "box.rx", "box.ry", "box.rz")
+QUATERNION = ["box.qx", "box.qy", "box.qz", "box.qw"]
 TIP = "right_gripper_tip"
 
 
 @pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("sawyer", objects=("box",))
+def robot() -> ml.Robot:
+    return ml.load_robot("sawyer", objects=("box",))
 
 
 @pytest.fixture(scope="module")
-def two_arms(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+def two_arms(tmp_path_factory: pytest.TempPathFactory) -> ml.Robot:
     """Two arms of six joints on one base, tips `left` and `right`, half a metre apart."""
-    joints = [("revolute", "0 0 1", "0 0 0.2", "0 0 0"), ("revolute", "0 1 0", "0.1 0 0.2", "0 0 0")]
-    joints += [("revolute", "0 1 0", "0.4 0 0", "0 0 0.1")]
-    joints += [("revolute", "1 0 0", "0.3 0 0", "0 0 0"), ("revolute", "0 1 0", "0.1 0 0", "0 0 0")]
-    joints += [("revolute", "0 0 1", "0.1 0 0", "0 0 0")]
-    text = chain_urdf("two", joints)
-    body = text[text.index(">") + 1 : text.rindex("</robot>")]
-    parts = []
+    axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "0 0 1")
+    places = ("0 0 0.2", "0.1 0 0.2", "0.4 0 0", "0.3 0 0", "0.1 0 0", "0.1 0 0")
+    turns = ("0 0 0", "0 0 0", "0 0 0.1", "0 0 0", "0 0 0", "0 0 0")
+    text = chain_urdf("two", [("revolute", *joint) for joint in zip(axes, places, turns, strict=True)])
+    body, parts = text[text.index(">") + 1 : text.rindex("</robot>")], []
     for side, y in (("left", 0.25), ("right", -0.25)):
-        arm = body.replace('"link', f'"{side}_link').replace('"joint', f'"{side}_joint').replace('"base"', f'"{side}"')
-        arm = arm.replace('"tip', f'"{side}_tip')
+        arm = body.replace('"base"', f'"{side}"')
+        for name in ("link", "joint", "tip"):
+            arm = arm.replace(f'"{name}', f'"{side}_{name}')
         mount = f'<joint name="{side}_mount" type="fixed"><parent link="torso"/><child link="{side}"/>'
         parts.append(arm + mount + f'<origin xyz="0 {y} 0"/></joint>')
     path = tmp_path_factory.mktemp("two") / "two.urdf"
     path.write_text(f'<robot name="two"><link name="torso"/>{"".join(parts)}</robot>')
-    return load_robot(path)
+    return ml.load_robot(path)
+
+
+def columns_of(robot: ml.Robot, names=BOX) -> list[int]:
+    """Where joints are."""
+    return [robot.joint_names.index(n) for n in names]
 
 
 def smooth(rng: np.random.Generator, time: np.ndarray, n: int, size: float) -> np.ndarray:
@@ -56,104 +59,94 @@ def smooth(rng: np.random.Generator, time: np.ndarray, n: int, size: float) -> n
     return size * np.sum(np.sin(w * time[:, None, None] + phase), axis=1) / 3.0
 
 
+def middle(robot: ml.Robot, rng: np.random.Generator) -> np.ndarray:
+    """A posture in the middle of the limits."""
+    return robot.configuration(0.5 * robot.positions(robot.random_configuration(rng)))
+
+
 def held_relative(
     features: ml.RelativeFrameJacobian, free: np.ndarray, rng: np.random.Generator, n: int = 4
-) -> list[Trajectory]:
+) -> list[ml.Trajectory]:
     """Motions whose relative twist lies in the columns of `free`, with everything else moving as it likes."""
     robot, trajectories = features.robot, []
     for k in range(n):
         time = np.arange(200) * 0.015
-        push, slide = smooth(rng, time, robot.nv, 0.5), smooth(rng, time, max(free.shape[1], 1), 0.3)
-        q = [robot.random_configuration(rng)]
-        for _ in range(3):  # a posture in the middle of the limits
-            q[0] = robot.configuration(0.5 * robot.positions(q[0]))
+        push, slide = smooth(rng, time, robot.nv, 0.5), smooth(rng, time, free.shape[1], 0.3)
+        q = [middle(robot, rng)]
         for i in range(len(time) - 1):
             u = np.zeros(robot.nv)
             for _ in range(2):  # the second time at the middle of the step
                 Phi = features(robot.integrate(q[i], 0.0075 * u))
-                wanted = free @ slide[i, : free.shape[1]]
-                u = push[i] + np.linalg.pinv(Phi) @ (wanted - Phi @ push[i])
+                u = push[i] + np.linalg.pinv(Phi) @ (free @ slide[i] - Phi @ push[i])
             q.append(robot.integrate(q[i], 0.015 * u))
         positions = np.array([robot.positions(row) for row in q])
-        trajectories.append(Trajectory(time, positions, None, robot.joint_names, f"motion {k}"))
+        trajectories.append(ml.Trajectory(time, positions, None, robot.joint_names, f"motion {k}"))
     return trajectories
 
 
-def test_an_object_is_a_floating_joint_on_the_root_link(robot: Robot) -> None:
-    """Six more coordinates without limits, no tip; the pose of its frame is what the six numbers say."""
-    plain = load_robot("sawyer")
+def test_an_object_is_a_floating_joint_on_the_root_link(robot: ml.Robot) -> None:
+    """Six more coordinates without limits, no tip; the pose of its frame is what the six numbers say. Empty, taken,
+    repeated or reserved names are refused.
+    """
+    plain, columns = ml.load_robot("sawyer"), columns_of(robot)
     assert robot.objects == ("box",) and plain.objects == ()
     assert robot.nv == plain.nv + 6 and set(robot.joint_names) == {*plain.joint_names, *BOX}
-    columns = [robot.joint_names.index(n) for n in BOX]
-    assert np.all(np.isinf(robot.position_lower[columns])) and np.all(np.isinf(robot.position_upper[columns]))
-    assert np.all(np.isinf(robot.velocity_limit[columns]))
+    for limit in (robot.position_lower, robot.position_upper, robot.velocity_limit):
+        assert np.all(np.isinf(limit[columns]))
     assert ml.likely_tips(robot) == ml.likely_tips(plain) and default_tip(robot) == default_tip(plain)
     x = np.zeros(robot.nv)
     x[columns] = 0.4, -0.2, 0.3, 0.1, 0.7, -0.5
     pose = robot.pose(x, "box")
-    np.testing.assert_allclose(pose[:3, 3], x[columns][:3], atol=1e-12)
-    np.testing.assert_allclose(pose[:3, :3], Rotation.from_rotvec(x[columns][3:]).as_matrix(), atol=1e-12)
-
-
-def test_names_that_cannot_be_used() -> None:
-    """Empty, taken, repeated or reserved names are refused."""
+    assert_allclose(pose[:3, 3], x[columns][:3], atol=1e-12)
+    assert_allclose(pose[:3, :3], Rotation.from_rotvec(x[columns][3:]).as_matrix(), atol=1e-12)
     for names in [("",), ("right_l6",), ("right_j0",), ("a", "a"), (" a",), ("universe",), (3,)]:
-        with case(names):
-            with pytest.raises(RobotError) as caught:
-                load_robot("sawyer", objects=names)
-            assert caught.value.code == "object-name"
+        with case(names), pytest.raises(RobotError) as caught:
+            ml.load_robot("sawyer", objects=names)
+        assert caught.value.code == "object-name"
 
 
-def test_a_constraint_knows_its_objects(robot: Robot, tmp_path: Path) -> None:
+def test_a_constraint_knows_its_objects(robot: ml.Robot, tmp_path: Path) -> None:
     """Saved and loaded with the same objects; refused without them, or with others."""
-    features = ml.RelativeFrameJacobian(robot, TIP, "box")
+    features, plain = ml.RelativeFrameJacobian(robot, TIP, "box"), ml.load_robot("sawyer")
     file = ml.Constraint(np.eye(6)[:5], features).save(tmp_path / "c.json")
     assert json.loads(file.read_text())["robot"]["objects"] == ["box"]
-    q = robot.random_configuration(np.random.default_rng(0))
-    np.testing.assert_array_equal(ml.Constraint.load(file, load_robot("sawyer", objects=["box"]))(q), features(q)[:5])
+    q, same = robot.random_configuration(np.random.default_rng(0)), ml.load_robot("sawyer", objects=["box"])
+    assert_array_equal(ml.Constraint.load(file, same)(q), features(q)[:5])
+    assert same.fingerprint == robot.fingerprint != plain.fingerprint
     for objects in ((), ("cup",), ("box", "cup")):
         with pytest.raises(ConstraintMismatchError):
-            ml.Constraint.load(file, load_robot("sawyer", objects=objects))
-    assert load_robot("sawyer", objects=["box"]).fingerprint == robot.fingerprint != load_robot("sawyer").fingerprint
+            ml.Constraint.load(file, ml.load_robot("sawyer", objects=objects))
 
 
-def test_velocities_are_local_twists(robot: Robot, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_velocities_are_local_twists(robot: ml.Robot, rng: np.random.Generator, noise: float) -> None:
     """Derived velocities of an object agree with differences on the manifold, in Pinocchio's free-flyer convention."""
-    for noise in [0.0, 1e-3]:
-        with case(noise):
-            time = np.arange(400) * 0.01
-            x = smooth(rng, time, robot.nv, 0.5)
-            clean = [robot.configuration(row) for row in x]
-            rates = np.array([robot.difference(a, b) for a, b in zip(clean[:-2], clean[2:], strict=True)]) / 0.02
-            noisy = np.array(
-                [robot.positions(robot.integrate(q, noise * rng.standard_normal(robot.nv))) for q in clean]
-            )
-            derived = ml.derive_velocities(Trajectory(time, noisy, None, robot.joint_names), robot)
-            assert derived.u is not None
-            np.testing.assert_allclose(derived.u[1:-1], rates, atol=2e-3 if noise == 0.0 else 0.08)
-            if noise == 0.0:
-                for k in (0, 150, 300):
-                    step = robot.difference(derived.q[k], clean[k])
-                    assert np.max(np.abs(step)) < 1e-4
-            else:  # differences of neighbours would be off by noise / dt
-                raw = np.array([robot.difference(a, b) for a, b in zip(noisy[:-2], noisy[2:], strict=True)]) / 0.02
-                error = np.std(derived.u[1:-1] - rates)
-                assert error < 0.3 * np.std(raw - rates)
+    time = np.arange(400) * 0.01
+    clean = [robot.configuration(row) for row in smooth(rng, time, robot.nv, 0.5)]
+    noisy = np.array([robot.positions(robot.integrate(q, noise * rng.standard_normal(robot.nv))) for q in clean])
+    derived = ml.derive_velocities(ml.Trajectory(time, noisy, None, robot.joint_names), robot)
+    rates, raw = (
+        np.array([robot.difference(a, b) for a, b in zip(x[:-2], x[2:], strict=True)]) / 0.02 for x in (clean, noisy)
+    )
+    assert derived.u is not None
+    assert_allclose(derived.u[1:-1], rates, atol=2e-3 if noise == 0.0 else 0.08)
+    if noise == 0.0:
+        assert all(np.max(np.abs(robot.difference(derived.q[k], clean[k]))) < 1e-4 for k in (0, 150, 300))
+    else:  # differences of neighbours would be off by noise / dt
+        assert np.std(derived.u[1:-1] - rates) < 0.3 * np.std(raw - rates)
 
 
-def test_a_constant_twist_is_found_exactly(robot: Robot) -> None:
+def test_a_constant_twist_is_found_exactly(robot: ml.Robot) -> None:
     """A screw motion pin.exp6(v t) has the LOCAL twist v throughout, also beyond half a turn."""
-    v = np.array([0.1, -0.05, 0.2, 0.3, 1.2, -0.6])
-    time = np.arange(300) * 0.01
-    columns = [robot.joint_names.index(n) for n in BOX]
+    v, time, columns = np.array([0.1, -0.05, 0.2, 0.3, 1.2, -0.6]), np.arange(300) * 0.01, columns_of(robot)
     start = pin.SE3(pin.exp3(np.array([0.3, 0.2, 0.1])), np.array([0.5, 0.1, 0.2]))
     x = np.zeros((len(time), robot.nv))
     for i, t in enumerate(time):
         M = start * pin.exp6(pin.Motion(v * t))
         x[i, columns] = np.concatenate([M.translation, pin.log3(M.rotation)])
-    derived = ml.derive_velocities(Trajectory(time, x, None, robot.joint_names), robot)
+    derived = ml.derive_velocities(ml.Trajectory(time, x, None, robot.joint_names), robot)
     assert derived.u is not None
-    np.testing.assert_allclose(derived.u[:, columns], np.tile(v, (len(derived), 1)), atol=1e-4)
+    assert_allclose(derived.u[:, columns], np.tile(v, (len(derived), 1)), atol=1e-4)
 
 
 def write(path: Path, names: list[str], columns: np.ndarray, time: np.ndarray) -> Path:
@@ -161,93 +154,76 @@ def write(path: Path, names: list[str], columns: np.ndarray, time: np.ndarray) -
     return path
 
 
-def test_poses_are_read_as_rotation_vectors_or_quaternions(robot: Robot, tmp_path: Path) -> None:
-    """Both spellings give the same poses; a quaternion that changes its sign, and half a turn, leave no jump."""
-    time = np.arange(200) * 0.01
+def test_poses_are_read_as_rotation_vectors_or_quaternions(robot: ml.Robot, tmp_path: Path) -> None:
+    """Both spellings give the same poses; a quaternion that changes its sign, and half a turn, leave no jump. A pose is
+    in metres and radians whatever the joints are in. An arm records velocities, a camera does not: all are derived
+    alike, and it is said.
+    """
+    time, columns, names = np.arange(200) * 0.01, columns_of(robot), list(robot.joint_names)
     x = smooth(np.random.default_rng(2), time, robot.nv, 0.3)
-    columns = [robot.joint_names.index(n) for n in BOX]
     x[:, columns[3:]] = np.linspace(0.5, 5.0, 200)[:, None] * [0.0, 0.6, 0.8]
     rotations = Rotation.from_rotvec(x[:, columns[3:]])
     wrapped = x.copy()
     wrapped[:, columns[3:]] = rotations.as_rotvec()
-    names = list(robot.joint_names)
-    a = ml.load_demonstrations(write(tmp_path / "a.csv", names, wrapped, time), robot)
     quaternions = rotations.as_quat(canonical=True)
     others = [i for i in range(robot.nv) if i not in columns[3:]]
-    spelt = [names[i] for i in others] + ["box.qx", "box.qy", "box.qz", "box.qw"]
-    b = ml.load_demonstrations(write(tmp_path / "b.csv", spelt, np.hstack([x[:, others], quaternions]), time), robot)
+    arm = [i for i in range(robot.nv) if i not in columns]
+    spelt, scaled = [*(names[i] for i in others), *QUATERNION], wrapped.copy()
     in_degrees = np.hstack([x[:, others[:3]], np.degrees(x[:, others[3:]]), quaternions])  # the first three are lengths
-    c = ml.load_demonstrations(write(tmp_path / "c.csv", spelt, in_degrees, time), robot, degrees=True)
-    for demos in (a, b, c):
+    lower, upper = robot.position_lower[arm], robot.position_upper[arm]
+    scaled[:, arm] = 200.0 * (x[:, arm] - lower) / (upper - lower) - 100.0
+    said = {}
+    for name, headed, table, options in (
+        ("vectors", names, wrapped, {}),
+        ("quaternions", spelt, np.hstack([x[:, others], quaternions]), {}),
+        ("degrees", spelt, in_degrees, {"degrees": True}),
+        ("normalised", names, scaled, {"units": "normalised"}),
+    ):
+        demos = ml.load_demonstrations(write(tmp_path / f"{name}.csv", headed, table, time), robot, **options)
         assert np.max(np.abs(np.diff(demos[0].q, axis=0))) < 0.1
         ours = Rotation.from_rotvec(demos[0].q[:, columns[3:]])
         assert np.max((ours.inv() * rotations).magnitude()) < 1e-9
-        np.testing.assert_allclose(demos[0].q[:, others], x[:, others], atol=1e-12)
-    assert any("quaternions" in note for note in b.notes)
-    arm = [i for i in range(robot.nv) if i not in columns]
-    lower, upper = robot.position_lower[arm], robot.position_upper[arm]
-    scaled = wrapped.copy()
-    scaled[:, arm] = 200.0 * (x[:, arm] - lower) / (upper - lower) - 100.0
-    d = ml.load_demonstrations(write(tmp_path / "d.csv", names, scaled, time), robot, units="normalised")
-    np.testing.assert_allclose(d[0].q[:, others], x[:, others], atol=1e-12)  # a pose is in metres and radians
-
-
-def test_poses_that_cannot_be_read(robot: Robot, tmp_path: Path) -> None:
-    """No pose, part of a quaternion, one that is not of length 1: each says what is needed."""
-    time = np.arange(50) * 0.01
-    joints = [n for n in robot.joint_names if n not in BOX]
-    arm = smooth(np.random.default_rng(3), time, len(joints), 0.3)
-    pose = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (50, 1))
-    spelt = [*joints, *BOX[:3], "box.qx", "box.qy", "box.qz", "box.qw"]
-    cases = {
-        "missing-object": (joints, arm),
-        "partial-quaternion": (spelt[:-1], np.hstack([arm, pose[:, :-1]])),
-        "quaternion": (spelt, np.hstack([arm, pose * [1, 1, 1, 1, 1, 1, 0.94]])),
-    }
-    near = np.hstack([arm, pose * [1, 1, 1, 1, 1, 1, 0.96]])
-    assert len(ml.load_demonstrations(write(tmp_path / "near.csv", spelt, near, time), robot)) == 1
-    for code, (names, columns) in cases.items():
-        with pytest.raises(RecordingError, match="box") as caught:
-            ml.load_demonstrations(write(tmp_path / f"{code}.csv", names, columns, time), robot)
-        assert caught.value.code == code
-        if code == "partial-quaternion":
-            assert "without 'box.qw'" in str(caught.value)
-
-
-def test_recorded_joint_velocities_give_way_to_derived_ones(robot: Robot, tmp_path: Path) -> None:
-    """An arm records velocities, a camera does not: all are derived alike, and it is said."""
-    time = np.arange(50) * 0.01
-    x = smooth(np.random.default_rng(4), time, robot.nv, 0.2)
-    joints = [n for n in robot.joint_names if n not in BOX]
-    own = [robot.joint_names.index(n) for n in joints]
-    names = [*robot.joint_names, *(f"{n}_velocity" for n in joints)]
-    file = write(tmp_path / "v.csv", names, np.hstack([x, np.gradient(x[:, own], 0.01, axis=0)]), time)
+        assert_allclose(demos[0].q[:, others], x[:, others], atol=1e-12)
+        said[name] = demos.notes
+    assert any("quaternions" in note for note in said["quaternions"])
+    rates = np.gradient(wrapped[:, arm], 0.01, axis=0)
+    file = write(
+        tmp_path / "v.csv", [*names, *(f"{names[i]}_velocity" for i in arm)], np.hstack([wrapped, rates]), time
+    )
     demos = ml.load_demonstrations(file, robot)
     assert demos[0].u is None and any("recorded velocities are not used" in note for note in demos.notes)
 
 
-def test_two_arms_carry_one_object(two_arms: Robot) -> None:
-    """Two tips of one robot: their relative twist is held but for a hinge between them, whatever the object does."""
-    features = ml.RelativeFrameJacobian(two_arms, "left_tip", "right_tip", "pose")
-    hinge = np.array([[0.0, 0.0, 0.0, 0.0, 0.6, 0.8]]).T
-    demos = held_relative(features, hinge, np.random.default_rng(6))
-    learner = ml.ConstraintLearner(features, estimator="null-space").fit(demos)
-    assert learner.constraint_.n_constraints == 5
-    assert np.max(np.abs(learner.constraint_.selection @ hinge)) < 2e-3
+def test_poses_that_cannot_be_read(robot: ml.Robot, tmp_path: Path) -> None:
+    """No pose, part of a quaternion, one that is not of length 1: each says what is needed."""
+    time, joints = np.arange(50) * 0.01, [n for n in robot.joint_names if n not in BOX]
+    arm, pose = smooth(np.random.default_rng(3), time, len(joints), 0.3), np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0])
+    spelt = [*joints, *BOX[:3], *QUATERNION]
+
+    def read(names: list[str], w: float) -> ml.Demonstrations:
+        table = np.hstack([arm, np.tile(pose * [1, 1, 1, 1, 1, 1, w], (50, 1))])[:, : len(names)]
+        return ml.load_demonstrations(write(tmp_path / "a.csv", names, table, time), robot)
+
+    assert len(read(spelt, 0.96)) == 1
+    for code, names, w, words in (
+        ("missing-object", joints, 1.0, "box"),
+        ("partial-quaternion", spelt[:-1], 1.0, "without 'box.qw'"),
+        ("quaternion", spelt, 0.94, "box"),
+    ):
+        with pytest.raises(RecordingError, match=words) as caught:
+            read(names, w)
+        assert caught.value.code == code and "box" in str(caught.value)
 
 
 AXIS = np.array([0.3, -0.2, 0.9]) / np.linalg.norm([0.3, -0.2, 0.9])
 
 
-def on_mechanism(features: MechanismRows, rng: np.random.Generator, n: int = 6) -> list[Trajectory]:
+def on_mechanism(features: ml.MechanismRows, rng: np.random.Generator, n: int = 6) -> list[ml.Trajectory]:
     """Recordings with 0.1 mrad of noise in which loosely held rows stay as they are; all else moves as it likes."""
-    robot, out, kept = features.robot, [], None
+    robot, out, kept, time = features.robot, [], None, np.arange(250) * 0.02
     for k in range(n):
-        time = np.arange(250) * 0.02
-        push = smooth(rng, time, robot.nv, 0.5)
-        q = robot.configuration(0.5 * robot.positions(robot.random_configuration(rng)))
+        push, q, path = smooth(rng, time, robot.nv, 0.5), middle(robot, rng), []
         kept = features.coordinates(q) if kept is None else kept
-        path = []
         for i in range(-60, len(time)):  # at first it goes to the mechanism
             for _ in range(2):
                 q = robot.integrate(q, np.linalg.pinv(features(q)) @ (kept - features.coordinates(q)))
@@ -255,16 +231,21 @@ def on_mechanism(features: MechanismRows, rng: np.random.Generator, n: int = 6) 
                 path.append(robot.positions(robot.integrate(q, 1e-4 * rng.standard_normal(robot.nv))))
                 A = features(robot.integrate(q, 0.01 * push[i]))
                 q = robot.integrate(q, 0.02 * (push[i] - np.linalg.pinv(A) @ (A @ push[i])))
-        out.append(Trajectory(time, np.array(path), None, robot.joint_names, f"motion {k}"))
+        out.append(ml.Trajectory(time, np.array(path), None, robot.joint_names, f"motion {k}"))
     return out
 
 
 @pytest.mark.parametrize(
-    ("rows", "other"),
-    [("radial axial", "box"), ("spherical", "box"), ("radial axial", "right_tip"), ("radial", "right_tip")],
+    ("rows", "other", "kind"),
+    [
+        ("radial axial", "box", "hinge"),
+        ("spherical", "box", "ball"),
+        ("radial axial", "right_tip", "hinge"),
+        ("radial", "right_tip", "other"),
+    ],
 )
 def test_a_mechanism_is_found_where_its_frame_sees_it(
-    robot: Robot, two_arms: Robot, rows: str, other: str, tmp_path: Path
+    robot: ml.Robot, two_arms: ml.Robot, rows: str, other: str, kind: str, tmp_path: Path
 ) -> None:
     """A door, a tether or a rod that is carried about: its kind, axis and place in the other frame, whatever the axes.
 
@@ -272,16 +253,14 @@ def test_a_mechanism_is_found_where_its_frame_sees_it(
     """
     own, tip = (robot, TIP) if other == "box" else (two_arms, "left_tip")
     seen, rng = ml.RelativeFrameJacobian(own, tip, other, "xyz"), np.random.default_rng(3)
-    q = own.configuration(0.3 * own.positions(own.random_configuration(rng)))
-    beside = np.cross(AXIS, [1.0, 0.0, 0.0])
+    q, beside = own.configuration(0.3 * own.positions(own.random_configuration(rng))), np.cross(AXIS, [1.0, 0.0, 0.0])
     point = seen.pose(q)[:3, 3] - 0.25 * beside / np.linalg.norm(beside)
-    truth = MechanismRows(own, tip, rows, axis=AXIS, point=point, relative_to=other)
+    truth = ml.MechanismRows(own, tip, rows, axis=AXIS, point=point, relative_to=other)
     demos = on_mechanism(truth, rng)
     found = ml.ConstraintLearner(seen).fit(demos).constraint_
-    kind, mechanism = {"radial axial": "hinge", "spherical": "ball", "radial": "other"}[rows], found.mechanism
+    mechanism = found.mechanism
     assert mechanism is not None and (mechanism.type, mechanism.relative_to) == (kind, other)
-    assert mechanism.point is not None
-    assert f"in '{other}'" in mechanism.sentence
+    assert mechanism.point is not None and f"in '{other}'" in mechanism.sentence
     off = mechanism.point - point
     if mechanism.axis is not None:
         assert np.degrees(np.arccos(min(1.0, abs(mechanism.axis @ AXIS)))) < 0.05
@@ -292,30 +271,30 @@ def test_a_mechanism_is_found_where_its_frame_sees_it(
         return
     again = ml.Constraint.load(found.save(tmp_path / "door.json"), own)
     task = ml.motion(again, turn=0.3)
-    start = own.configuration(demos[0].q[0])
-    done = ml.simulate(own, ml.ResolvedRateController(again, task), start, task.duration + 1.0, 0.01)
+    law, start = ml.ResolvedRateController(again, task), own.configuration(demos[0].q[0])
+    done = ml.simulate(own, law, start, task.duration + 1.0, 0.01)
     (x, y), places = across(AXIS), [seen.pose(at)[:3, 3] - point for at in done.q[[0, -1]]]
     angles = [np.arctan2(y @ d, x @ d) for d in places]
     assert abs((angles[1] - angles[0] + np.pi) % (2.0 * np.pi) - np.pi) == pytest.approx(0.3, abs=2e-3)
-    np.testing.assert_allclose(truth.coordinates(done.q[-1]), truth.coordinates(done.q[0]), atol=1e-4)
+    assert_allclose(truth.coordinates(done.q[-1]), truth.coordinates(done.q[0]), atol=1e-4)
 
 
-def test_command_line(robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_line(robot: ml.Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Learn relative to a recorded object, audit by it, inspect; the file names its objects, another one is refused."""
-    features = ml.RelativeFrameJacobian(robot, TIP, "box", "pose")
-    folder = tmp_path / "recordings"
+    features, folder = ml.RelativeFrameJacobian(robot, TIP, "box", "pose"), tmp_path / "recordings"
     folder.mkdir()
     for i, t in enumerate(held_relative(features, np.eye(6)[:, [5]], np.random.default_rng(7))):
         write(folder / f"demo_{i}.csv", list(t.joint_names), t.q, t.time)
-    file = str(tmp_path / "held.json")
-    words = ["learn", "sawyer", str(folder), "--object", "box", "--frame", TIP, "--relative-to", "box"]
-    assert main([*words, "--axes", "pose", "--estimator", "null-space", "--out", file, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["n_constraints"] == 5
-    assert main(["audit", "sawyer", file, str(folder), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["n_episodes"] == 4
+    file, box = str(tmp_path / "held.json"), ("--object", "box")
+    learn = ("learn", str(folder), *box, "--frame", TIP, "--relative-to", "box", "--axes", "pose")
+    for (name, *words), key, value in (
+        ((*learn, "--estimator", "null-space", "--out", file), "n_constraints", 5),
+        (("audit", file, str(folder)), "n_episodes", 4),
+        (("inspect", *box), "nv", robot.nv),
+        (("replay", str(folder / "demo_0.csv"), *box, "--html", str(tmp_path / "r.html")), None, None),
+    ):
+        assert main([name, "sawyer", *words, "--json"]) == 0
+        answer = json.loads(capsys.readouterr().out)
+        assert key is None or answer[key] == value
     assert main(["audit", "sawyer", file, str(folder), "--object", "cup"]) == 2
     assert "'cup'" in capsys.readouterr().err
-    assert main(["inspect", "sawyer", "--object", "box", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["nv"] == robot.nv
-    page = ["replay", "sawyer", str(folder / "demo_0.csv"), "--object", "box", "--html", str(tmp_path / "r.html")]
-    assert main([*page, "--json"]) == 0

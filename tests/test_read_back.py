@@ -17,6 +17,8 @@ from scipy.spatial.transform import Rotation
 import manip_learn as ml
 from manip_learn.constraint.features import MechanismRows
 from manip_learn.control.interop.force_control import force_mode, moveit_constraints, urscript
+from manip_learn.recordings.saved_motion import motion_of_trajectory
+from manip_learn.recordings.writers.write_motion import write_motion
 
 # words that run, end a line, or turn into numbers where they are pasted into a program or a table
 EVIL = "2e5 tip'\" : {no}] # \\ end"
@@ -25,36 +27,27 @@ OFFSETS = ("0 0 0.16", "0 0.13 0.1", "0 -0.1 0.42", "0.02 0 0.39", "0 0.1 0.02",
 AXES = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1", "0 1 0")
 
 
-def hostile_arm(folder: Any) -> ml.Robot:
-    """Six joints between `base` and `tool0`, both apart from the root and the hand; names as nobody should choose."""
-    chain = ["base", *(f"link {i} {EVIL}" for i in range(6))]
-    links = ["root", *chain, "tool0", EVIL]
-    joints = [
-        f'<joint name={quoteattr(name)} type="revolute"><parent link={quoteattr(a)}/><child link={quoteattr(b)}/>'
-        f'<origin xyz="{xyz}" rpy="0 0 0.1"/><axis xyz="{axis}"/>'
-        '<limit lower="-3" upper="3" velocity="2" effort="50"/></joint>'
-        for name, a, b, xyz, axis in zip(JOINTS, chain[:-1], chain[1:], OFFSETS, AXES, strict=True)
-    ]
-    joints += [
-        f'<joint name="fixed {i}" type="fixed"><parent link={quoteattr(a)}/><child link={quoteattr(b)}/>'
-        f'<origin xyz="{xyz}" rpy="{rpy}"/></joint>'
-        for i, (a, b, xyz, rpy) in enumerate(
-            [
-                ("root", "base", "0.1 -0.2 0.3", "0 0 0.7"),
-                (chain[-1], "tool0", "0 0.08 0.02", "-1.57 0 0"),
-                ("tool0", EVIL, "0.03 0.02 0.11", "0.2 0.3 -0.4"),
-            ]
-        )
-    ]
-    named = "".join(f"<link name={quoteattr(name)}/>" for name in links)
-    path = folder / "arm.urdf"
-    path.write_text(f"<robot name={quoteattr(EVIL)}>{named}{''.join(joints)}</robot>", encoding="utf-8")
-    return ml.load_robot(path)
-
-
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory) -> ml.Robot:
-    return hostile_arm(tmp_path_factory.mktemp("hostile"))
+    """Six joints between `base` and `tool0`, both apart from the root and the hand; names as nobody should choose."""
+    chain = ["base", *(f"link {i} {EVIL}" for i in range(6))]
+    limit = '<axis xyz="{}"/><limit lower="-3" upper="3" velocity="2" effort="50"/>'
+    joints = [
+        (name, "revolute", a, b, xyz, "0 0 0.1", limit.format(axis))
+        for name, a, b, xyz, axis in zip(JOINTS, chain[:-1], chain[1:], OFFSETS, AXES, strict=True)
+    ]
+    joints.append(("fixed 0", "fixed", "root", "base", "0.1 -0.2 0.3", "0 0 0.7", ""))
+    joints.append(("fixed 1", "fixed", chain[-1], "tool0", "0 0.08 0.02", "-1.57 0 0", ""))
+    joints.append(("fixed 2", "fixed", "tool0", EVIL, "0.03 0.02 0.11", "0.2 0.3 -0.4", ""))
+    named = "".join(f"<link name={quoteattr(name)}/>" for name in ("root", *chain, "tool0", EVIL))
+    named += "".join(
+        f'<joint name={quoteattr(name)} type="{kind}"><parent link={quoteattr(a)}/><child link={quoteattr(b)}/>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/>{rest}</joint>'
+        for name, kind, a, b, xyz, rpy, rest in joints
+    )
+    path = tmp_path_factory.mktemp("hostile") / "arm.urdf"
+    path.write_text(f"<robot name={quoteattr(EVIL)}>{named}</robot>", encoding="utf-8")
+    return ml.load_robot(path)
 
 
 def postures(robot: ml.Robot, n: int) -> np.ndarray:
@@ -169,20 +162,23 @@ def yaml_of(text: str) -> Any:
 
 def allowed(content: Any, robot: ml.Robot, q: np.ndarray) -> bool:
     """Whether a posture keeps path constraints, as MoveIt measures: boxes around a point, a rotation vector."""
+
+    def of(numbers: Any, names: str = "xyz") -> np.ndarray:
+        return np.array([numbers[k] for k in names])
+
     for kept in content["position_constraints"]:
-        offset = [kept["target_point_offset"][k] for k in "xyz"]
-        point = (robot.pose(q, kept["link_name"]) @ [*offset, 1.0])[:3]
+        point = (robot.pose(q, kept["link_name"]) @ [*of(kept["target_point_offset"]), 1.0])[:3]
         region = kept["constraint_region"]
         inside = []
         for shape, place in zip(region["primitives"], region["primitive_poses"], strict=True):
-            turn = Rotation.from_quat([place["orientation"][k] for k in "xyzw"])
-            apart = turn.inv().apply(point - [place["position"][k] for k in "xyz"])
+            turn = Rotation.from_quat(of(place["orientation"], "xyzw"))
+            apart = turn.inv().apply(point - of(place["position"]))
             inside.append(np.all(np.abs(apart) <= 0.5 * np.array(shape["dimensions"]) + 1e-9))
         if not any(inside):
             return False
     for kept in content["orientation_constraints"]:
-        wanted = Rotation.from_quat([kept["orientation"][k] for k in "xyzw"])
-        off = (wanted.inv() * Rotation.from_matrix(robot.pose(q, kept["link_name"])[:3, :3])).as_rotvec()
+        hand = Rotation.from_matrix(robot.pose(q, kept["link_name"])[:3, :3])
+        off = (Rotation.from_quat(of(kept["orientation"], "xyzw")).inv() * hand).as_rotvec()
         if np.any(np.abs(off) > [kept[f"absolute_{k}_axis_tolerance"] for k in "xyz"]):
             return False
     return True
@@ -223,9 +219,6 @@ def test_a_bag_read_by_another_reader(robot, tmp_path):
     time = np.cumsum(rng.uniform(0.005, 0.02, 40)) + 3.0
     q, u, effort = rng.normal(size=(3, 40, 6))
     trajectory = ml.Trajectory(time, q, u, robot.joint_names, effort=effort)
-    from manip_learn.recordings.saved_motion import motion_of_trajectory
-    from manip_learn.recordings.writers.write_motion import write_motion
-
     path = write_motion(tmp_path / "run.mcap", motion_of_trajectory(trajectory, robot))
     messages = list(reader.read_ros2_messages(str(path)))
     assert len(messages) == 40 and {m.channel.topic for m in messages} == {"/joint_states"}

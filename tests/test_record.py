@@ -57,9 +57,9 @@ class Arm:
         self.calls.append("hold")
 
 
-def rows(file: Path) -> list[list[float]]:
+def rows(file: Path) -> np.ndarray:
     lines = file.read_text(encoding="utf-8").splitlines()[1:]
-    return [[float(x) for x in line.split(",")] for line in lines]
+    return np.array([[float(x) for x in line.split(",")] for line in lines])
 
 
 def test_each_motion_is_a_file_of_its_own(tmp_path: Path, planar3: Robot):
@@ -71,7 +71,7 @@ def test_each_motion_is_a_file_of_its_own(tmp_path: Path, planar3: Robot):
     assert [file.name for file in done.files] == ["drawer_01.csv", "drawer_02.csv"]
     assert (done.lost, done.ordered, arm.calls) == (0, True, ["release", "hold"])
     for file, (begin, end) in zip(done.files, arm.moves, strict=True):
-        table = np.array(rows(file))
+        table = rows(file)
         assert table[0, 0] == pytest.approx(begin + 0.05 - 0.5, abs=0.021)  # it has moved by 0.02 rad after 0.05 s
         assert end + 1.0 < table[-1, 0] < end + RESTS + 0.2
         assert np.allclose(np.diff(table[:, 0]), 0.01)
@@ -92,48 +92,47 @@ def test_the_key_begins_and_ends(tmp_path: Path):
         arm = Arm([(1.0, 6.0)])
         done = record(arm, tmp_path, "wipe", by="key", key=lambda arm=arm: presses.get(arm.k, ""))  # type: ignore[arg-type]
         assert [file.name for file in done.files] == [f"wipe_{first:02d}.csv"]
-        table = np.array(rows(done.files[0]))
+        table = rows(done.files[0])
         assert table[0, 0] == pytest.approx(1.0) and table[-1, 0] == pytest.approx(3.5)
         assert done.ended == "ended by key"
 
 
-def test_whatever_a_driver_does_the_files_are_kept(tmp_path: Path):
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        (OSError("port gone"), "the driver's read() failed: OSError: port gone"),
+        (None, "the driver has given no posture for 1 s"),
+        (np.array([0.1, np.nan, 0.2]), "the driver has given no posture for 1 s"),
+        ({"joint1": 0.3, "joint2": 0.1}, "the driver has given no posture for 1 s"),
+    ],
+)
+def test_whatever_a_driver_does_the_files_are_kept(fault: object, sentence: str, tmp_path: Path):
     """A driver that raises, gives no posture, or loses a joint ends the recording in one sentence; what came before is
     kept, complete, and the arm is held.
     """
 
     class Failing(Arm):
-        fault: object = None
-
         def read(self):
-            if self.t >= 2.5:
-                if isinstance(self.fault, Exception):
-                    raise self.fault
-                return self.fault, None, None
-            return super().read()
+            if self.t < 2.5:
+                return super().read()
+            if isinstance(fault, Exception):
+                raise fault
+            return fault, None, None
 
-    faults = {
-        "the driver's read() failed: OSError: port gone": OSError("port gone"),
-        "the driver has given no posture for 1 s": None,
-        "the driver has given no posture for 1  s": np.array([0.1, np.nan, 0.2]),
-        "the driver has given no posture for 1   s": {"joint1": 0.3, "joint2": 0.1},
-    }
-    for sentence, fault in faults.items():
-        with case(sentence) as folder:
-            arm = Failing([(1.0, 8.0)])
-            arm.fault = fault
-            done = record(arm, folder, duration=20.0)
-            assert done.ended == " ".join(sentence.split()) and not done.ordered and arm.calls[-1] == "hold"
-            assert len(rows(done.files[0])) == done.samples and rows(done.files[0])[-1][0] > 2.4
+    arm = Failing([(1.0, 8.0)])
+    done = record(arm, tmp_path, duration=20.0)
+    assert done.ended == sentence and not done.ordered and arm.calls[-1] == "hold"
+    assert len(rows(done.files[0])) == done.samples and rows(done.files[0])[-1, 0] > 2.4
 
 
 def test_a_hand_guided_mode_that_is_not_there_is_said(tmp_path: Path):
     """Where release() refuses, its sentence is a note; a driver without it is recorded as it is; a simulated one that
-    cannot wait, names that nobody gives and a folder that cannot be are refused before anything begins.
+    cannot wait, names that nobody gives, a folder that cannot be and a name that leads elsewhere are refused before
+    anything begins.
     """
     arm = Arm([(1.0, 2.0)])
     arm.release = lambda: (_ for _ in ()).throw(ConfigurationError("press the button on the wrist"))  # type: ignore
-    assert record(arm, tmp_path, duration=5.0).notes == ("press the button on the wrist",)
+    assert record(arm, tmp_path / "ok", duration=5.0).notes == ("press the button on the wrist",)
     for attribute, words in (("joint_names", "names no joints"), ("wait", "wait")):
         lacking = Arm([(1.0, 2.0)])
         setattr(lacking, attribute, None)
@@ -142,6 +141,10 @@ def test_a_hand_guided_mode_that_is_not_there_is_said(tmp_path: Path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(OutputError, match="cannot make the folder"):
         record(arm, tmp_path / "file" / "demos", duration=1.0)
+    for name in ("../drawer", "a/b", "", ".."):
+        with pytest.raises(OutputError, match="without a folder"):
+            record(arm, tmp_path / "demos", name, duration=1.0)
+    assert not (tmp_path / "demos").exists()
 
 
 PROGRAM = """
@@ -181,22 +184,13 @@ print(done.ended, flush=True)
 """
 
 
-def started(folder: Path, limit: int = 0, last: int = 10**9, **more) -> subprocess.Popen[str]:
+def started(folder: Path, limit: int = 0, last: int = 10**9) -> subprocess.Popen[str]:
     """A program that records; its files get at most `limit` bytes, and its driver blocks after the `last` reading."""
     words = [sys.executable, "-c", PROGRAM, str(folder), str(limit), str(last)]
-    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def test_a_full_disk_keeps_what_it_has(tmp_path: Path, planar3: Robot):
-    """Where there is no more room, recording ends with a sentence, the arm is held, and the file is whole lines."""
-    program = started(tmp_path, limit=9000)
-    out, error = program.communicate(timeout=60.0)
-    (file,) = tmp_path.glob("*.csv")
-    assert not error and out.splitlines()[-2] == "held"
-    assert out.splitlines()[-1].startswith("the disk is full, make room; the samples before are kept in")
-    content = file.read_text(encoding="utf-8")
-    assert 8800 < len(content) <= 9000 and content.endswith("\n")
-    assert len(load_demonstrations(file, planar3)[0]) == content.count("\n") - 1
+FULL = "the disk is full, make room; the samples before are kept in"
 
 
 @pytest.mark.parametrize(
@@ -205,28 +199,33 @@ def test_a_full_disk_keeps_what_it_has(tmp_path: Path, planar3: Robot):
         ("SIGINT", 10**9, ["held", "Ctrl-C"], 0),
         ("SIGTERM", 200, ["blocks", "held"], 143),
         ("SIGKILL", 200, ["blocks"], -signal.SIGKILL),
+        ("a full disk", 10**9, ["held", FULL], 0),
     ],
 )
-def test_signals_complete_the_file_and_hold_the_arm(
+def test_whatever_ends_it_the_file_is_complete_and_the_arm_held(
     name: str, last: int, said: list[str], code: int, tmp_path: Path, planar3: Robot
 ):
     """Without a traceback; a driver that does not return is given up; the exit code is the signal's. The file is
-    written while it grows: after kill -9, too, it has every sample read before, in whole lines.
+    written while it grows: after kill -9, too, it has every sample read before, in whole lines. Where there is no more
+    room, recording ends with a sentence.
     """
-    with started(tmp_path, last=last) as program:
+    full = name == "a full disk"
+    with started(tmp_path, 9000 if full else 0, last) as program:
         assert program.stdout is not None and program.stderr is not None
-        heard = [program.stdout.readline() for _ in range(201)]
-        (file,) = tmp_path.glob("*.csv")
-        while name == "SIGKILL" and [row[1] for row in rows(file)[-1:]] != [0.005 * last]:
+        heard = [program.stdout.readline() for _ in range(0 if full else 201)]
+        while name == "SIGKILL" and rows(next(tmp_path.glob("*.csv")))[-1:, 1].tolist() != [0.005 * last]:
             time.sleep(0.05)
-        program.send_signal(signal.Signals[name])
+        if not full:
+            program.send_signal(signal.Signals[name])
         heard += program.stdout.readlines()
         error = program.stderr.read()
-    lines = [line.strip() for line in heard]
-    assert lines[-len(said) :] == said and program.returncode == code and not error
-    table, count = rows(file), max(int(line) for line in lines if line.isdecimal())
-    assert table[-1][1] >= 0.005 * (count - (name != "SIGKILL")) and np.allclose(np.diff(table, axis=0)[:, 1], 0.005)
-    assert file.read_text(encoding="utf-8").endswith("\n") and len(load_demonstrations(file, planar3)[0]) == len(table)
+    lines, (file,) = [line.strip() for line in heard], tmp_path.glob("*.csv")
+    assert program.returncode == code and not error
+    assert all(line.startswith(words) for line, words in zip(lines[-len(said) :], said, strict=True))
+    table, count, content = rows(file), max(int(x) for x in lines if x.isdecimal()), file.read_text(encoding="utf-8")
+    assert np.allclose(np.diff(table, axis=0)[:, 1], 0.005) and content.endswith("\n")
+    assert len(load_demonstrations(file, planar3)[0]) == len(table)
+    assert 8800 < len(content) <= 9000 if full else table[-1][1] >= 0.005 * (count - (name != "SIGKILL"))
 
 
 REAL_ARM = """
@@ -361,14 +360,5 @@ def test_columns_are_the_joints_of_their_names(tmp_path: Path):
         for row in rows(file)[::10]:
             arm.k = round(row[0] / arm.period)
             q, u, effort = Arm.read(arm)
-            for name, *expected in zip(NAMES, q, u, effort, strict=True):
-                got = [row[header.index(name + ending)] for ending in ("", VELOCITY_SUFFIX, EFFORT_SUFFIX)]
-                assert got == expected
-
-
-def test_a_name_stays_in_its_folder(tmp_path: Path):
-    """A name that leads elsewhere is refused before anything is made."""
-    for name in ("../drawer", "a/b", "", ".."):
-        with pytest.raises(OutputError, match="without a folder"):
-            record(Arm([]), tmp_path / "demos", name, duration=1.0)
-    assert not (tmp_path / "demos").exists()
+            for part, ending in ((q, ""), (u, VELOCITY_SUFFIX), (effort, EFFORT_SUFFIX)):
+                assert [row[header.index(name + ending)] for name in NAMES] == [*part]

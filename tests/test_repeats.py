@@ -140,8 +140,7 @@ def test_what_goes_round_in_one_file_counts_once(periods: float, noise: float):
 def there_and_back(rng: np.random.Generator, strokes: int) -> ml.Trajectory:
     """A programmed motion in the air along a curve of its own, again and again, 4 s a stroke."""
     robot, t = arm("panda"), np.arange(0.0, 4.0 * strokes, 0.01)
-    low, high = robot.position_lower, robot.position_upper
-    a, b, c = (rng.uniform(low + 0.2 * (high - low), high - 0.2 * (high - low)) for _ in range(3))
+    a, b, c = (random_posture(robot, rng, 0.6) for _ in range(3))
     s = 0.5 - 0.5 * np.cos(np.pi * t / 4.0)[:, None]
     q = (1 - s) ** 2 * a + 2 * s * (1 - s) * c + s**2 * b
     return ml.Trajectory(t, q + rng.normal(0.0, 1e-4, q.shape), None, robot.joint_names, "reach")

@@ -1,25 +1,43 @@
-"""`Robot`: names, sizes, limits, what it refuses, threads and processes. Its derivatives are in test_gradients.py."""
+"""`Robot`: names, sizes, limits, what it refuses, threads, and kinematics that are those of Pinocchio's whole model.
+
+Derivatives are compared with central differences in test_gradients.py.
+"""
 
 from __future__ import annotations
 
+import itertools
 import pickle
 import sys
-import threading
+import xml.etree.ElementTree as ElementTree
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from case import case
-from conftest import TIPS, URDFS, tip_of
+from conftest import TIPS, URDFS, chain_urdf, tip_of
 from rounding import rounding
 from urdf_corpus import edited
 
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.manipulability import manipulability_gradient
 from manip_learn.errors import ConfigurationError, UnknownNameError
-from manip_learn.robot.frame_kinematics import closed_form, columns_to_joints, pinocchio_order_is_known
-from manip_learn.robot.loading import load_robot
+from manip_learn.robot.collision import SelfCollision
+from manip_learn.robot.frame_kinematics import (
+    DERIVATIVE_CHUNK,
+    PINOCCHIO_REFERENCES,
+    FrameKinematics,
+    closed_form,
+    columns_to_joints,
+    pinocchio_order_is_known,
+)
+from manip_learn.robot.joints import Mimic
+from manip_learn.robot.loading import load_robot, robot_from_text
+from manip_learn.robot.robot import Robot
 
 ROBOTS = [*URDFS, *TIPS]
-WITH_MIMICS = ("mimic",)  # their public derivative is that of the independent joints
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -49,39 +67,30 @@ def test_names_limits_postures_and_copies_fit_together(robot_of, rng, name):
     assert [robot.joint_index(joint) for joint in robot.joint_names] == list(range(robot.nv))
 
 
-def test_unknown_names_never_reach_pinocchio(robot_of):
+@pytest.mark.parametrize("wrong", ["", "tipp", "universe", "TIP", None, 3, "tip\x00", "a" * 10000])
+def test_unknown_names_never_reach_pinocchio(robot_of, wrong):
     """Any other name, or none, is an error of this library (Pinocchio would read out of bounds)."""
-    for wrong in ["", "tipp", "universe", "TIP", None, 3, "tip\x00", "a" * 10000]:
-        with case(wrong):
-            robot = robot_of("gantry")
-            with pytest.raises(UnknownNameError):
-                robot.frame(wrong)
-            with pytest.raises(UnknownNameError):
-                robot.joint_index(wrong)
+    for ask in (robot_of("gantry").frame, robot_of("gantry").joint_index):
+        with pytest.raises(UnknownNameError):
+            ask(wrong)
 
 
-def test_wrong_postures_are_refused(robot_of):
+@pytest.mark.parametrize("name", ["one", "planar3", "wrist", "humanoid", "mimic"])
+def test_wrong_postures_are_refused(robot_of, name):
     """Wrong sizes, NaN, infinity, text and None are rejected wherever a posture or a velocity is an argument."""
-    for name in ["one", "planar3", "wrist", "humanoid", "mimic"]:
-        with case(name):
-            robot = robot_of(name)
-            frame = robot.frame(tip_of(name))
-            n = robot.nv
-            bad: list = [np.zeros(n + 7), [], np.full(n, np.nan), np.full(robot.nq, np.inf), np.zeros((n, 2))]
-            bad += [["x"] * n, None, {}]
-            for q in bad:
-                for ask in (robot.configuration, robot.positions):
-                    with pytest.raises(ConfigurationError):
-                        ask(q)
-                for ask in (robot.pose, robot.jacobian, robot.jacobian_and_derivative):
-                    with pytest.raises(ConfigurationError):
-                        ask(q, frame)
-                with pytest.raises(ConfigurationError):
-                    robot.velocity(q)
-                with pytest.raises(ConfigurationError):
-                    robot.integrate(np.zeros(n), q)
-                with pytest.raises(ConfigurationError):
-                    robot.difference(np.zeros(n), q)
+    robot, n = robot_of(name), robot_of(name).nv
+    frame = robot.frame(tip_of(name))
+    bad = [np.zeros(n + 7), [], np.full(n, np.nan), np.full(robot.nq, np.inf), np.zeros((n, 2)), ["x"] * n, None, {}]
+    ways = [(f,) for f in (robot.configuration, robot.positions, robot.velocity)]
+    ways += [(f, frame) for f in (robot.pose, robot.jacobian, robot.jacobian_and_derivative)]
+    ways += [(lambda q, f=f: f(np.zeros(n), q),) for f in (robot.integrate, robot.difference)]
+    for q, (ask, *more) in product(bad, ways):
+        with pytest.raises(ConfigurationError):
+            ask(q, *more)
+
+
+def test_numbers_that_are_none_are_named(robot_of):
+    """By their joint, and what was given."""
     gantry = robot_of("gantry")
     for ask, wrong, said in (
         (gantry.configuration, [0, 0, np.nan, 0, 0], "'joint2' is nan"),
@@ -105,126 +114,100 @@ def test_configurations_without_direction_are_refused(robot_of):
     np.testing.assert_allclose(wrist.configuration(longer), q, rtol=0, atol=rounding(8, q))
 
 
-def test_any_memory_layout(robot_of, rng):
+@pytest.mark.parametrize("name", ["planar3", "wrist", "panda"])
+def test_any_memory_layout(robot_of, rng, name):
     """Lists, float32, big-endian, strided and read-only vectors give the same kinematics."""
-    for name in ["planar3", "wrist", "panda"]:
-        with case(name):
-            robot = robot_of(name)
-            frame = robot.frame(tip_of(name))
-            q = robot.random_configuration(rng).astype(np.float32).astype(np.float64)
-            expected = robot.jacobian(q, frame)
-            strided = np.stack([q, q], axis=1)[:, 0]
-            frozen = q.copy()
-            frozen.setflags(write=False)
-            for same in (q.tolist(), tuple(q), q.astype(">f8"), q.astype(np.float32), strided, frozen):
-                np.testing.assert_array_equal(robot.jacobian(same, frame), expected)
+    robot, frame = robot_of(name), robot_of(name).frame(tip_of(name))
+    q = robot.random_configuration(rng).astype(np.float32).astype(np.float64)
+    strided, frozen, expected = np.stack([q, q], axis=1)[:, 0], q.copy(), robot.jacobian(q, frame)
+    frozen.setflags(write=False)
+    for same in (q.tolist(), tuple(q), q.astype(">f8"), q.astype(np.float32), strided, frozen):
+        np.testing.assert_array_equal(robot.jacobian(same, frame), expected)
 
 
 def test_inputs_are_left_alone_and_results_belong_to_the_caller(robot_of, rng):
     """No method writes to its arguments, and later calls do not change earlier results (Pinocchio hands out views)."""
-    robot = robot_of("wrist")
-    frame = robot.frame("tip")
-    q, v = 1.7 * robot.random_configuration(rng), rng.normal(size=robot.nv)
+    robot, v = robot_of("wrist"), rng.normal(size=4)
+
+    def answers(q):
+        frame, centre = robot.frame("tip"), robot.centre_of_mass_jacobian_and_derivative(q)
+        kinematics = [robot.pose(q, frame), robot.jacobian(q, frame), *robot.jacobian_and_derivative(q, frame)]
+        there = robot.integrate(q, v)
+        return [*kinematics, there, robot.difference(q, there), robot.centre_of_mass(q), *centre]
+
+    q = 1.7 * robot.random_configuration(rng)
     q.setflags(write=False)
     v.setflags(write=False)
-    first = [
-        robot.pose(q, frame),
-        robot.jacobian(q, frame),
-        *robot.jacobian_and_derivative(q, frame),
-        robot.integrate(q, v),
-        robot.difference(q, robot.integrate(q, v)),
-        robot.centre_of_mass(q),
-        *robot.centre_of_mass_jacobian_and_derivative(q),
-    ]
+    first = answers(q)
     copies = [a.copy() for a in first]
     for _ in range(3):
-        other = robot.random_configuration(rng)
-        robot.pose(other, frame)
-        robot.jacobian_and_derivative(other, frame)
-        robot.centre_of_mass_jacobian_and_derivative(other)
-        robot.centre_of_mass(other)
+        answers(robot.random_configuration(rng))
     for kept, copy in zip(first, copies, strict=True):
         np.testing.assert_array_equal(kept, copy)
 
 
 def test_many_threads(robot_of, rng):
     """One robot in eight threads gives in each what it gives alone."""
-    robot = robot_of("panda")
-    frame = robot.frame("panda_hand_tcp")
+    robot, frame, interval = robot_of("panda"), robot_of("panda").frame("panda_hand_tcp"), sys.getswitchinterval()
     postures = [robot.random_configuration(rng) for _ in range(8)]
     expected = [robot.jacobian_and_derivative(q, frame)[1] for q in postures]
-    wrong: list[int] = []
 
-    def work(i: int) -> None:
-        for _ in range(100):
-            if not np.array_equal(robot.jacobian_and_derivative(postures[i], frame)[1], expected[i]):
-                wrong.append(i)
+    def is_right(i):
+        return all(
+            np.array_equal(robot.jacobian_and_derivative(postures[i], frame)[1], expected[i]) for _ in range(100)
+        )
 
-    interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)  # threads alternate between any two calls of Pinocchio
     try:
-        threads = [threading.Thread(target=work, args=(i,)) for i in range(8)]
-        for t in threads:
-            t.start()
-        for t in threads:
-            t.join()
+        with ThreadPoolExecutor(8) as threads:
+            assert all(threads.map(is_right, range(8)))
     finally:
         sys.setswitchinterval(interval)
-    assert wrong == []
 
 
-def test_closed_form_hessian(robot_of, rng):
+@pytest.mark.parametrize("name", [name for name in ROBOTS if name != "mimic"])  # that of the independent joints
+def test_closed_form_hessian(robot_of, rng, name):
     """The stand-in for Pinocchio's Hessian, should its memory order change, gives the same derivatives."""
-    for reference in ["world", "local"]:
-        for name in [name for name in ROBOTS if name not in WITH_MIMICS]:
-            with case(reference, name):
-                robot = robot_of(name)
-                model = robot.pinocchio_model
-                assert pinocchio_order_is_known(model)
-                frame = robot.frame(tip_of(name))
-                for _ in range(3):
-                    q = robot.random_configuration(rng)
-                    J, H = robot.jacobian_and_derivative(q, frame, reference)
-                    np.testing.assert_allclose(
-                        closed_form(J, columns_to_joints(model), reference), H, rtol=0, atol=1e-13
-                    )
+    robot, model = robot_of(name), robot_of(name).pinocchio_model
+    assert pinocchio_order_is_known(model)
+    for reference in ["world", "local"] * 3:
+        J, H = robot.jacobian_and_derivative(robot.random_configuration(rng), tip_of(name), reference)
+        np.testing.assert_allclose(closed_form(J, columns_to_joints(model), reference), H, rtol=0, atol=1e-13)
 
 
 def test_joint_order_is_that_of_the_names(robot_of):
     """A branching robot's names are in Pinocchio's order, and each position moves the joint of its own name."""
     robot = robot_of("tree")
-    q = robot.positions(robot.neutral()).copy()
+    at_rest, q = robot.neutral(), robot.positions(robot.neutral()).copy()
     q[robot.joint_index("z_side")] = 0.25
-    moved, still = robot.frame("arm_b"), robot.frame("tip")
-    assert np.linalg.norm(robot.pose(q, moved)[:3, 3] - robot.pose(robot.neutral(), moved)[:3, 3]) == pytest.approx(
-        0.25
-    )
-    np.testing.assert_array_equal(robot.pose(q, still), robot.pose(robot.neutral(), still))
+    moved = robot.position(q, "arm_b") - robot.position(at_rest, "arm_b")
+    assert np.linalg.norm(moved) == pytest.approx(0.25)
+    np.testing.assert_array_equal(robot.pose(q, "tip"), robot.pose(at_rest, "tip"))
+
+
+def gantry_within(folder, *limits):
+    """The gantry with other limits of its first joints."""
+    text = URDFS["gantry"]
+    for limit in limits:
+        text = text.replace('lower="-2" upper="2"', limit, 1)
+    (folder / "gantry.urdf").write_text(text, encoding="utf-8")
+    return load_robot(folder / "gantry.urdf")
 
 
 def test_neutral_is_zero_where_zero_is_allowed(tmp_path):
     """Joints whose range begins or ends at zero stand at zero, those whose range leaves it out in its middle."""
-    text = URDFS["gantry"]
-    for limits in ('lower="0" upper="2"', 'lower="-2" upper="0"', 'lower="0.5" upper="1"', 'lower="-3" upper="-2"'):
-        text = text.replace('lower="-2" upper="2"', limits, 1)
-    path = tmp_path / "gantry.urdf"
-    path.write_text(text, encoding="utf-8")
-    np.testing.assert_allclose(load_robot(path).neutral(), [0.0, 0.0, 0.75, -2.5, 0.0])
+    ranges = ((0, 2), (-2, 0), (0.5, 1), (-3, -2))
+    robot = gantry_within(tmp_path, *(f'lower="{low}" upper="{high}"' for low, high in ranges))
+    np.testing.assert_allclose(robot.neutral(), [0.0, 0.0, 0.75, -2.5, 0.0])
 
 
 def test_joints_limited_on_one_side(tmp_path, rng):
     """They stand at their limit if zero is outside, and are drawn within a turn of it."""
-    text = URDFS["gantry"]
-    for limits in ('lower="0.5"', 'upper="-0.5"', 'lower="-1"'):
-        text = text.replace('lower="-2" upper="2"', limits, 1)
-    path = tmp_path / "gantry.urdf"
-    path.write_text(text, encoding="utf-8")
-    robot, turn = load_robot(path), 2.0 * np.pi
+    robot, turn = gantry_within(tmp_path, 'lower="0.5"', 'upper="-0.5"', 'lower="-1"'), 2.0 * np.pi
     np.testing.assert_array_equal(robot.neutral(), [0.5, -0.5, 0.0, 0.0, 0.0])
     drawn = np.array([robot.random_configuration(rng) for _ in range(500)])
     low, high = [0.5, -0.5 - turn, -1.0, -2.0, -2.0], [0.5 + turn, -0.5, -1.0 + turn, 2.0, 2.0]
-    np.testing.assert_allclose(drawn.min(axis=0), low, atol=0.1)
-    np.testing.assert_allclose(drawn.max(axis=0), high, atol=0.1)
+    np.testing.assert_allclose([drawn.min(axis=0), drawn.max(axis=0)], [low, high], atol=0.1)
     assert np.all(drawn >= low) and np.all(drawn <= high)
 
 
@@ -255,3 +238,410 @@ def test_frames_and_joints_of_one_name(tmp_path):
     assert rover.joint_units == ("m", "m", "rad", "rad", "rad")
     assert humanoid.joint_units == (*(("m",) * 3 + ("rad",) * 3) * 2, "rad", "rad")
     assert [n for n in humanoid.joint_names if "box" in n] == [f"box.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")]
+
+
+# ---- kinematics of one posture and of many at once ----
+
+TOLERANCE = 1e-12
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_joints_that_carry_a_frame_are_enough(name, robot_of, rng):
+    """Poses and Jacobians, alone and in a table, at configurations and joint positions, of frames all along the arm."""
+    robot = robot_of(name)
+    model, data = robot.pinocchio_model, robot.pinocchio_model.createData()
+    for frame in (tip_of(name), robot.frame_names[0], robot.frame_names[len(robot.frame_names) // 2]):
+        index, table, poses = robot.frame(frame).index, [], []
+        for _ in range(5):
+            q = robot.random_configuration(rng)
+            for posture in (q, robot.positions(q)):
+                full = robot.pinocchio_configuration(posture)
+                for reference, theirs in PINOCCHIO_REFERENCES.items():
+                    J = pin.computeFrameJacobian(model, data, full, index, theirs).reshape(6, model.nv)
+                    J = J if robot.coupling is None else J @ robot.coupling.lift
+                    np.testing.assert_allclose(robot.jacobian(posture, frame, reference), J, rtol=0, atol=1e-13)
+                pin.forwardKinematics(model, data, full)
+                pose = pin.updateFramePlacement(model, data, index).homogeneous
+                np.testing.assert_allclose(robot.pose(posture, frame), pose, rtol=0, atol=1e-13)
+                np.testing.assert_array_equal(robot.position(posture, frame), robot.pose(posture, frame)[:3, 3])
+            table.append(robot.positions(q))
+            poses.append(pose)
+        np.testing.assert_allclose(robot.frame_kinematics(frame).poses(np.array(table)), poses, rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_no_number_depends_on_what_was_asked_before(name, robot_of, rng):
+    """In any order of calls, at any postures in between, every answer is the same to the last bit."""
+    robot = robot_of(name)
+    frame = robot.frame(tip_of(name))
+    asked = [
+        lambda kinematics, q: (kinematics.pose(q),),
+        lambda kinematics, q: (kinematics.position(q),),
+        lambda kinematics, q: (kinematics.jacobian(q, "world"),),
+        lambda kinematics, q: (kinematics.jacobian(q, "local"),),
+        lambda kinematics, q: kinematics.jacobian_and_derivative(q, "local"),
+        lambda kinematics, q: kinematics.jacobian_and_derivative(q, "world"),
+    ]
+    postures, used = [robot.random_configuration(rng) for _ in range(3)], FrameKinematics(robot, frame)
+    expected = [[ask(FrameKinematics(robot, frame), q) for q in postures] for ask in asked]
+    for k, i in rng.integers((len(asked), len(postures)), size=(300, 2)):
+        for a, b in zip(asked[k](used, postures[i]), expected[k][i], strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("n", [0, 1, *(DERIVATIVE_CHUNK + k for k in (-1, 0, 1)), 2 * DERIVATIVE_CHUNK + 3])
+def test_chunks_leave_no_seam(n, robot_of, rng):
+    """Any number of postures, including zero: each row is the result of its own posture."""
+    robot = robot_of("sawyer")
+    q, features = rng.uniform(-2.0, 2.0, (n, robot.nv)), FrameJacobian(robot, "right_hand", "x rz")
+    Phi, dPhi = features.batch_with_derivative(q)
+    assert features.batch(q).shape == (n, 2, 7) and Phi.shape == (n, 2, 7) and dPhi.shape == (n, 2, 7, 7)
+    assert robot.frame_kinematics(features.frame).poses(q).shape == (n, 4, 4)
+    for i in {0, n // 2, n - 1} if n else ():
+        np.testing.assert_allclose(features.batch(q)[i], features(q[i]), rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(dPhi[i], features.derivative(q[i]), rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("tilt", ["0", "1e-9", "3.67e-6", "1e-3", "1.5708", "3.14159"])
+def test_nearly_parallel_axes_lose_nothing(tilt):
+    """Axes tilted by 1e-9 .. 1e-3 rad against each other stay accurate (Denavit and Hartenberg's form would not)."""
+    joints = [("revolute", "0 0 1", "0.3 0.1 0.2", f"{tilt} 0 0.4")] * 4
+    features = FrameJacobian(Robot(pin.buildModelFromXML(chain_urdf("nearly", joints))), "tip", "pose")
+    q = np.array([[0.3, -1.0, 2.0, 0.7]])
+    np.testing.assert_allclose(features.batch(q)[0], features(q[0]), rtol=0, atol=rounding(8 * 4, q, 2.0))  # [m] long
+
+
+def test_a_table_that_changes_is_seen(robot_of):
+    """Numbers of the last table are kept, for this table only; a caller that changes its arrays spoils nothing."""
+    robot = robot_of("sawyer")
+    kinematics, q = robot.frame_kinematics("right_hand"), np.linspace(-1.0, 1.0, 21).reshape(3, 7)
+
+    def answers():
+        return kinematics.poses(q), kinematics.jacobians(q), kinematics.jacobians(q, "local")
+
+    first = answers()
+    for array in (kinematics.poses(q), kinematics.jacobians(q), kinematics.jacobians_and_derivatives(q)[0]):
+        array[:] = 7.0
+    for a, b in zip(first, answers(), strict=True):
+        np.testing.assert_array_equal(a, b)
+    q[1, 2] += 0.1
+    assert not np.allclose(kinematics.poses(q)[1], first[0][1]) and np.array_equal(kinematics.poses(q)[2], first[0][2])
+    np.testing.assert_allclose(kinematics.jacobians(q)[1], robot.jacobian(q[1], "right_hand"), rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_not_finite_names_row_and_joint(value, robot_of):
+    """NaN or infinity is refused with the first bad row and the joint's name, before any work."""
+    robot, q = robot_of("sawyer"), np.zeros((2000, 7))
+    q[1234, 5], q[1500, 0] = value, np.nan
+    features = FrameJacobian(robot, "right_hand")
+    for call in (features.batch, features.batch_with_derivative, robot.frame_kinematics("right_hand").poses):
+        with pytest.raises(ConfigurationError, match=rf"row 1234, joint '{robot.joint_names[5]}'"):
+            call(q)
+
+
+def test_wrong_tables_are_refused(robot_of):
+    """One posture, a wrong number of columns, text, a (cos, sin) of length zero: each error says what is expected."""
+    robot = robot_of("wrist")
+    features = FrameJacobian(robot, "tip")
+    for wrong in (np.zeros(4), np.zeros((3, 5)), np.zeros((2, 2, 4)), [["a"] * 4], [[1.0], [1.0, 2.0]]):
+        with pytest.raises(ConfigurationError, match="table"):
+            features.batch(wrong)
+    q = np.stack([robot.configuration(np.zeros(4))] * 3)
+    q[2, robot.blocks[2].q] = 0.0
+    with pytest.raises(ConfigurationError, match="row 2, joint 'joint2'"):
+        features.batch(q)
+
+
+def test_a_robot_without_joints_has_its_frames(tmp_path):
+    """Its only posture has no numbers, and is a posture all the same."""
+    fixed = '<joint name="up" type="fixed"><parent link="base"/><child link="top"/><origin xyz="0.1 0.2 0.3"/></joint>'
+    text = f'<robot name="post"><link name="base"/><link name="top"/>{fixed}</robot>'
+    robot, q = robot_from_text(text.encode(), tmp_path / "post.urdf"), np.zeros(0)
+    np.testing.assert_array_equal(robot.position(q, "top"), [0.1, 0.2, 0.3])
+    assert robot.jacobian(q, "top").shape == (6, 0)
+    assert [x.shape for x in robot.jacobian_and_derivative(q, "top", "local")] == [(6, 0), (6, 0, 0)]
+
+
+# ---- the shipped robots/sawyer.urdf against the numbers of its source ----
+
+URDF = Path(__file__).resolve().parents[1] / "robots" / "sawyer.urdf"
+
+# joint: lower [rad], upper [rad], velocity [rad/s], effort [N m]
+LIMITS = {
+    "right_j0": (-3.0503, 3.0503, 1.74, 80.0),
+    "right_j1": (-3.8095, 2.2736, 1.328, 80.0),
+    "right_j2": (-3.0426, 3.0426, 1.957, 40.0),
+    "right_j3": (-3.0439, 3.0439, 1.957, 40.0),
+    "right_j4": (-2.9761, 2.9761, 3.485, 9.0),
+    "right_j5": (-2.9761, 2.9761, 3.485, 9.0),
+    "right_j6": (-4.7124, 4.7124, 4.545, 9.0),
+}
+# link: mass [kg], centre of mass [m]
+INERTIAS = {
+    "right_l0": (5.3213, (0.024366, 0.010969, 0.14363)),
+    "right_l1": (4.505, (-0.0030849, -0.026811, 0.092521)),
+    "right_l2": (1.745, (-0.00016044, -0.014967, 0.13582)),
+    "right_l3": (2.5097, (-0.0048135, -0.0281, -0.084154)),
+    "right_l4": (1.1136, (-0.0018844, 0.0069001, 0.1341)),
+    "right_l5": (1.5625, (0.0061133, -0.023697, 0.076416)),
+    "right_l6": (0.3292, (-8.0726e-06, 0.0085838, -0.0049566)),
+}
+DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
+
+
+@pytest.fixture(scope="module")
+def model():
+    return pin.buildModelFromUrdf(str(URDF))
+
+
+def position(model: pin.Model, frame: str, q: np.ndarray) -> np.ndarray:
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    assert model.existFrame(frame), frame
+    return data.oMf[model.getFrameId(frame, pin.FrameType.BODY)].translation.copy()
+
+
+def test_joints_and_frames_are_those_of_the_source(model):
+    """The head is locked, seven joints move; the wrist at zero is at (0.991, 0.1603, 0.317) m.
+
+    right_hand is 24.5 mm beyond right_l6, right_gripper_tip 100 mm beyond right_hand, on one straight line.
+    """
+    assert model.nq == model.nv == 7 and list(model.names)[1:] == list(LIMITS) and model.frames[1].name == "base"
+    np.testing.assert_allclose(position(model, "right_l6", np.zeros(7)), (0.991, 0.1603, 0.317), atol=1e-10)
+    q = np.linspace(-1.0, 1.5, 7)
+    flange, hand, tip = (position(model, name, q) for name in ("right_l6", "right_hand", "right_gripper_tip"))
+    np.testing.assert_allclose(np.linalg.norm(hand - flange), 0.0245, atol=1e-12)
+    np.testing.assert_allclose(tip - hand, (hand - flange) * 0.1 / 0.0245, atol=1e-12)
+    for name in ("right_hand_camera", "right_wrist", "head", *INERTIAS):
+        assert model.existFrame(name), name
+    np.testing.assert_allclose(position(model, "right_arm_base_link", q), np.zeros(3), atol=0.0)
+
+
+def test_limits_are_those_of_the_source(model):
+    """Positions, velocities and efforts equal the table; the paper's default pose violates none."""
+    table = np.array(list(LIMITS.values())).T
+    seen = (model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit, model.effortLimit)
+    np.testing.assert_array_equal(np.array(seen), table)
+    np.testing.assert_array_equal(model.damping, np.full(7, 5.0))
+    np.testing.assert_array_equal(model.friction, np.full(7, 5.0))
+    assert np.all(model.lowerPositionLimit < DEFAULT_POSE) and np.all(model.upperPositionLimit > DEFAULT_POSE)
+
+
+def test_masses_are_those_of_the_source_and_physical():
+    """Masses and centres of mass equal the table; every inertia is physically possible."""
+    links = {link.get("name"): link.find("inertial") for link in ElementTree.parse(URDF).getroot().iter("link")}
+    for name, (mass, centre) in INERTIAS.items():
+        assert float(links[name].find("mass").get("value")) == mass
+        assert tuple(float(x) for x in links[name].find("origin").get("xyz").split()) == centre
+    for inertial in (i for i in links.values() if i is not None):
+        xx, xy, xz, yy, yz, zz = (float(inertial.find("inertia").get(k)) for k in "ixx ixy ixz iyy iyz izz".split())
+        moments = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+        assert moments[0] > 0.0 and moments[0] + moments[1] > moments[2]
+
+
+# ---- joints that follow others, wherever their leaders are ----
+
+TYPES = {"a": "revolute", "b": "prismatic", "c": "revolute", "d": "revolute"}
+AXES = {"a": "0 0 1", "b": "0.6 0.8 0", "c": "0 1 0", "d": "1 0 0"}
+WIDE = '<limit lower="-3" upper="3" velocity="2" effort="1"/>'
+
+
+def urdf(mimics: dict[str, tuple[str, float, float]], order="abcd", types=None, limits=None) -> bytes:
+    """A chain of the joints a, b, c, d; `mimics` maps a joint to (leader, multiplier, offset)."""
+    types, limits = TYPES | (types or {}), limits or {}
+    joints = {}
+    for i, name in enumerate("abcd"):
+        mimic = ""
+        if name in mimics:
+            leader, multiplier, offset = mimics[name]
+            mimic = f'<mimic joint="{leader}" multiplier="{multiplier}" offset="{offset}"/>'
+        joints[name] = (
+            f'<joint name="{name}" type="{types[name]}"><parent link="l{i}"/><child link="l{i + 1}"/>'
+            f'<origin xyz="0.2 0.1 0.{i}" rpy="0.{i} 0 0.2"/><axis xyz="{AXES[name]}"/>'
+            f"{limits.get(name, WIDE)}{mimic}</joint>"
+        )
+    links = "".join(f'<link name="l{i}"/>' for i in range(5))
+    return f'<robot name="chain">{links}{"".join(joints[n] for n in order)}</robot>'.encode()
+
+
+def load(mimics: dict[str, tuple[str, float, float]], **options) -> Robot:
+    """The chain."""
+    locked = options.pop("locked", ())
+    return robot_from_text(urdf(mimics, **options), Path("chain.urdf"), locked=locked)
+
+
+def free_pose(positions: dict[str, float], **options) -> np.ndarray:
+    """Pose of the last link when all joints are free, at given positions."""
+    model = pin.buildModelFromXML(urdf({}, **options).decode())
+    data, q = model.createData(), pin.neutral(model)
+    for name, x in positions.items():
+        joint = model.joints[model.getJointId(name)]
+        if joint.nv:
+            q[joint.idx_q : joint.idx_q + joint.nq] = (np.cos(x), np.sin(x)) if joint.nq == 2 else x
+    pin.framesForwardKinematics(model, data, q)
+    return data.oMf[model.getFrameId("l4")].homogeneous
+
+
+KNOWN = rounding(8 * 4, 2.0 * np.pi)  # four joints that turn by up to a full turn
+CHAIN = {"c": ("b", -2.0, 0.1), "b": ("a", 0.5, -0.3)}
+
+
+@pytest.mark.parametrize("order", ["".join(p) for p in itertools.permutations("abcd")][::3])
+def test_mimic_of_mimic_in_any_order(order, rng):
+    """c follows b follows a: one map from (a, d) to all four, wherever in the file the leaders come."""
+    robot = load(CHAIN, order=order)
+    assert robot.joint_names == ("a", "d")
+    b, c = sorted(robot.mimics, key=lambda m: m.joint)
+    assert b == Mimic("b", "a", 0.5, -0.3)
+    assert (c.joint, c.leader, c.multiplier) == ("c", "a", -1.0) and c.offset == pytest.approx(0.7)
+    a, d = rng.uniform(-1, 1, 2)
+    b = 0.5 * a - 0.3
+    same_place(robot, [a, d], {"a": a, "b": b, "c": -2 * b + 0.1, "d": d})
+
+
+def same_place(robot, q, positions, **options):
+    """The last link is where the free joints bring it."""
+    np.testing.assert_allclose(robot.pose(q, robot.frame("l4")), free_pose(positions, **options), atol=KNOWN)
+
+
+def test_a_fixed_leader_holds_its_followers(rng):
+    """What follows a fixed joint rests at its offset, also at second hand."""
+    robot = load({"b": ("a", 5.0, 0.4), "c": ("b", 0.5, 0.1)}, types={"a": "fixed"})
+    assert robot.joint_names == ("d",) and not robot.mimics
+    assert robot.locked == {"b": 0.4, "c": pytest.approx(0.3)}
+    assert sum("follows the fixed joint 'a'" in w for w in robot.warnings) == 2
+    same_place(robot, [0.6], {"b": 0.4, "c": 0.3, "d": 0.6}, types={"a": "fixed"})
+
+
+def test_a_locked_leader_holds_its_followers():
+    """Locking the leader locks the chain, at the positions that follow."""
+    robot = load(CHAIN, locked={"a": 0.8})
+    assert robot.joint_names == ("d",)
+    assert robot.locked == {"a": 0.8, "b": pytest.approx(0.1), "c": pytest.approx(-0.1)}
+    same_place(robot, [0.2], {"a": 0.8, "b": 0.1, "c": -0.1, "d": 0.2})
+
+
+def test_full_turns_reach_the_follower():
+    """Given as joint positions, a continuous leader's turns count: half the speed is 180 degrees after one turn."""
+    types, a = {"a": "continuous", "b": "revolute"}, 2 * np.pi + 0.4
+    robot = load({"b": ("a", 0.5, 0.0)}, types=types)
+    assert any("jumps" in w for w in robot.warnings)
+    same_place(robot, [a, 0, 0], {"a": a, "b": a / 2, "c": 0.0, "d": 0.0}, types=types)
+
+
+@pytest.mark.parametrize(
+    ("follows", "limit", "leader", "told"),
+    [
+        ((-2.0, 0.2), 'lower="-0.4" upper="1" velocity="0.5"', (-0.4, 0.3, 0.25), "-0.4 ... 0.3 by its follower 'b'"),
+        ((-2.0, 0.2), 'lower="-4" upper="4" velocity="0"', (-1.9, 2.1, 2.0), "limit"),  # a velocity limit of 0 is none
+        ((0.1, 9.0), 'lower="-3" upper="3" velocity="2"', (-3.0, 3.0, 2.0), "the limits of 'b' are ignored"),
+        ((0.5, 0.0), 'lower="-1.49999" upper="1.49999" velocity="2"', (-3.0, 3.0, 2.0), ""),  # up to rounding
+        ((1.0, 0.0), 'upper="2.5" velocity="2"', (-3.0, 2.5, 2.0), "limited to"),
+    ],
+)
+def test_limits_of_followers_bind_the_leader(follows, limit, leader, told):
+    """Position limits through the factor and offset, also a negative factor; velocity limits through its size."""
+    robot = load({"b": ("a", *follows)}, limits={"b": f'<limit {limit} effort="1"/>'})
+    seen = (robot.position_lower[0], robot.position_upper[0], robot.velocity_limit[0])
+    assert seen == pytest.approx(leader) and any(told in w for w in robot.warnings) == bool(told)
+
+
+def test_followers_beside_the_chain_change_nothing(rng):
+    """A gripper that mimics costs the arm nothing: same batch, same gradient."""
+    arm, whole = (load_robot("panda", locked=locked) for locked in (("panda_finger_joint1",), ()))
+    assert whole.mimics and not arm.mimics
+    small, large = (
+        Constraint([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]], FrameJacobian(robot, "panda_hand_tcp")) for robot in (arm, whole)
+    )
+    for _ in range(5):
+        q = arm.random_configuration(rng)
+        both = np.append(q, 0.02)
+        gradients = manipulability_gradient(large, both), np.append(manipulability_gradient(small, q), 0.0)
+        np.testing.assert_allclose(*gradients, atol=1e-12)
+        J = whole.frame_kinematics("panda_hand_tcp").jacobians(both[None])[0]
+        np.testing.assert_allclose(J[:, :7], arm.frame_kinematics("panda_hand_tcp").jacobians(q[None])[0], atol=1e-13)
+        assert not np.any(J[:, 7])
+
+
+@pytest.mark.parametrize("kinds", [{}, {"a": "fixed", "b": "fixed"}])
+@pytest.mark.parametrize("offset", [0.0, 0.4])
+def test_a_follower_alone_in_the_chain_is_where_it_belongs(kinds, offset, rng):
+    """At an independent joint's motion plus its offset, one by one and in a batch, though its leader is beyond it."""
+    robot, free = load({"c": ("d", 1.0, offset)}, types=kinds), load({}, types=kinds)
+    q, frame = robot.random_configuration(rng), robot.frame("l3")
+    batch, leader = robot.frame_kinematics(frame), robot.joint_index("d")
+    moved = np.append(q[:leader], [q[leader] + offset, 0.0])  # the follower as a joint of its own
+    np.testing.assert_allclose(robot.pose(q, frame), free.pose(moved, "l3"), atol=KNOWN)
+    np.testing.assert_allclose(batch.poses(q[None])[0], free.pose(moved, "l3"), atol=KNOWN)
+    np.testing.assert_allclose(batch.jacobians(q[None])[0], robot.jacobian(q, frame), atol=1e-12)
+    assert np.any(robot.jacobian(q, frame)[:, leader])
+
+
+MASS = '<inertial><origin xyz="0.1 0.2 0"/><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="2" iyz="0" izz="3"/>'
+BALL = '</inertial><collision><origin xyz="0 0.1 0"/><geometry><sphere radius="0.02"/></geometry></collision></link>'
+
+
+@pytest.mark.parametrize("mimics", [CHAIN, {"a": ("d", 0.7, 0.2)}, {"d": ("a", -1.5, 0.1)}])
+def test_every_derivative_is_exact_with_followers(mimics, tmp_path, rng):
+    """Jacobians one by one and in a batch, centre of mass, distance of links, effort: along the independent joints.
+
+    Each against central differences or the free robot; a follower below, above and beside its leader.
+    """
+    free, bound = (urdf(m).replace(b'"/>', f'">{MASS}{BALL}'.encode(), 5) for m in ({}, mimics))
+    (tmp_path / "chain.urdf").write_bytes(bound)
+    robot, whole = load_robot(tmp_path / "chain.urdf"), robot_from_text(free, Path("free.urdf"))
+    q, steps = 0.5 * robot.random_configuration(rng), 1e-5 * np.eye(robot.nv)
+
+    def slopes(of):
+        return np.stack([(of(q + step) - of(q - step)) / 2e-5 for step in steps], axis=-1)
+
+    J, H = robot.centre_of_mass_jacobian_and_derivative(q)
+    near, batch = SelfCollision(robot), robot.frame_kinematics("l4")
+    checked = [
+        (J, slopes(robot.centre_of_mass)),
+        (H, slopes(lambda x: robot.centre_of_mass_jacobian_and_derivative(x)[0])),
+        (robot.jacobian(q, "l4")[:3], slopes(lambda x: robot.position(x, "l4"))),
+    ]
+    for reference in ("world", "local"):
+        derivative = robot.jacobian_and_derivative(q, "l4", reference)[1]
+        checked.append((derivative, slopes(lambda x, ref=reference: robot.jacobian(x, "l4", ref))))
+        many = batch.jacobians_and_derivatives(q[None], reference)[1][0]
+        np.testing.assert_allclose(many, derivative, atol=1e-12)
+    for exact, by_steps in checked:
+        np.testing.assert_allclose(exact, by_steps, atol=1e-9)
+    found = {p.links: p for p in near.closer_than(q, 10.0)}
+    assert set(found) == {("l0", "l3"), ("l0", "l4"), ("l1", "l4")}
+    for links, seen in found.items():
+        by_steps = slopes(lambda x, k=links: {p.links: p for p in near.closer_than(x, 10.0)}[k].distance)
+        np.testing.assert_allclose(seen.gradient, by_steps, atol=1e-7, err_msg=str(links))
+    lift, acceleration = robot.coupling.lift, rng.normal(size=robot.nv)
+    expected = lift.T @ whole.inertial_effort(robot.pinocchio_configuration(q), lift @ acceleration)
+    np.testing.assert_allclose(robot.inertial_effort(q, acceleration), expected, atol=1e-12)
+    assert robot.mass == pytest.approx(8.0)
+    assert all(robot.moves(leader, "l4") for leader in robot.joint_names)
+
+
+def test_which_joints_move_a_link():
+    """A follower's leader, wherever it is; not those beyond."""
+    robot = load({"b": ("d", 1.0, 0.0)})
+    moved = [robot.moves(joint, link) for joint, link in (("d", "l2"), ("c", "l2"), ("a", "l1"), ("d", "l1"))]
+    assert moved == [True, False, True, False]
+
+
+def test_configurations_of_robots_with_followers_are_integrated(rng, tmp_path):
+    """Beside continuous joints and a follower a step along the tangent keeps the robot's own size, and leads there."""
+    axis = '<axis xyz="0 1 0"/>'
+    first, _, last = URDFS["wrist"].rpartition(axis)
+    path = tmp_path / "wrist.urdf"
+    path.write_text(f'{first}{axis}<mimic joint="joint1" multiplier="-0.5"/>{last}', encoding="utf-8")
+    robot = load_robot(path)
+    assert (robot.nq, robot.nv) == (5, 3)
+    q, step = robot.random_configuration(rng), rng.uniform(-0.5, 0.5, 3)
+    there = robot.integrate(q, step)
+    assert there.shape == (5,)
+    np.testing.assert_allclose(robot.difference(q, there), step, atol=1e-12)
+    np.testing.assert_allclose(np.hypot(there[0], there[1]), 1.0, atol=1e-12)
+    frame, h = robot.frame("tip"), 1e-6
+    moved = [robot.pose(robot.integrate(q, s * h * step), frame)[:3, 3] for s in (1.0, -1.0)]
+    np.testing.assert_allclose((moved[0] - moved[1]) / (2 * h), (robot.jacobian(q, frame) @ step)[:3], atol=1e-8)

@@ -8,24 +8,22 @@ import numpy as np
 import pytest
 from conftest import tip_of
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CustomFeatures, FrameJacobian
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
-from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import FreeDirection, PointAttractor, Track
+import manip_learn as ml
+from manip_learn.constraint.features import CustomFeatures
+from manip_learn.control.policies import JointAttractor
 from manip_learn.errors import ConfigurationError
-from manip_learn.learning import ConstraintLearner
+
+START = np.array([0.3, 0.8, 0.4])
 
 
-def reaching(robot, frame: str, axes: str, target: list[float], **settings) -> ResolvedRateController:
-    features = FrameJacobian(robot, frame, axes)
-    constraint = Constraint(np.eye(features.n_rows)[:2], features)
-    return ResolvedRateController(constraint, PointAttractor(target), ManipulabilityAscent(constraint), **settings)
+def reaching(robot, frame: str, axes: str, target: list[float], **settings) -> ml.ResolvedRateController:
+    """Two rows to a target."""
+    features = ml.FrameJacobian(robot, frame, axes)
+    rows = ml.Constraint(np.eye(features.n_rows)[:2], features)
+    return ml.ResolvedRateController(rows, ml.PointAttractor(target), ml.ManipulabilityAscent(rows), **settings)
 
 
-class Swaying(PointAttractor):
+class Swaying(ml.PointAttractor):
     """A velocity that depends on the time."""
 
     def velocity(self, constraint, q, t):
@@ -33,47 +31,45 @@ class Swaying(PointAttractor):
         return np.array([0.5 * np.sin(3.0 * t), 0.4 * np.cos(2.0 * t)])
 
 
-def test_order_of_convergence(robot_of):
+@pytest.mark.parametrize(
+    ("name", "task"),
+    [
+        ("planar3", ml.PointAttractor([0.5, 1.2])),
+        ("wrist", ml.PointAttractor([0.4, 0.5])),
+        ("planar3", Swaying([0, 0])),
+    ],
+)
+def test_order_of_convergence(name, task, robot_of):
     """Halving the step halves the error, with continuous joints and with a target that moves, too."""
-    q0 = {name: np.linspace(0.2, 1.1, robot_of(name).nv) for name in ("planar3", "wrist")}
-    cases = (
-        ("planar3", PointAttractor([0.5, 1.2])),
-        ("wrist", PointAttractor([0.4, 0.5])),
-        ("planar3", Swaying(np.zeros(2))),
-    )
-    for name, task in cases:
-        robot = robot_of(name)
-        rows = Constraint(np.eye(2), FrameJacobian(robot, tip_of(name), "x y"))
-        controller = ResolvedRateController(rows, task, ManipulabilityAscent(rows), "exact", limits=False)
-        steps = (0.05, 0.025, 0.0125, 0.003125)
-        ends = [simulate(robot, controller, q0[name], 0.8, dt).q[-1] for dt in steps]
-        errors = [np.linalg.norm(robot.difference(ends[-1], end)) for end in ends[:3]]
-        assert np.log2(errors[0] / errors[1]) > 0.6, (name, task)
-        assert np.log2(errors[1] / errors[2]) > 0.6, (name, task)
+    robot = robot_of(name)
+    rows = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, tip_of(name), "x y"))
+    law = ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows), "exact", limits=False)
+    q0, steps = np.linspace(0.2, 1.1, robot.nv), (0.05, 0.025, 0.0125, 0.003125)
+    *ends, best = (ml.simulate(robot, law, q0, 0.8, dt).q[-1] for dt in steps)
+    errors = [np.linalg.norm(robot.difference(best, end)) for end in ends]
+    assert np.log2(errors[0] / errors[1]) > 0.6 and np.log2(errors[1] / errors[2]) > 0.6
 
 
-def test_every_kind_of_robot(robot_of, rng):
+@pytest.mark.parametrize("name", ["humanoid", "rover", "kinova"])
+def test_every_kind_of_robot(name, robot_of, rng):
     """Floating and planar bases and continuous joints: configurations stay valid, the task's error goes down."""
-    for name in ("humanoid", "rover", "kinova"):
-        robot = robot_of(name)
-        features = FrameJacobian(robot, tip_of(name))
-        q0 = robot.random_configuration(rng)
-        task = PointAttractor(features.coordinates(q0) + 0.05)
-        controller = ResolvedRateController(Constraint(np.eye(3)[:2], features), task)
-        rollout = simulate(robot, controller, q0, 1.0, 0.05)
-        assert rollout.q.shape == (21, robot.nq)
-        for q in rollout.q:
-            np.testing.assert_allclose(robot.configuration(q), q, rtol=0, atol=1e-12)
-        assert rollout.task_error[-1] < 0.5 * rollout.task_error[0], name
+    robot = robot_of(name)
+    features, q0 = ml.FrameJacobian(robot, tip_of(name)), robot.random_configuration(rng)
+    task = ml.PointAttractor(features.coordinates(q0) + 0.05)
+    rollout = ml.simulate(robot, ml.ResolvedRateController(ml.Constraint(np.eye(3)[:2], features), task), q0, 1.0, 0.05)
+    assert rollout.q.shape == (21, robot.nq)
+    for q in rollout.q:
+        np.testing.assert_allclose(robot.configuration(q), q, rtol=0, atol=1e-12)
+    assert rollout.task_error[-1] < 0.5 * rollout.task_error[0]
 
 
 def test_number_of_samples(robot_of):
     """The nearest number of whole steps, whatever the rounding of the quotient, and the start; time counts in steps."""
     robot = robot_of("planar3")
-    controller = ResolvedRateController(Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y")))
+    controller = ml.ResolvedRateController(ml.Constraint(np.eye(2), ml.FrameJacobian(robot, "tip", "x y")))
     for duration, dt, steps in ((0.3, 0.1, 3), (0.7, 0.1, 7), (1.0, 0.3, 3), (1.1, 0.3, 4)):
-        one = simulate(robot, controller, [0.3, 0.8, -0.5], duration, dt)
-        (same,) = simulate(robot, controller, [[0.3, 0.8, -0.5]], duration, dt)
+        one = ml.simulate(robot, controller, [0.3, 0.8, -0.5], duration, dt)
+        (same,) = ml.simulate(robot, controller, [[0.3, 0.8, -0.5]], duration, dt)
         for rollout in (one, same):
             assert len(rollout) == steps + 1 == len(rollout.status)
             np.testing.assert_allclose(rollout.time, dt * np.arange(steps + 1), rtol=0, atol=1e-12)
@@ -84,38 +80,22 @@ def test_escape_from_the_papers_singular_start(robot_of):
     robot = robot_of("planar3")
     q0 = np.radians([90.0 + 1e-12, 360.0, -360.0])
     zero = np.zeros(2)
-    rows = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
-    climbing = ResolvedRateController(rows, PointAttractor(zero), ManipulabilityAscent(rows))
-    rollout = simulate(robot, climbing, q0, 8.0, 0.02)
+    rows = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, "tip", "x y"))
+    climbing = ml.ResolvedRateController(rows, ml.PointAttractor(zero), ml.ManipulabilityAscent(rows))
+    rollout = ml.simulate(robot, climbing, q0, 8.0, 0.02)
     assert rollout.task_error[0] == pytest.approx(3.0)
     assert rollout.task_error[-1] < 0.01
     assert np.min(rollout.manipulability[50:]) > 0.5
-    plain = ResolvedRateController(rows, PointAttractor(zero), inverse="truncated", limits=False)
-    assert simulate(robot, plain, q0, 8.0, 0.02).task_error[-1] == pytest.approx(3.0, abs=1e-6)
-
-
-def test_a_rollout_can_be_learnt_from_again(robot_of):
-    """Rollouts are demonstrations: from reaching ones with a resting policy the controller's own rows come back."""
-    robot = robot_of("planar3")
-    features = FrameJacobian(robot, "tip", "planar")
-    truth, rng = Constraint(np.array([[1.0, 0.3, 0.2], [-0.2, 0.9, 0.1]]), features), np.random.default_rng(21)
-    demos = []
-    for _ in range(20):
-        q0 = np.array([0.1, 1.5, 0.2]) + 0.2 * rng.uniform(-1, 1, 3)
-        task = PointAttractor(features.coordinates(q0) + rng.uniform(-1, 1, 3))
-        controller = ResolvedRateController(truth, task, JointAttractor([0.3, -0.2, 0.4]), "exact", limits=False)
-        demos.append(simulate(robot, controller, q0, 0.3, 0.02).trajectory())
-    learner = ConstraintLearner(features).fit(demos)
-    outside = learner.constraint_.selection - learner.constraint_.selection @ truth.selection.T @ truth.selection
-    assert np.linalg.norm(outside) < 1e-9
+    plain = ml.ResolvedRateController(rows, ml.PointAttractor(zero), inverse="truncated", limits=False)
+    assert ml.simulate(robot, plain, q0, 8.0, 0.02).task_error[-1] == pytest.approx(3.0, abs=1e-6)
 
 
 def test_parts_of_rollouts(robot_of):
     """`until` cuts every curve at a time; `followed_by` joins two that meet, their times and their phases."""
     robot = robot_of("planar3")
     controller = reaching(robot, "tip", "x y", [1.0, 1.0])
-    first = simulate(robot, controller, [0.3, 0.8, 0.4], 0.5, 0.1)
-    second = simulate(robot, controller, first.q[-1], 0.3, 0.1)
+    first = ml.simulate(robot, controller, [0.3, 0.8, 0.4], 0.5, 0.1)
+    second = ml.simulate(robot, controller, first.q[-1], 0.3, 0.1)
     cut = first.until(0.3)
     assert len(cut) == len(cut.q) == len(cut.u) == len(cut.status) == len(cut.task_error) == 4
     assert cut.time[-1] == pytest.approx(0.3) and len(first.until(0.2999)) == 3 and len(first.until(9.0)) == 6
@@ -130,7 +110,7 @@ def test_parts_of_rollouts(robot_of):
     np.testing.assert_array_equal(motion.u, first.u)
     with pytest.raises(ValueError, match="read-only"):
         one.q[0] = 0.0
-    other = Constraint([[0.3, -0.2]], controller.constraint.features)
+    other = ml.Constraint([[0.3, -0.2]], controller.constraint.features)
     mean = 0.5 * (other(one.q[3]) + other(one.q[4]))
     np.testing.assert_allclose(one.violation(other)[3], np.abs(mean @ one.u[3])[0])
     np.testing.assert_allclose(one.manipulability_of(other)[3], np.linalg.norm(other(one.q[3])))
@@ -145,13 +125,13 @@ def test_bad_arguments(robot_of):
     controller = reaching(robot, "tip", "x y", [1.0, 1.0])
     for settings in ({"dt": 0.0}, {"dt": np.nan}, {"duration": -1.0}, {"duration": np.inf}):
         with pytest.raises(ConfigurationError):
-            simulate(robot, controller, np.ones(3), **settings)
+            ml.simulate(robot, controller, np.ones(3), **settings)
     for q0 in (np.ones(2), [np.nan, 0.0, 0.0]):
         with pytest.raises(ConfigurationError):
-            simulate(robot, controller, q0)
-    assert simulate(robot, controller, np.zeros((0, 3)), 0.1, 0.02) == ()
+            ml.simulate(robot, controller, q0)
+    assert ml.simulate(robot, controller, np.zeros((0, 3)), 0.1, 0.02) == ()
     with pytest.raises(ConfigurationError, match=f"row 1, joint '{robot.joint_names[2]}'"):
-        simulate(robot, controller, [[0.0, 0.0, 0.0], [0.0, 0.0, np.nan]], 0.1, 0.02)
+        ml.simulate(robot, controller, [[0.0, 0.0, 0.0], [0.0, 0.0, np.nan]], 0.1, 0.02)
 
 
 def test_a_controller_of_your_own(robot_of):
@@ -164,12 +144,12 @@ def test_a_controller_of_your_own(robot_of):
         def __call__(self, q, t=0.0, dt=None):
             return controller(q, t)
 
-    expected = simulate(robot, controller, q0, 0.05, 0.01)
-    got = simulate(robot, Mine(), q0, duration=0.05, dt=0.01)
+    expected = ml.simulate(robot, controller, q0, 0.05, 0.01)
+    got = ml.simulate(robot, Mine(), q0, duration=0.05, dt=0.01)
     np.testing.assert_array_equal(got.q, expected.q)
     np.testing.assert_array_equal(got.manipulability, expected.manipulability)
     assert got.status == expected.status and np.all(np.isnan(got.task_error))
-    table = simulate(robot, Mine(), np.stack([q0, q0]), 0.05, 0.01)
+    table = ml.simulate(robot, Mine(), np.stack([q0, q0]), 0.05, 0.01)
     assert len(table) == 2 and all(np.isnan(r.task_error).all() for r in table)
 
 
@@ -177,8 +157,8 @@ def test_what_a_simulated_loop_tells(robot_of):
     """Following errors of a loop's commands, 0 for a perfect servo; none of a plain controller; what guided both."""
     robot = robot_of("planar3")
     controller = reaching(robot, "tip", "x y", [1.0, 1.2])
-    plain = simulate(robot, controller, [0.3, 0.8, 0.4], 0.2, 0.01)
-    loop = simulate(robot, ServoLoop(controller, 0.01), [0.3, 0.8, 0.4], 0.2, 0.01)
+    plain = ml.simulate(robot, controller, [0.3, 0.8, 0.4], 0.2, 0.01)
+    loop = ml.simulate(robot, ml.ServoLoop(controller, 0.01), [0.3, 0.8, 0.4], 0.2, 0.01)
     assert plain.following_error is None and loop.following_error is not None
     np.testing.assert_allclose(loop.following_error, 0.0, rtol=0, atol=1e-12)
     np.testing.assert_allclose(loop.q, plain.q, rtol=0, atol=1e-12)
@@ -187,48 +167,46 @@ def test_what_a_simulated_loop_tells(robot_of):
         np.testing.assert_array_equal(rollout.target, [1.0, 1.2])
         np.testing.assert_array_equal(rollout.constraint["selection"], controller.constraint.selection)
     with pytest.raises(TypeError, match="rk4.*: each command is held for its step, give a smaller dt"):
-        simulate(robot, controller, [0.3, 0.8, 0.4], 0.2, 0.01, method="rk4")
+        ml.simulate(robot, controller, [0.3, 0.8, 0.4], 0.2, 0.01, method="rk4")
 
 
-def test_progress_is_reported_with_a_title(robot_of):
-    """The signature is that of the learner's progress: a title and a fraction that ends at 1."""
-    robot, seen = robot_of("planar3"), []
-    controller = reaching(robot, "tip", "x y", [0.5, 1.2])
-    starts = np.array([[0.2, 0.5, 0.3], [0.3, 0.8, -0.5]])
-    for q0 in (starts[0], starts):
-        seen.clear()
-        simulate(robot, controller, q0, 0.05, 0.01, progress=lambda title, fraction: seen.append((title, fraction)))
-        assert seen[-1] == ("simulating", 1.0) and [f for _, f in seen] == sorted(f for _, f in seen)
-
-
-@pytest.mark.parametrize("name", ["planar3", "wrist", "humanoid", "vector"])
-def test_many_starts_are_single_starts(name: str, robot_of, rng) -> None:
-    """What one start leaves behind in a controller is not seen by the next: every rollout is that of its start alone.
+@pytest.mark.parametrize("name", ["planar3", "wrist", "humanoid", "vector", "sawyer", "ur5"])
+def test_many_starts_are_single_starts(name, robot_of, rng):
+    """What one start leaves behind in a controller is not seen by the next: every rollout is that of its start alone,
+    bit for bit, and that of a servo loop; in chunks of a large table too, and with its progress told.
 
     Configurations come back as configurations, floating bases and plain vectors too.
     """
-    robot = None if name == "vector" else robot_of(name)
+    robot, n, told = None if name == "vector" else robot_of(name), 300 if name in ("sawyer", "ur5") else 3, []
     if robot is None:
-        plain = Constraint([[1.0]], CustomFeatures(lambda q: q[None, :] + 1.0, ("a",), 2))
-        controllers, starts = [ResolvedRateController(plain)], np.array([[0.1, 0.2], [0.3, 0.4], [0.2, 0.0]])
+        plain = ml.Constraint([[1.0]], CustomFeatures(lambda q: q[None, :] + 1.0, ("a",), 2))
+        controllers, starts = [ml.ResolvedRateController(plain)], np.array([[0.1, 0.2], [0.3, 0.4], [0.2, 0.0]])
     else:
-        features = FrameJacobian(robot, tip_of(name), "x y")
+        features = ml.FrameJacobian(robot, tip_of(name), "x y")
         target = features.coordinates(robot.random_configuration(rng))
-        oblique, rest = Constraint([[0.6, 0.8]], features), robot.neutral()
-        track = Track(lambda t: target + 0.1 * t)
-        controllers = [
-            ResolvedRateController(oblique, PointAttractor(target), ManipulabilityAscent(oblique, 0.3)),
-            ResolvedRateController(oblique, track, JointAttractor(rest, 1.0, robot), limits=False),
-        ]
-        controllers.append(ResolvedRateController(oblique, FreeDirection(oblique, 0.1, 0.5)))
-        controllers.append(ServoLoop(controllers[0], 0.02))
-        starts = np.stack([robot.random_configuration(rng) for _ in range(3)])
+        rows, rest = ml.Constraint([[0.6, 0.8]], features), robot.neutral()
+        reach = rows, ml.PointAttractor(target), ml.ManipulabilityAscent(rows, 0.3)
+        track = rows, ml.Track(lambda t: target + 0.1 * t), JointAttractor(rest, 1.0, robot)
+        controllers = [ml.ResolvedRateController(*reach)]
+        if n == 3:
+            controllers.append(ml.ResolvedRateController(*track, limits=False))
+            controllers.append(ml.ResolvedRateController(rows, ml.FreeDirection(rows, 0.1, 0.5)))
+            controllers.append(ml.ServoLoop(controllers[0], 0.02))
+        starts = np.stack([robot.random_configuration(rng) for _ in range(n)])
     for controller in controllers:
-        many = simulate(robot, controller, starts, 0.4, 0.02)
-        assert len(many) == len(starts)
-        for start, got in zip(starts, many, strict=True):
-            alone = simulate(robot, controller, start, 0.4, 0.02)
-            np.testing.assert_array_equal(got.q[0], start)
-            for what in ("time", "q", "u", "manipulability", "task_error"):
-                np.testing.assert_array_equal(getattr(got, what), getattr(alone, what), err_msg=what)
-            assert got.status == alone.status and got.joint_names == alone.joint_names
+        many = ml.simulate(robot, controller, starts, 0.4, 0.02, progress=lambda *said: told.append(said))
+        assert len(many) == len(starts) and told[-1] == ("simulating", 1.0)
+        assert [fraction for _, fraction in told] == sorted(fraction for _, fraction in told)
+        for i in {0, 1, len(starts) - 1}:
+            alone = [ml.simulate(robot, controller, starts[i], 0.4, 0.02)]
+            alone.append(ml.simulate(robot, controller, starts[i], 0.4, 0.02, progress=lambda *said: told.append(said)))
+            if robot is not None and not isinstance(controller, ml.ServoLoop) and controller.limits is not None:
+                alone.append(ml.simulate(robot, ml.ServoLoop(controller, 0.02, stale_after=0.1), starts[i], 0.4, 0.02))
+            np.testing.assert_array_equal(many[i].q[0], starts[i])
+            np.testing.assert_array_equal(many[i].task_error, alone[0].task_error)
+            for one in alone:
+                for what in ("time", "q", "u", "manipulability"):
+                    np.testing.assert_array_equal(getattr(many[i], what), getattr(one, what), err_msg=what)
+                np.testing.assert_allclose(many[i].task_error, one.task_error, rtol=0, atol=1e-12)
+                assert many[i].status == one.status and many[i].joint_names == one.joint_names
+        told.clear()

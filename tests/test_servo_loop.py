@@ -2,154 +2,540 @@
 
 from __future__ import annotations
 
+import logging
+import re
+
 import numpy as np
 import pytest
-from servo_cases import (
-    BAD_TIMES,
-    DT,
-    ROUNDING,
-    SAME,
-    Arm,
-    Constantly,
-    RobotOf,
-    bad_postures,
-    command_of,
-    law_of,
-    start_of,
-)
+from servo_cases import BAD_TIMES, DT, OLD, ROUNDING, SAME, Arm, Constantly, bad_postures, command_of, law_of, start_of
 
 import manip_learn as ml
+from manip_learn.control.contact import STIFFNESS, Contact, FollowingError
+from manip_learn.errors import ConfigurationError, ManipLearnError
+from manip_learn.robot.tips import default_tip
 
-INVALID, STALE = ml.Status.INVALID_INPUT, ml.Status.STALE
-
-
-def moving(robot: ml.Robot, periods: int = 300, reach: float = 0.3, **settings: object) -> Arm:
-    """An arm in motion, so many periods after its start."""
-    arm = Arm(ml.ServoLoop(law_of(robot, robot.name, reach), **settings), start_of(robot))
-    arm.calls(periods)
-    return arm
+STOPPED, STALE, INVALID = ml.Status.STOPPED, ml.Status.STALE, ml.Status.INVALID_INPUT
+FOLLOWING_ERROR, OUTSIDE = ml.Status.FOLLOWING_ERROR, ml.Status.OUTSIDE_LIMITS
 
 
-def test_jerk_is_limited(robot_of: RobotOf) -> None:
-    """Jerk limits hold in every period, braking for bad input included, and the arm still arrives."""
-    robot = robot_of("sawyer")
-    loop = ml.ServoLoop(law_of(robot, "sawyer"), acceleration_limit=4.0, jerk_limit=80.0)
-    assert loop.jerk_limit is not None
-    before, rate, q = np.zeros(robot.nv), np.zeros(robot.nv), start_of(robot)
-    first = loop.task_error(q)
-    for k in range(3500):
-        bad = 400 <= k < 700
-        command = loop.update(None if bad else q, k * DT)
-        change = command.velocity - before
-        assert np.all(np.abs(change) <= 4.0 * DT * ROUNDING)
-        assert np.all(np.abs(change - rate) <= 80.0 * DT * DT * (1.0 + 1e-6))
-        before, rate = command.velocity, change
-        q = robot.integrate(q, DT * command.velocity)
-    assert loop.task_error(q) < 0.02 * first
-    np.testing.assert_allclose(loop.position, q, rtol=0, atol=1e-9)
+@pytest.fixture
+def robot(robot_of):
+    return robot_of("sawyer")
 
 
-def test_a_state_that_is_not_new_holds_the_last_command(robot_of: RobotOf) -> None:
-    """The same time again: the same velocity and status; nothing is computed from an old state."""
-    arm = moving(robot_of("sawyer"))
-    last = arm.call()
-    assert np.linalg.norm(last.velocity) > 0.1
-    for again in arm.calls(50, t=arm.newest):
-        np.testing.assert_array_equal(again.velocity, last.velocity)
-        assert again.status is last.status
+# ---- faults, and the limits that are kept all the same (`Arm` looks at every command) ----
+
+WRONG, AGAIN = "an encoder that jumped by half a radian", "and has stayed there"
+HELD, MOVES, ANY = "the last command again", "a status of motion", "any status"
+# what happens in order: a call of the loop, or for how many periods something is measured at
+# some time, and the statuses that come of it
+GO, JUMP, STAY = (400, SAME, SAME, MOVES), (100, WRONG, SAME, INVALID), (3000, AGAIN, SAME, FOLLOWING_ERROR)
+SILENT = [(499, SAME, OLD, STALE), (1, SAME, SAME, STALE), (1, SAME, SAME, MOVES), GO]
+FAULTS = {  # how far away the target is [m], settings, and what happens
+    "stopped, and started": (2.0, {}, [GO, "stop", (400, SAME, SAME, STOPPED), "start", GO]),
+    "bad input, again and again": (2.0, {}, [(51, SAME, SAME, MOVES), (49, None, SAME, INVALID)] * 4),
+    "bad input under a jerk limit": (0.3, {"acceleration_limit": 4.0, "jerk_limit": 80.0},
+                                     [GO, (300, None, SAME, INVALID), (2800, SAME, SAME, MOVES)]),
+    "no new state": (2.0, {}, [GO, (98, SAME, OLD, HELD), (2, SAME, OLD, ANY), *SILENT]),
+    "no new state under a jerk limit": (1.0, {"jerk_limit": 300.0},
+                                        [GO, (98, SAME, OLD, MOVES), (2, SAME, OLD, ANY), *SILENT]),
+    "infinite acceleration": (2.0, {"acceleration_limit": np.inf}, [(50, SAME, SAME, MOVES), (1, None, SAME, INVALID),
+                                                                    JUMP, (1400, AGAIN, SAME, FOLLOWING_ERROR)]),
+    "one stamp from the future": (2.0, {}, [(20, SAME, SAME, MOVES), (1, SAME, 1e6, STALE), (1, SAME, SAME, INVALID),
+                                            (110, SAME, SAME, MOVES)]),
+    "a wrong measurement": (2.0, {}, [GO, JUMP, STAY]),
+    "one wrong measurement": (2.0, {}, [GO, (1, WRONG, SAME, INVALID), (110, SAME, SAME, MOVES)] * 3),
+    "a wrong measurement under a jerk limit": (2.0, {"acceleration_limit": 3.0, "jerk_limit": 30.0}, [GO, JUMP, STAY]),
+}  # fmt: skip
 
 
-def test_holding_never_leads_beyond_a_limit(robot_of: RobotOf) -> None:
-    """A command that is held while the joint approaches its limit is slowed down as a new one would be."""
-    robot = robot_of("sawyer")
-    loop = ml.ServoLoop(Constantly(robot, robot.velocity_limit), stale_after=0.5)
-    arm = Arm(loop, robot.position_upper - 0.15)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_brake_the_arm_and_are_named(fault, robot):
+    """Within every limit to rest, nowhere near a wrong measurement; where the reason goes, it goes on and arrives."""
+    reach, settings, steps = FAULTS[fault]
+    arm, wrong = Arm(ml.ServoLoop(law_of(robot, "sawyer", reach), **settings), start_of(robot)), None
+    first = arm.loop.task_error(arm.q)
+    for step in steps:
+        if isinstance(step, str):
+            getattr(arm.loop, step)()
+            continue
+        periods, measured, time, status = step
+        at, before, fastest = arm.q, arm.last, np.max(np.abs(arm.last))
+        wrong = at + 0.5 if measured is WRONG else wrong
+        commands = arm.calls(periods, wrong if measured in (WRONG, AGAIN) else measured, time)
+        if status is HELD:
+            assert np.linalg.norm(before) > 0.1
+            for command in commands:
+                np.testing.assert_array_equal(command.velocity, before)
+        elif status is MOVES:
+            assert commands[-1].status not in (STOPPED, STALE, INVALID, FOLLOWING_ERROR)
+            assert np.linalg.norm(arm.last) > (0.05 if 100 < periods < 2000 else 0.0)
+            assert periods < 2000 or arm.loop.task_error(arm.q) < 0.02 * first
+        elif status is not ANY:
+            assert {command.status for command in commands} == {status}
+            speeds = [np.max(np.abs(command.velocity)) for command in commands]
+            hardest = np.min(arm.loop.acceleration_limit)
+            if np.isinf(hardest) or periods * DT * hardest > fastest:
+                assert periods < 300 or speeds[-1] == 0.0
+            if "jerk_limit" in settings and status is FOLLOWING_ERROR:  # the average does not go on pressing
+                assert fastest > 0.1 and speeds[1500] < 0.01
+            if status is FOLLOWING_ERROR and np.isfinite(hardest):
+                assert np.max(np.abs(arm.loop.position - at)) < 0.02 + 0.02 * fastest + fastest**2 / hardest
+    assert FOLLOWING_ERROR in {c.status for c in commands} or np.allclose(arm.loop.position, arm.q, rtol=0, atol=1e-9)
+
+
+def test_a_command_that_is_held_never_leads_beyond_a_limit(robot):
+    """While the joint approaches its limit it is slowed down as a new one would be."""
+    arm = Arm(ml.ServoLoop(Constantly(robot, robot.velocity_limit), stale_after=0.5), robot.position_upper - 0.15)
     arm.calls(80)
-    held = arm.calls(470, t=arm.newest)
+    held = arm.calls(470, t=OLD)
     assert np.all(arm.q > robot.position_upper - 0.05)
     assert {command.status for command in held[:300]} == {ml.Status.POSITION_LIMITED}
 
 
-@pytest.mark.parametrize("jerk", [None, 300.0])
-def test_a_stale_state_brakes_and_a_new_one_starts_again(robot_of: RobotOf, jerk: float | None) -> None:
-    """`stale_after` without a new state: at rest within the acceleration limit; with new states it goes on."""
-    arm = moving(robot_of("sawyer"), reach=1.0, jerk_limit=jerk)
-    words = [command.status for command in arm.calls(600, t=arm.newest)]
-    assert words.index(STALE) == pytest.approx(100, abs=1) and set(words[101:]) == {STALE}
-    assert np.all(arm.last == 0.0) and arm.loop.position is not None
-    later = arm.calls(300)
-    assert later[0].status is STALE and later[1].status is not STALE
-    assert np.linalg.norm(arm.last) > 0.05
-
-
-def test_bad_input_brakes_and_never_raises(robot_of: RobotOf) -> None:
-    """Whatever is no posture or no time: a status, a braked stop, no exception; good input starts the arm again."""
-    for name in ("sawyer", "kinova"):
-        robot = robot_of(name)
-        arm = Arm(ml.ServoLoop(law_of(robot, name)), start_of(robot))
-        for posture, time in [(bad, SAME) for bad in bad_postures(robot)] + [(SAME, bad) for bad in BAD_TIMES]:
-            assert arm.calls(20)[-1].status is not INVALID
-            for _ in range(30):
-                command = arm.call(posture, t=time)
-                assert command.status is INVALID, (posture, time)
-            assert np.all(command.velocity == 0.0)
-
-
-def test_bad_input_first_does_not_move_the_arm(robot_of: RobotOf) -> None:
-    """A loop that has never seen a state commands nothing, and starts at the first good one.
-
-    (cos, sin) = (0, 0) of a continuous joint is no posture either.
+@pytest.mark.parametrize("name", ["sawyer", "kinova"])
+def test_bad_input_brakes_and_never_raises(name, robot_of):
+    """Whatever is no posture or no time: a braked stop, no exception, no motion before the first good state; good input
+    starts the arm again. (cos, sin) = (0, 0) of a continuous joint is no posture either.
     """
-    robot = robot_of("kinova")
-    loop, q = ml.ServoLoop(law_of(robot, "kinova")), robot.configuration(start_of(robot))
-    for posture in [*bad_postures(robot), np.zeros(robot.nq)]:
-        command = loop.update(posture, 0.0)
+    robot = robot_of(name)
+    arm, q = Arm(ml.ServoLoop(law_of(robot, name)), start_of(robot)), robot.configuration(start_of(robot))
+    for posture in [*bad_postures(robot), *[np.zeros(robot.nq)] * (name == "kinova")]:
+        command = arm.loop.update(posture, 0.0)
         assert command.status is INVALID and np.all(command.velocity == 0.0)
     for time in (None, "0.1", np.nan, np.inf, True, 10**400):
-        assert np.all(loop.update(q, time).velocity == 0.0)
-    assert np.any(Arm(loop, start_of(robot)).calls(3)[-1].velocity)
+        assert np.all(arm.loop.update(q, time).velocity == 0.0)
+    assert np.any(arm.calls(3)[-1].velocity)
+    for posture, time in [(bad, SAME) for bad in bad_postures(robot)] + [(SAME, bad) for bad in BAD_TIMES]:
+        assert arm.calls(20)[-1].status is not INVALID
+        commands = arm.calls(30, posture, time)
+        assert {command.status for command in commands} == {INVALID}, (posture, time)
+        assert np.all(commands[-1].velocity == 0.0)
 
 
-def test_outside_its_limits_the_arm_stands_too(robot_of: RobotOf) -> None:
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_outside_its_limits_the_arm_stands_too(sense, robot):
     """Bad input while a joint returns from outside its limits: it stands, it does not go on returning."""
-    robot = robot_of("sawyer")
-    for sense, edge in ((1.0, robot.position_upper[1]), (-1.0, robot.position_lower[1])):
-        arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
-        arm.q[1] = edge + sense * 0.3
-        last = arm.calls(100)[-1]
-        assert last.status is ml.Status.OUTSIDE_LIMITS and sense * last.velocity[1] < -0.01
-        assert np.all(arm.calls(400, None)[-1].velocity == 0.0)
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
+    arm.q[1] = (robot.position_upper if sense > 0.0 else robot.position_lower)[1] + sense * 0.3
+    last = arm.calls(100)[-1]
+    assert last.status is OUTSIDE and sense * last.velocity[1] < -0.01
+    assert np.all(arm.calls(400, None)[-1].velocity == 0.0)
 
 
 @pytest.mark.parametrize("part", ["task", "policy", "controller"])
-def test_what_the_user_wrote_may_fail(part: str, robot_of: RobotOf) -> None:
-    """A task, policy or controller that raises or gives nonsense in motion: a braked stop, and on when it is well."""
-    robot = robot_of("sawyer")
+@pytest.mark.parametrize("fault", [ZeroDivisionError("task"), np.full(7, np.nan), "text"], ids=str)
+def test_what_the_user_wrote_may_fail(part, fault, robot):
+    """A task, policy or controller that raises or gives nonsense in motion: a braked stop, and on when it is well;
+    `step` shows the error of the library's own, for finding out what is wrong.
+    """
     law, ill = law_of(robot, "sawyer"), [False]
-    for fault in (ZeroDivisionError("task"), np.full(7, np.nan), "text"):
 
-        def spoiled(good: object, fault: object = fault) -> object:
-            if ill[0] and isinstance(fault, Exception):
-                raise fault
-            return fault if ill[0] else good
+    def spoiled(good):
+        if ill[0] and isinstance(fault, Exception):
+            raise fault
+        return fault if ill[0] else good
 
-        class Task(ml.PointAttractor):
-            def velocity(self, constraint, q, t, spoiled=spoiled):  # noqa: ANN001, ANN202
-                return spoiled(super().velocity(constraint, q, t))
+    class Task(ml.PointAttractor):
+        def velocity(self, constraint, q, t):
+            return spoiled(super().velocity(constraint, q, t))
 
-        def own(q: np.ndarray, t: float = 0.0, dt: float | None = None, spoiled: object = spoiled) -> ml.Command:
-            return command_of(spoiled(law(q, t, dt).velocity))
+    controller = {
+        "task": ml.ResolvedRateController(law.constraint, Task(law.task.target), law.null_policy),
+        "policy": ml.ResolvedRateController(law.constraint, law.task, lambda q, t: spoiled(np.full(7, 0.2))),
+        "controller": lambda q, t=0.0, dt=None: command_of(spoiled(law(q, t, dt).velocity)),
+    }[part]
+    arm = Arm(ml.ServoLoop(controller, robot=robot), start_of(robot))
+    for k in range(320):
+        ill[0] = 120 <= k < 220
+        assert (arm.call().status is INVALID) == ill[0]
+        assert k != 219 or np.all(arm.last == 0.0)
+    assert np.linalg.norm(arm.last) > 0.05
+    ill[0] = True
+    with pytest.raises((ManipLearnError, ZeroDivisionError, ValueError)) as caught:
+        arm.loop.step(arm.q, arm.t)
+    assert not isinstance(fault, np.ndarray) or re.search("finite", str(caught.value))
 
-        controller = {
-            "task": ml.ResolvedRateController(law.constraint, Task(law.task.target), law.null_policy),
-            "policy": ml.ResolvedRateController(
-                law.constraint, law.task, lambda q, t, spoiled=spoiled: spoiled(np.full(7, 0.2))
-            ),
-            "controller": own,
-        }[part]
-        arm = Arm(ml.ServoLoop(controller, robot=robot), start_of(robot))
-        for k in range(320):
-            ill[0] = 120 <= k < 220
-            assert (arm.call().status is INVALID) == ill[0], fault
-            assert k != 219 or np.all(arm.last == 0.0)
-        assert np.linalg.norm(arm.last) > 0.05
+
+def test_a_stop_in_the_midst_of_an_update_is_kept(robot):
+    """As that of a signal, which comes while a command is computed."""
+    law, q = law_of(robot, "sawyer"), start_of(robot)
+    stops = ml.ResolvedRateController(law.constraint, law.task, lambda _q: loop.stop() or np.zeros(7))
+    loop = ml.ServoLoop(stops, DT)
+    assert loop.update(q, 0.0).status is not STOPPED and loop.update(q, DT).status is STOPPED
+    assert loop.state.is_stopped
+
+
+# ---- time ----
+
+
+def outside(robot, q) -> float:
+    """Largest distance beyond a position limit."""
+    return float(max(np.max(q - robot.position_upper), np.max(robot.position_lower - q)))
+
+
+@pytest.mark.parametrize(
+    ("every", "jerk", "servo", "seed"),
+    [(0.004, None, "position", 1), (0.01, 500.0, "velocity", 1), (0.03, None, "velocity", 1),
+     (0.03, 500.0, "position", 1), (None, 500.0, "position", 0), (None, None, "position", 1),
+     (None, 500.0, "position", 2), (None, None, "velocity", 1), (None, 500.0, "velocity", 2)],
+)  # fmt: skip
+def test_every_limit_holds_in_time(every, jerk, servo, seed, robot, caplog):
+    """Made for 1 ms and called every 4, 10 or 30 ms: every limit holds in time, and one line says so with numbers.
+
+    Of stamps 0.2 to 100 ms apart (None) no command steps by more than a period's worth, or the time's where that is
+    shorter; a velocity servo goes on at the last velocity meanwhile, and no position limit is exceeded.
+    """
+    rng, corner = np.random.default_rng(seed), np.random.default_rng(seed).choice([-1.0, 1.0], robot.nv)
+    law = Constantly(robot, robot.velocity_limit * corner) if seed else law_of(robot, "sawyer", 2.0)
+    loop, rounding, stamps = ml.ServoLoop(law, DT, jerk_limit=jerk), 1.0 + 1e-6, every is None
+    q, t, period, at, nearest = start_of(robot), 0.0, every or DT, None, -np.inf
+    before, rate, shortest = np.zeros(7), np.zeros(7), DT
+    caplog.set_level(logging.WARNING, "manip_learn")
+    for k in range((1000 if servo == "position" else 2000) if stamps else int(3.0 / every)):
+        if stamps and seed and k % 700 == 699:
+            law.velocity[:] = -law.velocity
+        u = loop.update(q, t).velocity
+        held = every or (min(period, DT) if servo == "position" else DT)
+        change = (u - before) / held
+        assert np.all(np.abs(u) <= robot.velocity_limit * rounding)
+        assert np.all(np.abs(change) <= loop.acceleration_limit * rounding)
+        if jerk is not None and (every or servo == "position"):
+            assert np.all(np.abs(change - rate) <= jerk * max(held, shortest if stamps else 0.0) * rounding)
+        if servo == "position":
+            assert at is None or np.all(np.abs(loop.position - at) <= robot.velocity_limit * held * rounding)
+        assert outside(robot, loop.position) <= 1e-9 or (stamps and servo == "velocity")
+        at, before, rate, shortest = loop.position, u, change, held
+        period = 10.0 ** rng.uniform(np.log10(2e-4), -1.0) if stamps else every
+        q, t = at if servo == "position" else robot.integrate(q, period * u), t + period
+        nearest = max(nearest, outside(robot, q))
+    assert nearest <= 1e-9 and (nearest > -0.02 or (stamps and servo == "position"))  # it has come to a limit
+    words = [r.getMessage() for r in caplog.records if "servo loop" in r.getMessage()]
+    if every:
+        assert len(words) == 1 and "period of 1 ms" in words[0] and f"every {1e3 * every:g} ms" in words[0]
+
+
+def test_braking_keeps_position_limits(robot):
+    """All joints brake together, and none goes the faster to its limit the longer others need to stop."""
+    own, q = Constantly(robot, np.eye(7)[6] * 1.5), np.zeros(7)
+    loop = ml.ServoLoop(own, acceleration_limit=np.where(np.arange(7) == 6, 5.0, 20.0))
+    q[6], q[0] = robot.position_lower[6], robot.position_upper[0] - 0.8
+    arm = Arm(loop, q)
+    arm.calls(400)  # the last joint needs 0.3 s for its full speed
+    own.velocity[0] = 1.5
+    arm.calls(150)
+    assert arm.last[0] > 1.4 and arm.last[6] > 1.4
+    loop.stop()
+    np.testing.assert_allclose(arm.call().velocity[[0, 6]], 1.5 - 5.0 * DT, rtol=1e-6)
+    arm.calls(400)
+    assert np.all(arm.last == 0.0)
+    loop.start()
+    for _ in range(2500):
+        before = robot.position_upper[0] - arm.q[0]
+        arm.call()
+        assert outside(robot, arm.q) <= 1e-9
+        assert arm.last[0] * arm.last[6] / 5.0 <= 1.02 * before + 1e-3
+    assert np.all(arm.last[0] < 1e-3) and arm.q[0] > robot.position_upper[0] - 1e-3
+
+
+def test_the_task_changes_in_motion(robot):
+    """`set_target`, `set_task`, `set_constraint`: the velocity goes on within the limits, the new goal is reached."""
+    law = law_of(robot, "sawyer")
+    arm, here = Arm(ml.ServoLoop(law, jerk_limit=500.0), start_of(robot)), law.constraint.features.coordinates
+    here, one = here(arm.q), ml.Constraint(np.eye(3)[:1], law.constraint.features)
+    changes = (
+        (arm.loop.set_target, here + [0.1, -0.1, 0.1]),
+        (arm.loop.set_task, ml.PointAttractor(here - 0.1, gain=3.0)),
+        (arm.loop.set_constraint, one),
+    )
+    for change, to in changes:
+        arm.calls(300)
+        change(to)
+        assert np.linalg.norm(arm.call().velocity) > 0.02
+    arm.calls(1600)
+    assert arm.loop.controller.robot is robot and arm.loop.task_error(arm.q) < 1e-3
+    assert one.features.coordinates(arm.q)[0] == pytest.approx(here[0] - 0.1, abs=1e-3)
+
+
+def test_a_motion_waits_while_the_arm_stands(robot):
+    """After `stop` and `start`, a motion along a free direction goes on where it was, as gently as it began."""
+    constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(robot, "right_hand"))
+    loop = ml.ServoLoop(ml.ResolvedRateController(constraint, ml.FreeDirection(constraint, 0.1, 0.1)))
+    q, places = start_of(robot), []
+    for k in range(4500):
+        {700: loop.stop, 2200: loop.start}.get(k, lambda: None)()
+        places.append(robot.position(q, "right_hand"))
+        q = robot.integrate(q, DT * loop.update(q, k * DT).velocity)
+    assert np.max(np.linalg.norm(np.diff(places, axis=0), axis=1)[2200:]) < 0.115 * DT
+    assert np.linalg.norm(places[-1] - places[0]) == pytest.approx(0.1, abs=1e-3)
+
+
+def test_between_two_states_in_order_there_may_be_none(robot):
+    """A clock that went back is believed after two good states that follow each other, not across a lost one."""
+    loop, q = ml.ServoLoop(law_of(robot, "sawyer"), DT), start_of(robot)
+    one_lost = [(x, 1.0 + k * DT) for k, x in enumerate((q, None, q, q))]
+    far_apart = [(q, 1.0 + periods * loop.stale_after) for periods in (0.0, 1.01, 1.99)]
+    for start, states in ((100.0, one_lost), (200.0, far_apart)):
+        for k in range(30):
+            loop.update(q, start + k * DT)
+        *before, last = [loop.update(x, t).status for x, t in states]
+        assert set(before) == {INVALID} and last is not INVALID
+
+
+@pytest.mark.parametrize(("name", "jerk"), [("sawyer", None), ("ur5", 200.0), ("kinova", None)])
+def test_a_kept_state_gives_the_same_command_again(name, jerk, robot_of):
+    """To the bit, in random order, of an arm that is late, pushed now and then, and badly read."""
+    robot = robot_of(name)
+    rules = ml.ServoLoop(law_of(robot, name), 2 * DT, jerk_limit=jerk, contact=ml.Contact(stiffness=2000.0)).rules
+    q, rng = robot.configuration(start_of(robot)), np.random.default_rng(5)
+    state, steps, t, sent = rules.begin(None, q), [], 0.0, [q] * 8
+    for k in range(2000):
+        t += 2 * DT if rng.uniform() < 0.8 else float(rng.choice([0.0, 0.6 * DT, 6.0 * DT, 0.15, -1.0]))
+        reading = sent[-4] + rng.normal(0.0, 3e-5, len(q)) + 0.02 * (300 < k % 900 < 360)
+        if rng.uniform() < 0.02:
+            reading = [np.full(len(q), np.nan), "none", q + 1.0][int(rng.integers(3))]
+        steps.append((state, reading, t, *rules.step(state, reading, t)))
+        state = steps[-1][3]
+        sent = [*sent[1:], q if state.position is None else state.position]
+    assert {"invalid-input", "stale", "following-error"} <= {str(command.status) for *_, command in steps}
+    for k in rng.permutation(len(steps)).tolist():
+        *before, _, command = steps[k]
+        again = rules.step(*before)[1]
+        assert again.velocity.tobytes() == command.velocity.tobytes() and again.status == command.status, k
+
+
+# ---- an arm that is not where it was sent ----
+
+
+def tripped(robot):
+    """An arm that is blocked where it starts, and the command of the period in which the loop finds out."""
+    contact = ml.Contact(latency=0.01, stiffness=2000.0)
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 3.0), contact=contact), start_of(robot))
+    command = next(c for c in (arm.call(start_of(robot)) for _ in range(2000)) if c.status is FOLLOWING_ERROR)
+    return arm, command
+
+
+def test_a_following_error_trips_until_reset(robot):
+    """A blocked arm: the loop brakes, goes back to where the arm was measured, and stands there until `reset`."""
+    (arm, command), q = tripped(robot), start_of(robot)
+    loop = arm.loop
+    # 15 N on servos of 2,000 N m/rad: less than 13 N m in any joint, beside 15 N m of friction that it might have
+    assert 5e-4 < command.following_error < 0.0065 + 0.0075
+    assert loop.stopped_by is not None and loop.stopped_by.startswith("row ") and " mm off" in loop.stopped_by
+    assert {c.status for c in arm.calls(2000, q)} == {FOLLOWING_ERROR}
+    assert np.all(arm.last == 0.0) and loop.position is not None
+    # no load is left but what friction would go on holding, 0.5 N m
+    assert np.max(np.abs(loop.position - q)) <= 2.5e-4
+    commands = arm.calls(300, loop.position)  # the block is gone: that is no reason to move
+    assert {c.status for c in commands} == {FOLLOWING_ERROR}
+    assert not np.any([c.velocity for c in commands])
+    loop.reset()
+    assert max(np.linalg.norm(command.velocity) for command in Arm(loop, q).calls(800)) > 0.05
+
+
+@pytest.mark.parametrize("is_read_wrong", [False, True])
+def test_reset_after_a_trip_ramps_back(is_read_wrong, robot):
+    """`position` goes back to where the arm is within velocity and acceleration limits, also if `reset` comes twice,
+    and not where zeros lead that a driver reads once before its first state.
+    """
+    (arm, _), q = tripped(robot), start_of(robot)
+    arm.calls(300, q)
+    loop, places, q = arm.loop, [arm.loop.position], q + 0.02  # somebody has pushed the arm away
+    assert np.max(np.abs(robot.difference(places[0], q))) > 0.01
+    loop.reset()
+    arm, command = Arm(loop, q), None
+    for i in range(600):
+        if i == 20 and not is_read_wrong:
+            loop.reset()
+        command = arm.call(np.zeros(7) if is_read_wrong and i == 0 else q)
+        places.append(loop.position)
+        if command.status not in (FOLLOWING_ERROR, INVALID):
+            break
+        assert np.all(command.velocity == 0.0)
+    np.testing.assert_allclose(places[-2], q, rtol=0, atol=1e-5)
+    if is_read_wrong:
+        assert np.max(np.abs(np.array(places[1:]) - q)) < 0.05
+    else:
+        speeds = np.diff([places[0], *places[:-1]], axis=0) / DT
+        assert i < 590 and np.all(np.abs(speeds) <= robot.velocity_limit * ROUNDING)
+        assert np.all(np.abs(np.diff(speeds, axis=0)) <= loop.acceleration_limit * DT * (1.0 + 1e-6))
+
+
+@pytest.mark.parametrize("first", [0.0, 1.0])
+def test_a_first_reading_that_is_wrong_moves_nothing(first, robot):
+    """Zeros, or an old posture, once before the first state: `position` is where the arm is from the second reading on,
+    the arm stands until two readings agree, and then it moves; a loop that was stopped stays stopped.
+    """
+    loop, q = ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot)
+    loop.update(np.full(7, first), 0.0)
+    loop.stop()
+    command = loop.update(q, DT)
+    assert command.status is INVALID and not command.velocity.any()
+    np.testing.assert_array_equal(loop.position, q)
+    assert loop.stopped_by is not None and "was read" in loop.stopped_by
+    assert loop.update(q, 2 * DT).status is STOPPED
+    loop.start()
+    for k in range(3, 500):
+        command = loop.update(loop.position, k * DT)
+        assert np.max(np.abs(loop.position - q)) < 1.0 and command.status is not FOLLOWING_ERROR
+    assert np.linalg.norm(command.velocity) > 0.05
+
+
+def test_a_posture_that_no_arm_can_have_is_none(robot):
+    """Finite numbers turns beyond all limits start no motion; a turn too much, as encoders count, is a posture."""
+    farthest = np.maximum(-robot.position_lower, robot.position_upper) + 2.0 * np.pi
+    for far in (1e200, 1e7, 30.0, 1.001 * farthest):
+        loop = ml.ServoLoop(law_of(robot, "sawyer"))
+        for k in range(20):
+            command = loop.update(np.full(robot.nv, far), k * DT)
+            assert command.status is INVALID and not command.velocity.any()
+        assert loop.stopped_by is not None and "no posture" in loop.stopped_by
+    assert ml.ServoLoop(law_of(robot, "sawyer")).update(0.999 * farthest, 0.0).status is OUTSIDE
+
+
+@pytest.mark.parametrize(("jump", "is_refused"), [(0.045, False), (-0.045, False), (0.06, True), (-0.06, True)])
+def test_how_far_a_reading_may_jump(jump, is_refused, robot):
+    """By 0.05 rad beyond what the joint can move meanwhile, twice 1.7 mrad here."""
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
+    arm.calls(20)
+    assert (arm.call(arm.q + jump * np.eye(7)[0]).status is INVALID) == is_refused
+
+
+def test_wrong_units_are_named(robot):
+    """Degrees and milliseconds stop the arm, with what was read and what it is to be; so does a full turn too much."""
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
+    assert arm.loop.update(np.degrees(arm.q), 0.0).status is INVALID
+    assert "in degrees? It is to be in radians" in arm.loop.stopped_by
+    arm.loop.reset(arm.q)
+    assert [arm.loop.update(arm.q, 1.0 * k).status for k in range(5)][1:] == [STALE] * 4
+    assert "went on by 1, in milliseconds? It is to be in seconds" in arm.loop.stopped_by
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
+    arm.calls(50)
+    assert arm.call(arm.q + 2.0 * np.pi * np.eye(7)[5]).status is INVALID
+    assert f"joint {robot.joint_names[5]} was read +6.28 rad" in arm.loop.stopped_by
+    assert "1 full turn: the driver counts" in arm.loop.stopped_by
+    assert arm.call().status not in (INVALID, FOLLOWING_ERROR)
+
+
+@pytest.mark.parametrize(
+    ("force", "trips"),
+    [([14, 0, 0], False), ([58, 0, 0], False), ([62, 0, 0], True), ([0, 14, 0], False), ([0, -16.5, 0], True),
+     ([0, 0, 16.5], True), ([0, 0, -19.6], False), ([0, 0, -19.6 - 17.0], True), ([14, 0, -19.6], False),
+     ([50, 16.5, 0], False), ([50, 27, 0], True)],
+)  # fmt: skip
+def test_distances_mean_forces(force, trips, robot):
+    """Across what is driven, a push of 14 N at the hand is no reason to stop, 16.5 N is; along it 58 N and 62 N.
+
+    Beside 50 N along it 16.5 N across are no reason, 27 N are. Down to 2 kg of weight are no push at all. The force
+    that is told is the one that explains how far the servos gave way, less what friction and encoders leave.
+    """
+    q, tip = start_of(robot), default_tip(robot)
+    J = robot.jacobian(q, tip)[:3]
+    along_x = np.linalg.pinv(J)[:, :1].T
+    following = FollowingError(robot, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), tip)
+    away = J.T @ np.array(force, dtype=float) / STIFFNESS
+    for _ in range(40):
+        following.compare(q, q + away, lambda _q: along_x)
+    assert bool(following.tripped) == trips, following.tripped
+    if not trips:
+        pushed = np.array(force) + [0.0, 0.0, min(19.62, max(0.0, -force[2]))]
+        np.testing.assert_allclose(following.force, pushed, atol=0.6)
+        assert following.largest == pytest.approx(np.abs(away).max(), rel=1e-3)
+    np.testing.assert_allclose(following.distance, away, atol=1e-12)
+
+
+@pytest.mark.parametrize(("share", "trips"), [(0.85, False), (1.15, True)])
+def test_a_push_beside_the_hand_is_found_by_its_joint(share, trips, robot):
+    """What moves no hand counts by joints: as much as 15 N at the longest lever that the hand has on any of them."""
+    q, tip, rng = start_of(robot), default_tip(robot), np.random.default_rng(7)
+    postures = [robot.random_configuration(rng) for _ in range(2000)]
+    lever = np.max([np.linalg.norm(robot.jacobian(x, tip)[:3], axis=0) for x in postures])
+    beside = np.linalg.svd(robot.jacobian(q, tip)[:3])[2][3]
+    following = FollowingError(robot, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), tip)
+    j = int(np.argmax(np.abs(beside)))
+    for _ in range(40):
+        following.compare(q, q + share * beside / abs(beside[j]) * 15.0 * lever / STIFFNESS)
+    assert (
+        following.tripped.startswith(f"joint {robot.joint_names[j]} is pushed by") == trips == bool(following.tripped)
+    )
+
+
+def test_a_payload_that_is_told_is_no_push(robot):
+    """The weight of 5 kg trips the loop of an arm that is not told; inertia and weight include a payload."""
+    q, tip, centre = start_of(robot), default_tip(robot), [0.0, 0.0, 0.05]
+    loaded = robot.with_payload(5.0, tip, centre)
+    ends = np.array([robot.pose(q + 1e-6 * e, tip) for e in np.eye(7)]) - robot.pose(q, tip)
+    J = (ends @ [*centre, 1.0]).T[:3] / 1e-6
+    weight = loaded.weight_effort(q) - robot.weight_effort(q)
+    np.testing.assert_allclose(weight, J.T @ [0.0, 0.0, 5.0 * 9.81], atol=1e-3)
+    a = np.linspace(-1.0, 2.0, 7)
+    np.testing.assert_allclose(loaded.inertial_effort(q, a) - robot.inertial_effort(q, a), 5.0 * J.T @ J @ a, atol=1e-3)
+    assert loaded.with_payload(1.0, tip).mass == pytest.approx(robot.mass + 1.0) and robot.payload == 0.0
+    away = robot.jacobian(q, tip)[:3].T @ [0.0, 0.0, -5.0 * 9.81] / STIFFNESS
+    for arm, trips in ((robot, True), (loaded, False)):
+        following = FollowingError(arm, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), tip)
+        for _ in range(40):
+            following.compare(q, q + away)
+        assert bool(following.tripped) == trips
+    for mass, place in ((-1.0, centre), (np.nan, centre), (1.0, [0.0, np.inf, 0.0]), (1.0, 0.05)):
+        with pytest.raises(ConfigurationError, match="a payload has a mass"):
+            robot.with_payload(mass, tip, place)
+
+
+# ---- the caller ----
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_commands_belong_to_the_caller(own, robot):
+    """Writing into a command, a posture or a position changes no later one, and later updates change no command."""
+    law = Constantly(robot, np.linspace(-1.0, 1.0, 7)) if own else law_of(robot, "sawyer")
+    clean, spoiled, q = ml.ServoLoop(law), ml.ServoLoop(law), start_of(robot)
+    kept = []
+    for k in range(300):
+        t = (k - k % 3) * DT  # every state twice more
+        posture = q.copy()
+        expected, command = clean.update(q, t), spoiled.update(posture, t)
+        np.testing.assert_array_equal(command.velocity, expected.velocity)
+        kept.append((expected, expected.velocity.copy(), expected.task_part.copy()))
+        for array in (posture, command.velocity, command.task_velocity, command.task_part, command.null_part):
+            array[:] = 1e6
+        spoiled.position[:] = np.nan
+        q = robot.integrate(q, DT * expected.velocity)
+    for command, velocity, task_part in kept:
+        np.testing.assert_array_equal(command.velocity, velocity)
+        np.testing.assert_array_equal(command.task_part, task_part)
+
+
+REFUSED = [  # what is made, its argument, values that are refused, and words of the sentence
+    *((ml.ServoLoop, "dt", x, "dt") for x in (0.0, np.nan, "fast", True)),
+    *((ml.ServoLoop, "stale_after", x, "stale") for x in (-1.0, 0.0)),
+    *((ml.ServoLoop, "acceleration_limit", x, "acceleration") for x in (0.0, [1.0])),
+    *((ml.ServoLoop, "jerk_limit", x, "jerk") for x in (-1.0, 1e-9)),
+    (ml.ServoLoop, "dt", 0.2, "stale after 0.1 s and the period is 0.2 s"),
+    *((ml.Contact, "max_lateral_force", x, "max_lateral_force") for x in (0.0, np.inf, "much")),
+    (ml.Contact, "max_axial_force", -1.0, "max_axial_force"),
+    (ml.Contact, "resolution", np.nan, "resolution"),
+    *((ml.Contact, "latency", x, "latency") for x in (-0.1, "never")),
+    *((ml.ServoLoop, "contact", ml.Contact(stiffness=x), "stiffness") for x in (0.0, [1.0])),
+    (ml.Contact, "hold", 9.0, "unexpected keyword argument 'hold'"),
+    (ml.ServoLoop, "following_error_limit", 0.5, "no argument 'following_error_limit': give contact=Contact"),
+    *((ml.ServoLoop, x, 0.5, rf"'{x}': give contact=Contact\({x}=0.5\)") for x in ("latency", "stiffness")),
+]
+
+
+@pytest.mark.parametrize(("make", "name", "value", "words"), REFUSED)
+def test_wrong_settings_are_refused(make, name, value, words, robot):
+    """Before the arm moves, with an error of the library's own that names the setting; names that went say where to."""
+    of = [law_of(robot, "sawyer")] if make is ml.ServoLoop else []
+    with pytest.raises((ConfigurationError, TypeError), match=words) as caught:
+        make(*of, **{name: value})
+    assert isinstance(caught.value, TypeError) == ("argument" in words or "give contact" in words)
+
+
+def test_settings_that_fit_together(robot):
+    """A jerk limit needs an acceleration limit; former names of a contact's are those of now; no delay is a number."""
+    law = law_of(robot, "sawyer")
+    with pytest.raises(ConfigurationError, match="jerk"):
+        ml.ServoLoop(law, acceleration_limit=np.inf, jerk_limit=10.0)
+    assert ml.Contact(held=9.0, driven=4.0) == ml.Contact(9.0, 4.0) and ml.Contact(9.0).held == 9.0  # until 0.4
+    ml.ServoLoop(law, contact=ml.Contact(latency=0.0))

@@ -1,76 +1,68 @@
-"""Tasks: what they ask of the constrained rows, in every form of a target."""
+"""Tasks: what they ask of the constrained rows, in every form of a target; null-space policies: what they want, that
+they want it everywhere, and what a controller makes of several.
+"""
 
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError
+from itertools import product
 
 import numpy as np
 import pytest
+from case import case
+from numpy.testing import assert_allclose, assert_array_equal
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.policies import ManipulabilityAscent
-from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.control.tasks import PointAttractor, Track
-from manip_learn.errors import FeatureError, TargetError
+import manip_learn as ml
+from manip_learn.constraint.manipulability import svd
+from manip_learn.control.policies import GROWTH, steepest_ascent
+from manip_learn.errors import ConfigurationError, ConstraintError, FeatureError, TargetError
 from manip_learn.robot.rotations import rotation_matrix
 
 
 @pytest.fixture
-def constraint(robot_of, rng) -> Constraint:
-    return Constraint(rng.standard_normal((2, 3)), FrameJacobian(robot_of("sawyer"), "right_hand"))
+def constraint(robot_of, rng) -> ml.Constraint:
+    return ml.Constraint(rng.standard_normal((2, 3)), ml.FrameJacobian(robot_of("sawyer"), "right_hand"))
 
 
 def test_three_forms_of_a_target(constraint, robot_of, rng):
     """All rows of the features, one number per constrained row, or a pose: the same displacement."""
-    q, goal = rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
+    q, goal = rng.uniform(-1, 1, (2, 7))
     robot, features = robot_of("sawyer"), constraint.features
     point = features.coordinates(goal)
     expected = constraint.selection @ (point - features.coordinates(q))
     for target in (point, constraint.selection @ point, robot.pose(goal, features.frame)):
-        task = PointAttractor(target, gain=2.0)
-        np.testing.assert_allclose(task.velocity(constraint, q, 0.0), 2.0 * expected, rtol=0, atol=1e-12)
+        task = ml.PointAttractor(target, gain=2.0)
+        assert_allclose(task.velocity(constraint, q, 0.0), 2.0 * expected, rtol=0, atol=1e-12)
         assert task.error(constraint, q, 0.0) == pytest.approx(np.linalg.norm(expected))
 
 
 def test_track_with_feed_forward_does_not_lag(constraint, rng):
     """On the target its own velocity is all that is asked for; beside it the pull is added."""
-    q = rng.uniform(-1, 1, 7)
+    q, Lambda = rng.uniform(-1, 1, 7), constraint.selection
     here, rate = constraint.features.coordinates(q), np.array([0.1, -0.2, 0.3])
-    task = Track(lambda t: here + rate * (t - 1.0), lambda t: rate, gain=4.0)
-    np.testing.assert_allclose(task.velocity(constraint, q, 1.0), constraint.selection @ rate, rtol=0, atol=1e-12)
-    lagging = task.velocity(constraint, q, 1.5) - constraint.selection @ rate
-    np.testing.assert_allclose(lagging, 4.0 * constraint.selection @ rate * 0.5, rtol=0, atol=1e-12)
-    assert task.error(constraint, q, 1.5) == pytest.approx(0.5 * np.linalg.norm(constraint.selection @ rate))
+    task = ml.Track(lambda t: here + rate * (t - 1.0), lambda t: rate, gain=4.0)
+    for t, pull in ((1.0, 0.0), (1.5, 4.0 * 0.5)):
+        assert_allclose(task.velocity(constraint, q, t), (1.0 + pull) * Lambda @ rate, rtol=0, atol=1e-12)
+    assert task.error(constraint, q, 1.5) == pytest.approx(0.5 * np.linalg.norm(Lambda @ rate))
     assert repr(task) == "Track(gain=4)"
 
 
 def test_a_target_that_moves_counts_over_the_step(constraint, rng):
     """b for a time dt has the rate in its middle, or the way of the target in dt; without dt what was given alone."""
-    q = rng.uniform(-1, 1, 7)
-    here, Lambda = constraint.features.coordinates(q), constraint.selection
-    pull = Lambda @ (0.01 * np.ones(3))
+    q, Lambda = rng.uniform(-1, 1, 7), constraint.selection
+    here = constraint.features.coordinates(q)
 
     def target(t: float) -> np.ndarray:
         return here + 0.01 + np.array([t * t, 0.0, t**3])
 
-    known = Track(target, lambda t: np.array([2.0 * t, 0.0, 3.0 * t * t]), gain=3.0)
     for task, wanted in (
-        (known, [0.3, 0.0, 3.0 * 0.15**2]),  # in the middle of 0.1 ... 0.2
-        (Track(target, gain=3.0), [(0.04 - 0.01) / 0.1, 0.0, (0.008 - 0.001) / 0.1]),
-    ):
+        (ml.Track(target, lambda t: np.array([2.0 * t, 0.0, 3.0 * t * t]), gain=3.0), [0.3, 0.0, 3.0 * 0.15**2]),
+        (ml.Track(target, gain=3.0), [(0.04 - 0.01) / 0.1, 0.0, (0.008 - 0.001) / 0.1]),
+    ):  # in the middle of 0.1 ... 0.2
         b, E = task.velocity_and_jacobian(constraint, q, 0.1, 0.1)
-        ahead = pull + Lambda @ [0.01, 0.0, 0.001]
-        np.testing.assert_allclose(b, 3.0 * ahead + Lambda @ wanted, rtol=0, atol=1e-12)
+        assert_allclose(b, Lambda @ (3.0 * (target(0.1) - here) + wanted), rtol=0, atol=1e-12)
         assert E is None
-    np.testing.assert_allclose(Track(target, gain=3.0).velocity(constraint, q, 0.0), 3.0 * pull, atol=1e-12)
-    np.testing.assert_allclose(known.velocity(constraint, q, 0.0), 3.0 * pull, atol=1e-12)
-
-
-def line(t: float) -> np.ndarray:
-    """There and back, 0.2 m, up to 0.5 m/s."""
-    return 0.1 * np.array([0.0, 1.0 - np.cos(5.0 * t), 0.0])
+        assert_allclose(task.velocity(constraint, q, 0.0), 3.0 * Lambda @ (0.01 * np.ones(3)), atol=1e-12)
 
 
 def test_a_moving_target_is_followed(robot_of):
@@ -80,49 +72,164 @@ def test_a_moving_target_is_followed(robot_of):
     start = robot.pose(q, frame)
 
     def goal(t: float) -> np.ndarray:
-        late = t - 0.3 if t > 0.6 else t * t / 1.2  # speeds up for 0.6 s
-        turn = rotation_matrix(np.array([0.0, 0.0, 0.4 * np.sin(2.0 * late)]))
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn @ start[:3, :3], start[:3, 3] + line(late)
+        late = t - 0.3 if t > 0.6 else t * t / 1.2  # speeds up for 0.6 s; there and back, 0.2 m, up to 0.5 m/s
+        turn, pose = rotation_matrix(np.array([0.0, 0.0, 0.4 * np.sin(2.0 * late)])), np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn @ start[:3, :3], start[:3, 3] + [0.0, 0.1 * (1.0 - np.cos(5.0 * late)), 0.0]
         return pose
 
-    features = FrameJacobian(robot, frame, "pose")
-    rows = Constraint(np.eye(features.n_rows), features)
-    loop = ServoLoop(ResolvedRateController(rows, Track(goal, gain=5.0), ManipulabilityAscent(rows)), 0.001)
+    rows = ml.Constraint(np.eye(6), ml.FrameJacobian(robot, frame, "pose"))
+    law = ml.ResolvedRateController(rows, ml.Track(goal, gain=5.0), ml.ManipulabilityAscent(rows))
+    loop = ml.ServoLoop(law, 0.001)
     for k in range(1500):
         loop.update(q, 0.001 * k)
         q = loop.position
         assert np.linalg.norm(robot.position(q, frame) - goal(0.001 * (k + 1))[:3, 3]) < 2e-4
 
 
-def test_bad_targets(constraint, rng):
-    """Wrong sizes, NaN, text and features without coordinates are refused with what would fit."""
-    q = rng.uniform(-1, 1, 7)
-    for target in ([np.nan, 0.0, 0.0], "there", [[1.0, 2.0], [3.0]], 5.0):
-        with pytest.raises(TargetError):
-            PointAttractor(target)
-    with pytest.raises(TargetError, match=r"3 numbers \(x, y, z\), or 2"):
-        PointAttractor(np.zeros(4)).velocity(constraint, q, 0.0)
-    features = CustomFeatures(lambda q: np.ones((1, 2)), ("a",), 2)
-    with pytest.raises(FeatureError, match="no task coordinates"):
-        PointAttractor([1.0]).velocity(Constraint([[1.0]], features), np.zeros(2), 0.0)
-
-
 def test_all_rows_are_driven_on_demand(constraint, robot_of):
     """Every row of the features where the target has a number for each, or is a pose, the same object at each call; not
-    for rows of a mechanism, nor for numbers along the rows of Lambda. A task does not change.
+    for rows of a mechanism, nor for numbers along the rows of Lambda. A task does not change. Wrong sizes, NaN, text
+    and features without coordinates are refused with what would fit.
     """
     for target in (np.zeros(3), np.eye(4)):
-        task = PointAttractor(target, driven="all")
+        task = ml.PointAttractor(target, driven="all")
         rows = task.rows(constraint)
-        np.testing.assert_array_equal(rows.selection, np.eye(3))
+        assert_array_equal(rows.selection, np.eye(3))
         assert rows.features is constraint.features and task.rows(constraint) is rows
-        assert PointAttractor(target).rows(constraint) is constraint
-    door = Constraint(np.eye(2), MechanismRows(robot_of("sawyer"), "right_hand", "radial axial"))
-    for target, of in ((np.zeros(2), constraint), (np.zeros(2), door)):
-        with pytest.raises(TargetError, match="driven='held'"):
-            PointAttractor(target, driven="all").rows(of)
-    with pytest.raises(TargetError, match="'held' or 'all'"):
-        PointAttractor(np.zeros(3), driven="free")  # type: ignore[arg-type]
+        assert ml.PointAttractor(target).rows(constraint) is constraint
     with pytest.raises(FrozenInstanceError, match="gain"):  # a loop may be running it
-        PointAttractor(np.zeros(3)).gain = 2.0  # type: ignore[misc]
+        ml.PointAttractor(np.zeros(3)).gain = 2.0  # type: ignore[misc]
+    door, q = ml.Constraint(np.eye(2), ml.MechanismRows(robot_of("sawyer"), "right_hand", "radial axial")), np.zeros(7)
+    silent = ml.Constraint([[1.0]], ml.CustomFeatures(lambda q: np.ones((1, 2)), ("a",), 2))
+    two, four = ml.PointAttractor(np.zeros(2), driven="all"), ml.PointAttractor(np.zeros(4))
+    bad = ([np.nan, 0.0, 0.0], "there", [[1.0, 2.0], [3.0]], 5.0)
+    for call, error, words in (
+        *((lambda x=x: ml.PointAttractor(x), TargetError, None) for x in bad),
+        *((lambda of=of: two.rows(of), TargetError, "driven='held'") for of in (constraint, door)),
+        (lambda: ml.PointAttractor(np.zeros(3), driven="free"), TargetError, "'held' or 'all'"),
+        (lambda: four.velocity(constraint, q, 0.0), TargetError, r"3 numbers \(x, y, z\), or 2"),
+        (lambda: ml.PointAttractor([1.0]).velocity(silent, np.zeros(2), 0.0), FeatureError, "no task coordinates"),
+    ):
+        with case(words), pytest.raises(error, match=words):
+            call()
+
+
+# ---- policies -----------------------------------------------------------------------------------------------------
+
+
+def test_joint_attractor_goes_the_short_way(robot_of):
+    """gain (rest - q); with the robot a continuous joint goes the short way round; wrong sizes are refused."""
+    assert_allclose(ml.JointAttractor([1.0, 2.0], gain=3.0)([0.5, 0.0]), [1.5, 6.0])
+    robot = robot_of("wrist")
+    policy = ml.JointAttractor([3.0, 0.0, 0.0, 0.0], robot=robot)
+    assert policy([-3.0, 0.0, 0.0, 0.0])[0] == pytest.approx(6.0 - 2.0 * np.pi)
+    for call, error, words in (
+        (lambda: ml.JointAttractor([np.nan, 0.0]), TargetError, "finite"),
+        (lambda: ml.JointAttractor([0.0, 0.0])([0.0, 0.0, 0.0]), TargetError, "2 numbers"),
+        (lambda: ml.JointAttractor([0.0, 0.0], robot=robot), ConfigurationError, None),
+    ):
+        with pytest.raises(error, match=words):
+            call()
+
+
+def test_ascent_is_the_gradient(constraint, rng):
+    """gain grad mu as the paper prints it, or along the gradient g of log mu: gain |g| at most, and
+    max_speed / sqrt(1 + (dt max_speed |g| / GROWTH)^2).
+    """
+    for q in 0.5 * rng.standard_normal((5, 7)):
+        log, raw = (ml.ManipulabilityAscent(constraint, 0.7, logarithmic=x) for x in (True, False))
+        slope = ml.log_manipulability_gradient(constraint, q)
+        assert_allclose(log(q), 0.7 * slope, rtol=1e-9, atol=1e-12)
+        assert_allclose(raw(q), 0.7 * ml.manipulability_gradient(constraint, q), rtol=1e-9, atol=1e-12)
+        slope = ml.ManipulabilityAscent(constraint, 1.0, max_speed=None)(q)
+        size = float(np.linalg.norm(slope))
+        for gain, speed, dt in product((0.5, 3.0), (0.1, 1.0, 10.0, None), (0.001, 0.05, 2.0)):
+            longest = np.inf if speed is None else speed / np.sqrt(1.0 + (dt * speed * size / GROWTH) ** 2)
+            got = ml.ManipulabilityAscent(constraint, gain, max_speed=speed)(q, 0.0, dt)
+            assert_allclose(got, slope / size * min(gain * size, longest), rtol=1e-12)
+    with pytest.raises(ConfigurationError):
+        log(np.full(7, np.nan))
+    for wrong in (0.0, -1.0, np.nan):
+        with pytest.raises(ConstraintError, match="max_speed"):
+            ml.ManipulabilityAscent(constraint, max_speed=wrong)
+
+
+def test_ascent_climbs_out_of_singularities(robot_of):
+    """At stretched postures, and 1e-15 ... 1e-6 beside them, a small step along the policy raises mu."""
+    frames = {"planar3": "tip", "sawyer": "right_hand", "panda": "panda_hand_tcp", "ur5": "tool0"}
+    for name, distance in product(frames, (0.0, 1e-15, 1e-12, 1e-9, 1e-6)):
+        robot, rng = robot_of(name), np.random.default_rng(3)
+        axes = "x y" if name == "planar3" else "z rx"
+        constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, frames[name], axes))
+        q = distance * rng.standard_normal(robot.nv)
+        direction = ml.ManipulabilityAscent(constraint)(q)
+        with case(name, distance):
+            assert np.all(np.isfinite(direction)) and np.linalg.norm(direction) > 0.0
+            step = 1e-3 * direction / np.linalg.norm(direction)
+            assert ml.manipulability(constraint, robot.integrate(q, step)) > ml.manipulability(constraint, q)
+
+
+def test_an_exact_singularity_is_left_along_the_steepest_ascent(robot_of):
+    """In the null space, at the small speed of the seed; no other direction of the null space raises mu more."""
+    constraint, q = ml.Constraint(np.eye(2), ml.FrameJacobian(robot_of("planar3"), "tip", "x y")), np.array([0.4, 0, 0])
+    A, vjp = constraint.value_and_vjp(q)
+    decomposition = svd(A)
+    ascent = steepest_ascent(decomposition, vjp)
+    assert ascent[np.argmax(np.abs(ascent))] > 0.0 and np.linalg.norm(ascent) == pytest.approx(1.0)
+    assert_allclose(A @ ascent, 0.0, rtol=0, atol=1e-12)
+    assert_allclose(ml.ManipulabilityAscent(constraint)(q), 5e-4 * ascent, rtol=0, atol=1e-12)
+    Z, highest = decomposition[2][1:], ml.manipulability(constraint, q + 1e-4 * ascent)
+    for other in np.random.default_rng(5).standard_normal((200, 3)) @ Z.T @ Z:
+        assert ml.manipulability(constraint, q + 1e-4 * other / np.linalg.norm(other)) <= highest * (1.0 + 1e-3)
+
+
+def test_ascent_where_several_directions_are_lost():
+    """Where A = 0, grad mu is zero; the policy leads out all the same, first to rank one and then to full rank."""
+    features = ml.CustomFeatures(lambda q: np.array([[q[0], 0, 0, q[1]], [0, 2 * q[1], 0, q[2]]]), ("a", "b"), 4)
+    constraint, q = ml.Constraint(np.eye(2), features), np.zeros(4)
+    assert_array_equal(ml.manipulability_gradient(constraint, q), np.zeros(4))
+    assert_array_equal(ml.ManipulabilityAscent(constraint, logarithmic=False)(q), np.zeros(4))
+    for _ in range(3):
+        direction = ml.ManipulabilityAscent(constraint)(q)
+        assert np.all(np.isfinite(direction)) and np.linalg.norm(direction) > 0.0
+        assert np.max(direction) == np.max(np.abs(direction))  # of two senses the one whose largest entry is positive
+        q = q + 0.1 * direction / np.linalg.norm(direction)
+    assert ml.manipulability(constraint, q) > 1e-3
+
+
+@pytest.mark.parametrize("name", ["one", "planar3", "gantry", "wrist", "panda", "ur5", "sawyer"])
+def test_joint_limit_avoidance(robot_of, rng, name):
+    """It descends the potential, at most at its speed, finite at the limits and outside; free joints are left alone."""
+    robot = robot_of(name)
+    policy, limited = ml.JointLimitAvoidance(robot, 0.2, max_speed=0.3), np.isfinite(robot.position_upper)
+    lower, upper = robot.position_lower[limited], robot.position_upper[limited]
+    width = upper - lower
+    longest = np.minimum(0.3, 0.5 * width)
+    for _ in range(20):
+        q = robot.positions(robot.random_configuration(rng))
+        pi, x = policy(q), (2.0 * q[limited] - upper - lower) / width
+        p = 0.2 * width * x / (1.0 - x**2) ** 2  # of h: 4 x / (width (1 - x^2)^2)
+        assert_allclose(pi[limited], -p / np.sqrt(1.0 + (p / longest) ** 2), rtol=1e-7, atol=1e-12)
+        assert_array_equal(pi[~limited], 0.0)
+    for beyond, (bound, sign) in product((0.0, 1e-12, 0.5), ((upper, 1.0), (lower, -1.0))):
+        q = np.full(robot.nv, 0.1)
+        q[limited] = bound + sign * beyond
+        assert_allclose(policy(q)[limited], -sign * longest, rtol=1e-9)
+
+
+def test_weighted_sum(constraint, robot_of, rng):
+    """sum w_i pi_i, sums within sums too; wrong weights and sizes are refused; the weights can be read."""
+    robot = robot_of("sawyer")
+    q, a, b = robot.random_configuration(rng), ml.JointLimitAvoidance(robot), ml.ManipulabilityAscent(constraint)
+    inner = ml.WeightedPolicies([a, b], [0.5, 2.0])
+    assert_allclose(inner(q), 0.5 * a(q) + 2.0 * b(q))
+    assert_allclose(inner(q, 0.0, 0.1), 0.5 * a(q) + 2.0 * b(q, 0.0, 0.1))
+    assert_allclose(ml.WeightedPolicies([inner, a], [3.0, 1.0])(q), 3.0 * inner(q) + a(q))
+    assert_array_equal(ml.WeightedPolicies([a])(q), a(q))
+    text = repr(inner)
+    assert text.startswith("WeightedPolicies(0.5 JointLimitAvoidance(") and "+ 2 ManipulabilityAscent(" in text
+    for policies, weights in (([], None), ([a], [1.0, 2.0]), ([a], [-1.0]), ([a], [np.nan])):
+        with pytest.raises(ConfigurationError):
+            ml.WeightedPolicies(policies, weights)
+    with pytest.raises(TargetError, match="7, 3"):
+        ml.WeightedPolicies([a, ml.ZeroPolicy(3)])(q)

@@ -8,12 +8,14 @@ from functools import partial
 
 import numpy as np
 import pytest
+from recording_corpus import JOINTS
+from recording_formats import dataset, frames, info, motion, pa
 from scale_motions import motions
 from task_sets import generated, true_rows
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.table import EvenChoice, read_evenly
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings import load as trajectory_source
@@ -52,21 +54,6 @@ def chosen(recordings, each: int, robot, most: int) -> EvenChoice:
     """The choice from recordings that are read so many at a time."""
     parts = [partial(lambda k, _notes: iter(recordings[k : k + each]), k) for k in range(0, len(recordings), each)]
     return read_evenly(partial(EvenChoice, most, partial(with_velocities, robot=robot)), parts, None, None)
-
-
-# ---- all fit ---------------------------------------------------------------------------------------------------------
-
-
-def test_what_fits_is_learnt_from_as_if_in_memory(features, held):
-    """A stream: bit for bit the answer of one list."""
-    recordings = [ml.Trajectory(t.time, t.q, None, t.joint_names, t.name) for t in held[:24]]
-    whole = ml.ConstraintLearner(features, **HELD).fit(recordings)
-    stream = Yielded(recordings)
-    other = ml.ConstraintLearner(features, **HELD).fit(stream)
-    assert stream.passes == 1
-    np.testing.assert_array_equal(other.constraint_.selection, whole.constraint_.selection)
-    assert (other.report_.uncertainty_deg, other.report_.notes) == (whole.report_.uncertainty_deg, whole.report_.notes)
-    assert (other.report_.n_samples, other.report_.n_trajectories) == (whole.report_.n_samples, 24)
 
 
 # ---- more than fit ---------------------------------------------------------------------------------------------------
@@ -123,9 +110,8 @@ def test_a_choice_answers_like_all(features, held, settings, truth):
 
 def test_velocities_are_derived_before_samples_are_left_out():
     """Velocities of the choice are those of the full rate, to the last bit."""
-    truth, made = generated("drawer", "sawyer", 3, 8)
     robot = ml.load_robot("sawyer")
-    given = [ml.Trajectory(t.time, t.q, None, robot.joint_names, t.name) for t in made]
+    given = [ml.Trajectory(t.time, t.q, None, robot.joint_names) for t in generated("drawer", "sawyer", 3, 8)[1]]
     choice = chosen(given, 3, robot, 1500)
     assert len(choice.kept) == 8
     for recording, kept in zip(given, choice.kept, strict=True):
@@ -183,62 +169,41 @@ def test_memory_does_not_grow(features, held):
     assert large < small + 500_000  # the difference in data is 0.9 MB
 
 
-# ---- what cannot be used ---------------------------------------------------------------------------------------------
-
-
-def test_streams_are_checked(features, held):
-    """Joints of another robot, missing velocities and emptiness are refused in streams, too."""
-    t = held[0]
-    renamed = ml.Trajectory(t.time, t.q, t.u, tuple(f"other_{n}" for n in t.joint_names))
-    for given, words in [
-        (Yielded([*held, renamed]), "sorts by name"),
-        (Yielded([]), "no demonstrations"),
-        (iter([t, 5]), "motion 2 must be a Trajectory"),
-        (3, "must be trajectories"),
-    ]:
-        with pytest.raises(RecordingError, match=words):
-            ml.ConstraintLearner(features).fit(given)
-    plain = ml.CustomFeatures(lambda q: np.eye(7), row_names=tuple("abcdefg"), nv=7)
-    with pytest.raises(RecordingError, match="robot to derive them with|need a robot"):
-        ml.ConstraintLearner(plain, 1).fit(Yielded([ml.Trajectory(t.time, t.q)] * 300))
-
-
 # ---- files -----------------------------------------------------------------------------------------------------------
-
-
-def test_files_are_a_source(features, held, tmp_path, monkeypatch):
-    """A folder of files, read part by part, gives the answer of the same files loaded at once."""
-    for i, t in enumerate(held):
-        np.savez(tmp_path / f"demo_{i:02d}.npz", time=t.time, q=t.q, u=t.u, joint_names=np.array(t.joint_names))
+def test_streams_and_files_are_learnt_from_as_if_in_memory(features, held, tmp_path, monkeypatch):
+    """What fits, from a stream that is read once or a folder that is read part by part: bit for bit the answer of one
+    list.
+    """
+    recordings = [ml.Trajectory(t.time, t.q, None, t.joint_names, f"demo_{i:02d}.npz") for i, t in enumerate(held[:24])]
+    for t in recordings:
+        np.savez(tmp_path / t.name, time=t.time, q=t.q, joint_names=np.array(t.joint_names))
     monkeypatch.setattr(trajectory_source, "PART_BYTES", 50_000)
-    source = ml.RecordingSource(tmp_path, features.robot)
-    assert 5 < source.n_parts < 40
-    whole = ml.ConstraintLearner(features, **HELD).fit(ml.load_demonstrations(tmp_path, features.robot))
-    read = ml.ConstraintLearner(features, **HELD).fit(source)
-    np.testing.assert_array_equal(read.constraint_.selection, whole.constraint_.selection)
-    assert read.report_.n_trajectories == 60
+    stream, source = Yielded(recordings), ml.RecordingSource(tmp_path, features.robot)
+    whole, *others = (ml.ConstraintLearner(features, **HELD).fit(given) for given in (recordings, stream, source))
+    assert stream.passes == 1 and 2 < source.n_parts < 20
+    for other in others:
+        np.testing.assert_array_equal(other.constraint_.selection, whole.constraint_.selection)
+        for name in ("uncertainty_deg", "notes", "n_samples", "n_trajectories"):
+            assert getattr(other.report_, name) == getattr(whole.report_, name)
 
 
-def test_lerobot_episodes_are_parts(tmp_path, monkeypatch):
+@pytest.mark.parametrize(("version", "shared", "parts"), [("v2.1", False, 4), ("v3.0", False, 4), ("v3.0", True, 1)])
+def test_lerobot_episodes_are_parts(version: str, shared: bool, parts: int, planar3, tmp_path, monkeypatch):
     """LeRobot data is read file by file, as a whole where an episode goes on in the next file or some are chosen."""
-    lerobot = pytest.importorskip("test_lerobot_reader", exc_type=ImportError)
     monkeypatch.setattr(trajectory_source, "PART_BYTES", 1)
-    robot, t = ml.load_robot("planar3"), np.arange(30) / 50
-    tables = [lerobot.table({i: np.column_stack([np.sin(t) + 0.1 * i, 0.5 * np.cos(t), 0.3 * t])}) for i in range(4)]
-    own = {f"data/chunk-000/file-{i:03d}.parquet": table for i, table in enumerate(tables)}
-    shared = {**own, "data/chunk-000/file-000.parquet": tables[0][:10]}
-    shared["data/chunk-000/file-001.parquet"] = lerobot.pa.concat_tables([tables[0][10:], tables[1]])
-    episodes = {f"data/chunk-000/episode_{i:06d}.parquet": table for i, table in enumerate(tables)}
-    for version, files, parts in (("v2.1", episodes, 4), ("v3.0", own, 4), ("v3.0", shared, 1)):
-        root = tmp_path / f"{version} {parts}"
-        lerobot.dataset(root, lerobot.info(lerobot.JOINTS, version), files)
-        source = ml.RecordingSource(root, robot, units="radians")
-        assert source.n_parts == parts
-        assert version == "v2.1" or ml.RecordingSource(root, robot, units="radians", episodes="0:2").n_parts == 1
-        read, loaded = (
-            [t for i in range(parts) for t in source.part(i)],
-            ml.load_demonstrations(root, robot, units="radians"),
-        )
-        assert len(read) == len(loaded) == 4
-        for a, b in zip(read, loaded, strict=True):
-            np.testing.assert_array_equal(a.q, b.q)
+    tables = [frames({i: motion(i, 30)}) for i in range(4)]
+    if shared:
+        tables[:2] = tables[0][:10], pa.concat_tables([tables[0][10:], tables[1]])
+    name = "data/chunk-000/episode_{:06d}.parquet" if version == "v2.1" else "data/chunk-000/file-{:03d}.parquet"
+    files = {name.format(i): table for i, table in enumerate(tables)}
+    root = dataset(tmp_path / "set", info(JOINTS, version), files)
+    source, loaded = (
+        ml.RecordingSource(root, planar3, units="radians"),
+        ml.load_demonstrations(root, planar3, units="radians"),
+    )
+    assert source.n_parts == parts
+    assert version == "v2.1" or ml.RecordingSource(root, planar3, units="radians", episodes="0:2").n_parts == 1
+    read = [t for i in range(parts) for t in source.part(i)]
+    assert len(read) == len(loaded) == 4
+    for a, b in zip(read, loaded, strict=True):
+        np.testing.assert_array_equal(a.q, b.q)

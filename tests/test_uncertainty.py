@@ -1,4 +1,6 @@
-"""The uncertainty that is reported is the error that is made, where the joints' zeros are off, too."""
+"""The uncertainty that is reported is the error that is made, of rows and of places, where the joints' zeros are off,
+too; places are those of the largest likelihood.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +11,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from generated_motions import PLANAR_ROWS, angle_deg, arm_features, guided_motions, oblique, paper_motions
+from mechanism_motions import about, ball, demonstrate
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from task_sets import arm, generated
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CustomFeatures, FrameJacobian
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.fit import Motion, RowFit, changes_by_links, errors_of, groups_of
+import manip_learn as ml
+from manip_learn.constraint.features.mechanism_rows import PlaceRows
+from manip_learn.learning.fit import Motion, RowFit, changes_by_links, errors_of
+from manip_learn.learning.place import placed
 from manip_learn.learning.report import JOINT_ZEROS, NOISE, PARTS, POLICY, parts_in_words
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View
 from manip_learn.linalg import orthonormal_rows
-from manip_learn.recordings.trajectory import Demonstrations, Trajectory
-from manip_learn.robot.robot import Robot
 
 
 def held(seed: int, offset: float, noise: float = 0.005, motions: int = 10):
@@ -29,36 +30,58 @@ def held(seed: int, offset: float, noise: float = 0.005, motions: int = 10):
     rng = np.random.default_rng([61, seed])
     demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, motions, 20, 0.05, noise=noise)
     delta = offset * rng.standard_normal(7)
-    shifted = [replace(t, q=t.q + delta) for t in demos]
-    return Demonstrations(shifted), truth, delta
+    return [replace(t, q=t.q + delta) for t in demos], truth, delta
+
+
+def noisy(seed: int, offset: float):
+    """Noise alone."""
+    rng = np.random.default_rng(seed)
+    return *guided_motions(arm_features(), oblique(2, 3, rng), rng, 10, 12, 0.05, noise=0.02), np.zeros(7)
+
+
+def reaching(seed: int, offset: float):
+    """The paper's arm."""
+    rows = list(PLANAR_ROWS.values())[seed % 3]
+    return *paper_motions(rows, np.random.default_rng(seed), n_trajectories=40, noise=0.01), np.zeros(3)
 
 
 def learnt(demos, truth, **settings):
     """Two held rows of cut recordings."""
-    return ConstraintLearner(truth.features, 2, "null-space", phases="off", mechanism="off", **settings).fit(demos)
+    given = {"estimator": "null-space", "phases": "off", "mechanism": "off"} | settings
+    return ml.ConstraintLearner(truth.features, 2, **given).fit(demos)
 
 
-def ratios(offset: float, sets: int, **settings) -> tuple[np.ndarray, np.ndarray]:
-    """The true angle over the stated one, and the true share of mu over the stated one at the median posture."""
+@pytest.mark.parametrize(
+    ("make", "zeros", "seeds", "most", "settings"),
+    [
+        (held, 0.1, range(20), 1.0, {"links": 0.0}),
+        pytest.param(held, 1.0, range(20), 1.0, {"links": 0.0}, marks=pytest.mark.slow),
+        (noisy, 0.0, range(7000, 7024), 0.85, {}),
+        pytest.param(
+            reaching, 0.0, range(7000, 7024), 0.85, {"estimator": "joint", "policy_model": "affine"},
+            marks=pytest.mark.slow,
+        ),
+    ],
+)  # fmt: skip
+def test_the_error_is_within_what_is_stated(make, zeros: float, seeds: range, most: float, settings):
+    """Zeros off by what the learner was told: angle and mu are within what is stated in one of two of 20 sets at least,
+    within twice that in nine of ten, and not by stating everything: the median is no less than a fifth of it. Of noise
+    alone the angle is within it in 50 to 85 % of two dozen sets.
+    """
     angles, mu = [], []
-    for seed in range(sets):
-        demos, truth, delta = held(seed, offset)
-        learner = learnt(demos, truth, **settings)
+    for seed in seeds:
+        demos, truth, delta = make(seed, np.radians(zeros))
+        learner = learnt(demos, truth, zeros=zeros, **settings)
         angles.append(angle_deg(learner.constraint_, truth) / learner.report_.uncertainty_deg)
         few = np.concatenate([t.q for t in demos])[::7]
         off = [learner.constraint_.manipulability(q) / truth.manipulability(q - delta) - 1.0 for q in few]
         mu.append(np.median(np.abs(off)) / learner.report_.mu_uncertainty)
-    return np.array(angles), np.array(mu)
-
-
-@pytest.mark.parametrize("zeros", [0.1, pytest.param(1.0, marks=pytest.mark.slow)])
-def test_an_arm_as_far_off_as_was_said_is_within_what_is_stated(zeros: float):
-    """Zeros off by what the learner was told: angle and mu within what is stated in two of three of 20 sets, within
-    twice that in nine of ten, and not by stating everything: the median is no less than a third of it.
-    """
-    for ratio in ratios(np.radians(zeros), 20, zeros=zeros, links=0.0):
-        assert np.mean(ratio <= 1.0) >= 0.5 and np.mean(ratio <= 2.0) >= 0.9
-        assert np.median(ratio) > 0.2
+    for ratio in map(np.array, (angles, mu) if make is held else (angles,)):
+        assert 0.5 <= np.mean(ratio <= 1.0) <= most
+        if make is held:
+            assert np.mean(ratio <= 2.0) >= 0.9 and np.median(ratio) > 0.2
+        else:
+            assert np.quantile(ratio, 0.95) < 3.0
 
 
 def test_a_doors_mu_is_within_what_is_stated():
@@ -66,19 +89,20 @@ def test_a_doors_mu_is_within_what_is_stated():
     truth, made = generated("door", "panda", 2031, 5, whole=False)
     robot, door = arm("panda"), truth["mechanisms"][0]
     delta = np.radians(0.3) * np.random.default_rng(2031).standard_normal(robot.nv)
-    demos = [Trajectory(t.time, t.q + delta, None, robot.joint_names, t.name) for t in made]
-    learner = ConstraintLearner(FrameJacobian(robot, truth["tip"]), zeros=0.3, links=0.0).fit(demos)
-    rows = MechanismRows(robot, truth["tip"], "radial axial", axis=door["axis"], point=door["point"])
-    true, few = Constraint(np.eye(2), rows), np.concatenate([t.q for t in made])[::29]
+    demos = [ml.Trajectory(t.time, t.q + delta, None, robot.joint_names, t.name) for t in made]
+    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, truth["tip"]), zeros=0.3, links=0.0).fit(demos)
+    rows = ml.MechanismRows(robot, truth["tip"], "radial axial", axis=door["axis"], point=door["point"])
+    true, few = ml.Constraint(np.eye(2), rows), np.concatenate([t.q for t in made])[::29]
     assert learner.report_.n_constraints == 2 and learner.report_.mechanism.type == "hinge"
     off = [learner.constraint_.manipulability(q + delta) / true.manipulability(q) - 1.0 for q in few]
     assert np.median(np.abs(off)) < 2.0 * learner.report_.mu_uncertainty < 0.2
     assert ", mu to " in learner.report_.known_to()
 
 
-def test_what_no_residual_shows_is_as_large_as_was_said():
-    """The zero of the first joint turns all rows; it is stated as large as the prior is, and more than for an arm that
-    is as described. mu does not care how the base stands.
+def test_what_is_thought_of_the_arm_is_stated():
+    """The zero of the first joint turns all rows, and no residual shows it: it is stated as large as the prior is, and
+    mu does not care how the base stands. Without noise and zeros nothing is left over to tell errors of the arm from;
+    with links that are ten times as far off what is stated is wider by half; they are not thought of without zeros.
     """
     demos, truth, _ = held(11, 0.0)
     stated = {zeros: learnt(demos, truth, zeros=zeros, links=0.0).report_ for zeros in (0.0, 0.2, 2.0)}
@@ -86,30 +110,26 @@ def test_what_no_residual_shows_is_as_large_as_was_said():
     assert parts[0] < 0.05 < 0.1 < parts[1] < 0.6 and parts[2] > 4.0 * parts[1]
     assert stated[2.0].uncertainty[NOISE] == stated[0.0].uncertainty[NOISE]
     turned = [replace(t, q=t.q + np.eye(7)[0]) for t in demos]
-    mu = [learnt(Demonstrations(d), truth).constraint_.manipulability(d[0].q[3]) for d in (demos, turned)]
+    mu = [learnt(d, truth).constraint_.manipulability(d[0].q[3]) for d in (demos, turned)]
     assert mu[1] == pytest.approx(mu[0], rel=1e-6)
-
-
-def test_what_is_thought_of_the_arm_is_stated():
-    """Without noise and zeros nothing is left over to tell errors of the arm from; with a prior they are as was said,
-    and wider by half with links that are ten times as far off, which are not thought of without zeros.
-    """
     demos, truth, _ = held(12, 0.0, noise=0.0)
     assert learnt(demos, truth, zeros=0.0, links=5.0).report_.uncertainty[JOINT_ZEROS] == 0.0
     wide = [learnt(demos, truth, zeros=0.1, links=links).report_.uncertainty[JOINT_ZEROS] for links in (0.0, 0.5, 5.0)]
     assert 0.05 < wide[0] <= 1.05 * wide[1] and 1.5 * wide[1] < wide[2]
 
 
-PLACE = {"axis": [0.3, 0.4, 0.5], "point": [0.2, 0.1, 0.0]}
+ABOUT = {"axis": [0.3, 0.4, 0.5], "point": [0.2, 0.1, 0.0]}
 ROWS = {
-    "tool": lambda robot: FrameJacobian(robot, "right_gripper_tip", "pose", "local"),
-    "hinge": lambda robot: MechanismRows(robot, "right_gripper_tip", "radial axial turn slide", **PLACE),
+    "tool": lambda robot: ml.FrameJacobian(robot, "right_gripper_tip", "pose", "local"),
+    "hinge": lambda robot: ml.MechanismRows(robot, "right_gripper_tip", "radial axial turn slide", **ABOUT),
 }
 
 
 @pytest.mark.parametrize("make", ROWS.values(), ids=ROWS)
 def test_links_change_the_rates_of_rows(make, rng):
-    """As the differences of arms whose joints, or whose tip, stand a little elsewhere on the link before."""
+    """As the differences of arms whose joints, or whose tip, stand a little elsewhere on the link before; rows that
+    somebody wrote know nothing of links.
+    """
     robot = arm_features().robot
     tip, q, u = robot.frame("right_gripper_tip"), rng.uniform(-1.0, 1.0, (3, 7)), rng.standard_normal((3, 7))
     changes = changes_by_links(make(robot), q, u)
@@ -126,54 +146,28 @@ def test_links_change_the_rates_of_rows(make, rng):
                 model.frames[tip.index].placement = new
             else:
                 places[i] = new
-            rates.append(make(Robot(model, mimics=robot.mimics)).batch(q) @ u[:, :, None])
+            rates.append(make(ml.Robot(model, mimics=robot.mimics)).batch(q) @ u[:, :, None])
         assert np.abs((rates[0] - rates[1]) / (2.0 * size) - changes[..., number, None]).max() < 1e-7
+    own = ml.CustomFeatures(lambda q: np.eye(3) * q[0], "abc", 3)
+    assert changes_by_links(own, np.ones((2, 3)), np.ones((2, 3))).shape == (2, 3, 0)
 
 
-def test_features_of_no_frame_have_no_links():
-    """Rows that somebody wrote know nothing of links."""
-    features = CustomFeatures(lambda q: np.eye(3) * q[0], "abc", 3)
-    assert changes_by_links(features, np.ones((2, 3)), np.ones((2, 3))).shape == (2, 3, 0)
-
-
-def fitted(demos, truth) -> tuple[View, RowFit]:
-    """Two rows by positions."""
-    view = View(truth.features, Table(list(demos)))
+def fitted(demos, features: ml.FeatureMap, s: int = 2) -> tuple[View, RowFit]:
+    """Rows by positions."""
+    view = View(features, Table(list(demos)))
     whole = [Stretch(i, *map(float, ends)) for i, ends in enumerate(view.table.ends)]
     motion = Motion.of(view, whole, Settings())
-    return view, RowFit(motion, orthonormal_rows(motion.levels.directions[:2])).best()
+    return view, RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
 
 
-def test_the_error_of_lambda_is_linear_in_the_offsets():
-    """Noise-free and with known small offsets, Lambda turns by what the response foretells, to first order."""
-    rng = np.random.default_rng(5)
-    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 10, 100, 0.01)
-    delta = 1e-4 * rng.standard_normal(7)
-    view, fit = fitted([replace(t, q=t.q + delta) for t in demos], truth)
-    G, m = np.sum([*fit.G.values()], axis=0), fit.m
-    foretold = np.linalg.solve(G[:m, :m], G[:m, m : m + 7]) @ delta
-    true = truth.selection @ np.linalg.pinv(view.W)
-    # the truth beside the learnt rows: (1, B) with learnt + B perp
-    B = np.linalg.solve(true @ fit.rows.T, true @ fit.perp.T).reshape(-1)
-    assert np.linalg.norm(B - foretold) < 0.1 * np.linalg.norm(B)
+def apart(view: View, fit: RowFit, selection: np.ndarray) -> np.ndarray:
+    """The truth beside the learnt rows: (1, B) with learnt + B perp."""
+    true = selection @ np.linalg.pinv(view.W)
+    return np.linalg.solve(true @ fit.rows.T, true @ fit.perp.T).reshape(-1)
 
 
-@pytest.mark.parametrize("apart", [0.0, 2.0])
-def test_recordings_that_share_a_place_are_one_group(apart):
-    """Whatever the joints' zeros; of two pairs of rows some degrees apart each recording is in the group of its own."""
-    rng, given = np.random.default_rng(4), []
-    selection = oblique(2, 3, rng)
-    turn = Rotation.from_rotvec(np.radians(apart) * np.cross(*selection)[[1, 2, 0]]).as_matrix()
-    zeros = np.radians(0.5) * rng.standard_normal(7)
-    for rows in (selection, selection @ turn.T):
-        demos, truth = guided_motions(arm_features(), rows, rng, 4, 200, 0.01)
-        given += [replace(t, q=t.q + zeros + rng.normal(0.0, 1e-4, t.q.shape)) for t in demos]
-    _, fit = fitted(given, truth)
-    assert sorted(map(sorted, groups_of(fit))) == ([list(range(8))] if not apart else [[0, 1, 2, 3], [4, 5, 6, 7]])
-
-
-@pytest.mark.parametrize("apart", [0.0, 5e-3])
-def test_the_stated_noise_is_the_error_that_is_made(apart):
+@pytest.mark.parametrize("scatter", [0.0, 5e-3])
+def test_the_stated_noise_is_the_error_that_is_made(scatter):
     """With white noise alone, or with rows that scatter between recordings: over 30 sets the error of Lambda is as
     large as the stated draws, larger than about half of them (0.39 and 0.44). Twice the variance, or a scatter between
     recordings that is counted with a wrong sign, weight or freedom, is far from that.
@@ -183,93 +177,153 @@ def test_the_stated_noise_is_the_error_that_is_made(apart):
         rng, given = np.random.default_rng([7, seed]), []
         rows = oblique(2, 3, rng)
         for _ in range(6):
-            turn = Rotation.from_rotvec(apart * rng.standard_normal(3)).as_matrix()
+            turn = Rotation.from_rotvec(scatter * rng.standard_normal(3)).as_matrix()
             demos, truth = guided_motions(arm_features(), rows @ turn.T, rng, 1, 20, 0.05)
             given += [replace(t, q=t.q + rng.normal(0.0, 1e-4, t.q.shape)) for t in demos]
-        view, fit = fitted(given, truth)
-        true, noise = rows @ np.linalg.pinv(view.W), errors_of(fit, ArmErrors(), rng).noise
-        B = np.linalg.solve(true @ fit.rows.T, true @ fit.perp.T).reshape(-1)
-        made, stated = (np.einsum("...i,ij,...j", b, np.linalg.inv(np.cov(noise.T)), b) for b in (B, noise))
+        view, fit = fitted(given, truth.features)
+        noise = errors_of(fit, ArmErrors(), rng).noise
+        inverse = np.linalg.inv(np.cov(noise.T))
+        made, stated = (np.einsum("...i,ij,...j", b, inverse, b) for b in (apart(view, fit, rows), noise))
         ranks.append(np.mean(stated < made))
     assert 0.33 < np.mean(ranks) < 0.58
 
 
-@pytest.mark.parametrize("motions", [5, 60])
-def test_noise_alone_is_no_offset_however_much_is_recorded(motions):
-    """Of an arm that nobody thinks to be off: what its zeros may turn the rows by is less than the scatter."""
-    for seed in range(2):
-        demos, truth, _ = held(200 + seed, 0.0, motions=motions)
-        rng = np.random.default_rng(seed)
-        noisy = [replace(t, q=t.q + rng.normal(0.0, 1e-3, t.q.shape)) for t in demos]
-        _, fit = fitted(noisy, truth)
-        errors = errors_of(fit, ArmErrors(), rng)
-        zeros, scatter = (np.sqrt(np.mean(B**2)) for B in (errors.arm, errors.noise))
-        assert zeros < 0.3 * scatter
-
-
 def test_the_report_states_the_parts():
-    """The total is the root of the sum of squares; what does not apply is None; words, JSON and the file say it."""
+    """The total is the root of the sum of squares; what does not apply is None, as all is of one trajectory; words,
+    JSON and the file say it. With the policy integrated out, and no joint zeros, which the joint estimator leaves out
+    and says so. Rows in the tool's axes do not care how the base stands.
+    """
     demos, truth, _ = held(9, 2e-3)
     learner = learnt(demos, truth)
     report = learner.report_
-    assert tuple(report.uncertainty) == PARTS
-    assert report.uncertainty[POLICY] is None
+    assert tuple(report.uncertainty) == PARTS and report.uncertainty[POLICY] is None
     known = [part for part in report.uncertainty.values() if part is not None]
     assert len(known) == 2 and report.uncertainty_deg == pytest.approx(np.linalg.norm(known))
-    assert json.loads(json.dumps(report.to_dict()))["uncertainty"] == report.uncertainty
-    assert learner.constraint_.provenance["uncertainty"] == report.uncertainty
+    written = json.loads(json.dumps(report.to_dict(), allow_nan=False))
+    assert written["uncertainty"] == report.uncertainty == learner.constraint_.provenance["uncertainty"]
     said = report.known_to()
     assert "noise" in said and "joint zeros" in said and "policy" not in said
     assert "not included: a base that stands turned" in said
     assert report.mu_uncertainty is not None and 0.0 < report.mu_uncertainty < 0.1 and ", mu to 0." in said
-    assert json.loads(json.dumps(report.to_dict()))["mu_uncertainty"] == report.mu_uncertainty
-
-
-def test_the_policy_is_a_part_of_the_joint_estimators_angle():
-    """With the policy integrated out, and no joint zeros, which the joint estimator leaves out and says so."""
-    demos, truth = paper_motions(list(PLANAR_ROWS.values())[0], np.random.default_rng(4), n_trajectories=40, noise=0.01)
-    report = ConstraintLearner(truth.features, 2, "joint").fit(demos).report_
-    assert report.uncertainty[JOINT_ZEROS] is None
-    assert report.uncertainty[POLICY] is not None and report.uncertainty[NOISE] is not None
-    assert "not included: joint zeros that are off and a base that stands turned" in report.known_to()
-
-
-def test_one_trajectory_has_no_parts():
-    """None for each, as the total is; rows in the tool's axes do not care how the base stands."""
+    assert written["mu_uncertainty"] == report.mu_uncertainty
+    demos, truth, _ = reaching(4, 0.0)
+    joint = ml.ConstraintLearner(truth.features, 2, "joint").fit(demos).report_
+    assert [part for part in PARTS if joint.uncertainty[part] is None] == [JOINT_ZEROS]
+    assert "not included: joint zeros that are off and a base that stands turned" in joint.known_to()
     demos, truth, _ = held(10, 0.0, motions=1)
-    report = learnt(demos, truth).report_
-    assert report.uncertainty == dict.fromkeys(PARTS) and report.uncertainty_deg is None
-    assert report.mu_uncertainty is None
+    one = learnt(demos, truth).report_
+    assert one.uncertainty == dict.fromkeys(PARTS) and one.uncertainty_deg is None and one.mu_uncertainty is None
+    written = json.loads(json.dumps(one.to_dict(), allow_nan=False))
+    assert written["uncertainty_deg"] is None and set(written["gap_table"]) == {"1", "2", "3"}
+    assert str(one).splitlines()[0] == one.sentence and "warning: only one trajectory" in str(one)
     parts = {NOISE: 0.01, JOINT_ZEROS: 0.02, POLICY: None}
     assert parts_in_words(parts, "local") == "noise 0.01 degrees, joint zeros 0.02 degrees"
 
 
-def held_arm(seed: int):
-    rng = np.random.default_rng(seed)
-    return guided_motions(arm_features(), oblique(2, 3, rng), rng, 10, 12, 0.05, noise=0.02)
+# ---- places of mechanisms -----------------------------------------------------------------------------------------
+
+AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
+POINT = np.array([0.55, 0.25, 0.35])
+MIDDLE = np.array([0.2, -0.4, 0.1, -2.0, 0.1, 1.7, 0.8])
+TIP = "panda_hand_tcp"
+KINDS = {  # path, form of the rows, their number
+    "hinge": (about(AXIS, POINT, 0.7, firm=False), "point", 2),
+    "ball": (ball(POINT, 0.25, False), "point", 1),
+    "screw, firm": (about(AXIS, POINT, 0.8, pitch=0.04), "twist", 5),
+}
+SETS, WHITE = 60, 1e-3
+QUICK = (("screw, firm", False), ("hinge", True))  # the others run with `make proofs`
 
 
-def reaching(seed: int):
-    rows = list(PLANAR_ROWS.values())[seed % 3]
-    return paper_motions(rows, np.random.default_rng(seed), n_trajectories=40, noise=0.01)
+def place_of(robot: ml.Robot, kind: str, postures: list[np.ndarray]) -> tuple[RowFit, ml.Mechanism]:
+    """The fit by positions, and the mechanism at its place with what is stated."""
+    _, form, s = KINDS[kind]
+    time = 0.02 * np.arange(len(postures[0]))
+    demos = [ml.derive_velocities(ml.Trajectory(time, q, None, robot.joint_names), robot) for q in postures]
+    _, fit = fitted(demos, PlaceRows(robot, TIP, form, robot.position(MIDDLE, TIP)), s)
+    found = placed(fit, errors_of(fit, ArmErrors(), np.random.default_rng(0)))
+    assert found is not None and found.kind.name == kind
+    return fit, found.mechanism
+
+
+def errors(m: ml.Mechanism, radius: float) -> dict[str, tuple[float, float]]:
+    """Error and what is stated, by parameter."""
+    e, out = m.point - POINT, {}
+    if m.axis is not None:
+        e = e - (e @ AXIS) * AXIS
+        out["axis"] = np.degrees(np.linalg.norm(np.cross(AXIS, m.axis))), m.uncertainty["axis"]
+    out["point"] = np.linalg.norm(e), m.uncertainty["point"]
+    if m.grip != "firm":
+        out["radius"] = abs(m.radius - radius), m.uncertainty["radius"]
+    if m.pitch is not None:
+        out["pitch"] = abs(m.pitch - 0.04), m.uncertainty["pitch"]
+    return out
+
+
+def exact_postures(robot: ml.Robot, kind: str) -> list[np.ndarray]:
+    """Of five motions without noise."""
+    return [t.q for t in demonstrate(robot, TIP, MIDDLE, KINDS[kind][0], np.random.default_rng(3), noise=0.0)]
 
 
 @pytest.mark.parametrize(
-    ("make", "settings"),
+    ("kind", "smoothed"),
     [
-        (held_arm, {"estimator": "null-space", "zeros": 0.0, "phases": "off", "mechanism": "off"}),
-        pytest.param(reaching, {"estimator": "joint", "policy_model": "affine"}, marks=pytest.mark.slow),
+        pytest.param(kind, smoothed, marks=() if (kind, smoothed) in QUICK else pytest.mark.slow)
+        for kind in KINDS
+        for smoothed in (False, True)
     ],
-    ids=["held arm", "reaching"],
 )
-def test_the_true_angle_lies_inside_about_two_times_in_three(make, settings):
-    """Over two dozen noisy data sets the true angle is below the reported 68 % angle in 50 to 85 % of them."""
-    inside, ratios, sets = 0, [], 24
-    for seed in range(sets):
-        demos, truth = make(7000 + seed)
-        learner = ConstraintLearner(truth.features, n_constraints=2, **settings).fit(demos)
-        angle, reported = angle_deg(learner.constraint_, truth), learner.report_.uncertainty_deg
-        inside += angle <= reported
-        ratios.append(angle / reported)
-    assert 0.5 <= inside / sets <= 0.85
-    assert np.quantile(ratios, 0.95) < 3.0
+def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
+    """Over 60 draws of the encoders' noise, white or shared by neighbours, each parameter is within what is stated in
+    52 to 88 % of them (70 % and three standard errors), and its median error is no less than a third of that; the
+    variance of the noise is told to 5 %.
+    """
+    robot = robot_of("panda")
+    exact, rng, inside, variances = exact_postures(robot, kind), np.random.default_rng(11), {}, []
+    away = robot.position(exact[0][0], TIP) - POINT
+    radius = float(np.linalg.norm(away if kind == "ball" else np.cross(AXIS, away)))
+    for _ in range(SETS):
+        noise = [rng.normal(0.0, WHITE, q.shape) for q in exact]
+        if smoothed:
+            noise = [np.apply_along_axis(np.convolve, 0, e, np.full(5, 0.2), "same") for e in noise]
+        fit, m = place_of(robot, kind, [q + e for q, e in zip(exact, noise, strict=True)])
+        variances.append(fit.variance)
+        for name, (error, stated) in errors(m, radius).items():
+            inside.setdefault(name, []).append(error / stated)
+    assert smoothed or np.mean(variances) == pytest.approx(WHITE**2, rel=0.05)
+    for name, ratios in inside.items():
+        assert 0.52 <= np.mean(np.array(ratios) <= 1.0) <= 0.88, name
+        assert np.median(ratios) > 1.0 / 3.0, name
+
+
+@pytest.mark.parametrize("kind", ["hinge", pytest.param("ball", marks=pytest.mark.slow)])
+def test_offsets_of_the_joints_are_part_of_what_is_stated(robot_of, kind):
+    """Zeros of the joints that are off by 2e-3 rad, with encoders that hardly make noise: axis and point are within
+    what is stated in at least 45 % of 30 draws (60 % less two standard errors); without offsets what is stated is less
+    than a quarter as large.
+    """
+    robot = robot_of("panda")
+    exact, rng, inside, sizes = exact_postures(robot, kind), np.random.default_rng(13), {}, {0.0: [], 2e-3: []}
+    for offset in sizes:
+        for _ in range(30 if offset else 5):
+            delta = offset * rng.standard_normal(7)
+            _, m = place_of(robot, kind, [q + delta + rng.normal(0.0, 1e-4, q.shape) for q in exact])
+            sizes[offset].append(m.uncertainty["point"])
+            for name, (error, stated) in errors(m, 0.0).items():
+                if offset and name != "radius":
+                    inside.setdefault(name, []).append(error <= stated)
+    for name, answers in inside.items():
+        assert np.mean(answers) >= 0.45, name
+    assert np.median(sizes[0.0]) < 0.25 * np.median(sizes[2e-3])
+
+
+def test_the_learner_fits_the_place_to_what_was_recorded(robot_of):
+    """Smoothing, for velocities, cuts off the ends of an arc: the place is that of the recordings as they are."""
+    robot = robot_of("panda")
+    demos = demonstrate(robot, TIP, MIDDLE, KINDS["hinge"][0], np.random.default_rng(9), noise=5e-4)
+    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, TIP, "xyz"), joint_offset_std=0.0).fit(demos)
+    m, (_, direct) = learner.report_.mechanism, place_of(robot, "hinge", [t.q for t in demos])
+    # [m] of smoothed recordings it is 0.5 mm off; the place along the axis is free
+    assert_allclose(np.cross(AXIS, m.point - direct.point), 0.0, atol=1e-5)
+    # 200 draws tell it to 7 %
+    assert m.uncertainty["radius"] == pytest.approx(direct.uncertainty["radius"], rel=0.1)

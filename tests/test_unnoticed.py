@@ -2,42 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from task_sets import sawyer_drawer
+from task_sets import DATA, sawyer_drawer
 
 import manip_learn as ml
 from manip_learn.linalg import row_space_angle
+from manip_learn.robot.rotations import rotation_matrix
 
 ROOT = Path(__file__).resolve().parents[1]
-DATA = ROOT / "examples" / "data"
 TIP = "right_gripper_tip"
 FACTOR = 1.3
 
 
-def recordings(folder: str, count: int) -> list[Path]:
+def recordings(folder: str = "sawyer_drawer", count: int = 6) -> list[Path]:
     """The first shipped files of a folder."""
     return sorted((DATA / folder).glob("*.csv"))[:count]
 
 
-@pytest.fixture(scope="module")
-def arm() -> ml.Robot:
-    """The right one."""
-    return ml.load_robot("sawyer")
-
-
-@pytest.fixture(scope="module")
-def drawer() -> ml.ConstraintLearner:
-    """What six recordings of a drawer teach with the right arm."""
-    return sawyer_drawer()[2]
-
-
-def learnt(robot: ml.Robot, demos: ml.Demonstrations) -> ml.ConstraintLearner:
+def learnt(robot: ml.Robot, demos) -> ml.ConstraintLearner:
     """The drawer's rows."""
     return ml.ConstraintLearner(ml.FrameJacobian(robot, TIP)).fit(demos)
 
@@ -55,59 +42,50 @@ def described(tmp_path: Path, joint: str = "") -> ml.Robot:
     return ml.load_robot(path)
 
 
-def test_longer_links_show_in_files_and_not_in_motions(arm, drawer, tmp_path):
-    """Rows and gap are those of the right arm, places are 1.3 times as far; files of the other arm are refused."""
-    long = described(tmp_path)
-    q = np.linspace(0.1, 0.7, 7)
-    assert_allclose(long.pose(q, long.frame(TIP))[:3, 3], FACTOR * arm.pose(q, arm.frame(TIP))[:3, 3], rtol=1e-9)
-    other = learnt(long, ml.load_demonstrations(recordings("sawyer_drawer", 6), long))
+def test_longer_links_show_in_files_and_not_in_motions(tmp_path):
+    """Rows and gap are those of the right arm, places are 1.3 times as far; files of the other arm are refused. A held
+    row is held at any speed: without velocities rows and gap are the same in slow time.
+    """
+    (arm, demos, drawer), long, q = sawyer_drawer(), described(tmp_path), np.linspace(0.1, 0.7, 7)
+    assert_allclose(long.position(q, TIP), FACTOR * arm.position(q, TIP), rtol=1e-9)
+    other = learnt(long, ml.load_demonstrations(recordings(), long))
     assert row_space_angle(other.constraint_.selection, drawer.constraint_.selection) < 1e-9
     assert other.report_.gap == pytest.approx(drawer.report_.gap, rel=1e-6)
     assert not other.report_.warnings and other.report_.mechanism.type == "line"
     assert_allclose(other.report_.mechanism.point, FACTOR * drawer.report_.mechanism.point, rtol=1e-6)
-    drawer.constraint_.save(tmp_path / "drawer.json")
     with pytest.raises(ml.ManipLearnError, match="the description has changed"):
-        ml.Constraint.load(tmp_path / "drawer.json", long)
+        ml.Constraint.load(drawer.constraint_.save(tmp_path / "drawer.json"), long)
+    slow = [ml.Trajectory(10.0 * t.time, t.q, None, t.joint_names, t.name) for t in demos]
+    assert learnt(arm, slow).report_.gap == pytest.approx(drawer.report_.gap, rel=1e-6)
 
 
-def test_lengths_and_zeros_that_contradict_each_other_lower_the_gap(arm, drawer, tmp_path):
+def test_lengths_and_zeros_that_contradict_each_other_lower_the_gap(tmp_path):
     """One longer link, or the elbow's zero, bends what is held; the first joint's zero only turns it."""
-    one = described(tmp_path, "right_j4")
-    bent = learnt(one, ml.load_demonstrations(recordings("sawyer_drawer", 6), one)).report_
+    (arm, demos, drawer), one = sawyer_drawer(), described(tmp_path, "right_j4")
+    bent = learnt(one, ml.load_demonstrations(recordings(), one)).report_
     assert bent.gap < 0.1 * drawer.report_.gap and any("another shape" in warning for warning in bent.warnings)
-    demos = ml.load_demonstrations(recordings("sawyer_drawer", 6), arm)
-
-    def offset(joint: int, angle: float) -> ml.ConstraintLearner:
-        moved = (ml.Trajectory(t.time, t.q + angle * np.eye(7)[joint], None, t.joint_names, t.name) for t in demos)
-        return learnt(arm, ml.Demonstrations(moved))
-
-    assert offset(3, 0.2).report_.gap < 0.1 * drawer.report_.gap
-    turned, c, s = offset(0, 0.5), np.cos(0.5), np.sin(0.5)
-    assert turned.report_.gap == pytest.approx(drawer.report_.gap, rel=1e-6)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    elbow, turned = (
+        learnt(arm, [ml.Trajectory(t.time, t.q + x, None, t.joint_names, t.name) for t in demos])
+        for x in (0.2 * np.eye(7)[3], 0.5 * np.eye(7)[0])
+    )
+    assert elbow.report_.gap < 0.1 * drawer.report_.gap == pytest.approx(0.1 * turned.report_.gap, rel=1e-6)
+    turn = rotation_matrix(np.array([0.0, 0.0, 0.5]))
     assert row_space_angle(turned.constraint_.selection, drawer.constraint_.selection @ turn.T) < 1e-9
 
 
-def rewritten(folder: Path, change: Callable[[list[str], np.ndarray], None]) -> list[Path]:
-    """The hard drawer's files with other numbers."""
-    for path in recordings("sawyer_drawer_hard", 8):
-        names, *lines = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
-        numbers = np.array(lines, dtype=np.float64)
-        change(names, numbers)
-        rows = (",".join(f"{x:.9g}" for x in row) for row in numbers)
-        (folder / path.name).write_text("\n".join([",".join(names), *rows]) + "\n", encoding="utf-8")
-    return sorted(folder.glob("*.csv"))
-
-
-def test_a_factor_on_velocities_or_time_turns_nothing(arm, tmp_path):
+def test_a_factor_on_velocities_or_time_turns_nothing(tmp_path):
     """Velocities are derived from the positions: the rows are the same whatever was recorded, at any speed."""
+    arm = sawyer_drawer()[0]
 
     def changed(velocities: float, time: float) -> ml.Demonstrations:
-        def change(names: list[str], numbers: np.ndarray) -> None:
+        """The hard drawer's files with other numbers."""
+        for path in recordings("sawyer_drawer_hard", 8):
+            names, *lines = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+            numbers = np.array(lines, dtype=np.float64)
             numbers[:, 0] *= time
             numbers[:, [name.endswith("_velocity") for name in names]] *= velocities
-
-        return ml.load_demonstrations(rewritten(tmp_path, change), arm)
+            np.savetxt(tmp_path / path.name, numbers, "%.9g", ",", header=",".join(names), comments="")
+        return ml.load_demonstrations(sorted(tmp_path.glob("*.csv")), arm)
 
     found = learnt(arm, changed(1.0, 1.0))
     stated = np.radians(found.report_.uncertainty_deg)
@@ -115,10 +93,3 @@ def test_a_factor_on_velocities_or_time_turns_nothing(arm, tmp_path):
         again = learnt(arm, changed(velocities, time)).constraint_.selection
         assert row_space_angle(again, found.constraint_.selection) < most  # contacts are looked for in seconds
     assert any("check the unit of time" in str(note) for note in changed(10.0, 0.1).notes)
-
-
-def test_slow_time_without_velocities_changes_nothing(arm, drawer):
-    """A held row is held at any speed: rows and gap to rounding."""
-    demos = ml.load_demonstrations(recordings("sawyer_drawer", 6), arm)
-    slow = ml.Demonstrations(ml.Trajectory(10.0 * t.time, t.q, None, t.joint_names, t.name) for t in demos)
-    assert learnt(arm, slow).report_.gap == pytest.approx(drawer.report_.gap, rel=1e-6)

@@ -4,8 +4,7 @@ Runs in the environment of each peer, so it needs NumPy and the standard library
 script says what to do:
 
 - `step`: microseconds of a step at given postures of the Sawyer-like arm (`bench_control_step.py`)
-- `control CASES ANSWER`: its controller on the tasks of `peer_controllers.py`
-- `way CASES ANSWER`: its controller along the ways of `when_cases.py`: poses in time, the same for all peers
+- `control CASES ANSWER`: where its controller takes the arm in the tasks of `beside_peers.py`
 - `timings`: processor time of its controller at the starts of tasks, whenever `beside_peers.py` asks for it
 
 The arm takes commands as a real one would: joint by joint within its velocity limits, and no further than its position
@@ -41,8 +40,7 @@ DT = 0.01
 CENTRE = np.array([0.1, -0.6, 0.2, 1.3, -0.2, 0.7, 0.4])  # elbow bent, far from limits and singularities
 POSTURES = CENTRE + np.random.default_rng(0).uniform(-0.3, 0.3, (64, 7))
 Step = Callable[[np.ndarray], np.ndarray]
-Motion = tuple[np.ndarray, np.ndarray, float, int, np.ndarray]
-Stepper = Callable[[np.ndarray, np.ndarray], np.ndarray]  # posture, pose wanted at the end of the step -> velocity
+Motion = tuple[np.ndarray, int, np.ndarray]
 
 
 class NoSuchRowsError(Exception):
@@ -137,30 +135,23 @@ def beyond(arm: Arm, q: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 def motion(arm: Arm, case: Case, step: Step) -> Motion:
-    """Postures, velocities, seconds a step, steps without an answer (the arm then stands still), and what is `beyond`.
-
-    The last is of the commands, the first two are of what the arm makes of them.
-    """
-    steps, n = round(arm.duration / arm.dt), len(arm.names)
-    q, Q, U = case.start.copy(), np.empty((steps + 1, n)), np.zeros((steps + 1, n))
-    seconds, failed, excess = 0.0, 0, np.zeros(2)
-    for i in range(steps + 1):
-        began = time.perf_counter()
+    """Last posture, steps without an answer (the arm then stands still), and what the commands are `beyond`."""
+    q, failed, excess = case.start.copy(), 0, np.zeros(2)
+    last = q
+    for _ in range(round(arm.duration / arm.dt) + 1):
         try:
             u = np.asarray(step(q), dtype=np.float64).reshape(-1)
         except Exception as error:  # noqa: BLE001 - every peer has its own way of giving up
             failed += 1
             if failed == 1:
                 print(f"{type(error).__name__}: {error}"[:200], file=sys.stderr)
-            u = np.zeros(n)
-        seconds += time.perf_counter() - began
+            u = np.zeros(len(q))
         if not np.all(np.isfinite(u)):
-            failed, u = failed + 1, np.zeros(n)
+            failed, u = failed + 1, np.zeros(len(q))
         excess = np.maximum(excess, beyond(arm, q, u))
         u = np.clip(u, -arm.velocity, arm.velocity)
-        Q[i], U[i] = q, u
-        q = np.clip(q + arm.dt * u, np.minimum(arm.lower, q), np.maximum(arm.upper, q))
-    return Q, U, seconds / (steps + 1), failed, excess
+        last, q = q, np.clip(q + arm.dt * u, np.minimum(arm.lower, q), np.maximum(arm.upper, q))
+    return last, failed, excess
 
 
 def answer(package: str, methods: dict[str, Callable[[Arm, Case], Step]]) -> None:
@@ -207,43 +198,6 @@ def seconds_of(step: Step, starts: list[np.ndarray], least: float = 0.003) -> fl
     return spent / steps
 
 
-class WayCase(NamedTuple):
-    """Rows (s, 6), start (nv,), poses (T, 4, 4), share of the error that a step takes back, whether mu has 6 rows."""
-
-    rows: np.ndarray
-    start: np.ndarray
-    poses: np.ndarray
-    gain: float
-    whole: bool
-
-
-def read_ways(path: str) -> tuple[Arm, list[WayCase]]:
-    """The arm and its ways."""
-    with np.load(path) as f:
-        names, dt = f["names"].tolist(), float(f["dt"])
-        limits = f["lower"], f["upper"], f["velocity"]
-        arm = Arm(str(f["urdf"]), "", str(f["tip"]), names, *limits, dt, dt * (len(f["poses0"]) - 1), 0.0)
-        return arm, [
-            WayCase(f[f"rows{i}"], f[f"start{i}"], f[f"poses{i}"], float(f["gain"]), bool(f["whole"]))
-            for i in range(int(f["number"]))
-        ]
-
-
-def pose_error(R: np.ndarray, p: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """(p* - p, log(R* R^T)) along the axes of the base [m, rad]."""
-    Q = pose[:3, :3] @ R.T
-    axis = 0.5 * np.array([Q[2, 1] - Q[1, 2], Q[0, 2] - Q[2, 0], Q[1, 0] - Q[0, 1]])
-    sine = float(np.linalg.norm(axis))
-    angle = np.arctan2(sine, 0.5 * (np.trace(Q) - 1.0))
-    return np.concatenate([pose[:3, 3] - p, axis * (angle / sine if sine > 1e-9 else 1.0)])
-
-
-def clocked(step: Stepper, poses: np.ndarray) -> Step:
-    """The same as a function of the posture alone, called once a step."""
-    following = iter([*poses[1:], poses[-1]])
-    return lambda q: step(q, next(following))
-
-
 def drive(package: str, cases: str, answer: str, methods: dict[str, Callable[[Arm, Case], Step]]) -> None:
     """Every method on every task of a file, if it takes their rows."""
     (arm, tasks), runs = read_tasks(cases), {}
@@ -253,24 +207,10 @@ def drive(package: str, cases: str, answer: str, methods: dict[str, Callable[[Ar
     write(package, answer, runs)
 
 
-def drive_ways(package: str, cases: str, answer: str, methods: dict[str, Callable[[Arm, WayCase], Stepper]]) -> None:
-    """Every method along every way of a file."""
-    arm, ways = read_ways(cases)
-    runs = {name: [motion(arm, c, clocked(make(arm, c), c.poses)) for c in ways] for name, make in methods.items()}
-    write(package, answer, runs)
-
-
 def write(package: str, answer: str, runs: dict[str, list[Motion]]) -> None:
     """The package's version, and the motions of each method."""
     out: dict[str, Any] = {"version": np.array(f"{package} {importlib.metadata.version(package)}")}
     for name, motions in runs.items():
-        for key, values in zip(("q", "u", "seconds", "failed", "excess"), zip(*motions, strict=True), strict=True):
+        for key, values in zip(("q", "failed", "excess"), zip(*motions, strict=True), strict=True):
             out[f"{name}|{key}"] = np.array(values)
     np.savez(answer, **out)
-
-
-def on_the_way(case: Case) -> WayCase:
-    """A task as a way that stays at one pose: rows of the place among those of the pose."""
-    pose = np.eye(4)
-    pose[:3, 3] = case.target
-    return WayCase(np.hstack([case.rows, np.zeros_like(case.rows)]), case.start, pose[None], 0.0, False)

@@ -3,7 +3,6 @@ with and without the ascent of the manipulability.
 """
 
 import functools
-import time
 
 import numpy as np
 from driving import POSTURES, TARGET, TIP, answer, beyond, main, read_tasks, report, write
@@ -71,12 +70,10 @@ def control(cases, path):
     runs = {}
     for case in tasks:
         for name, law in laws(arm, case.rows, case.target, case.gain).items():
-            began = time.perf_counter()
             rollout = ml.simulate(law.constraint.robot, law, case.start, arm.duration, arm.dt)
-            seconds = (time.perf_counter() - began) / len(rollout)
             excess = [beyond(arm, q, u) for q, u in zip(rollout.q, rollout.u, strict=True)]
             worst = np.maximum(np.max(excess, axis=0), 0.0)
-            runs.setdefault(name, []).append((rollout.q, rollout.u, seconds, 0, worst))
+            runs.setdefault(name, []).append((rollout.q[-1], 0, worst))
     write("manip-learn", path, runs)
 
 

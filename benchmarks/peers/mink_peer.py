@@ -1,22 +1,9 @@
-"""mink, Pink's sibling over MuJoCo: rows of a pose as a task of its own kind, damping, position and velocity limits."""
+"""mink, Pink's sibling over MuJoCo: rows of a place as a task of its own, damping, limits of position and speed."""
 
 import mink
 import mujoco
 import numpy as np
-from driving import (
-    DT,
-    TARGET,
-    TIP,
-    URDF,
-    NoSuchRowsError,
-    answer,
-    drive,
-    drive_ways,
-    main,
-    on_the_way,
-    pose_error,
-    report,
-)
+from driving import DT, TARGET, TIP, URDF, NoSuchRowsError, answer, drive, main, report
 
 
 def step():
@@ -40,21 +27,21 @@ def step():
 
 
 class Rows(mink.Task):
-    """Rows (s, 6) of a body's pose."""
+    """Rows (s, 3) of a body's place."""
 
-    def __init__(self, arm, way, gain):
-        super().__init__(cost=np.ones(len(way.rows)), gain=gain, lm_damping=1.0)
-        self.tip, self.rows, self.pose = arm.tip, way.rows, way.poses[0]
+    def __init__(self, arm, case):
+        super().__init__(cost=np.ones(len(case.rows)), gain=arm.task_gain * arm.dt, lm_damping=1.0)
+        self.tip, self.rows, self.target = arm.tip, case.rows, case.target
 
     def compute_error(self, configuration):
         """The negative way to the target, as in Pink."""
         here = configuration.get_transform_frame_to_world(self.tip, "body")
-        return -self.rows @ pose_error(here.rotation().as_matrix(), here.translation(), self.pose)
+        return self.rows @ (here.translation() - self.target)
 
     def compute_jacobian(self, configuration):
         """Rows of the Jacobian along the world's axes."""
         R = configuration.get_transform_frame_to_world(self.tip, "body").rotation().as_matrix()
-        return self.rows @ np.kron(np.eye(2), R) @ configuration.get_frame_jacobian(self.tip, "body")
+        return self.rows @ R @ configuration.get_frame_jacobian(self.tip, "body")[:3]
 
 
 def solver(arm, task):
@@ -77,7 +64,7 @@ def solver(arm, task):
 
 def reaching(arm, case):
     """Joint velocity by mink towards a point."""
-    return solver(arm, Rows(arm, on_the_way(case), arm.task_gain * arm.dt))
+    return solver(arm, Rows(arm, case))
 
 
 def placing(arm, case):
@@ -89,18 +76,6 @@ def placing(arm, case):
     return solver(arm, task)
 
 
-def following(arm, way):
-    """Joint velocity by mink along a way."""
-    rows = Rows(arm, way, way.gain)
-    solve = solver(arm, rows)
-
-    def step(q, pose):
-        rows.pose = pose
-        return solve(q)
-
-    return step
-
-
 METHODS = {"mink": reaching, "mink, frame task": placing}
 
 if __name__ == "__main__":
@@ -108,5 +83,4 @@ if __name__ == "__main__":
         step=step,
         control=lambda *files: drive("mink", *files, METHODS),
         timings=lambda: answer("mink", METHODS),
-        way=lambda *files: drive_ways("mink", *files, {"mink": following}),
     )

@@ -1,25 +1,10 @@
-"""Pink, a quadratic programme a step: rows of a pose as a task of its own kind, and its manipulability task."""
+"""Pink, a quadratic programme a step: rows of a place as a task of its own kind, and its manipulability task."""
 
 import numpy as np
 import pink
 import pinocchio as pin
-from driving import (
-    DT,
-    TARGET,
-    TIP,
-    URDF,
-    NoSuchRowsError,
-    answer,
-    drive,
-    drive_ways,
-    main,
-    on_the_way,
-    pose_error,
-    report,
-)
+from driving import DT, TARGET, TIP, URDF, NoSuchRowsError, answer, drive, main, report
 from pink.tasks import DampingTask, FrameTask, ManipulabilityTask, PostureTask, Task
-
-CLIMB = 3.0  # [1/s] along a way, as that of our ascent
 
 
 def step():
@@ -40,27 +25,27 @@ def step():
 
 
 class Rows(Task):
-    """Rows (s, 6) of a frame's pose."""
+    """Rows (s, 3) of a frame's place."""
 
-    def __init__(self, arm, way, gain):
-        super().__init__(cost=1.0, gain=gain, lm_damping=1.0)  # as in Pink's examples
-        self.tip, self.rows, self.pose = arm.tip, way.rows, way.poses[0]
+    def __init__(self, arm, case):
+        super().__init__(cost=1.0, gain=arm.task_gain * arm.dt, lm_damping=1.0)  # as in Pink's examples
+        self.tip, self.rows, self.target = arm.tip, case.rows, case.target
 
     def compute_error(self, configuration):
         """Pink's sign: the negative way to the target."""
         here = configuration.get_transform_frame_to_world(self.tip)
-        return -self.rows @ pose_error(here.rotation, here.translation, self.pose)
+        return self.rows @ (here.translation - self.target)
 
     def compute_jacobian(self, configuration):
         """Rows of the Jacobian along the world's axes."""
         R = configuration.get_transform_frame_to_world(self.tip).rotation
-        return self.rows @ np.kron(np.eye(2), R) @ configuration.get_frame_jacobian(self.tip)
+        return self.rows @ R @ configuration.get_frame_jacobian(self.tip)[:3]
 
     def __repr__(self):
         return "Rows()"
 
 
-def solver(arm, rows, mask, rate):
+def solver(arm, rows, rate=None):
     """Posture -> joint velocity with damping and Pink's default limits; climbs at a rate [1/s], not at all if None."""
     model = pin.buildModelFromUrdf(arm.urdf)
     data = model.createData()
@@ -68,7 +53,7 @@ def solver(arm, rows, mask, rate):
     tasks = [rows, DampingTask(cost=1e-3)]
     if rate is not None:
         # the documented rate is per second, the code takes it per step
-        climb = ManipulabilityTask(arm.tip, model, cost=1e-3, mask=mask, manipulability_rate=rate * arm.dt)
+        climb = ManipulabilityTask(arm.tip, model, cost=1e-3, mask="position", manipulability_rate=rate * arm.dt)
         tasks.append(climb)
 
     def solve(q):
@@ -80,37 +65,19 @@ def solver(arm, rows, mask, rate):
     return solve
 
 
-def reaching(arm, case, climbs):
-    """Joint velocity by Pink towards a point."""
-    rows = Rows(arm, on_the_way(case), arm.task_gain * arm.dt)
-    return solver(arm, rows, "position", case.gain if climbs else None)
-
-
 def placing(arm, case):
     """The same with Pink's own frame task, which is written for x, y, z; its orientation has no cost."""
     if len(case.rows) < 3:
         raise NoSuchRowsError
     task = FrameTask(arm.tip, 1.0, 0.0, gain=arm.task_gain * arm.dt, lm_damping=1.0)
     task.set_target(pin.SE3(np.eye(3), case.target))
-    return solver(arm, task, "position", None)
-
-
-def following(arm, way):
-    """Joint velocity by Pink along a way."""
-    rows = Rows(arm, way, way.gain)
-    solve = solver(arm, rows, None if way.whole else "position", CLIMB)
-
-    def step(q, pose):
-        rows.pose = pose
-        return solve(q)
-
-    return step
+    return solver(arm, task)
 
 
 METHODS = {
-    "pink": lambda arm, case: reaching(arm, case, False),
+    "pink": lambda arm, case: solver(arm, Rows(arm, case)),
     "pink, frame task": placing,
-    "pink, manipulability": lambda arm, case: reaching(arm, case, True),
+    "pink, manipulability": lambda arm, case: solver(arm, Rows(arm, case), case.gain),
 }
 
 if __name__ == "__main__":
@@ -118,5 +85,4 @@ if __name__ == "__main__":
         step=step,
         control=lambda *files: drive("pin-pink", *files, METHODS),
         timings=lambda: answer("pin-pink", METHODS),
-        way=lambda *files: drive_ways("pin-pink", *files, {"pink": following}),
     )

@@ -48,7 +48,7 @@ SCENES = {
         "a drawer, learnt from 50 guided motions",
         "Both start at the shut drawer, in one posture near a singularity of the task, and open it as far as was "
         "shown, without turning.",
-        # of benchmarks/opening_drawers.py, near a singularity, seed 20000, number 28: the elbow is at the side
+        # of 200 starts near a singularity (3c93471e, seed 20000), number 28: the elbow is at the side
         start=(0.1096, -1.6298, 2.8231, -1.8008, 2.0846, -0.051, 3.049),
         control={"rest": "-0.13,-0.974,0.386,2.142,-0.372,-1.105,3.227"},  # the mean recorded posture
     ),

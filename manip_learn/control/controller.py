@@ -21,7 +21,7 @@ from manip_learn.control.limits import Limits
 from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing, policy_of
 from manip_learn.control.tasks import Hold, Task
 from manip_learn.errors import ConfigurationError, ConstraintError, an
-from manip_learn.linalg import Inverse
+from manip_learn.linalg import Inverse, finite
 from manip_learn.robot.robot import Robot
 
 _LOGGER = logging.getLogger("manip_learn")
@@ -215,9 +215,9 @@ class BoundedController(LimitedController):
             raise ConfigurationError("a controller within limits needs the period: run it in ServoLoop(..., dt)")
         limits, q = self.limits, np.array(q, dtype=np.float64)
         command = self.controller(q.copy(), t, dt)
-        wish = np.array(command.velocity, dtype=np.float64)
-        if wish.shape != limits.velocity.shape or not np.all(np.isfinite(wish)):
-            raise ConfigurationError(f"the controller's velocity is not {self.robot.nv} finite numbers: {wish}")
+        if (wish := finite(command.velocity, *limits.velocity.shape)) is None:
+            given = f"{command.velocity!r:.80}"
+            raise ConfigurationError(f"the controller's velocity is not {self.robot.nv} finite numbers: {given}")
         wish = limits.barriers.at(q, dt, limits.acceleration, None).slowed(wish)
         bounds = limits.bounds(q, dt, previous)
         if bounds.admit(wish):

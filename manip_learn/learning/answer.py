@@ -458,7 +458,7 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     known, firm = placed(fit, None) if settings.mechanism else None, None
     told = known is not None and known.kind.type == "ball" and (known.mechanism.radius or 0.0) > ON_THE_AXIS
     if whole and fit.motion.J is not None and not told:
-        firm = whole_fit(whole, fit, spans, settings, gate)
+        firm = whole_fit(whole, fit, [s for s in spans if s.recording in fit.motion.recs], settings, gate)
         # a grip that gives way turns more than it slides, and a hand that is free to turn may turn alike each time
         firm = None if firm and known is not None and firm.variance > OVER_NOISE * fit.variance else firm
     sizes, _, gaps = levels_on(view, spans)

@@ -32,7 +32,7 @@ from manip_learn.recordings.velocities import noise_variance
 REPEATED_RAD = 2e-4
 # distance over what noise and chords allow, up to which a posture lies on a path: the noise of seven joints reaches
 # twice its root mean square once in 5,000 samples, that of two joints once in 50. And what a cubic leaves at a seam
-# over the most that it leaves elsewhere; 1.5 and 4 tell the same of 2,464 sets (benchmarks/repeated_recordings.py)
+# over the most that it leaves elsewhere; 1.5 and 4 tell the same of 2,464 sets (at bf329fe4)
 AS_NOISE = 2.0
 # least share of a recording's way that lies on another's: copies are trimmed by a few samples at their ends. The rest
 # of a way is the least that is told to repeat what comes before it in one file

@@ -146,7 +146,8 @@ class Clearance:
             self.links = self.links.with_obstacles(self.around.obstacles, own)
             self.notes.append(f"{where} {link!r} is below the base: the floor is taken {CLEARANCE + depth:.3f} m lower")
         near = [pair for pair in self._pairs(start, 2.0 * CLEARANCE) if pair.distance >= 0.0]
-        self._least = {pair.links: 0.5 * pair.distance for pair in reversed(near)}
+        # of links with several shapes the nearest counts
+        self._least = {p.links: 0.5 * p.distance for p in sorted(near, key=lambda p: -p.distance)}
         for pair, where in seen:  # an arm has been there: where its links touch, their shapes are too large
             if where != "at the start" and pair.links[1] not in self.around.names:
                 least = pair.distance - _ROUNDED

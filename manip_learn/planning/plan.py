@@ -34,7 +34,7 @@ from manip_learn.planning.stations import Margins, Postures, Stations, margins_o
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
 
-_CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than 0.01 (benchmarks/planned_ways.py)
+_CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than 0.01 (measured at ff412730)
 LEAST_CANDIDATES = 8  # two at each of three stations, and two to spare
 FOLLOWING = 5.0  # [1/s] pull back to the planned postures, half as hard as the task's own feedback
 APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of hold: beside people, as ISO 10218-1

@@ -1,0 +1,515 @@
+"""Descriptions as other people have them, unusual, hostile and mutated: each works as it is meant, or is explained."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections import Counter
+from pathlib import Path
+
+import hypothesis
+import numpy as np
+import pytest
+from case import case
+from hypothesis import strategies as st
+from urdf_corpus import ARM, CASES, chain, dae, edited, mimic_chain
+
+import manip_learn as ml
+from manip_learn.cli import main
+from manip_learn.errors import NotIdentifiableError, RobotError, UnknownNameError
+from manip_learn.robot import loading
+from manip_learn.robot.description import text
+from manip_learn.robot.description.text import parse_xml
+from manip_learn.robot.description.urdf import validate_urdf
+from manip_learn.robot.loading import load_robot, robot_from_text
+from manip_learn.robot.robot import Robot
+from manip_learn.robot.tips import likely_tips
+from manip_learn.robot.visuals.meshes import Mesh, read_meshes
+from manip_learn.robot.visuals.visual_shapes import visual_shapes
+
+# ---- descriptions as other people have them ----
+
+
+def joint(name: str, parent: str, child: str, more: str = "", kind: str = "revolute", x: float = 0.3) -> str:
+    """A joint about y, with usual limits unless others are given."""
+    limit = "" if kind == "fixed" or "<limit" in more else '<limit lower="-2" upper="2" velocity="2" effort="9"/>'
+    ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{x} 0 0"/><axis xyz="0 1 0"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{limit}{more}</joint>'
+
+
+def described(path: Path, links: list[str], *joints: str, visual: str = "") -> Path:
+    """A URDF; the last link is drawn as it is said."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    bodies = "".join(f'<link name="{n}"/>' for n in links[:-1]) + f'<link name="{links[-1]}">{visual}</link>'
+    path.write_text(f'<robot name="made">{bodies}{"".join(joints)}</robot>')
+    return path
+
+
+def mesh(uri: str, scale: str = "") -> str:
+    return f'<visual><geometry><mesh filename="{uri}"{scale}/></geometry></visual>'
+
+
+def test_the_unit_of_a_collada_file_is_applied(tmp_path):
+    """A file that counts millimetres or inches is as large as one that counts metres and says the same."""
+    sizes = {}
+    for unit in ("1", "0.001", "0.0254"):
+        path = tmp_path / f"{unit}.dae"
+        path.write_bytes(dae().replace(b'meter="1"', f'meter="{unit}"'.encode()))
+        made = read_meshes([path])[path]
+        assert isinstance(made, Mesh), made
+        sizes[unit] = float(np.ptp(made.vertices, axis=0).max())
+    np.testing.assert_allclose([sizes["0.001"], sizes["0.0254"]], np.array([0.001, 0.0254]) * sizes["1"], rtol=1e-6)
+
+
+def safety(inside: str) -> str:
+    """A safety controller of the joint j."""
+    return f"<safety_controller {inside}/>"
+
+
+def control(position=("", ""), velocity=("", ""), direct="", joint="j") -> str:
+    """What ros2_control is told of a joint; texts that are empty are left out."""
+    inside = direct
+    for quantity, ends in (("position", position), ("velocity", velocity)):
+        numbers = [(name, text) for name, text in zip(("min", "max"), ends, strict=True) if text]
+        params = "".join(f'<param name="{name}">{text}</param>' for name, text in numbers)
+        inside += f'<command_interface name="{quantity}">{params}</command_interface>'
+    return f'<ros2_control name="c" type="system"><joint name="{joint}">{inside}</joint></ros2_control>'
+
+
+NAMED = '<param name="min_position">-1</param><param name="max_position_value">1</param>'
+
+
+@pytest.mark.parametrize(
+    ("written", "limits", "told"),
+    [
+        (safety('soft_lower_limit="-1" soft_upper_limit="1.5" k_velocity="1"'), (-1.0, 1.5, 2.0), [None]),
+        (safety('soft_lower_limit="-3" soft_upper_limit="3" k_velocity="1"'), (-2.0, 2.0, 2.0), []),
+        (safety('soft_lower_limit="-1" soft_upper_limit="3" k_velocity="1"'), (-1.0, 2.0, 2.0), [None]),
+        (safety('k_velocity="1"'), (-2.0, 2.0, 2.0), []),
+        (safety('soft_lower_limit="0" soft_upper_limit="0" k_velocity="1"'), (-2.0, 2.0, 2.0), []),
+        (safety('soft_lower_limit="5" soft_upper_limit="6" k_velocity="1"'), (-2.0, 2.0, 2.0), []),
+        (control(("-1", " 1.5\n")), (-1.0, 1.5, 2.0), ["limits"]),
+        (control(("-1", "3")), (-1.0, 2.0, 2.0), ["limits"]),
+        (control(velocity=("-0.5", "0.5")), (-2.0, 2.0, 0.5), ["velocities"]),
+        (control(velocity=("-0.5", "0.4")), (-2.0, 2.0, 0.4), ["velocities"]),
+        (control(velocity=("", "0.5")), (-2.0, 2.0, 0.5), ["velocities"]),
+        (control(("-1", "1"), ("-0.5", "0.5")), (-1.0, 1.0, 0.5), ["limits", "velocities"]),
+        (control(direct=NAMED), (-1.0, 1.0, 2.0), ["limits"]),
+        (control(("-3", "3"), ("-9", "9")), (-2.0, 2.0, 2.0), []),
+        (control(("", "1")), (-2.0, 2.0, 2.0), []),
+        (control(("${lower}", "1")), (-2.0, 2.0, 2.0), []),
+        (control(("1", "-1"), ("0.5", "0.2")), (-2.0, 2.0, 2.0), []),
+        (control(("5", "6")), (-2.0, 2.0, 2.0), []),
+        (control(("nan", "inf"), ("0", "0")), (-2.0, 2.0, 2.0), []),
+        (control(("-1", "1"), joint="k"), (-2.0, 2.0, 2.0), []),
+    ],
+)
+def test_narrower_limits_of_safety_controllers_and_ros2_control_are_used(written, limits, told, tmp_path):
+    """Of positions and velocities, where they are narrower and make sense, with a note that names both ranges."""
+    is_safety = written.startswith("<safety")
+    path = described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l", written if is_safety else ""))
+    path.write_text(path.read_text().replace("</robot>", f"{'' if is_safety else written}</robot>"))
+    robot = load_robot(path)
+    assert (robot.position_lower[0], robot.position_upper[0], robot.velocity_limit[0]) == limits
+    notes = [w for w in robot.warnings if ("safety_controller" if is_safety else "ros2_control") + " allows" in w]
+    assert is_safety or [w.split("of the ")[1].split()[0] for w in notes] == told
+    assert len(notes) == len(told)
+    assert is_safety or all("joint 'j'" in w and w.endswith(" -2 ... 2: the narrower ones are used") for w in notes)
+
+
+# by hand from the makers' Denavit-Hartenberg parameters, all joints at zero
+@pytest.mark.parametrize(
+    ("name", "tip", "place"),
+    [("ur5e", "tool0", (0.425 + 0.3922, 0.1333 + 0.0996, 0.1625 - 0.0997)),
+     ("ur10e", "tool0", (0.6127 + 0.57155, 0.17415 + 0.11655, 0.1807 - 0.11985)),
+     ("fr3", "fr3_hand_tcp", (0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.107 - 0.1034))],
+)  # fmt: skip
+def test_shipped_arms_are_those_of_their_makers(name, tip, place):
+    """The tip at zero, and no warning."""
+    robot = load_robot(name)
+    assert likely_tips(robot) == (tip,) and not robot.warnings
+    np.testing.assert_allclose(np.abs(robot.pose(np.zeros(robot.nv), tip)[:3, 3]), place, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "unsaid"),
+    [("ur3e", "not the same arm.*'ur5e'|'ur5e'.*not the same arm", "did you mean"),
+     ("ur16e", "not the same arm.*'ur10e'|'ur10e'.*not the same arm", "did you mean"),
+     ("planr3", "did you mean 'planar3'", "the same arm")],
+)  # fmt: skip
+def test_an_arm_of_another_series_is_not_offered(name, said, unsaid):
+    """A name beside those of shipped arms is another arm, and no typing error."""
+    with pytest.raises(UnknownNameError, match=said) as caught:
+        load_robot(name)
+    assert unsaid not in str(caught.value)
+
+
+def test_inspect_says_first_what_one_must_know(tmp_path, capsys):
+    """Tip, the joints that move it and those that do not, limits that were narrowed or lack: within 20 lines."""
+    links = ["base", "upper", "fore", "gripper_link", "gripper_prop_link", "left_finger_link", "ee_gripper_link"]
+    path = described(
+        tmp_path / "a.urdf",
+        links,
+        joint("shoulder", "base", "upper"),
+        joint("elbow", "upper", "fore"),
+        joint("wrist", "fore", "gripper_link", kind="fixed"),
+        joint("gripper", "gripper_link", "gripper_prop_link", kind="continuous"),
+        joint("left_finger", "gripper_link", "left_finger_link", kind="prismatic", x=0.05),
+        joint("ee_gripper", "gripper_link", "ee_gripper_link", kind="fixed", x=0.1),
+    )
+    tips = likely_tips(load_robot(path))  # the propeller has one joint more above it
+    assert "gripper_prop_link" not in tips and tips[0] == "ee_gripper_link"
+    assert main(["inspect", str(path)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "likely tips ee_gripper_link" in said and "no position limits gripper" in said
+    assert "moving ee_gripper_link shoulder, elbow; not: gripper, left_finger" in said
+
+
+def test_the_hand_that_stood_still_is_not_learnt_about(tmp_path):
+    """Two arms, one of which moves: its hand is named, and with it the question is answered."""
+    links, joints = ["base"], []
+    for side in ("left", "right"):
+        chain = ["base", *(f"{side}_{n}" for n in ("a", "b", "c", "tool"))]
+        kinds = [(f"{side}_j{k}", "revolute") for k in range(3)] + [(f"{side}_tip", "fixed")]
+        joints += [joint(name, *chain[k : k + 2], kind=kind) for k, (name, kind) in enumerate(kinds)]
+        links += chain[1:]
+    robot = load_robot(described(tmp_path / "two.urdf", links, *joints))
+    rng, time = np.random.default_rng(3), np.linspace(0.0, 2.0, 120)
+    moves, motions = np.array([robot.moves(j, "right_tool") for j in robot.joint_names])[:, None], []
+    for _ in range(6):
+        swing = rng.uniform(0.2, 0.6, 6)[:, None] * np.sin(rng.uniform(1, 3, (6, 1)) * time + rng.uniform(0, 3, (6, 1)))
+        motions.append((time, np.where(moves, swing, 1e-4 * rng.standard_normal(swing.shape)).T))
+    words = "'left_tool' stood still.*'right_tool': name it with frame='right_tool'"
+    with pytest.raises(NotIdentifiableError, match=words):
+        ml.ConstraintLearner(ml.FrameJacobian(robot, frame="left_tool", axes="xyz")).fit(motions)
+
+
+TIPS = {  # links, and joints as (parent, child, name, kind); links without a number move no further
+    "an arm joint called after the gripper": (("gripper_link",), [("b", "a", "j1"), ("a", "wrist_link", "j2"),
+        ("wrist_link", "gripper_link", "gripper_roll_joint"), ("gripper_link", "left", "finger_joint", "prismatic")]),
+    "fingers called after the hand": (("hand_palm_link",), [("b", "a", "j1"), ("a", "w", "j2"),
+        ("w", "hand_palm_link", "p", "fixed"), ("hand_palm_link", "hand_l_distal_link", "hand_l_joint"),
+        ("hand_palm_link", "hand_r_distal_link", "hand_r_joint")]),
+    "fingers without a name": (("link2",), [("b", "link1", "j1"), ("link1", "link2", "j2"),
+        ("link2", "link7", "j7", "prismatic"), ("link2", "link8", "j8", "prismatic")]),
+    "two turns that are no fingers": (("x", "y"), [("b", "x", "j1"), ("b", "y", "j2")]),
+    "a jaw known by where it hangs": (("gripper-static_1",), [("b", "a", "Revolute 2"),
+        ("a", "gripper-static_1", "Revolute 6"), ("gripper-static_1", "gripper-moving_1", "Revolute 7")]),
+    "a fixed jaw": (("fixed_jaw",), [("b", "w", "j1"), ("w", "fixed_jaw", "roll"),
+        ("fixed_jaw", "moving_jaw", "j3")]),
+    "a wrist in mid-chain": (("end",), [("b", "s", "j1"), ("s", "elbow_to_wrist", "wrist_pitch"),
+        ("elbow_to_wrist", "end", "wrist_roll")]),
+    "a copy of the last link": (("link8",), [("b", "l7", "j"), ("l7", "l7_sc", "c", "copy"),
+        ("l7", "link8", "f", "fixed")]),
+    "a gripper alone": (("left", "right"), [("b", "left", "left_finger"), ("b", "right", "right_finger")]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TIPS)
+def test_the_tip_is_what_the_whole_arm_moves(name, tmp_path):
+    """Fingers are known by their place in the tree, and names decide only among the ends of chains."""
+    tips, edges = TIPS[name]
+    joints = []
+    for parent, child, called, *kind in edges:
+        kind = (*kind, "revolute")[0]
+        copy = kind == "copy"
+        joints.append(joint(called, parent, child, kind="fixed" if copy else kind, x=0.0 if copy else 0.1))
+    assert likely_tips(load_robot(described(tmp_path / "a.urdf", ["b", *(e[1] for e in edges)], *joints))) == tips
+
+
+@pytest.mark.parametrize(
+    ("name", "tips"),
+    [("planar3", ("tip",)), ("panda", ("panda_hand_tcp",)), ("xarm7", ("link_eef",)),
+     ("kinova", ("j2s6s200_end_effector",)), ("so101", ("gripper_frame_link",)), ("ur5", ("ee_link", "tool0")),
+     ("tiago_dual", ("hand_left_grasping_frame", "hand_right_grasping_frame")),
+     ("solo12", ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")), ("hector", ())],
+)  # fmt: skip
+def test_likely_tips_of_robots_that_are_known(name, tips):
+    """One tip is an answer, two are a question; a robot that does not move has none, a locked arm none of its own."""
+    assert likely_tips(load_robot(name)) == tips
+    if name == "tiago_dual":
+        left = [n for n in load_robot(name).joint_names if "left" in n and "wheel" not in n]
+        assert likely_tips(load_robot(name, locked=left)) == tips[1:]
+
+
+def test_summary_of_a_real_robot():
+    """Names, kinds, units, limits, mimics, meshes and the comparison with yourdfpy are all there."""
+    summary = ml.inspect_robot(load_robot("panda"))
+    assert (summary.name, summary.nq, summary.nv) == ("panda", 8, 8)
+    assert [j.unit for j in summary.joints] == ["rad"] * 7 + ["m"]
+    assert summary.joints[0].kind == "revolute" and summary.joints[0].upper == pytest.approx(2.8973)
+    assert summary.mimics[0].joint == "panda_finger_joint2"
+    assert summary.cross_check is not None and summary.cross_check.agrees
+    assert len(summary.meshes_found) == 10 and not summary.meshes_missing
+    assert summary.tips == ("panda_hand_tcp",) and "panda_hand" in summary.frames
+    assert summary.warnings == ()
+
+
+@pytest.mark.parametrize("tag", ["visual", "collision"])
+def test_summary_says_what_is_wrong(tag, tmp_path):
+    """Warnings of validation, missing meshes, and the kind of each coordinate of a moving base."""
+    bodies = "".join(mesh(f"gone{i}.stl").replace("visual", tag) for i in range(3))
+    no_speed = '<limit lower="-1" upper="1" effort="1"/>'
+    path = described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l", no_speed), visual=bodies)
+    summary = ml.inspect_robot(load_robot(path, base="planar"))
+    assert [j.unit for j in summary.joints] == ["m", "m", "rad", "rad"]
+    assert [j.name for j in summary.joints][:3] == ["root_joint.x", "root_joint.y", "root_joint.rz"]
+    assert any("no velocity limit" in w for w in summary.warnings)
+    assert list(summary.meshes_missing) == ["gone0.stl", "gone1.stl", "gone2.stl"]  # one line with their number
+    known = [w.partition(";")[0] for w in summary.warnings]
+    assert "Plain shapes stand in for l: mesh 'gone0.stl' (and 2 more) was not found" in known
+
+
+LIMIT = '<limit lower="{}" upper="{}" velocity="1" effort="1"/>'
+
+
+ALIKE = ", as wrong as those of 'j1'"
+MIRRORED = LIMIT.format(0, -1) + '<mimic joint="j0" multiplier="-1"/>'
+
+
+@pytest.mark.parametrize(
+    ("kind", "more", "words"),
+    [
+        ("revolute", [LIMIT.format(0, 0), LIMIT.format(1, 0)], f"'j0': its limits are 0 ... 0 rad{ALIKE};"),
+        ("revolute", [LIMIT.format(-180, 180)] * 2, f"'j0': its limits are -180 ... 180 rad{ALIKE}, more"),
+        ("prismatic", [LIMIT.format(0, 1), MIRRORED], "lock 'j0'"),
+    ],
+)
+def test_wrong_limits_are_told_together_with_a_remedy_that_works(kind, more, words, tmp_path):
+    """Every joint with the fault is named once; the joints to lock are those that can be locked."""
+    joints = [joint(f"j{i}", "b", f"l{i}", text, kind) for i, text in enumerate(more)]
+    path = described(tmp_path / "a.urdf", ["b", "l0", "l1"], *joints)
+    with pytest.raises(RobotError, match=re.escape(words)) as caught:
+        load_robot(path)
+    locked = re.findall(r"\bj\d\b", str(caught.value).partition("or lock")[2]) or ["j0", "j1"]
+    assert set(load_robot(path, locked=locked).locked) == {"j0", "j1"}
+
+
+def test_a_warning_about_many_links_is_one(tmp_path):
+    """With the first of them and the number of the others; lines of text that xacro wrote are not told."""
+    joints = (
+        joint("j", "a", "b", LIMIT.format(-1, 1).replace('y="1', 'y="0')),
+        joint("k", "b", "c", LIMIT.format(-1, 2)),
+    )
+    text = described(tmp_path / "a.urdf", ["a", "b", "c"], *joints).read_text()
+    text = re.sub(r'<link name="(.)"(/>|></link>)', r'\n<link name="\1"><gravity/></link>', text)
+    for name, place in (("a.urdf", "line 2: "), ("a.xacro", "")):
+        if place == "":
+            pytest.importorskip("xacrodoc")
+        (tmp_path / name).write_text(text)
+        first, second = load_robot(tmp_path / name, xacro=name.endswith(".xacro")).warnings
+        assert first == f"{place}link 'a' (and 2 more): <gravity> is ignored"
+        assert "joint 'j': its velocity limit of 0" in second and ("line" in second) == (place != "")
+
+
+HEAD = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+INCLUDE = '<xacro:include filename="$(find {}_description)/urdf/arm.xacro"/></robot>'
+CHOSEN = '<xacro:arg name="kind" default="a"/><xacro:if value="${\'$(arg kind)\' == \'b\'}"><link name="b"/></xacro:if>'
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "code", "words"),
+    [
+        (INCLUDE.format("their"), True, "limit-order", "cell.xacro: joint 'j': its limits"),
+        (INCLUDE.format("no"), True, "xacro-failed", "the package 'no_description' of .* was not found; name the fo"),
+        (f"{CHOSEN}</robot>", {"kind": "B"}, "no-links", "expanded with kind=B it has no <link>.*arguments kind: g"),
+    ],
+)
+def test_xacro_files_are_refused_without_lines_and_with_what_helps(text, options, code, words, tmp_path):
+    """Packages are found by the name in package.xml beside the robot's own; what matched nothing is told."""
+    pytest.importorskip("xacrodoc")
+    for folder, package in (("theirs-main", "their_description"), ("mine", "my_description")):
+        (tmp_path / folder / "urdf").mkdir(parents=True)
+        (tmp_path / folder / "package.xml").write_text(f"<package><name>{package}</name></package>")
+    part = described(tmp_path / "theirs-main" / "urdf" / "arm.xacro", ["b", "l"], joint("j", "b", "l"))
+    own = tmp_path / "mine" / "urdf" / "cell.xacro"
+    own.write_text(HEAD + INCLUDE.format("their"))
+    assert load_robot(own, xacro=True).joint_names == ("j",)
+    part.write_text(part.read_text().replace('"-2" upper="2"', '"0" upper="0"'))
+    own.write_text(HEAD + text)
+    with pytest.raises(RobotError, match=words) as caught:
+        load_robot(own, xacro=options)
+    assert (caught.value.code, caught.value.line) == (code, None)
+    assert str(caught.value).count("not found") <= 1
+
+
+@pytest.mark.parametrize(
+    ("uri", "remedy"),
+    [
+        ("package://known/gone.stl", "correct its address, or put it into {}"),
+        ("gone.stl", "correct its address, or put it into"),
+        ("file:///elsewhere/gone.stl", "correct its address"),
+        ("file://$(find known)/gone.stl", "it is xacro: name the file *.xacro and load it with xacro=True"),
+        ("package://other/gone.stl", "name the folder that contains its package"),
+    ],
+)
+def test_a_mesh_that_is_not_there_is_told_with_a_remedy_that_works(uri, remedy, tmp_path):
+    """Naming the folder of a package is advised only where it is not known; a file has to be put there, or is xacro."""
+    (tmp_path / "package.xml").write_text("<package><name>known</name></package>")
+    path = described(tmp_path / "urdf" / "a.urdf", ["b", "l"], joint("j", "b", "l"), visual=mesh(uri))
+    (warning,) = ml.inspect_robot(load_robot(path)).warnings
+    assert warning.partition("was not found; ")[2].startswith(remedy.format(tmp_path.resolve()))
+
+
+# ---- hostile, unusual and mutated descriptions ----
+
+PATH = Path("some/arm.urdf")
+GOLDEN = Path(__file__).with_name("golden") / "robot_sentences.txt"
+
+
+def use(robot: Robot, rng: np.random.Generator) -> None:
+    """Evaluate the last frame at a random posture, so that a robot that only looks loaded is found out."""
+    q, frame = robot.random_configuration(rng), robot.frame(robot.frame_names[-1])
+    numbers = [robot.pose(q, frame), robot.jacobian(q, frame), *robot.jacobian_and_derivative(q, frame)]
+    assert all(np.isfinite(x).all() for x in numbers) and numbers[1].shape == (6, robot.nv)
+
+
+def verdict(content: bytes, path: Path, options: dict, rng: np.random.Generator) -> tuple[str, tuple[str, ...]]:
+    """What became of a description, and the refusal or the warnings."""
+    try:
+        robot = robot_from_text(content, path, **options)
+    except UnknownNameError as error:
+        return f"unknown-{error.kind}", (str(error),)
+    except RobotError as error:
+        return error.code, (str(error),)
+    use(robot, rng)
+    return "warn" if robot.warnings else "accept", robot.warnings
+
+
+def sentences(rng: np.random.Generator) -> list[str]:
+    """All sentences, each with the first description that it is said about; every case has its verdict."""
+    first: dict[str, str] = {}
+    for category, name, expected, content, options in CASES:
+        with case(category, name):
+            seen, said = verdict(content, PATH, options, rng)
+            assert seen == expected
+            for sentence in said:
+                assert "\n" not in sentence and len(sentence) < 600
+                if len(content) < 200_000:
+                    first.setdefault(sentence, f"{category}, {name}: {sentence}")
+    return list(first.values())
+
+
+def test_every_case_gets_its_verdict_and_its_sentence(rng):
+    """File, line, whose fault, value found, value expected, remedy, word by word.
+
+    After a change of words: `python tests/test_descriptions.py` writes the golden file; read what has changed.
+    """
+    assert sentences(rng) == GOLDEN.read_text(encoding="utf-8").splitlines()
+
+
+MJCF = """<mujoco model="m"><compiler angle="degree" eulerseq="xyz"/>
+  <default><joint axis="0 1 0"/><default class="c"><joint type="slide" range="0 0.2"/></default></default>
+  <asset><mesh name="mesh" file="a.stl" scale="1 1 1"/></asset>
+  <worldbody><geom type="plane" size="1 1 1"/>
+    <body name="a" pos="0 0 0.3" euler="10 20 30"><joint name="j" range="-90 90" pos="0.1 0 0" ref="5"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/><geom type="capsule" size="0.1 0.2" rgba="1 0 0 1"/>
+      <body name="b" axisangle="0 0 1 45" childclass="c"><joint name="k"/><joint name="l" class="main" limited="false"/>
+        <geom mesh="mesh" type="mesh" quat="1 0 0 0"/><site name="tip" pos="0.1 0 0"/></body></body>
+    <body name="d" xyaxes="1 0 0 0 1 0"><freejoint name="f"/></body></worldbody>
+  <equality><joint joint1="l" joint2="j" polycoef="0.1 2 0 0 0"/></equality></mujoco>"""
+VALUES = (
+    "nan inf -inf 0 -0 1 -1 1e308 1e-308 4e-324 1e999 4294967296 9223372036854775808 0x10 1e 1.2.3 1,5 universe world "
+    "root_joint revolute continuous prismatic planar floating fixed spherical mimic package://a/b.stl x"
+).split() + ["", " ", "0 0 0", "0 0 1e-4", "1 1", "1 2 3 4", "\u2028", "\U0001f916", "&amp;", "%n%s", "a" * 5000]
+PIECES = (  # values, numbers, elements, names
+    r'(?<=")[^"<]*(?=")',
+    r'(?<=[" ])-?\d+\.?\d*(?=[" ])',
+    r"<[^<>/!?]*/>|<(?P<tag>joint|link|visual|inertial|body)\b.*?</(?P=tag)>",
+    r"(?<=[</ ])[a-z]+(?=[ =>/])",
+)
+PARENTS = [ARM, ARM.replace('"revolute"', '"planar"', 1), MJCF, chain(4, "continuous").decode()]
+PARENTS += [chain(3, "floating").decode(), mimic_chain((2, 0, 1)).decode()]
+
+
+def mutant(seed: int) -> bytes:
+    """One to four pieces of a description dropped, doubled or replaced; sometimes its bytes are cut or turned."""
+    rng = random.Random(seed)
+    written = rng.choice(PARENTS)
+    for _ in range(rng.choice((1, 1, 1, 2, 2, 3, 4))):
+        pieces = list(re.finditer(rng.choice(PIECES), written, re.DOTALL))
+        if pieces:
+            here, other = rng.choice(pieces), rng.choice(pieces).group()
+            new = rng.choice(("", rng.choice(VALUES), other, here.group() + other))
+            written = written[: here.start()] + new + written[here.end() :]
+    content = bytearray(written.encode("utf-8", "surrogatepass"))
+    if content and rng.random() < 0.2:
+        content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
+        del content[rng.choice((len(content), rng.randrange(len(content)))) :]
+    return bytes(content)
+
+
+@pytest.mark.fuzz
+def test_mutants_are_refused_or_work(rng):
+    """No error but ours; what loads gives finite poses and derivatives, and shapes or their faults."""
+    seen = Counter[str]()
+
+    @hypothesis.settings(max_examples=max(300, hypothesis.settings.default.max_examples))
+    @hypothesis.given(st.integers(0, 2**63))
+    def attempt(seed: int) -> None:
+        content = mutant(seed)
+        said = verdict(content, PATH, {}, rng)[0]
+        seen[said] += 1
+        if said in ("accept", "warn"):
+            visual_shapes(robot_from_text(content, PATH))
+
+    attempt()
+    assert seen["accept"] + seen["warn"] > 0.05 * seen.total(), "too wild to test what comes after validation"
+
+
+def test_bounds_of_a_document(monkeypatch):
+    """The last element, level, character, angle and length of an axis that are read, and the first that are not."""
+    assert text.MAX_ELEMENTS == 200_000
+    monkeypatch.setattr(text, "MAX_ELEMENTS", 500)
+    for most, code, document in (
+        (500, "xml-too-large", lambda n: f"<robot>{'<a/>' * (n - 1)}</robot>"),
+        (60, "xml-too-deep", lambda n: "<a>" * n + "</a>" * n),
+        (100_000, "xml-too-large", lambda n: f'<robot name="{"r" * n}"/>'),
+    ):
+        parse_xml(document(most).encode(), PATH)
+        with pytest.raises(RobotError) as caught:
+            parse_xml(document(most + 1).encode(), PATH)
+        assert caught.value.code == code
+    angle, limits, axis = 4.0 * np.pi, 'lower="-2" upper="2.5"', 'xyz="0 0 1"'
+    for old, new, code in (
+        (limits, f'lower="-{angle}" upper="{angle}"', None),
+        (limits, f'lower="-{angle}" upper="12.567"', "limit-degrees"),
+        (limits, 'lower="-999" upper="1000.1"', None),
+        *((axis, f'xyz="0 0 {length}"', None) for length in (0.0011, 999.0)),
+        *((axis, f'xyz="0 0 {length}"', "axis-norm") for length in (0.0009, 1001.0)),
+        ('xyz="0 0 0.3"', 'xyz="0 0 -1e6"', None),
+        *(('xyz="0 0 0.3"', f'xyz="{x}"', "far-away") for x in ("0 0 -1000001", "0 -1000001 0", "-1000001 0 0")),
+    ):
+        seen = None
+        try:
+            assert validate_urdf(parse_xml(edited((old, new)), PATH)).root == "base"
+        except RobotError as error:
+            seen = error.code
+        assert seen == code, new
+    massless = edited(('ixx="0.1"', 'ixx="0"'), ('iyy="0.1"', 'iyy="0"'), ('izz="0.1"', 'izz="0"'))
+    assert validate_urdf(parse_xml(massless, PATH)).warnings == ()
+
+
+def test_what_pinocchio_refuses_is_refused(monkeypatch):
+    """Its reason is in the sentence."""
+
+    def failing(*arguments):
+        raise ValueError("the reason")
+
+    monkeypatch.setattr(loading.pin, "buildModelFromXML", failing)
+    with pytest.raises(RobotError, match="the reason") as caught:
+        robot_from_text(ARM.encode(), PATH)
+    assert caught.value.code == "pinocchio"
+
+
+def test_warnings_have_an_end():
+    """A file with very many oddities gives a hundred warnings and the number of the others."""
+    junk = "".join(f"<x{i}/>" for i in range(1000))
+    warnings = validate_urdf(
+        parse_xml(edited(('<link name="base"/>', f'<link name="base">{junk}</link>')), PATH)
+    ).warnings
+    assert len(warnings) == 101 and warnings[-1] == "900 more warnings are left out"
+
+
+if __name__ == "__main__":
+    GOLDEN.write_text("\n".join(sentences(np.random.default_rng(0))) + "\n", encoding="utf-8")

@@ -1,0 +1,1046 @@
+"""Recordings of every format: what was recorded comes back, bit for bit; what cannot be used is refused."""
+
+from __future__ import annotations
+
+import builtins
+import bz2
+import json
+import re
+import shutil
+import sqlite3
+import struct
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+from case import case
+from hypothesis import given
+from hypothesis import strategies as st
+from recording_corpus import FULL, GOOD, HEADER, JOINTS, TABLE, TIME, VELOCITIES, Q, U, csv, refusal, text
+from recording_formats import (
+    FPS,
+    KINDS,
+    START,
+    STEPS,
+    Build,
+    Message,
+    all_in_one,
+    archive,
+    bag,
+    dataset,
+    file_of,
+    frames,
+    h5py,
+    info,
+    lerobot,
+    motion,
+    one,
+    robomimic,
+    some,
+    table,
+    version_2,
+    version_3,
+)  # fmt: skip
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionMode
+from rosbags.rosbag2.reader import zstd
+
+import manip_learn as ml
+from manip_learn.cli import main
+from manip_learn.errors import RecordingError
+from manip_learn.recordings import RecordingSource, load_demonstrations
+from manip_learn.recordings.streams import JointStates, joint_groups, merge
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot import Robot, load_robot
+
+DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
+EFFORT = np.column_stack([np.exp(TIME), -3.0 * TIME, 1.0 / 3.0 + TIME])
+NAMES = ",".join(JOINTS)
+
+
+class Read(NamedTuple):
+    """What a recording is read as; of several, lists."""
+
+    build: Build
+    options: dict[str, Any]
+    note: tuple[str, ...] = ()
+    q: Any = Q
+    u: Any = None
+    effort: Any = None
+    time: Any = TIME
+    names: list[str] | None = None
+    atol: float = 0.0
+
+
+def read(build: Build, *note: str, **expected: Any) -> Read:
+    """A row: words of the notes, none if there are none, what is expected, and the options."""
+    known = {name: expected.pop(name) for name in Read._fields[3:] if name in expected}
+    return Read(build, expected, note, **known)
+
+
+# ---- text tables
+ORDER = [2, 4, 0, 3, 6, 1, 5]
+CLOCK = [f"1:02:{t:06.3f}" for t in 3.5 + TIME]
+COMMAS = [[str(x).replace(".", ",") for x in column] for column in (CLOCK, *Q.T)]
+# beside columns of positions: how others are called -> whether velocities and efforts are read, and what a note says
+BESIDE: dict[str, tuple[list[str], Any, Any, str]] = {
+    "velocity.{joint}": (["velocity.{}"], U, None, ""),
+    "{joint}_vel": (["{}_vel"], U, None, ""),
+    "both": (["{}.vel", "tau_{}"], U, Q + 1.0, ""),
+    "two of velocities": (["{}_velocity", "{}.vel"], None, None, "not used: joint1_velocity, joint2_velocity"),
+    "a command": (["desired_{}"], None, None, "not used: desired_joint1"),
+    "commanded efforts": (["{}_desired_effort", "{}_effort"], None, Q + 1.0, "not used: joint1_desired_effort"),
+    "temperatures": (["{}_temperature"], None, None, "not used: joint1_temperature"),
+    "accelerations": (["{}_acceleration"], None, None, "not used: joint1_acceleration"),
+}
+TORQUES = ("{}_effort", "effort_{}", "effort.{}", "tau_{}", "{}_torque", "tau/{}")
+BROKEN = np.where(EFFORT > 2.0, np.nan, EFFORT)
+
+
+def header(*patterns: str, names: Any = JOINTS) -> str:
+    return ",".join(["time", *(p.format(j) for p in patterns for j in names)])
+
+
+def frame(**columns: Any) -> Build:
+    return lambda folder: pd.DataFrame({"time": TIME, **dict(zip(JOINTS, Q.T, strict=True)), **columns})  # type: ignore
+
+
+TABLES = {
+    "17 digits in another order": read(
+        table(",".join((HEADER + VELOCITIES).split(",")[k] for k in ORDER), FULL[:, ORDER]), u=U
+    ),
+    "row numbers of pandas": read(table("," + HEADER, range(60), TABLE), "a.csv: columns not used: column 1 (without"),
+    "whole seconds": read(table(HEADER, range(3), Q[::20]), q=Q[::20], time=range(3)),
+    "milliseconds": read(table("time_ms," + NAMES, 1e3 * (3723.5 + TIME), Q), "'time_ms', in milliseconds"),
+    "times of day": read(table(HEADER, CLOCK, Q)),
+    "... between spaces": read(table("stamp  joint1  joint2  joint3", CLOCK, Q, mark="  "), "from column 'stamp'"),
+    "... with decimal commas": read(table(HEADER.replace(",", ";"), *COMMAS, mark=";")),
+    "dates": read(table("timestamp," + NAMES, [f"2026-01-02T0{c}" for c in CLOCK], Q), "from column 'timestamp'"),
+    "a column of text, ignored": read(table(HEADER + ",phase", TABLE, ["reach out"] * 60), ignore_columns="phase"),
+    "a column named by a number": read(table(HEADER + ",7", TABLE, TIME), ignore_columns=["7"]),
+    "a remark at the end": read(table(HEADER, TABLE, end="\n# the end")),
+    "spaces at the end": read(table(HEADER, TABLE, end="\n  ")),
+    "one of two sources": read(
+        table(header("left.{}.position", "right.{}.position"), TIME, Q, U), "not used: left.joint1.position", q=U,
+        columns="right.{joint}.position",
+    ),
+    "actual and target": read(table(header("actual.{}", "target.{}"), TIME, Q, U), "not used: target.joint1"),
+    **{
+        f"{position} beside {name}": read(
+            table(header(position, *patterns), TIME, Q, *(U, Q + 1.0)[: len(patterns)]),
+            *{f"are read as '{position.format('{joint}')}'", said}.difference({""}, always), u=u, effort=effort,
+        )
+        for position, always in (("{}", {"are read as '{joint}'"}), ("position.{}", ()))
+        for name, (patterns, u, effort, said) in BESIDE.items()
+    },
+    **{
+        f"efforts as {pattern}": read(
+            table(f"{HEADER},{header(pattern, names=JOINTS[::-1])[5:]}", TABLE, EFFORT[:, ::-1]), effort=EFFORT
+        )
+        for pattern in TORQUES
+    },
+    "efforts that were commanded too": read(
+        table(header("/js/{}/position", "/js/{}/desired_effort", "/js/{}/effort"), TIME, Q, 0.0 * Q, EFFORT),
+        "not used: /js/joint1/desired_effort", effort=EFFORT,
+    ),
+    "half a set of efforts": read(
+        table(HEADER + ",joint1_effort,joint2_effort", TABLE, EFFORT[:, :2]), "efforts are recorded for 2 of 3 joints"
+    ),
+    "efforts in a frame": read(
+        frame(**{f"{n}_effort": e for n, e in zip(JOINTS, EFFORT.T, strict=True)}), effort=EFFORT
+    ),
+}  # fmt: skip
+
+
+# ---- archives
+def cell(*values: Any) -> np.ndarray:
+    out = np.empty((1, len(values)), dtype=object)
+    out[0, :] = values
+    return out
+
+
+def typed(dtype: str) -> Read:
+    """Big-endian, short and integer numbers, read for what they are, with a note."""
+    q = (Q * 3.0).astype(dtype)
+    return read(archive(q=q, u=None), dtype.strip("<>"), q=q.astype(float))
+
+
+STACK, RATE = np.stack([Q, 2.0 * Q]), {"joint_names": JOINTS, "rate": 50.0, "q": [Q, 2.0 * Q]}
+STAMPED = np.vstack([Q.T, TIME])  # a pose is not taken for joints, a time of something else not for theirs
+STRUCTS = ({"arm": {"pose": STAMPED, "joint_states": x}, "times": [0.0, 3.0]} for x in (STAMPED, STAMPED))
+ARCHIVES = {
+    "another order in memory": read(
+        archive(
+            q=np.asfortranarray(Q[:, [2, 0, 1]]),
+            u=np.repeat(U[:, [2, 0, 1]], 2, axis=1)[:, ::2], joint_names=np.array(JOINTS)[[2, 0, 1]],
+        ),
+        u=U,
+    ),
+    **{dtype: typed(dtype) for dtype in (">f8", "<f4", ">f4", "<f2", "<i4", ">i8", "u1")},
+    "efforts": read(archive(effort=EFFORT), u=U, effort=EFFORT),
+    "efforts that are no numbers": read(archive(effort=BROKEN), "efforts are not finite", u=U),
+    "one joint too many, ignored": read(
+        archive(q=TABLE[:, [1, 2, 3, 3]], u=None, joint_names=[*JOINTS, "copy"]), ignore_columns=["copy"]
+    ),
+    "a stack": read(one("a.npy", lambda path: np.save(path, STACK)), **RATE),
+    "a stack in an archive": read(one("a.npz", lambda path: np.savez(path, demos=STACK)), "q from 'demos'", **RATE),
+    "cells": read(archive("a.mat", demos=cell(Q, 2.0 * Q)), "q from 'demos'", **RATE),
+    "cells with times": read(
+        archive("a.mat", demos=cell(Q, 2.0 * Q), times=cell(TIME, TIME)), "time from 'times'", q=[Q, 2.0 * Q],
+        joint_names=JOINTS,
+    ),
+    "structs": read(archive("a.mat", data=cell(*STRUCTS)), "not used", q=[Q, Q], joint_names=(*JOINTS, "time")),
+}  # fmt: skip
+
+# ---- LeRobot
+RADIANS = {"units": "radians", "time": np.arange(80) / FPS}
+ONE, FOUR = motion(0).astype(np.float32), [motion(i).astype(np.float32) for i in (0, 1, 2, 10)]
+SPEED = np.gradient(motion(0), 1 / FPS, axis=0)
+SHORT = SPEED.astype(np.float32)
+WHOLE = frames({0: motion(0), 1: motion(1)})
+KEY = "observation.state.joint_position"
+NAMED: dict[str, Any] = {"joint_names": JOINTS, "units": "radians", "feature": KEY}
+STAMPS = np.arange(80)
+
+
+def alone(folder: Path) -> Path:
+    return Path(shutil.copy(part_of_a_set(folder), folder / "alone.parquet"))
+
+
+def part_of_a_set(folder: Path) -> Path:
+    return version_2(folder / "set") / "data/chunk-000/episode_000001.parquet"
+
+
+def droid(folder: Path) -> Path:
+    """A data set in the layout of DROID: joints under a key of their own."""
+    q = {i: motion(i) for i in (0, 1, 2)}
+    joints = np.concatenate(list(q.values()))
+    velocity = np.concatenate([np.gradient(x, 1 / FPS, axis=0) for x in q.values()])
+    arrays = {KEY: joints, "observation.state.joint_velocity": velocity}
+    arrays["observation.state.cartesian_position"] = np.zeros((len(joints), 6))
+    rows = frames(q).drop_columns(["observation.state", "action"])
+    for name, values in arrays.items():
+        rows = rows.append_column(name, pa.array(values.tolist(), type=pa.list_(pa.float32())))
+    features = {name: {"dtype": "float32", "shape": [a.shape[1]], "names": None} for name, a in arrays.items()}
+    features["observation.images.wrist"] = {"dtype": "video", "shape": [180, 320, 3], "names": None}
+    features["language_instruction"] = {"dtype": "string", "shape": [1], "names": None}
+    return lerobot(rows, described={**info(None, "v3.0"), "features": features})(folder)
+
+
+def scaled(factor: float) -> Build:
+    return lambda folder: version_2(folder / "set", scale=factor)
+
+
+LEROBOT = {
+    **{
+        f"lists of the kind {kind}": read(
+            lambda folder, kind=kind: version_2(folder / "set", kind=kind), q=FOUR, **RADIANS,
+            names=[f"set episode {i}" for i in (0, 1, 2, 10)],
+        )
+        for kind in ("fixed", "list", "large")
+    },
+    "an episode that goes on in the next file": read(
+        lerobot(WHOLE.slice(0, 100), WHOLE.slice(100)), q=FOUR[:2], names=["set episode 0", "set episode 1"], **RADIANS
+    ),
+    "a file of a data set": read(part_of_a_set, q=FOUR[1], **RADIANS),
+    "a file alone": read(alone, q=FOUR[1][:, ::-1], joint_names=JOINTS[::-1], **RADIANS),
+    "degrees": read(
+        scaled(57.29578), "degrees", q=[motion(i) for i in (0, 1, 2, 10)], atol=3e-6, **RADIANS | {"units": "degrees"}
+    ),
+    "normalised": read(
+        scaled(30.0), "normalised", q=[3.75 * motion(i) for i in (0, 1, 2, 10)], atol=1e-5,
+        **RADIANS | {"units": "normalised"},
+    ),
+    "velocities in the state": read(
+        lerobot(frames({0: np.hstack([motion(0), SPEED])}), names=[f"{j}.{k}" for k in ("pos", "vel") for j in JOINTS]),
+        "", q=ONE, u=SHORT, **RADIANS,
+    ),
+    "velocities beside it": read(
+        lerobot(frames({0: motion(0)}, **{"observation.velocity": pa.array(SPEED.tolist())})), q=ONE, u=SPEED, **RADIANS
+    ),
+    "accelerations too": read(
+        lerobot(
+            frames({0: np.hstack([motion(0), SPEED, SPEED])}),
+            names=[j + k for k in ("", "_velocity", "_acceleration") for j in JOINTS],
+        ),
+        "", q=ONE, u=SHORT, **RADIANS,
+    ),
+    **{
+        f"names {names}": read(lerobot(frames({0: motion(0)}), names=names), q=ONE, **RADIANS)
+        for names in (
+            {"motors": list(JOINTS)}, {"arm": ["joint1"], "hand": ["joint2", "joint3"]},
+            {"joint2": 1, "joint1": 0, "joint3": 2},
+        )
+    },
+    "joints under another key": read(
+        droid, "2 of 3 episodes selected", q=FOUR[1:3],
+        u=[np.gradient(motion(i), 1 / FPS, axis=0).astype(np.float32) for i in (1, 2)], **NAMED, episodes="1:3",
+        names=["set episode 1", "set episode 2"], time=STAMPS / FPS,
+    ),
+    **{
+        f"stamps {name}": read(
+            lerobot(frames({0: motion(0)}, timestamp=pa.array(stamps))), *note, q=ONE, **RADIANS, **options
+        )
+        for name, stamps, options, *note in (
+            ("of zero", 0.0 * STAMPS, {}, "the stamps do not increase: frame_index / 50 is the time"),
+            ("in pairs", STAMPS // 2 / 25.0, {}, "the stamps do not increase"),
+            ("overruled", STAMPS / 30.0, {"rate": 50.0}, "stamps are overruled"),
+            ("from 3 s on", STAMPS / 50.0 + 3.0, {}),
+        )
+    },
+}  # fmt: skip
+
+# ---- robomimic
+GIVEN: dict[str, Any] = {"joint_names": JOINTS}
+NO_RATE = (None, "{}", "not json", '{"env_kwargs": {"control_freq": 0}}', "[" * 5000)
+
+
+def demo(name: str = "a.hdf5", **changes: Any) -> Build:
+    """One demonstration in a file."""
+    return one(name, lambda path: robomimic(path, (0,), **changes))
+
+
+def with_other_arrays(folder: Path) -> Path:
+    """The next observations are no recording; stamps go before a rate."""
+    path = demo(robot0_gripper_qpos=Q[:, :2], timestamps=2.0 * TIME)(folder)
+    with h5py.File(path, "a") as file:
+        file["data/demo_0/next_obs/robot0_joint_pos"] = Q
+    return path
+
+
+ROBOMIMIC = {
+    "in natural order": read(
+        one("low.hdf5", robomimic), "control_freq", "3 more", q=[Q + 0.01 * i for i in (0, 1, 2, 10)], u=U, **GIVEN,
+        names=[f"low.hdf5 demo_{i}" for i in (0, 1, 2, 10)],
+    ),
+    "without velocities": read(
+        demo(robot0_joint_vel=None), "control_freq", q=Q[:, ::-1], joint_names=JOINTS[::-1]
+    ),
+    "with other arrays": read(
+        with_other_arrays, "arrays not used: robot0_gripper_qpos", "commands, not read: data/demo_0/next_obs", u=U,
+        time=2.0 * TIME, **GIVEN,
+    ),
+    "one of two arms": read(
+        demo(robot1_joint_pos=Q + 0.1), "not used: robot0_joint_pos", q=Q + 0.1, u=U,
+        rename={"robot1_joint_pos": "q"}, **GIVEN,
+    ),
+    **{
+        f"rate given beside {args!r:.30}": read(demo(env_args=args), "by the words", u=U, rate=FPS, **GIVEN)
+        for args in NO_RATE
+    },
+}  # fmt: skip
+
+# ---- bags
+AHEAD = 51_000_000_000  # [ns]
+PACKED: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("ros1", {"compression": Writer1.CompressionFormat.BZ2}),
+    ("ros1", {"compression": Writer1.CompressionFormat.LZ4}),
+    ("sqlite", {"mode": CompressionMode.MESSAGE}),
+    ("sqlite", {"mode": CompressionMode.FILE}),
+    ("mcap", {"mode": CompressionMode.STORAGE}),
+)
+COMMANDED = all_in_one(q=Q + 0.1, topic="/command")
+HALF = [("/slide", START + int(s) + 10**7, (START + int(s) + 10**7, ("joint3", "finger"), (0.5e-9 * (s + 10**7), 0.01)))
+        for s in STEPS[::2]]  # fmt: skip
+FIRST = [(t, s, (s, n, q, U[0, :2])) for t, s, (_, n, q, *_) in some("/joint_states", (0, 1))]
+NO_FINGER = [(t, s, c[:3]) for t, s, c in some("/joint_states", (2,))]
+ELSEWHERE = np.delete(Q, 20, axis=0), np.delete(TIME, 20)
+
+
+def but_one(change: Any, messages: list[Message] | None = None) -> list[Message]:
+    """Messages of which one has other fields."""
+    messages = all_in_one() if messages is None else messages
+    topic, at, content = messages[20]
+    return [*messages[:20], (topic, at, change(*content)), *messages[21:]]
+
+
+def misnamed(kind: str) -> Build:
+    return lambda folder: Path(shutil.copy(file_of(bag(kind, all_in_one())(folder)), folder / "a b?#%20&x.csv"))
+
+
+def unset(every: int) -> list[Message]:
+    return [(t, r, (0 if i % every == 0 else c[0], *c[1:])) for i, (t, r, c) in enumerate(all_in_one())]
+
+
+BAGS = {
+    **{f"{k} in another order": read(bag(k, all_in_one(("joint3", "joint1", "joint2"))), u=U) for k in KINDS},
+    **{f"{kind} by another name": read(misnamed(kind), u=U) for kind in KINDS},
+    **{f"{kind} with {o}": read(bag(kind, all_in_one(), **o), u=U) for kind, o in PACKED},
+    **{
+        f"{k} beside a foreign message": read(
+            bag(k, all_in_one(), foreign="uint8 x\ncompany_msgs/Missing y\n"), "not read: '/odd'", u=U
+        )
+        for k in KINDS
+    },
+    "numbers of the other byte order": read(bag("mcap", all_in_one(), big_endian=True), u=U),
+    "efforts by name": read(bag("ros1", some("/joint_states", (2, 0, 1))), effort=7.0 * Q),
+    "efforts of two publishers": read(
+        bag("sqlite", some("/arm", (0, 1)), some("/wrist", (2,))), "", effort=7.0 * Q, atol=1e-12
+    ),
+    "efforts of some messages": read(bag("mcap", but_one(lambda *c: c[:4], some("/joint_states", (0, 1, 2)))), ""),
+    "two publishers at two rates": read(
+        bag("mcap", some("/arm", (1, 0)), HALF), "joint3 come from /slide: interpolated", "finger",
+        "2 samples left out", q=Q[1:-1], time=TIME[:-2], atol=1e-9,
+    ),
+    "two kinds of messages": read(bag("sqlite", FIRST, NO_FINGER), "velocities are not used", atol=1e-12),
+    "a command beside": read(bag("mcap", all_in_one(topic="/real"), COMMANDED), "/command", u=U),
+    "the command": read(
+        bag("mcap", all_in_one(topic="/real"), COMMANDED), "", q=Q + 0.1, u=U, topics=["/command"]
+    ),
+    "the usual topic": read(bag("mcap", all_in_one(), COMMANDED), "/command", u=U),
+    "a strange joint twice": read(
+        bag("ros1", [(t, r, (s, (*n, "x", "x"), (*q, 0, 0))) for t, r, (s, n, q, _) in all_in_one()]), ""
+    ),
+    "one message of other joints": read(
+        bag("mcap", but_one(lambda s, _, *c: (s, ("joint1", "joint2", "jointX"), *c))),
+        "1 message of /joint_states with another list of joints are not used", q=ELSEWHERE[0], time=ELSEWHERE[1],
+        u=np.delete(U, 20, axis=0),
+    ),
+    "one message without velocities": read(
+        bag("mcap", but_one(lambda *c: c[:3])), "1 of 60 messages of /joint_states have no velocities"
+    ),
+    "one message short of a position": read(
+        bag("mcap", but_one(lambda s, n, q, u: (s, n, q[:2]))),
+        "1 message of /joint_states name 3 joints and have 2 positions, not used", q=ELSEWHERE[0], time=ELSEWHERE[1],
+        u=np.delete(U, 20, axis=0),
+    ),
+    "no stamps": read(bag("mcap", unset(1)), "not set", u=U),
+    "some stamps": read(bag("mcap", unset(50)), "not set", u=U),
+    "two hosts on one topic": read(
+        bag("mcap", some("/joint_states", (0, 1, 2)), some("/joint_states", (0, 1, 2), late=1000, ahead=AHEAD)),
+        "51 s apart", q=[Q, Q], effort=7.0 * Q, names=["bag sender 1", "bag sender 2"],
+    ),
+    "joints of two hosts": read(
+        bag("mcap", some("/arm", (0, 1)), some("/wrist", (2,), late=1, ahead=AHEAD)), "a clock 51 s ahead",
+        q=Q[1:], effort=7.0 * Q[1:], time=TIME[:-1], atol=1e-5,
+    ),
+}  # fmt: skip
+READ = {
+    f"{kind}: {name}": row
+    for kind, rows in {
+        "table": TABLES, "archive": ARCHIVES, "LeRobot": LEROBOT, "robomimic": ROBOMIMIC, "bag": BAGS
+    }.items()
+    for name, row in rows.items()
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", READ)
+def test_what_was_recorded_is_read(name: str, planar3: Robot, tmp_path: Path) -> None:
+    """Positions, velocities and efforts by name and bit for bit, times, names in natural order; all else is said."""
+    row = READ[name]
+    demos = load_demonstrations(row.build(tmp_path), planar3, **row.options)
+    each = row.q if isinstance(row.q, list) else [row.q]
+    assert len(demos) == len(each) and row.names in (None, [t.name for t in demos])
+    assert bool(demos.notes) == bool(row.note) and all(words in " ".join(demos.notes) for words in row.note)
+    for k, (t, q) in enumerate(zip(demos, each, strict=True)):
+        u = row.u[k] if isinstance(row.u, list) else row.u
+        for got, expected in ((t.q, q), (t.u, u), (t.effort, row.effort)):
+            assert (got is None) == (expected is None)
+            if got is not None:
+                np.testing.assert_allclose(got, expected, rtol=0, atol=row.atol)
+        np.testing.assert_allclose(t.time - t.time[0], row.time, rtol=0, atol=2e-6)
+
+
+# ---- what cannot be used
+Unfit = tuple[str, str, Build, dict[str, Any]]
+
+
+def unfit(code: str, words: str, build: Build, **options: Any) -> Unfit:
+    """A row: the code, words of the sentence, how it is written, and the options."""
+    return code, words, build, options
+
+
+REMARKS = ("recorded by hand", "1, 2, 3, 4", "time, joint1, joint2")
+NUMBERED = table("time,q0,q1,q2,q3", TIME, Q, TIME)
+STATES = motion(0).tolist()
+NO_NAMES = ({"joint2": 5, "joint1": 0, "joint3": 1}, None, [], {}, [1, 2, 3], "abc", {"motors": "abc"})
+GAPS = {
+    "a sample is missing": ("not-finite", pa.array([*STATES[:-1], None], type=pa.list_(pa.float64()))),
+    "a short sample": ("ragged", pa.array([*STATES[:-1], [1.0]])),
+    "text": ("not-a-number", pa.array([[str(x) for x in row] for row in STATES])),
+}
+SELF = {
+    "an early version": ("version", {"codebase_version": "v1.6"}),
+    "no features": ("no-state", {"codebase_version": "v2.1"}),
+    "no state": ("no-state", {"codebase_version": "v2.1", "features": {}}),
+    "no object": ("damaged", []),
+    "too few names": ("shape", info(["a"])),
+    "names of others": ("missing-joint", info(["a", "b", "c"])),
+}
+FEATURES = {
+    "missing": (
+        None,
+        f"there is no feature 'observation.state', joint positions seem to be in '{KEY}'.*feature='{KEY}'",
+    ),
+    "misspelt": ("observation.state.joint_positon", f"did you mean '{KEY}'"),
+    "a video": ("observation.images.wrist", "holds video, joint positions are a vector of numbers"),
+    "a text": ("language_instruction", "holds string"),
+}
+
+
+def states(array: pa.Array) -> Build:
+    return lerobot(frames({0: motion(0)}).set_column(0, "observation.state", array))
+
+
+def linked(make: Any) -> Build:
+    """Positions that lie elsewhere, though they would be good numbers."""
+
+    def write(folder: Path) -> Path:
+        robomimic(folder / "secret.hdf5")
+        (folder / "secret.bin").write_bytes(Q.tobytes())
+        path = demo(robot0_joint_pos=None)(folder)
+        with h5py.File(path, "a") as file:
+            make(file, folder)
+        return path
+
+    return write
+
+
+PLACE = "data/demo_0/obs/robot0_joint_pos"
+
+
+def outside_group(file: Any, folder: Path) -> None:
+    del file["data"]
+    file["data"] = h5py.ExternalLink("secret.hdf5", "data")
+
+
+def virtual(file: Any, folder: Path) -> None:
+    layout = h5py.VirtualLayout(Q.shape, "f8")
+    layout[:] = h5py.VirtualSource(str(folder / "secret.hdf5"), PLACE, Q.shape)
+    file["data/demo_0/obs"].create_virtual_dataset("robot0_joint_pos", layout)
+
+
+LINKS = {
+    "a file": lambda file, _: file.update({PLACE: h5py.ExternalLink("secret.hdf5", PLACE)}),
+    "a group": outside_group,
+    "within": lambda file, _: file.update({PLACE: h5py.SoftLink("/data/demo_0/obs/robot0_joint_vel")}),
+    "storage": lambda file, folder: file["data/demo_0/obs"].create_dataset(
+        "robot0_joint_pos", Q.shape, "f8", external=[(str(folder / "secret.bin"), 0, Q.nbytes)]
+    ),
+    "a virtual set": virtual,
+}
+
+
+def made(**options: Any) -> Any:
+    return lambda file, _: file["data/demo_0/obs"].create_dataset("robot0_joint_pos", **options)
+
+
+HDF5 = {
+    "nothing": ("no-state", lambda file, _: None),
+    "a group": ("no-state", lambda file, _: file.create_group(PLACE)),
+    "one column": ("shape", made(data=Q[:, 0])),
+    "two columns": ("shape", made(data=Q[:, :2])),
+    "a sample less": ("shape", made(data=Q[:-1])),
+    "text": ("no-state", made(data=Q.astype("S8"))),
+    "no number": ("not-finite", made(data=np.where(Q == Q[5, 1], np.nan, Q))),
+    "a bomb": ("bomb", made(data=np.zeros((5_000_000, 3)), compression="gzip")),
+    "nothing stored": ("damaged", made(shape=(60, 3), dtype="f8")),
+    "a terabyte": ("damaged", made(shape=(10**12, 3), dtype="f8", chunks=(1000, 3))),
+    "three dimensions": ("no-state", made(data=np.stack([Q, Q]))),
+}
+
+
+def spoilt(build: Build, spoil: Any) -> Build:
+    """A bag whose file is changed."""
+
+    def write(folder: Path) -> Path:
+        path = build(folder)
+        spoil(next(path.glob("*.*[34pd]")) if path.is_dir() else path)
+        return path
+
+    return write
+
+
+def bomb_in_a_block(path: Path) -> None:
+    """A block of 100 bytes that unpacks to 64 MB."""
+    content = path.read_bytes()
+    start = content.index(b"BZh")
+    (size,) = struct.unpack_from("<I", content, start - 4)
+    bomb = bz2.compress(bytes(64_000_000))
+    path.write_bytes(content[:start] + bomb + bytes(size - len(bomb)) + content[start + size :])
+
+
+def claimed_terabyte(path: Path) -> None:
+    """In the index, which is believed."""
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<Q", content, content.rindex(b"zstd") + 12, 10**12)
+    path.write_bytes(content)
+
+
+BOMB = zstd.compress(bytes(60_000_000))
+
+
+def bomb_in_a_message(path: Path) -> None:
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE messages SET data = ? WHERE id = 20", (BOMB,))
+
+
+def packed(kind: str, spoil: Any, given: Any = Path, **options: Any) -> Unfit:
+    """A bag, or its file, that unpacks to more than any recording."""
+    build = spoilt(bag(kind, all_in_one(), **options), spoil)
+    return unfit("bomb", "", lambda folder: given(build(folder)))
+
+
+POSITIONLESS = [(t, r, (s, n, (), u)) for t, r, (s, n, _, u) in all_in_one()]
+OF_OTHERS = [(t, r, (s, ("a", "b", "c"), (), u)) for t, r, (s, _, _, u) in all_in_one()]
+GUI = [(t, r + 8_000_000, (s + 8_000_000, n, Q[0] + 0.4)) for t, r, (s, n, *_) in all_in_one()]
+TWO_SOURCES = table(header("left.{}.position", "right.{}.position"), TIME, Q, U)
+BOTH = "columns='left.{joint}.position' or columns='right.{joint}.position'"
+REFUSED = {
+    "a column of text": unfit("not-a-number", "phase", table(HEADER + ",phase", TABLE, ["reach out"] * 60)),
+    "a field too many": unfit(
+        "ragged", "6 fields", table(HEADER + ",phase", TABLE, [*["out"] * 59, "out,more"]), ignore_columns=("phase",)
+    ),
+    **{f"a remark {r!r}": unfit("no-header", ":2:", table(f"# {r}\n{TABLE[0, 0]},0,2,0", TABLE[1:])) for r in REMARKS},
+    "two sources": unfit("columns", re.escape(BOTH), TWO_SOURCES),
+    "commands alone": unfit("columns", re.escape("columns='target.{joint}'"), table(header("target.{}"), TABLE)),
+    "two times": unfit(
+        "no-time", "rename={'t': 'time'} or rename={'stamp': 'time'}", table("t,stamp," + NAMES, TIME, TABLE)
+    ),
+    "a gap in the numbers": unfit("columns", "numbered 0, 1, 3", table("time,q0,q1,q3", TABLE), columns="q{index}"),
+    "more numbers than joints": unfit("columns", "4 such columns and 3 moving joints", NUMBERED, columns="q{index}"),
+    "no such number": unfit("columns", "no column such as 'p0'", NUMBERED, columns="p{index}"),
+    "no such column": unfit("columns", "no column 'pos.joint1'", table(HEADER, TABLE), columns="pos.{joint}"),
+    **{
+        f"the pattern {bad}": unfit("option", "", NUMBERED, columns=bad)
+        for bad in ("q", "{joint}{index}", ["a{joint}", "b{joint}", "c{joint}"])
+    },
+    "a joint too many": unfit(
+        "unknown-column", "no joint of robot 'planar3' matches this column",
+        archive(q=TABLE[:, [1, 2, 3, 3]], u=None, joint_names=[*JOINTS, "copy"]),
+    ),
+    "a joint that is ignored": unfit(
+        "missing-joint", "nothing is recorded for joint 'joint1'", archive(u=None), ignore_columns=["joint1"]
+    ),
+    **{
+        f"LeRobot units like {units}": unfit("units", f"'{units}'", scaled(factor))
+        for units, factor in (("radians", 1.0), ("degrees", 57.29578), ("normalised", 30.0))
+    },
+    "a part of a LeRobot set alone": unfit("no-joint-names", "joint_names", alone, units="radians"),
+    **{
+        f"LeRobot names {names}": unfit("no-joint-names", "", lerobot(WHOLE, names=names), units="radians")
+        for names in NO_NAMES
+    },
+    **{f"LeRobot, {name}": unfit(code, "", states(array), units="radians") for name, (code, array) in GAPS.items()},
+    **{
+        f"LeRobot, {name}": unfit(
+            code, "", lambda folder, told=told: dataset(folder / "set", told, {"data/a.parquet": WHOLE}),
+            units="radians",
+        )
+        for name, (code, told) in SELF.items()
+    },
+    **{
+        f"LeRobot feature, {name}": unfit("no-state", said, droid, **{**NAMED, "feature": feature})
+        for name, (feature, said) in FEATURES.items()
+    },
+    "brackets in brackets": unfit(
+        "damaged", "100 brackets", lambda folder: one("metadata.yaml", text("[" * 200 + "]" * 200))(folder).parent
+    ),
+    "LeRobot stamps against fps": unfit(
+        "fps", "say 30 frames per second, fps says 50",
+        lerobot(frames({0: motion(0)}, timestamp=pa.array(STAMPS / 30.0))), units="radians",
+    ),
+    **{f"robomimic rate {args!r:.30}": unfit("no-time", "", demo(env_args=args), **GIVEN) for args in NO_RATE},
+    "robomimic, two arms": unfit(
+        "missing-array", "rename={'robot1_joint_pos': 'q'}", demo(robot1_joint_pos=Q + 0.1), **GIVEN
+    ),
+    "robomimic in degrees": unfit(
+        "degrees", "", demo(robot0_joint_pos=np.degrees(Q), robot0_joint_vel=None), **GIVEN
+    ),
+    **{f"robomimic, link to {name}": unfit("link", "", linked(make), **GIVEN) for name, make in LINKS.items()},
+    **{f"robomimic, {name}": unfit(code, "", linked(make), **GIVEN) for name, (code, make) in HDF5.items()},
+    "velocities alone": unfit(
+        "no-positions", "velocities of 3 joints are recorded in 60 samples and no positions", bag("ros1", POSITIONLESS)
+    ),
+    "... of others": unfit("empty", "60 messages of /joint_states have no positions", bag("mcap", OF_OTHERS)),
+    "two topics": unfit(
+        "ambiguous-topic", r"topics=\['/real'\]",
+        bag("mcap", all_in_one(topic="/real"), all_in_one(q=Q + 0.1, topic="/other")),
+    ),
+    "no such topic": unfit("unknown-topic", "/command", bag("mcap", all_in_one(), COMMANDED), topics=["/wnted"]),
+    "a forgotten GUI": unfit(
+        "two-publishers", "joint.*Two programs published on one topic", bag("sqlite", all_in_one(u=None), GUI)
+    ),
+    "a joint twice": unfit(
+        "duplicate-column", "name the joint 'joint2' 2 times",
+        bag("mcap", but_one(lambda s, n, q, _: (s, (*n, "joint2"), (*q, 0.5)))),
+    ),
+    "a bomb in a block": packed("ros1", bomb_in_a_block, compression=Writer1.CompressionFormat.BZ2),
+    "a claimed terabyte": packed("mcap", claimed_terabyte, mode=CompressionMode.STORAGE),
+    "... in a file": packed("mcap", claimed_terabyte, file_of, mode=CompressionMode.STORAGE),
+    "a packed bomb": packed("sqlite", lambda path: path.write_bytes(BOMB), mode=CompressionMode.FILE),
+    "a packed message": packed("sqlite", bomb_in_a_message, mode=CompressionMode.MESSAGE),
+}  # fmt: skip
+# ---- options
+UNMATCHED = {
+    "a column renamed": ({"rename": {"jiont1": "joint1"}}, "'jiont1'.*did you mean 'joint1'"),
+    "to no joint": ({"rename": {"extra": "jiont1"}}, "no joint 'jiont1'.*did you mean 'joint1'"),
+    "a column ignored": ({"ignore_columns": ["ti"]}, "nothing in the recordings is called 'ti'.*'time'"),
+    "a topic of a table": ({"topics": ["/joint_states"]}, "none of the recordings is one"),
+    "names beside a header": ({"joint_names": ["a", "b", "c"]}, "name their columns or joints themselves"),
+    "a feature of a table": ({"feature": "qpos"}, "features are those of LeRobot data sets"),
+}
+UNKNOWN = {
+    "no option": ({"unit": "degrees"}, "there is no option 'unit'"),
+    "no unit": ({"time_unit": "min"}, "'ms'"),
+    "no rate": ({"rate": 0}, "positive"),
+    "two units": ({"degrees": True, "units": "radians"}, "contradict"),
+    "ignored numbers": ({"ignore_columns": (1,)}, "names"),
+    "named numbers": ({"joint_names": 3}, "names"),
+    "a list to rename": ({"rename": ["a"]}, "rename"),
+    **{
+        f"episodes {chosen!r}": ({"episodes": chosen}, "0:50,60,75")
+        for chosen in ("", "a", "1-3", "3,", "-1", "1:2:3", "1.5", [], [-1], [1.5], ["1"], 2.5, True)
+    },
+}
+REFUSED |= {name: unfit("option", said, table(HEADER, TABLE), **options) for name, (options, said) in UNMATCHED.items()}
+REFUSED |= {  # before any file is opened
+    name: unfit("option", said, lambda folder: folder / "gone.csv", **options)
+    for name, (options, said) in UNKNOWN.items()
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_used_is_refused(name: str, planar3: Robot, tmp_path: Path) -> None:
+    """Nothing is filled in or guessed, nothing outside a file is opened, no bomb unpacked, no option passed over."""
+    code, words, build, options = REFUSED[name]
+    path = build(tmp_path)
+    error = refusal(path, planar3, match=words or None, **options)
+    assert (
+        error.code == code and "\n" not in str(error) and (code == "option" or path.is_dir() or path.name in str(error))
+    )
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "column", "said"),
+    [
+        ("0.14,x1,1.9,0.07", "not-a-number", "joint1", "'x1'"),
+        ("0.14,,1.9,0.07", "not-a-number", "joint1", "an empty field"),
+        ("0.14,nan,1.9,0.07", "not-finite", "joint1", "nan"),
+        ("0.14,0.1,1.9", "ragged", None, "3 fields, the header has 4"),
+        ("0.14,900,1.9,0.07", "outside-limits", "joint1", "900"),
+    ],
+)
+def test_the_refused_line_is_named(
+    line: str, code: str, column: str, said: str, planar3: Robot, tmp_path: Path
+) -> None:
+    """File, line as an editor counts it (comments and blank lines too), column and the value seen."""
+    lines, path = GOOD.split("\n"), tmp_path / "demo.csv"
+    path.write_text("\n".join(["# one", "", *lines[:5], "# two", *lines[5:8], line, *lines[9:]]))
+    error = refusal(path, planar3)
+    assert (error.code, error.line, error.column, error.path) == (code, 12, column, path), str(error)
+    assert "demo.csv:12" in str(error) and said in str(error)
+
+
+def test_a_table_that_was_cut_off_loses_its_last_line_only(planar3: Robot, tmp_path: Path) -> None:
+    """Wherever a table is cut within its last two rows, every number that is read is one that was written, and a
+    row that is lost is said.
+    """
+    path = tmp_path / "demo.csv"
+    for end in range(GOOD.rindex("\n", 0, GOOD.rindex("\n", 0, -1)), len(GOOD) + 1):
+        path.write_text(GOOD[:end])
+        demos = load_demonstrations(path, planar3)
+        np.testing.assert_allclose(demos[0].q, TABLE[: GOOD[:end].count("\n") - 1, 1:], rtol=1e-8)
+        assert ("the last line has no line end" in " ".join(demos.notes)) != GOOD[:end].endswith("\n")
+
+
+def test_a_joint_may_be_called_like_a_velocity(planar3: Robot, tmp_path: Path) -> None:
+    """A robot whose joint is named joint1_velocity gets its positions, not its velocities."""
+    urdf = (Path(planar3.source or "")).read_text(encoding="utf-8").replace('"joint2"', '"joint1_velocity"')
+    (tmp_path / "r.urdf").write_text(urdf, encoding="utf-8")
+    path = table("time,joint1,joint1_velocity,joint3", TABLE)(tmp_path)
+    (demo,) = load_demonstrations(path, load_robot(tmp_path / "r.urdf"))
+    np.testing.assert_array_equal(demo.q, Q)
+    assert demo.u is None
+
+
+@given(st.text(alphabet="time,joint123_velocity;\t\n\r 0.5e-+#%\"'\u00e4\x00", max_size=200))
+@pytest.mark.fuzz
+def test_any_text_is_read_or_refused(content: str) -> None:
+    """For any content of a text file, the result is a recording or a one-line error."""
+    with case(content) as folder:
+        path = folder / "demo.csv"
+        path.write_bytes(f"{HEADER}\n{content}".encode())
+        try:
+            load_demonstrations(path, load_robot("planar3"))
+        except RecordingError as error:
+            assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("units", ["degrees", "normalised"])
+def test_grippers_are_in_percent(units: str, tmp_path: Path) -> None:
+    """LeRobot keeps the gripper in 0 .. 100 whatever the unit of the arm; '.pos' is taken off the names; both said."""
+    robot = load_robot("so101")
+    state, g = np.tile(np.linspace(-20.0, 20.0, 40)[:, None], (1, robot.nv)), robot.joint_names.index("gripper")
+    state[:, g] = np.linspace(0.0, 100.0, 40)
+    root = lerobot(frames({0: state}), names=[f"{j}.pos" for j in robot.joint_names])(tmp_path)
+    demos = load_demonstrations(root, robot, units=units)
+    ends = [robot.position_lower[g], robot.position_upper[g]]
+    np.testing.assert_allclose(demos[0].q[[0, -1], g], ends, rtol=0, atol=1e-6)
+    if units == "degrees":
+        np.testing.assert_allclose(demos[0].q[:, g - 1], np.radians(state[:, g - 1]), rtol=0, atol=1e-6)
+    assert "gripper" in " ".join(demos.notes) and ".pos" in " ".join(demos.notes)
+
+
+def test_efforts_of_locked_joints_are_dropped(tmp_path: Path) -> None:
+    """The efforts of the joints that move are kept."""
+    path = table(HEADER + ",joint1_effort,joint2_effort,joint3_effort", TABLE, EFFORT)(tmp_path)
+    (t,) = load_demonstrations(path, load_robot("planar3", locked={"joint2": 1.0}))
+    np.testing.assert_array_equal(t.effort, EFFORT[:, [0, 2]])
+
+
+# ---- several publishers in one table: nothing is invented where one of them was silent
+MS = 1_000_000  # [ns]
+
+
+def states_of(topic: str, names: str, stamps: Any, q: Any = None, u: Any = None, received: Any = None) -> JointStates:
+    """Messages of one topic; positions are 0.001 per millisecond times 1, 2, 3, ... unless given."""
+    slopes = 1e-3 * (1.0 + np.arange(len(names.split())))
+    q = np.outer((stamps - START) / MS, slopes) if q is None else np.asarray(q, dtype=float)
+    arrays = {"position": q} | ({} if u is None else {"velocity": np.asarray(u, dtype=float)})
+    return JointStates(topic, tuple(names.split()), stamps, arrays, *(() if received is None else (received,)))
+
+
+def every(step: float, first: float, last: float) -> np.ndarray:
+    """Stamps at a regular step [ms]."""
+    return START + (np.arange(first, last + 1e-9, step) * MS).astype(np.int64)
+
+
+def test_gaps_of_a_publisher_are_not_bridged():
+    """Where another publisher was silent far longer than usual the samples are left out, and the note counts them."""
+    stamps = np.concatenate([every(20, 5, 805), every(20, 1505, 2005)])
+    merged, notes = merge([states_of("/arm", "a b", every(10, 0, 2000)), states_of("/hand", "c", stamps)], frozenset())
+    kept = (merged.stamps - START) / MS
+    np.testing.assert_array_equal(kept, [*range(10, 801, 10), *range(1510, 2001, 10)])
+    assert "71 samples left out" in " ".join(map(str, notes))
+    np.testing.assert_allclose(merged.arrays["position"], np.outer(kept, [1e-3, 2e-3, 1e-3]), rtol=0, atol=1e-12)
+
+
+def test_velocities_are_interpolated_too_or_all_left_out():
+    """Velocities belong to the stamps of their row; with one publisher that has none there are none, and it is said."""
+    arm, late = states_of("/arm", "a b", every(10, 0, 100), u=[[1.0, 2.0]] * 11), every(10, 5, 95)
+    squares = np.arange(10.0) ** 2
+    merged, _ = merge([arm, states_of("/hand", "c", late, np.zeros((10, 1)), squares[:, None])], frozenset())
+    assert merged.names == ("a", "b", "c")
+    np.testing.assert_allclose(merged.arrays["velocity"][:, 2], 0.5 * (squares[1:] + squares[:-1]), atol=1e-9)
+    np.testing.assert_array_equal(merged.arrays["velocity"][:, :2], [[1.0, 2.0]] * 9)
+    without, notes = merge([arm, states_of("/hand", "c", late)], frozenset())
+    assert without.arrays.get("velocity") is None and "/hand has none" in " ".join(map(str, notes))
+
+
+def test_angles_that_wrap_are_interpolated_the_short_way():
+    """A continuous joint that passes from 3.1 to -3.1 is near pi in between; any other joint passes through 0."""
+    both = [states_of("/arm", "a b", every(10, 0, 20)), states_of("/hand", "c", every(20, 0, 20), [[3.1], [-3.1]])]
+    for wraps, middle in ((frozenset({"c"}), np.pi), (frozenset(), 0.0)):
+        assert merge(both, wraps)[0].arrays["position"][1, 2] == pytest.approx(middle)
+
+
+def test_the_last_message_of_equal_stamps_is_kept_with_its_velocity():
+    """Of messages of two kinds with one stamp the last stays, its positions and its own velocities, and it is said."""
+    stamps = every(10, 0, 20)
+    first = states_of("/arm", "a b", stamps, np.arange(6.0).reshape(3, 2), [[0, 0], [1, -1], [2, -2]], stamps)
+    other = states_of("/arm", "b a", stamps[1:2], [[8, 7]], [[9, 6]], stamps[1:2])
+    (merged,), notes = joint_groups([first, other], {"a": "/arm", "b": "/arm"})
+    np.testing.assert_array_equal(merged.arrays["position"], [[0, 1], [7, 8], [4, 5]])
+    np.testing.assert_array_equal(merged.arrays["velocity"], [[0, 0], [6, 9], [2, -2]])
+    assert [*map(str, notes)] == ["/arm: 1 message left out for a repeated stamp, the last is kept"]
+
+
+def test_a_late_message_is_told_from_a_clock_that_was_set_back():
+    """After a late message the next stamp is where it would have been, after a clock was set back it is not; what is in
+    no order is refused.
+    """
+    arrival, q = every(10, 0, 390), np.outer(np.arange(40.0), [1.0, -1.0])
+    late, back = np.array([*range(20), 22, 20, 21, *range(23, 40)]), 300 * MS * (np.arange(40) >= 20)
+    for stamps, positions, said in (
+        (START + late * 10 * MS, q[late], "/arm: 1 sample came late: sorted by their stamps"),
+        (arrival - back, q, "set back by 0.3 s"),
+    ):
+        (merged,), notes = states_of("/arm", "a b", stamps, positions, None, arrival).in_order()
+        np.testing.assert_array_equal(merged.stamps, arrival)
+        np.testing.assert_array_equal(merged.arrays["position"], q)
+        assert said in str(notes[0])
+    shuffled = np.random.default_rng(0).permutation(every(10, 0, 1990))
+    with pytest.raises(RecordingError, match="the stamps of /arm are in no order; pass rate=") as caught:
+        states_of("/arm", "a b", shuffled, None, None, every(10, 0, 1990)).in_order()
+    assert caught.value.code == "time-order"
+
+
+# ---- one door for all formats, folders and options
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Twelve tables."""
+    for i in range(1, 13):
+        (tmp_path / f"demo_{i}.csv").write_text(csv(TABLE + [0, 0.01 * i, 0, 0]))
+    return tmp_path
+
+
+def parts_of(source: RecordingSource) -> list[Trajectory]:
+    return [t for i in range(source.n_parts) for t in source.part(i)]
+
+
+def test_paths_may_be_strings_lists_and_folders(planar3: Robot, folder: Path) -> None:
+    """One path, several, and their folder give the same, in natural order and each once; a list may mix formats."""
+    files = [folder / f"demo_{i}.csv" for i in range(1, 13)]
+    for paths in (files, [str(f) for f in files], iter(files), folder, str(folder), [folder]):
+        assert [t.name for t in load_demonstrations(paths, planar3)] == [f.name for f in files]
+    demos = load_demonstrations([folder, files[1]], planar3, units="normalised")
+    assert len(demos) == 12 and "read once" in demos.notes[0] and len(demos.notes) == 2
+    assert demos.notes[1].startswith("demo_1.csv and 11 more: normalised")
+    other = archive()(folder)
+    assert len(load_demonstrations([files[0], other], planar3)) == 2
+    assert refusal(folder, planar3).code == "mixed-folder"
+    for paths in ([], "", [""], [None], 7, None):
+        with case(paths):
+            refusal(paths, planar3)
+
+
+def test_trajectories_come_one_by_one(planar3: Robot, folder: Path) -> None:
+    """The generator has given the first before it opens the second; notes are handed out at the end, progress is told
+    after each file.
+    """
+    told: list[float] = []
+    load_demonstrations(folder, planar3, progress=lambda _step, share: told.append(share), episodes="0:3")
+    assert told == [1 / 3, 2 / 3, 1.0] and len(list(RecordingSource(folder, planar3))) == 12
+    (folder / "demo_2.csv").write_text(csv(TABLE[:1]))
+    stream = iter(RecordingSource([folder / "demo_1.csv", folder / "demo_2.csv"], planar3).part(0))
+    assert next(stream).name == "demo_1.csv"
+    with pytest.raises(RecordingError, match="demo_2"):
+        next(stream)
+    notes: list[str] = []
+    assert len(list(RecordingSource(folder / "demo_1.csv", planar3, units="degrees").part(0, notes))) == 1
+    assert len(notes) == 1
+
+
+@pytest.mark.parametrize(
+    ("missing", "module", "extra"),
+    [
+        ("rosbags", "readers.bags", "ros"),
+        ("lz4", "readers.bags", "ros"),
+        ("pyarrow", "writers.lerobot_writer", "lerobot"),
+        ("h5py", "readers.hdf5", "robomimic"),
+    ],
+)
+def test_missing_libraries_name_the_extra(missing: str, module: str, extra: str, monkeypatch) -> None:
+    """Without the library: one sentence with the pip command, not an ImportError."""
+    real = builtins.__import__
+
+    def absent(name, *arguments, **keywords):
+        if name.split(".")[0] == missing:
+            raise ImportError(f"No module named {name!r}")
+        return real(name, *arguments, **keywords)
+
+    monkeypatch.setattr(builtins, "__import__", absent)
+    for name in [n for n in sys.modules if n.startswith("manip_learn.recordings.")]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(Exception) as caught:  # noqa: PT011 - the class is a new one after the new import
+        __import__(f"manip_learn.recordings.{module}")
+    assert type(caught.value).__name__ == "MissingExtraError"
+    assert caught.value.extra == extra and f"manip_learn[{extra}]" in str(caught.value)  # type: ignore
+
+
+# ---- selected episodes
+def test_files_are_selected_by_natural_order(planar3: Robot, folder: Path) -> None:
+    """demo_2 comes before demo_10; the order of the selection does not matter; a note tells what was left out. Ranges
+    are half-open, from 0, and may go beyond the last file.
+    """
+    for chosen, numbers in {
+        "9,0:2": (1, 2, 10), (11,): (12,), range(1, 3): (2, 3), "0:2,5, 7": (1, 2, 6, 8), "10:": (11, 12), ":2": (1, 2),
+        "9:99": (10, 11, 12),
+    }.items():  # fmt: skip
+        demos = load_demonstrations(folder, planar3, episodes=chosen)
+        assert [t.name for t in demos] == [f"demo_{i}.csv" for i in numbers]
+        assert any(f"{len(numbers)} of 12 files selected" in note for note in demos.notes)
+
+
+@pytest.mark.parametrize("version", [version_2, version_3])
+def test_lerobot_episodes_by_number(version: Any, planar3: Robot, tmp_path: Path) -> None:
+    """The number is the episode's own, in both versions of the format, in memory and streamed."""
+    root = version(tmp_path / "set")
+    demos = load_demonstrations(root, planar3, units="radians", episodes="1:3")
+    assert [int(t.name.split()[-1]) for t in demos] == [1, 2]
+    np.testing.assert_allclose([t.q[0, 0] for t in demos], [0.01, 0.02], atol=1e-6)
+    assert any("2 of 4 episodes selected" in note for note in demos.notes)
+    last = 10 if version is version_2 else 3
+    source = RecordingSource(root, planar3, units="radians", episodes=f"0,{last}")
+    assert [int(t.name.split()[-1]) for t in parts_of(source)] == [0, last]
+
+
+def test_episodes_that_do_not_exist_name_near_ones(planar3: Robot, folder: Path) -> None:
+    """Each item must select something: a number beyond the end is no silent empty selection, nor is episode 1 of two
+    data sets.
+    """
+    near = r"'12'.*there are 12, numbered 0 to 11; the nearest: 8, 9, 10, 11"
+    refusal(folder, planar3, match=near, episodes="0:3,12")
+    root = version_3(folder / "a")
+    with pytest.raises(RecordingError, match="'7:9'") as caught:
+        RecordingSource(root, planar3, units="radians", episodes="7:9")
+    assert caught.value.code == "no-episode"
+    refusal([root, version_2(folder / "b")], planar3, match="name one data set", units="radians", episodes="1")
+
+
+def test_episodes_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """`learn --episodes` learns from the selected recordings only; a wrong one is one sentence and exit code 2."""
+    words = ["learn", "sawyer", str(DATA / "sawyer_drawer"), "--frame", "right_gripper_tip", "--reference", "world"]
+    assert main([*words, "--json", "--episodes", "0:8,20"]) == 0
+    assert json.loads(capsys.readouterr().out)["n_trajectories"] == 9
+    assert main([*words, "--episodes", "99"]) == 2
+    assert "the nearest: 46, 47, 48, 49" in capsys.readouterr().err
+
+
+# ---- options that match in some files, or in none
+def test_an_option_may_match_in_one_file_only(planar3: Robot, tmp_path: Path, capsys) -> None:
+    """A renaming that one file of a set needs is no mistake in the others, however they are read, and in a replay."""
+    files = [
+        table(names, TABLE, name=f"demo_{i}.csv")(tmp_path)
+        for i, names in enumerate((HEADER, "time,joint1,elbow,joint3"))
+    ]
+    options = {"rename": {"elbow": "joint2"}}
+    assert len(load_demonstrations(tmp_path, planar3, **options)) == 2
+    assert len(parts_of(RecordingSource(tmp_path, planar3, **options))) == 2
+    for some_of_them, code in ((files, 0), (files[:1], 2)):
+        words = ["--html", str(tmp_path / "page.html"), "--rename", "elbow=joint2"]
+        assert main(["replay", "planar3", *map(str, some_of_them), *words]) == code
+    assert "nothing in the recordings is called 'elbow'" in capsys.readouterr().err
+
+
+def test_recordings_read_in_parts_are_judged_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Recordings larger than memory: refused if no part had a use for the option, learning and auditing alike."""
+    monkeypatch.setattr("manip_learn.recordings.load.PART_BYTES", 1)
+    sawyer, files = load_robot("sawyer"), sorted((DATA / "sawyer_drawer").glob("*.csv"))[:3]
+    features = ml.FrameJacobian(sawyer, "right_gripper_tip", "xyz", "world")
+    source = RecordingSource(files, sawyer, rename={"nope": "right_j0"})
+    for judge in (
+        lambda: ml.ConstraintLearner(features, n_constraints=2).fit(source),
+        lambda: ml.audit_episodes(ml.Constraint([[1.0, 0, 0]], features), source),
+    ):
+        with pytest.raises(RecordingError, match="nope") as caught:
+            judge()
+        assert caught.value.code == "option"
+
+
+@pytest.mark.parametrize(
+    ("robot", "names", "said"),
+    [
+        ("sawyer", HEADER, "it was recorded with 'planar3', not 'sawyer': name that robot"),
+        ("sawyer", "time,left_a,left_b,left_c", "was it recorded with another robot than 'sawyer'?"),
+        ("planar3", "time,q1,q2,q3", "another robot than 'planar3'? Then name that one; if it is this one, columns="),
+    ],
+)
+def test_another_robot_is_suspected(robot: str, names: str, said: str, tmp_path: Path) -> None:
+    """Columns that are no joints of the robot: first the robot is doubted, and the shipped one named that they fit."""
+    error = refusal(table(names, TABLE)(tmp_path), load_robot(robot))
+    assert said in str(error) and "lock" not in str(error)
+
+
+def test_options_for_rollouts_are_refused_as_typed(planar3: Robot, tmp_path: Path, capsys) -> None:
+    """A rollout is read as it was written: an option for recordings would be ignored in silence."""
+    law = ml.ResolvedRateController(ml.Constraint([[0.0, 1.0]], ml.FrameJacobian(planar3, "tip", "x y", "world")))
+    path = ml.simulate(planar3, law, [0.1, 0.5, 0.5], duration=0.2, dt=0.05).save(tmp_path / "run.npz")
+    for words in (["--degrees"], ["--ignore-column", "x"], ["--topic", "/x"]):
+        assert main(["replay", "planar3", str(path), "--html", str(tmp_path / "page.html"), *words]) == 2
+        assert f"so {words[0]} has no use" in capsys.readouterr().err
