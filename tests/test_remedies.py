@@ -12,9 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
-import pyarrow as pa
 import pytest
 import scipy.io
 from case import case
@@ -30,9 +28,11 @@ from recording_formats import (
     archive,
     dataset,
     frames,
+    h5py,
     info,
     motion,
     one,
+    pa,
     robomimic,
     some,
     table,
