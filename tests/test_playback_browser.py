@@ -173,6 +173,7 @@ def test_time_obeys_keys_speed_and_curve(robot_of, page_of):
         page.keyboard.press(key)
         assert now() == pytest.approx(expected, abs=1e-9), key
     page.locator("[data-view=top]").click()
+    page.keyboard.press("Home")
     for playing in (True, False):
         page.keyboard.press("Space")
         assert page.evaluate("manipLearn.playing") is playing

@@ -121,6 +121,7 @@ REFUSED: dict[str, tuple[str, Build, tuple[str, ...]]] = {
     "a table without a header": ("no-header", one("a.csv", text(csv(TABLE).partition("\n")[2])), ()),
     "a table without stamps": ("no-time", table(",".join(JOINTS), Q), ()),
     "a stamp by an odd name": ("no-time", table("zeit," + ",".join(JOINTS), TABLE), ()),
+    "a misspelt stamp": ("no-time", table("tmie," + ",".join(JOINTS), TABLE), ()),
     "numbered columns": ("numbered-columns", table("time,q_0,q_1,q_2", TABLE), ()),
     "several patterns": ("columns", table("time,a.joint1,a.joint2,a.joint3,b.joint1,b.joint2,b.joint3", TABLE, Q), ()),
     "a column of something else": ("unknown-column", table(HEAD + ",force", TABLE, TIME), ()),
