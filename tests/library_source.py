@@ -14,7 +14,6 @@ PACKAGE = Path(__file__).resolve().parents[1] / "manip_learn"
 class Source:
     """One file: its dotted name without the package's, e.g. `robot.loading`, and its syntax tree."""
 
-    path: Path
     name: str
     text: str
     tree: ast.Module
@@ -23,11 +22,6 @@ class Source:
     def top(self) -> str:
         """First part of the name: `robot` for `robot.loading`; empty for the package itself."""
         return self.name.split(".")[0]
-
-    @property
-    def relative(self) -> str:
-        """Path below the package, e.g. `robot/loading.py`."""
-        return self.path.relative_to(PACKAGE).as_posix()
 
 
 @cache
@@ -38,10 +32,5 @@ def library() -> tuple[Source, ...]:
         text = path.read_text(encoding="utf-8")
         parts = path.relative_to(PACKAGE).with_suffix("").parts
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-        sources.append(Source(path, name, text, ast.parse(text, str(path))))
+        sources.append(Source(name, text, ast.parse(text, str(path))))
     return tuple(sources)
-
-
-def listed(faults: list[str]) -> str:
-    """All faults that a rule has found, one per line: what its failing test shows."""
-    return "\n".join((f"{len(faults)} found:", *faults))

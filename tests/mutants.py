@@ -26,9 +26,10 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from coverage import CoverageData
 
@@ -84,24 +85,24 @@ def with_fault(text: str, i: int, k: int) -> tuple[str, str]:
     """The file with a fault in it, and what the function around it promises."""
     tree = ast.parse(text)
     node = list(_code(tree))[i]
-    promise = _promise(tree, node.lineno)
-    new = ast.copy_location(list(_faulty(node))[k], node)
-    return ast.unparse(ast.fix_missing_locations(_Exchange(node, new).visit(tree))), promise
+    exchange = _Exchange(node, ast.copy_location(list(_faulty(node))[k], node))
+    return ast.unparse(ast.fix_missing_locations(exchange.visit(tree))), exchange.promise
 
 
 class _Exchange(ast.NodeTransformer):
     def __init__(self, node: ast.AST, new: ast.AST):
-        self.node, self.new = node, new
+        self.node, self.new, self.around, self.promise = node, new, [""], ""
 
     def visit(self, node: ast.AST) -> ast.AST:
-        return self.new if node is self.node else self.generic_visit(node)
-
-
-def _promise(tree: ast.Module, line: int) -> str:
-    """First line of the docstring of the innermost function or class around a line."""
-    around = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.ClassDef) and ast.get_docstring(n)]
-    around = [n for n in around if n.lineno <= line <= (n.end_lineno or 0)]
-    return (ast.get_docstring(max(around, key=lambda n: n.lineno, default=tree)) or "").split("\n")[0]
+        """Put the new node in the place of the old one, and note what the innermost documented thing around it says."""
+        if node is self.node:
+            self.promise = self.around[-1]
+            return self.new
+        said = ast.get_docstring(node) if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) else None
+        self.around.append((said or self.around[-1]).split("\n")[0])
+        visited = self.generic_visit(node)
+        self.around.pop()
+        return visited
 
 
 def _code(node: ast.AST) -> Iterator[ast.expr | ast.stmt]:
@@ -227,8 +228,8 @@ def changed_lines(since: str) -> dict[str, set[int]]:
 
 
 def _git(*words: str) -> str:
-    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
-    return done.stdout.strip() if done.returncode == 0 else ""
+    """What Git says; empty where it fails."""
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
 
 
 PYTEST = ["pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--benchmark-disable"]
@@ -237,13 +238,10 @@ PYTEST = ["pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--benchmar
 def passes(project: Path, command: list[str], timeout: float) -> bool:
     """Whether Python succeeds on a copy of the project; what hangs does not."""
     environment = os.environ | {"PYTHONPATH": str(project), "OMP_NUM_THREADS": "1"}
-    try:
-        done = subprocess.run(
-            [sys.executable, *command], cwd=project, env=environment, capture_output=True, timeout=timeout
-        )
-    except subprocess.TimeoutExpired:
-        return False
-    return done.returncode in (0, 5)
+    with suppress(subprocess.TimeoutExpired):
+        where: Any = {"cwd": project, "env": environment, "capture_output": True, "timeout": timeout}
+        return subprocess.run([sys.executable, *command], **where).returncode in (0, 5)
+    return False
 
 
 def survivors(faults: Iterable[Fault], covered: Covered, jobs: int) -> Iterator[tuple[Fault, str, bool]]:

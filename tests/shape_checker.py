@@ -1,28 +1,24 @@
 """What the import hook of conftest.py puts around the functions of the library while the tests run.
 
 jaxtyping says what an annotation such as `Float[np.ndarray, "T nv"]` asks of an array, and its hook decorates every
-function of a module. Its own decorator binds the arguments of every call by reflection, which took more than half of
-the time of the tests; the one here looks at the shapes and the types of the elements alone, and asks jaxtyping only
-about combinations that the function has not been called with before.
+function of a module. Its own decorator checks other types too, and every call; the one here looks at arrays alone, and
+at a part of the calls where there are many.
 """
 
 from __future__ import annotations
 
 import functools
 import inspect
-import sys
-from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
 import jaxtyping
-import numpy as np
 from beartype.door import is_bearable
 from library_source import PACKAGE
 
 SHAPES = ("Float[", "Int[", "Bool[", "Shaped[")
 # calls of a function that are all looked at, and one in so many of the later ones: the innermost functions are called
-# millions of times with few forms, and looking at each call took a fifth of the time of the tests
-ALWAYS, ONE_IN = 1000, 16
+# millions of times
+ALWAYS, ONE_IN = 300, 50
 _ONE_CALL = jaxtyping.jaxtyped  # within one call, a letter stands for one number
 
 
@@ -49,16 +45,12 @@ def check_shapes(function: Any) -> Any:
     written = getattr(function, "__annotations__", {})
     hints = {name: _resolved(hint, function) for name, hint in written.items()}
     hints = {name: hint for name, hint in hints.items() if any(kind in str(hint) for kind in SHAPES)}
-    return _checking(function, hints) if hints else function
+    signature, calls = inspect.signature(function), 0
 
-
-def _checking(function: Callable, hints: dict[str, Any]) -> Callable:
-    parameters = inspect.signature(function).parameters.values()
-    order = {p.name: i for i, p in enumerate(parameters) if p.kind is not p.KEYWORD_ONLY}
-    places = [(name, order.get(name, sys.maxsize)) for name in hints if name != "return"]
-    passed: dict[Hashable, set[Hashable]] = {}  # forms of arguments that are as annotated: forms of their results
-
-    calls = 0
+    def check(name: str, value: Any) -> None:
+        hints[name] = _resolved(hints[name], function)
+        if not is_bearable(value, hints[name]):
+            raise TypeError(f"{function.__module__}.{function.__qualname__}: {name} is not {hints[name]}: {value!r}")
 
     @functools.wraps(function)
     def checked(*args: Any, **kwargs: Any) -> Any:
@@ -67,48 +59,19 @@ def _checking(function: Callable, hints: dict[str, Any]) -> Callable:
         calls += 1
         if calls > ALWAYS and calls % ONE_IN:
             return function(*args, **kwargs)
-        given = [args[i] if i < len(args) else kwargs.get(name) for name, i in places]
-        forms = tuple([_form(value) for value in given])
-        results = passed.get(forms)
-        if results is None:
-            _check(function, hints, _named(places, args, kwargs))
-            results = passed[forms] = set()
-        result = function(*args, **kwargs)
-        if "return" in hints and (form := _form(result)) not in results:
-            _check(function, hints, {**_named(places, args, kwargs), "return": result})
-            results.add(form)
+        with _ONE_CALL("context"):
+            for name, value in signature.bind(*args, **kwargs).arguments.items():
+                if name in hints:
+                    check(name, value)
+            result = function(*args, **kwargs)
+            if "return" in hints:
+                check("return", result)
         return result
 
-    return checked
+    return checked if hints else function
 
 
-def _form(value: Any) -> Hashable:
-    """All that an annotation of arrays can ask about: shapes and types of elements, also within containers."""
-    if isinstance(value, np.ndarray):
-        return value.shape, value.dtype
-    if isinstance(value, (tuple, list)):
-        return type(value), *[_form(item) for item in value]
-    if isinstance(value, Mapping):
-        return type(value), *[_form(item) for item in value.values()]
-    return type(value)
-
-
-def _named(places: list[tuple[str, int]], args: tuple, kwargs: dict[str, Any]) -> dict[str, Any]:
-    """The annotated arguments of a call that are not left to their defaults."""
-    given = {name: args[i] for name, i in places if i < len(args)}
-    return given | {name: kwargs[name] for name, _ in places if name in kwargs}
-
-
-def _check(function: Callable, hints: dict[str, Any], values: dict[str, Any]) -> None:
-    with _ONE_CALL("context"):
-        for name, value in values.items():
-            hint = hints[name] = _resolved(hints[name], function)
-            if not is_bearable(value, hint):
-                said = {other: _form(values[other]) for other in values}
-                raise TypeError(f"{function.__module__}.{function.__qualname__}: {name} is not {hint}: {said}")
-
-
-def _resolved(hint: Any, function: Callable) -> Any:
+def _resolved(hint: Any, function: Any) -> Any:
     """The annotation that a text stands for; names that the module defines later are looked for again."""
     try:
         return eval(hint, function.__globals__) if isinstance(hint, str) else hint

@@ -147,13 +147,10 @@ class Person:
             yield from self.drag(wiped, float(rng.uniform(5.0, 7.0)))
         else:
             there, back = (lambda s: smooth(s) * far), (lambda s: (1.0 - smooth(s)) * far)
-            ways = (there, 1.5, 2.5), (lambda s: far, 0.2, 0.6), (back, 1.5, 2.5)
-            for way, least, most in ways:
+            for way, *seconds in ((there, 1.5, 2.5), (lambda s: far, 0.2, 0.6), (back, 1.5, 2.5)):
                 if handle.firm:
                     turn = lambda s, way=way: way(s) * handle.axis  # noqa: E731
-                yield from self.drag(
-                    lambda s, way=way: handle.moved(way(s))[:3, 3], float(rng.uniform(least, most)), turn
-                )
+                yield from self.drag(lambda s, way=way: handle.moved(way(s))[:3, 3], rng.uniform(*seconds), turn)
         yield {"do": "grip", "closed": False}
 
     def learn(self) -> Script:

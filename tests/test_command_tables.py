@@ -15,22 +15,16 @@ import pytest
 from rich.console import Console
 from test_cli import DRAWER, FRAME
 
+import manip_learn as ml
 from manip_learn.commands.audit import described as audited
 from manip_learn.commands.control import Aim, outcome
 from manip_learn.commands.learn import described, fit
 from manip_learn.commands.options import LearnOptions
 from manip_learn.commands.output import Answer, cells
 from manip_learn.commands.tables import Glossary, show, table_of
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.control.command import Status
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.rollout import Rollout
-from manip_learn.control.simulation import WayDone, simulate
-from manip_learn.learning import ConstraintLearner
+from manip_learn.control.simulation import WayDone
 from manip_learn.learning.audit import AuditReport, EpisodeAudit, audit_episodes
 from manip_learn.recordings.load import RecordingSource
-from manip_learn.robot import load_robot
 
 
 def printed(width: int, answer: Answer, explain: bool | None = False) -> str:
@@ -52,19 +46,19 @@ def explained(text: str) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def held() -> Constraint:
+def held() -> ml.Constraint:
     """One row of a small arm's tip."""
-    return Constraint([[0.0, 1.0]], FrameJacobian(load_robot("planar3"), "tip", "x y", "world"))
+    return ml.Constraint([[0.0, 1.0]], ml.FrameJacobian(ml.load_robot("planar3"), "tip", "x y", "world"))
 
 
 @pytest.fixture(scope="module")
-def rollout(held: Constraint) -> Rollout:
+def rollout(held: ml.Constraint) -> ml.Rollout:
     """A short motion."""
-    return simulate(held.robot, ResolvedRateController(held), [0.1, 0.5, 0.5], 0.2, 0.05)
+    return ml.simulate(held.robot, ml.ResolvedRateController(held), [0.1, 0.5, 0.5], 0.2, 0.05)
 
 
 @pytest.mark.parametrize("width", [60, 100])
-def test_a_rollout_is_readable(width: int, held: Constraint, rollout: Rollout) -> None:
+def test_a_rollout_is_readable(width: int, held: ml.Constraint, rollout: ml.Rollout) -> None:
     """No line is wider than the terminal, nothing is cut, every term of the table is explained if that is asked for."""
     answer = outcome(held, rollout, 0.01)
     text, at_length = printed(width, answer), printed(width, answer, explain=True)
@@ -78,8 +72,8 @@ def test_a_rollout_is_readable(width: int, held: Constraint, rollout: Rollout) -
 
 def test_an_audit_is_readable() -> None:
     """On 60 columns the least telling measures give way, and are named; on 100 all are there."""
-    sawyer = load_robot("sawyer")
-    constraint = Constraint(np.eye(3)[:2], FrameJacobian(sawyer, FRAME[1], "xyz", "world"))
+    sawyer = ml.load_robot("sawyer")
+    constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(sawyer, FRAME[1], "xyz", "world"))
     answer = audited(audit_episodes(constraint, RecordingSource(DRAWER[:2], sawyer)))
     for width in (60, 100):
         text, (_, hidden) = printed(width, answer), table_of(answer.rows, width)
@@ -91,92 +85,82 @@ def test_an_audit_is_readable() -> None:
 
 
 def test_cells_are_made_of_the_document() -> None:
-    """What does not exist, or is not finite, is a dash with its unit left out; a percentage has a space."""
+    """What does not exist, or is not finite, is a dash with its unit left out; a percentage has a space. A name that is
+    wider than the terminal leaves room for numbers, and is there to its end.
+    """
     content = {"done": None, "off": math.nan, "top": math.inf, "margin": 0.5, "joint": {"share": 0.25}, "unit": "m"}
     layout = "a: {done:.1f} m; b: {off:.1f} mm; c: {top:.0f}; d: {margin:.0%}; e f: {joint[share]:.2f} {unit}"
     assert cells(content, layout) == {"a": "-", "b": "-", "c": "-", "d": "50 %", "e f": "0.25 m"}
-
-
-def test_a_long_name_is_wrapped() -> None:
-    """A name that is wider than the terminal leaves room for numbers, and is there to its end."""
-    answer = Answer({}, rows=[{"name": "long " * 30 + "end", "a": "0.1"}])
-    text = printed(60, answer)
+    text = printed(60, Answer({}, rows=[{"name": "long " * 30 + "end", "a": "0.1"}]))
     assert "end" in text and "0.1" in text and max(map(len, text.splitlines())) <= 60
 
 
 @pytest.fixture(scope="module")
-def learner() -> ConstraintLearner:
+def learner() -> ml.ConstraintLearner:
     """The drawer."""
     return fit(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))[0]
 
 
-def test_learning_explains_its_words(learner: ConstraintLearner) -> None:
-    """A number has its scale beside it, and --explain says what the words mean, each once."""
+def test_learning_explains_its_words(learner: ml.ConstraintLearner) -> None:
+    """A number has its scale beside it, and --explain says what the words mean, each once; an uncertainty beyond any
+    angle is said in words.
+    """
     answer = described(learner.constraints_, learner.reports_)
     text = in_line(60, answer)
-    assert text.startswith("A straight line (a drawer), moved 0.")
+    assert text.startswith("A straight line (a drawer), moved 0.") and "direction known to 0.1" in text
     report, held = learner.report_, [row for row in learner.report_.row_evidence if row.state == "held"]
-    strengths = " and ".join(f"{row.strength:.3g}" for row in held)
     for fact in (
         f"number of rows 2 of 3 (x y z) gap {report.gap:,.0f} (10 is clear)",
         f"left out {100 * report.held_out_residual:.2g} % of the motion unexplained",
-        f"strength {strengths}, p = {max(row.p_value for row in held):.2g} (recombination test)",
+        f"strength {' and '.join(f'{row.strength:.3g}' for row in held)}, p = {max(row.p_value for row in held):.2g} (",
         f"learnt from {report.n_samples:,} samples of 6 recordings",
     ):
         assert fact in text
-    weak = dataclasses.replace(report, gap=9.94, held_out_residual=9e-6)
+    found = report.mechanism
+    assert found is not None
+    lost = dataclasses.replace(found, uncertainty={**found.uncertainty, "axis": 1600.0})
+    weak = dataclasses.replace(report, gap=9.94, held_out_residual=9e-6, mechanism=lost, uncertainty_deg=None)
     weakly = in_line(60, described(learner.constraints_, [weak]))
     assert "gap 9.9 (weak: 10 is clear)" in weakly and "left out less than 0.001 % of the motion" in weakly
+    assert "direction not determined" in weakly and "1.6e+03" not in weakly and "1600" not in weakly
     at_length = in_line(60, answer, explain=True)
     terms = explained(at_length)
     assert list(terms) == ["rows", "gap", "left out", "uncertainty", "strength"]
     assert all(at_length.count(words) == 1 and words not in text for words in terms.values())
 
 
-def test_an_axis_that_nothing_determines_has_no_angle(learner: ConstraintLearner) -> None:
-    """An uncertainty beyond any angle is said in words: +- 1,600 degrees means nothing to a reader."""
-    found = learner.report_.mechanism
-    told = printed(100, described(learner.constraints_, learner.reports_))
-    assert found is not None and "direction known to 0.1" in told
-    lost = dataclasses.replace(found, uncertainty={**found.uncertainty, "axis": 1600.0})
-    report = dataclasses.replace(learner.report_, mechanism=lost, uncertainty_deg=None)
-    text = printed(100, described(learner.constraints_, [report]))
-    assert "direction not determined" in text and "1.6e+03" not in text and "1600" not in text
-
-
-def test_units_are_printed_with_their_numbers(held: Constraint, rollout: Rollout) -> None:
+def test_units_are_printed_with_their_numbers(held: ml.Constraint, rollout: ml.Rollout) -> None:
     """Lengths in m and mm, angles in degrees, times in s, shares in percent."""
     way = WayDone(0.3, 0.2, "m", 0.1, 12.34, 0.0015, 0.1234, ("joint2", 0.421), "a limit")
-    told = outcome(held, rollout, 0.01, way)
-    assert told.title == told.content["sentence"] == "moved 0.200 of 0.300 m" and not told.content["reached"]
-    text = in_line(80, told)
-    for said in ("moved 0.200 m", "time 12.3 s", "off 1.5 mm", "fastest 42 %", "margin - ", "least mu 0.123"):
-        assert said in text
-    assert "stopped by a limit" in text and "strayed 1.5" not in text
-    turned = dataclasses.replace(way, wanted=-math.pi, done=-math.pi / 2, unit="rad", seconds=None, deviation=0.0035)
-    told = outcome(held, rollout, 0.01, turned)
-    assert told.title == "moved 90.0 of 180.0 degrees"
-    text = in_line(80, told)
-    assert "moved 90.0 deg" in text and "time - " in text and "the hand strayed 3.5 mm from what holds it" in text
-    r, text = rollout, in_line(80, outcome(held, rollout, 0.01))
-    expected = (
-        f"error {r.task_error[-1]:.4f} min mu {r.manipulability[2:].min():.4f} mean mu {r.manipulability.mean():.3f}"
-    )
-    share = 100.0 * r.status.count("ok") / len(r)
-    assert f"{expected} peak {abs(r.u).max():.2f}/s unhindered {share:.0f} %" in text
+    turned: Any = {"wanted": -math.pi, "done": -math.pi / 2, "unit": "rad", "seconds": None, "deviation": 0.0035}
+    for done, title, words in (
+        (way, "moved 0.200 of 0.300 m", "time 12.3 s|off 1.5 mm|fastest 42 %|margin - |least mu 0.123|by a limit"),
+        (
+            dataclasses.replace(way, **turned),
+            "moved 90.0 of 180.0 degrees",
+            "time - |strayed 3.5 mm from what",
+        ),
+    ):
+        told = outcome(held, rollout, 0.01, done)
+        assert told.title == told.content["sentence"] == title and not told.content["reached"]
+        text = in_line(80, told)
+        assert all(word in text for word in words.split("|")), text
+    mu, share = rollout.manipulability, 100.0 * rollout.status.count("ok") / len(rollout)
+    expected = f"error {rollout.task_error[-1]:.4f} min mu {mu[2:].min():.4f} mean mu {mu.mean():.3f}"
+    expected += f" peak {abs(rollout.u).max():.2f}/s unhindered {share:.0f} %"
+    assert expected in in_line(80, outcome(held, rollout, 0.01))
     values: dict[str, Any] = dict.fromkeys(EpisodeAudit._fields, 0.5)
     episode = EpisodeAudit(**values | {"episode": "a", "reasons": ("odd",), "limit_margin": float("nan")})
     (row,) = audited(AuditReport((episode,), (), 4.0)).rows
     assert " ".join(row.values()) == "a 0.5 50.0 % - 0.5 0.500 50 % 50 % 0.5 0.5 0.5"
-    page = SimpleNamespace(html="a.html", bytes=1_234_567)
-    answer = Answer({}, notes=("n",), page=page)  # type: ignore[arg-type]
+    answer = Answer({}, notes=("n",), page=SimpleNamespace(html="a.html", bytes=1_234_567))  # type: ignore[arg-type]
     assert printed(80, answer, None).split("\n")[:2] == ["note: n", "replay: a.html (1.2 MB)"]
 
 
-def test_what_keeps_a_rollout_from_its_goal_is_said(held: Constraint, rollout: Rollout) -> None:
+def test_what_keeps_a_rollout_from_its_goal_is_said(held: ml.Constraint, rollout: ml.Rollout) -> None:
     """Still moving or stalled short of the target, off what is held, or beside a target that is not driven."""
     assert "left after 0.2 s, still moving: try a longer --duration" in in_line(80, outcome(held, rollout, -1.0))
-    status = (Status.OK,) * 2 + (Status.STALLED,) * (len(rollout) - 2)
+    status = (ml.Status.OK,) * 2 + (ml.Status.STALLED,) * (len(rollout) - 2)
     stalled = outcome(held, dataclasses.replace(rollout, status=status), -1.0)
     assert stalled.content["stalled"] and "limits or a singularity block the rest" in printed(200, stalled)
     aim = Aim(distance=0.25, error=0.3, off=0.125, ignored=("x", "rz"), crossed=0.02)

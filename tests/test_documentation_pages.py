@@ -12,23 +12,6 @@ import pytest
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 GOOD = '<h1 id="top">A</h1><a href="b.html#there">b</a><a href="#top">up</a><a href="https://example.org">site</a>'
-# who asks what, the page that this person would open, and the words that answer it
-QUESTIONS = """\
-a person without robotics | Do I need a robot? | teach | No robot is needed
-a person without robotics | What does it find out? | the_idea | which directions the task allows
-an engineer with recordings | What do I need for my own arm? | your_own_arm | eight recordings of joint positions
-an engineer with recordings | Which file can it read? | recordings | a column `time` [s] and one column per joint
-an engineer with recordings | Can I trust the answer? | reading_the_report | is the **gap** 10 or more
-an engineer with recordings | How does the arm do it again? | control | ml.repeat(learner.skill_, q0)
-a PhD student | How do I use a policy of my own? | your_own_null_space_policy | null_policy = lambda q:
-a PhD student | How do I get the paper's numbers? | reproduction | manip-learn reproduce all
-a technician with a UR5e | Was it tried on a real arm? | ur5e_in_ten_minutes | **No real arm was run**
-a technician with a UR5e | Which library drives it? | ur | `ml.run` over RTDE
-an operator | Why did the arm stop? | troubleshooting | the arm stops, status `following-error`
-an operator | Does it keep clear of the table? | world | keeps 5 mm clear
-"""
-SCREEN = 150  # words that a screen of 1280 x 800 shows at least
-PICTURE = 80  # words whose place a picture takes
 OTHER = '<p id="there"><img src="picture.png"></p><link rel="canonical" href="https://example.org/b.html">'
 
 
@@ -47,47 +30,31 @@ def check():
     return script(DOCS / "check_pages.py")
 
 
-@pytest.fixture
-def site(tmp_path):
-    """Two pages and a picture, without a fault."""
-    (tmp_path / "a.html").write_text(GOOD, encoding="utf-8")
+FAULTS = {
+    "": (),
+    '<script src="https://cdn.example.org/mathjax.js"></script>': "loads https://cdn.example.org/mathjax.js",
+    "<style>@font-face { src: url('https://x.org/f.woff2') }</style>": "loads https://x.org/f.woff2",
+    '<a href="c.html">c</a>': "c.html: no such file",
+    '<a href="b.html#here">b</a>': "b.html#here: no such anchor",
+}
+
+
+def test_each_fault_of_a_page_is_found(check, tmp_path):
+    """What is loaded from the network, also by style sheets, and what links to nothing, is named with its page; links
+    to files, anchors and other sites are fine, and so is a name in the head of a page.
+    """
     (tmp_path / "b.html").write_text(OTHER, encoding="utf-8")
     (tmp_path / "picture.png").write_bytes(b"")
-    return tmp_path
-
-
-def test_sound_pages_have_no_fault(check, site):
-    """Links to files, anchors and other sites are fine, and so is a name in the head of a page."""
-    assert list(check.faults_of_pages(site)) == []
-
-
-@pytest.mark.parametrize(
-    ("fault", "words"),
-    [
-        ('<script src="https://cdn.example.org/mathjax.js"></script>', "loads https://cdn.example.org/mathjax.js"),
-        ('<link rel="stylesheet" href="//fonts.example.org/css">', "loads //fonts.example.org/css"),
-        ('<img src="http://example.org/badge.svg">', "loads http://example.org/badge.svg"),
-        ("<style>@font-face { src: url('https://x.org/f.woff2') }</style>", "loads https://x.org/f.woff2"),
-        ('<a href="c.html">c</a>', "c.html: no such file"),
-        ('<a href="b.html#here">b</a>', "b.html#here: no such anchor"),
-        ('<a href="#bottom">down</a>', "#bottom: no such anchor"),
-        ('<img src="other.png">', "other.png: no such file"),
-    ],
-)
-def test_each_fault_is_found(check, site, fault, words):
-    """What is loaded from the network, and what links to nothing, is named with its page."""
-    (site / "a.html").write_text(GOOD + fault, encoding="utf-8")
-    assert list(check.faults_of_pages(site)) == [f"a.html: {words}"]
-
-
-def test_style_sheets_load_nothing_from_the_network(check, site):
-    """Fonts and further sheets are looked for in the sheets too."""
-    (site / "style.css").write_text('@import "https://example.org/more.css";', encoding="utf-8")
-    assert list(check.faults_of_pages(site)) == ["style.css: loads https://example.org/more.css"]
+    for fault, words in FAULTS.items():
+        (tmp_path / "a.html").write_text(GOOD + fault, encoding="utf-8")
+        assert list(check.faults_of_pages(tmp_path)) == ([f"a.html: {words}"] if words else []), fault
+    (tmp_path / "a.html").write_text(GOOD, encoding="utf-8")
+    (tmp_path / "style.css").write_text('@import "https://example.org/more.css";', encoding="utf-8")
+    assert list(check.faults_of_pages(tmp_path)) == ["style.css: loads https://example.org/more.css"]
 
 
 def test_links_of_markdown_files_have_targets(check, tmp_path):
-    """README and its like: a file or a heading that does not exist is named."""
+    """README and its like: a file or a heading that does not exist is named, and those here have none."""
     text = "# A title, here\n[a](b.md) [b](#a-title-here) [c](c.md) [d](b.md#none) [e](https://example.org/x.md)\n"
     (tmp_path / "README.md").write_text(text, encoding="utf-8")
     (tmp_path / "b.md").write_text("# B\n", encoding="utf-8")
@@ -95,21 +62,7 @@ def test_links_of_markdown_files_have_targets(check, tmp_path):
         "README.md: c.md: no such file",
         "README.md: b.md#none: no such heading",
     ]
-
-
-def test_links_of_the_markdown_files_here(check):
-    """README, CONTRIBUTING and the pages beside recordings and robots link to what exists."""
     assert list(check.faults_of_markdown(check.ROOT)) == []
-
-
-@pytest.mark.parametrize("asked", QUESTIONS.splitlines())
-def test_questions_are_answered_on_the_first_screen(asked):
-    """Whoever opens the page with this question reads the answer without scrolling."""
-    person, question, page, answer = asked.split(" | ")
-    before, found, _ = (DOCS / f"{page}.md").read_text(encoding="utf-8").partition(answer)
-    assert found, f"{person} asks {question!r}: {page}.md does not say {answer!r}"
-    pictures = before.count("![") + before.count("{image}")
-    assert len(before.split()) + PICTURE * pictures < SCREEN, f"{person} asks {question!r} and has to scroll"
 
 
 def test_each_figure_is_drawn_from_its_table(tmp_path):
@@ -123,21 +76,9 @@ def test_each_figure_is_drawn_from_its_table(tmp_path):
     assert {p.name for p in tmp_path.glob("*.svg")} == {p.name for p in tables.glob("*.svg")}
 
 
-def test_each_figure_says_where_it_comes_from(tmp_path, capsys):
-    """Those of the project do; a table or picture without commit, day and command, or on no page, is named."""
-    figures = script(DOCS / "list_figures.py")
-    assert list(figures.faults_of_figures()) == []
-    (tmp_path / "docs").mkdir()
-    for name in ("a.csv", "b.svg", "c.png"):
-        (tmp_path / "docs" / name).write_text("", encoding="utf-8")
-    text = "# A\n{download}`a <a.csv>`, Measured at `0123abcd`, 2026-01-02, with `make a`.\n## B\n![b](b.svg)\n"
-    words = "## D\n| a | b |\n|---|---|\n| 1 | as 2 |\n## C\n| a | b |\n|---|---|\n| x | 2.5 % |\n"
-    (tmp_path / "docs" / "page.md").write_text(text + words, encoding="utf-8")
-    (tmp_path / "README.md").write_text("", encoding="utf-8")
-    faults = [fault.split(": ")[:-1] for fault in figures.faults_of_figures(tmp_path)]
-    page = "docs/page.md"
-    assert faults == [[page, "B", "b.svg"], [page, "C", "a table"], ["docs/c.png", "no page shows it"]]
-    assert f"{page}: A: a.csv: 0123abcd 2026-01-02 make a" in capsys.readouterr().out
+def test_each_figure_says_where_it_comes_from():
+    """A table or picture without commit, day and command, or on no page, would be named."""
+    assert list(script(DOCS / "list_figures.py").faults_of_figures()) == []
 
 
 ARM_PAGES = "franka lerobot mujoco ros2_control ur ur5e_in_ten_minutes xarm your_own_arm control".split()

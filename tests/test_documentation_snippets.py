@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from documentation_blocks import Block, blocks, differences
 from documentation_scene import furnish, names, vendors
-from library_source import listed
 from vendor_fakes import Clock
 
 from manip_learn.cli import main
@@ -35,7 +34,7 @@ LONG = ("how_to_choose", "uncut_recordings")
 
 
 @pytest.mark.parametrize(
-    "page", [pytest.param(page, marks=[pytest.mark.slow] * (page.stem in LONG), id=page.stem) for page in WITH_SNIPPETS]
+    "page", [pytest.param(p, marks=[pytest.mark.slow] * (p.stem in LONG), id=p.stem) for p in WITH_SNIPPETS]
 )
 @pytest.mark.timeout(300)
 def test_snippets_run(page, tmp_path, monkeypatch, capsys):
@@ -62,20 +61,15 @@ def test_snippets_run(page, tmp_path, monkeypatch, capsys):
 
 
 def run(block: Block, found: dict[str, object]) -> None:
-    """Python in the page's names; command lines in this process."""
+    """Python in the page's names; command lines in this process, with file patterns replaced by the files."""
     where = f"{block.page.name}:{block.line}"
     if block.language == "python":
         exec(compile(block.text, where, "exec"), found)
         return
     for line in block.commands:
-        code = main(expanded(line))
-        assert code == 0, f"{where}: {line}"
-
-
-def expanded(line: str) -> list[str]:
-    """Arguments as a shell hands them over: without comments, with file patterns replaced by the files."""
-    words = shlex.split(line, comments=True)[1:]
-    return [f for word in words for f in (sorted(glob.glob(word)) if "*" in word else [word])]
+        words = shlex.split(line, comments=True)[1:]
+        typed = [f for word in words for f in (sorted(glob.glob(word)) if "*" in word else [word])]
+        assert main(typed) == 0, f"{where}: {line}"
 
 
 def test_each_block_says_what_it_is():
@@ -92,7 +86,7 @@ def test_each_block_says_what_it_is():
                 for line in lines
                 if line.strip() and line not in block.commands and not OTHER_PROGRAMS.match(line.strip())
             ]
-    assert not faults, listed(faults)
+    assert not faults, faults
 
 
 def test_an_output_is_compared_in_words_and_numbers():

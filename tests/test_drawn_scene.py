@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,17 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mechanism_motions import about, along, demonstrate
 from scipy.spatial.transform import Rotation
-from test_mechanism import MIDDLE, TIP
-from test_playback import data_in, waving
+from test_playback import data_in, unpacked, waving
 
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.commands import tables
 from manip_learn.commands.output import Answer
 from manip_learn.control.command import Status
-from manip_learn.errors import NoPlanError
+from manip_learn.errors import NoPlanError, RecordingError
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
 SHIPPED = {  # folder -> robot, tip, and how many recordings are enough
@@ -30,37 +27,25 @@ SHIPPED = {  # folder -> robot, tip, and how many recordings are enough
     "ur5_loose_door": ("ur5", "tool0", 4),
     "xarm7_drawer_then_table": ("xarm7", "link_eef", 3),
 }
-ARMS = {  # of generated tasks -> tip, and a posture about which the hand takes hold
-    **{name: (TIP[name], MIDDLE[name]) for name in ("panda", "ur5")},
-    "sawyer": ("right_gripper_tip", [0.2, -0.5, 0.1, 1.4, 0.1, 0.6, 0.3]),
-    "xarm7": ("link_eef", [0.2, -0.3, 0.1, 1.2, 0.1, 1.4, 0.2]),
-}
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 AROUND = np.array([[0.35, -0.8, 0.15], [0.35, 0.8, 0.15]])  # [m] where boxes are stated beside the arms
 
 
-def numbers(text: str, dtype: str) -> np.ndarray:
-    """Unpack what a page packs."""
-    return np.frombuffer(base64.b64decode(text), dtype)
-
-
 def centre_line(robot: dict[str, Any], values: np.ndarray) -> np.ndarray:
     """Return points on the lines that join the origins of the joints and the tip, as the page places them (n, 3)."""
-    poses, points, k = [np.eye(4)], [], 0
-    for joint in robot["joints"][1:]:
+    poses = [np.eye(4)]
+    for joint, value in zip(robot["joints"][1:], values, strict=False):
         motion, axis = np.eye(4), np.array(joint["axis"])
         if joint["motion"] == "revolute":
-            motion[:3, :3] = Rotation.from_rotvec(axis * values[k]).as_matrix()
-        elif joint["motion"] == "prismatic":
-            motion[:3, 3] = axis * values[k]
-        k += 1
+            motion[:3, :3] = Rotation.from_rotvec(axis * value).as_matrix()
+        else:
+            motion[:3, 3] = axis * value
         poses.append(poses[joint["parent"]] @ np.reshape(joint["placement"], (4, 4)) @ motion)
-    ends = [(poses[joint["parent"]][:3, 3], pose[:3, 3]) for joint, pose in zip(robot["joints"], poses, strict=True)]
     tip = next(link for link in robot["links"] if link["name"] == robot["tip"])
-    ends.append((poses[tip["joint"]][:3, 3], (poses[tip["joint"]] @ np.reshape(tip["placement"], (4, 4)))[:3, 3]))
-    for a, b in ends[1:]:
-        points.append(a + np.linspace(0.0, 1.0, 9)[:, None] * (b - a))
-    return np.concatenate(points)
+    ends = [(poses[joint["parent"]], pose) for joint, pose in zip(robot["joints"][1:], poses[1:], strict=True)]
+    ends.append((poses[tip["joint"]], poses[tip["joint"]] @ np.reshape(tip["placement"], (4, 4))))
+    shares = np.linspace(0.0, 1.0, 9)[:, None]
+    return np.concatenate([a[:3, 3] + shares * (b - a)[:3, 3] for a, b in ends])
 
 
 def inside(body: dict[str, Any], points: np.ndarray) -> bool:
@@ -86,8 +71,8 @@ def moments_inside(page: dict[str, Any]) -> int:
         assert set(mechanism) == {"type", "sentence", "shown", "hold", "lines", "patches", "way", "constraint"}
     count = 0
     for rollout in page["rollouts"]:
-        times = numbers(rollout["keyTimes"], "<f8")
-        postures = numbers(rollout["tracks"], "<f8").reshape(len(times), -1)
+        times = unpacked(rollout["keyTimes"], "<f8")
+        postures = unpacked(rollout["tracks"], "<f8").reshape(len(times), -1)
         for values in postures[:: max(1, len(postures) // 60)]:
             line = centre_line(page["robot"], values)
             count += any(inside(body, line) for body in rollout["around"])
@@ -123,25 +108,6 @@ def test_no_arm_is_inside_what_is_drawn(folder: str, tmp_path: Path):
     assert [moments_inside(page) for page in pages] == [0] * len(pages)
     drawn = {body["name"] for page in pages[1:] for rollout in page["rollouts"] for body in rollout["around"]}
     assert drawn in (set(), {"floor", "box 0", "box 1", "post"})  # as stated, and all of it
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", range(20))
-def test_no_arm_is_inside_what_is_drawn_of_generated_tasks(number: int, tmp_path: Path):
-    """The same of drawers and doors at random places, firmly and loosely grasped, with several arms."""
-    rng, name, firm = np.random.default_rng([66, number]), sorted(ARMS)[number % 4], number % 8 < 4
-    robot = ml.load_robot(name, locked=FINGERS if name == "panda" else ())
-    (tip, posture), middle = ARMS[name], np.array(ARMS[name][1])
-    hand = robot.position(posture, robot.frame(tip))
-    axis = rng.normal(size=3)
-    axis /= np.linalg.norm(axis)
-    way = along(axis[None], 0.12, firm)
-    if number % 3:
-        across = np.cross(axis, rng.normal(size=3))
-        way = about(axis, hand + 0.35 * across / np.linalg.norm(across), 0.35, firm=firm)
-    demos = ml.Demonstrations(demonstrate(robot, tip, middle, way, rng, grip=0.1))
-    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "pose")).fit(demos)
-    assert sum(map(moments_inside, pages_of(learner.skill_, demos, tmp_path))) == 0
 
 
 def test_a_body_around_the_arm_is_found_and_an_assumed_floor_is_neither_drawn_nor_framed(robot_of, tmp_path: Path):
@@ -198,3 +164,67 @@ def test_a_page_says_every_warning_of_the_terminal(
         ]
         assert doubts and all(doubt in printed and doubt in notes for doubt in doubts), words
     assert answers[1].warnings and answers[-2].warnings  # there is something to say
+
+
+# ---- what a plan keeps clear of --------------------------------------------------------------------------------------
+
+TRIANGLES = ([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+READY = [0.0, -0.5, 0.0, 1.4, 0.0, 0.6, 0.0]
+
+
+@pytest.fixture(scope="module")
+def planned(robot_of) -> ml.Plan:
+    """A way among one thing of each kind."""
+    sawyer = robot_of("sawyer")
+    drawer = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(sawyer, "right_gripper_tip"))
+    scene = ml.Scene(
+        floor=-0.9,
+        boxes=[ml.Box((0.3, 0.2, 0.1), (0.3, 0.9, 0.2), "box")],
+        spheres=[ml.Sphere(0.1, (0.3, -0.9, 0.2), "ball")],
+        cylinders=[ml.Cylinder(0.05, 0.4, (-0.6, 0.5, 0.2), "post")],
+        meshes=[ml.Mesh(TRIANGLES, (-0.6, -0.5, 0.2), "wedge")],
+    )
+    return ml.plan(drawer, ml.motion(drawer, along=-0.1), READY, candidates=48, scene=scene)
+
+
+def test_a_rollout_carries_what_stands_around(planned: ml.Plan, robot_of, tmp_path: Path):
+    """Names, kinds, sizes and places, in both formats that are read back and on its page; damaged ones are refused."""
+    sawyer, around = robot_of("sawyer"), {thing["name"]: thing for thing in planned.rollout.around}
+    kinds = {"floor": "face", "box": "box", "ball": "sphere", "post": "cylinder", "wedge": "mesh"}
+    assert {name: thing["kind"] for name, thing in around.items()} == kinds
+    assert around["box"]["size"] == pytest.approx([0.3, 0.2, 0.1])
+    assert around["post"]["size"] == pytest.approx([0.05, 0.4])
+    assert np.array(around["floor"]["pose"])[2, 3] == pytest.approx(-0.9)
+    assert len(around["wedge"]["faces"]) == 4 and not any(thing["assumed"] for thing in around.values())
+    for name in ("a.npz", "a.csv"):
+        assert ml.Rollout.load(planned.save(tmp_path / name), sawyer).around == planned.rollout.around
+    page = data_in(ml.replay(sawyer, {"plan": planned.rollout}, tmp_path / "a.html", open_browser=False).html)
+    things = {thing["name"]: thing for thing in page["rollouts"][0]["around"]}
+    assert things["box"]["size"] == [0.3, 0.2, 0.1] and things["post"]["size"] == [0.05, 0.4]
+    places = {name: np.reshape(thing["pose"], (4, 4))[:3, 3].tolist() for name, thing in things.items()}
+    assert places["box"] == [0.3, 0.9, 0.2] and places["ball"] == [0.3, -0.9, 0.2]
+    assert [name for name, thing in things.items() if thing["mesh"]] == ["wedge"]
+    file = tmp_path / "a.csv"
+    file.write_text(file.read_text().replace('"kind": "sphere"', '"kind": "cloud"'))
+    with pytest.raises(RecordingError):
+        ml.Rollout.load(file, sawyer)
+
+
+@pytest.mark.parametrize("kind", ["drawer", "door", "table"])
+def test_furniture_stops_an_arm_that_is_drawn_through_it(robot_of, kind: str):
+    """Pulled with a person's force to a place behind the furniture, the hand does not get there."""
+    pytest.importorskip("mujoco")
+    from manip_learn.teach.arm import TeachingArm
+    from manip_learn.teach.scene import place_scene
+
+    sawyer = robot_of("sawyer")
+    scene = place_scene(kind, sawyer, "right_gripper_tip", np.random.default_rng(4))  # type: ignore[arg-type]
+    handle, arm = scene.handle, TeachingArm(scene, np.random.default_rng(0), in_real_time=False)
+    start = arm.place
+    behind = -0.35 * handle.axis if kind == "table" else -0.6 * handle.pose[:3, 1]
+    goal = handle.pose[:3, 3] + behind
+    for k in range(400):
+        arm.pull(None, None, start + (goal - start) * min(1.0, k / 300))
+        arm.wait()
+    assert np.linalg.norm(arm.place - goal) > 0.1
+    assert np.max(np.abs(arm.data.qvel)) < 0.5

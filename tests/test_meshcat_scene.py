@@ -46,37 +46,28 @@ def door() -> tuple[ml.Robot, ml.Demonstrations, ml.Constraint]:
 
 
 def test_the_scene_is_the_arm_and_what_was_learnt(door):
-    """Links stand where the kinematics has them; the tube of the path goes from the grasps to the target, no more."""
+    """Links stand where the kinematics has them; the tube of the path goes from the grasps to the target, no more; what
+    is no viewer is refused.
+    """
     robot, demos, constraint = door
     viewer, q = Notebook(), demos[0].q[-1]
-    move = ml.show(robot, viewer, constraint, demos[0].q[0])
-    move(q)
+    ml.show(robot, viewer, constraint, demos[0].q[0])(q)
+    kept = {path[1:]: value for path, value in viewer.kept.items()}
     model, data = robot.pinocchio_model, robot.pinocchio_model.createData()
     pin.forwardKinematics(model, data, robot.pinocchio_configuration(q))
     for joint in range(model.njoints):
-        pose = viewer.kept["manip_learn", "arm", str(joint), "pose"]
-        np.testing.assert_allclose(pose, data.oMi[joint].homogeneous, atol=1e-12)
-    assert {path[1] for path in viewer.kept} == {"arm", "mechanism", "path", "grasps", "target"}
-    assert sum(path[1] == "grasps" and path[-1] != "pose" for path in viewer.kept) == len(constraint.shown.grasps)
-    np.testing.assert_allclose(
-        viewer.kept["manip_learn", "target", "0", "pose"][:3, 3], constraint.shown.points[-1], atol=1e-12
-    )
-    tube = (
-        viewer.kept["manip_learn", "path"].vertices.T
-        if viewer.kept["manip_learn", "path"].vertices.shape[0] == 3
-        else viewer.kept["manip_learn", "path"].vertices
-    )
-    apart = np.linalg.norm(tube[:, None] - constraint.shown.points[None], axis=2)
-    around = apart.min(axis=1)
+        np.testing.assert_allclose(kept["arm", str(joint), "pose"], data.oMi[joint].homogeneous, atol=1e-12)
+    assert {path[0] for path in kept} == {"arm", "mechanism", "path", "grasps", "target"}
+    assert sum(path[0] == "grasps" and path[-1] != "pose" for path in kept) == len(constraint.shown.grasps)
+    np.testing.assert_allclose(kept["target", "0", "pose"][:3, 3], constraint.shown.points[-1], atol=1e-12)
+    tube = kept["path",].vertices
+    tube = tube.T if tube.shape[0] == 3 else tube
+    around = np.linalg.norm(tube[:, None] - constraint.shown.points[None], axis=2).min(axis=1)
     np.testing.assert_allclose(around[around > 1e-6], 0.008, atol=1e-3)  # others are the middles of the ends
     ml.show(robot, viewer)
     assert {path[1] for path in viewer.kept} == {"arm"}  # what an earlier call has drawn is gone
-
-
-def test_what_is_no_viewer_is_refused(door):
-    """One sentence says what is needed."""
     with pytest.raises(ConfigurationError, match=r"meshcat\.Visualizer"):
-        ml.show(door[0], object())
+        ml.show(robot, object())
 
 
 @pytest.mark.browser
@@ -86,6 +77,7 @@ def test_a_real_viewer_shows_it(kind, door, chromium):
     meshcat = pytest.importorskip("meshcat")
     robot, demos, constraint = door
     viewer = own = meshcat.Visualizer()
+    find = "viewer.scene_tree.find(['meshcat', 'manip_learn', {}]).object"
     try:
         if kind == "pinocchio":
             from pinocchio.visualize import MeshcatVisualizer
@@ -96,22 +88,15 @@ def test_a_real_viewer_shows_it(kind, door, chromium):
         move = ml.show(robot, viewer, constraint, demos[0].q[0])
         page = chromium.new_page()
         page.goto(own.url())
-        page.wait_for_function(
-            "window.viewer && viewer.scene_tree.find(['meshcat', 'manip_learn', 'target', '0']).object.children.length"
-        )
-        target = (
-            "viewer.scene_tree.find(['meshcat', 'manip_learn', 'target', '0']).object.matrix.elements.slice(12, 15)"
-        )
-        np.testing.assert_allclose(page.evaluate(target), constraint.shown.points[-1], atol=1e-6)
-        if kind == "meshcat":
-            for q in demos[0].q[[0, -1]]:
-                move(q)
-                last = str(robot.pinocchio_model.njoints - 1)
-                place = f"viewer.scene_tree.find(['meshcat', 'manip_learn', 'arm', '{last}']).object.matrix.elements"
-                wanted = robot.pose(q, robot.pinocchio_model.names[int(last)])
-                page.wait_for_function(
-                    f"(w) => {place}.every((x, i) => Math.abs(x - w[i]) < 1e-6)", arg=wanted.T.reshape(-1).tolist()
-                )
+        target, last = find.format("'target', '0'"), robot.pinocchio_model.njoints - 1
+        page.wait_for_function(f"window.viewer && {target}.children.length")
+        place = page.evaluate(f"{target}.matrix.elements.slice(12, 15)")
+        np.testing.assert_allclose(place, constraint.shown.points[-1], atol=1e-6)
+        for q in demos[0].q[[0, -1]] if kind == "meshcat" else ():
+            move(q)
+            hand = find.format(f"'arm', '{last}'") + ".matrix.elements"
+            wanted = robot.pose(q, robot.pinocchio_model.names[last]).T.reshape(-1).tolist()
+            page.wait_for_function(f"(w) => {hand}.every((x, i) => Math.abs(x - w[i]) < 1e-6)", arg=wanted)
         page.close()
     finally:
         own.window.server_proc.kill()

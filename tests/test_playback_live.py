@@ -49,13 +49,6 @@ class Heard(list):
 
 
 @pytest.fixture
-def viewer(robot_of):
-    """A viewer without a browser."""
-    with LiveViewer(robot_of("planar3"), open_browser=False) as viewer:
-        yield viewer
-
-
-@pytest.fixture
 def heard():
     """What the process has heard."""
     return Heard()
@@ -135,19 +128,44 @@ def ends(pid):
     return True
 
 
-def test_page_and_stream(viewer):
-    """The page is served under its secret address, and the stream has the newest posture, as it was when shown."""
-    status, body = answer(viewer.url)
-    assert status == 200 and b'data-mode="live"' in body and b"connect-src 'self'" in body
-    q = np.array([0.1, 0.2, 0.3])
-    viewer.show(q, manipulability=0.5, time=7.0)
-    q[:] = 9.0
-    with stream(viewer.url) as events:
-        assert next(events) == ("message", {"time": 7.0, "values": [0.1, 0.2, 0.3], "mu": 0.5})
-    for wrong, mu in ((np.array([0.0, np.nan, 0.0]), 0.1), (np.zeros(4), 0.1), (np.zeros(3), np.inf)):
-        with pytest.raises(ConfigurationError):
-            viewer.show(wrong, manipulability=mu)
-    assert viewer.is_open
+def test_a_viewer_is_on_this_machine_only(robot_of, monkeypatch):
+    """The server listens on 127.0.0.1 and on no other address. The page is served under its secret address, which is in
+    no command line: the browser is given a file that only this user can read and that leads to the page, and goes with
+    the viewer. The stream has the newest posture, as it was when shown; pages of a viewer say nothing. When the server
+    dies the program goes on; showing and closing raise nothing.
+    """
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    with LiveViewer(robot_of("planar3")) as viewer:
+        address = urlsplit(viewer.url)
+        (file,) = (Path(urlsplit(one).path) for one in opened)
+        assert viewer.url in file.read_text() and address.path.strip("/") not in opened[0]
+        assert file.parent.stat().st_mode & 0o077 == 0
+        assert address.hostname == "127.0.0.1" and post(viewer.url) == 501
+        if sys.platform == "linux":
+            tables = [Path(f"/proc/net/{name}").read_text().splitlines()[1:] for name in ("tcp", "tcp6")]
+            rows = [line.split() for table in tables for line in table]
+            ports = [r[1] for r in rows if len(r) > 3 and r[3] == "0A" and r[1].endswith(f":{address.port:04X}")]
+            assert ports == [f"0100007F:{address.port:04X}"]
+        status, body = answer(viewer.url)
+        assert status == 200 and b'data-mode="live"' in body and b"connect-src 'self'" in body
+        q = np.array([0.1, 0.2, 0.3])
+        viewer.show(q, manipulability=0.5, time=7.0)
+        q[:] = 9.0
+        with stream(viewer.url) as events:
+            assert next(events) == ("message", {"time": 7.0, "values": [0.1, 0.2, 0.3], "mu": 0.5})
+        for wrong, mu in ((np.array([0.0, np.nan, 0.0]), 0.1), (np.zeros(4), 0.1), (np.zeros(3), np.inf)):
+            with pytest.raises(ConfigurationError):
+                viewer.show(wrong, manipulability=mu)
+        assert viewer.is_open
+        os.kill(pid := server_pid(), signal.SIGKILL)
+        assert ends(pid)
+        viewer.show(np.zeros(3))
+        assert not viewer.is_open
+        viewer.close()
+        viewer.close()
+        viewer.show(np.zeros(3))
+    assert not file.parent.exists()
 
 
 def test_strangers_get_nothing_and_are_not_heard(process, heard):
@@ -191,17 +209,6 @@ def test_strangers_get_nothing_and_are_not_heard(process, heard):
             assert HELLO not in connection.recv(4096)
 
 
-def test_only_this_machine_can_connect(viewer):
-    """The server listens on 127.0.0.1 and on no other address; pages of a viewer say nothing."""
-    port = urlsplit(viewer.url).port
-    assert urlsplit(viewer.url).hostname == "127.0.0.1" and post(viewer.url) == 501
-    if sys.platform == "linux":
-        with open("/proc/net/tcp") as table, open("/proc/net/tcp6") as table6:
-            rows = [line.split() for line in [*table, *table6][1:]]
-        listening = [r[1] for r in rows if len(r) > 3 and r[3] == "0A" and r[1].endswith(f":{port:04X}")]
-        assert listening == [f"0100007F:{port:04X}"]
-
-
 def test_show_does_not_wait(process):
     """Putting returns even when the server is frozen and its pipe is full; closing then ends the server."""
     begun, made = threading.Event(), []
@@ -221,30 +228,6 @@ def test_show_does_not_wait(process):
     process.close()
     process.close()
     assert ends(pid) and not process.is_open
-
-
-def test_dead_server_does_not_stop_the_program(viewer):
-    """When the server dies the program goes on; showing and closing raise nothing."""
-    pid = server_pid()
-    os.kill(pid, signal.SIGKILL)
-    assert ends(pid)
-    viewer.show(np.zeros(3))
-    assert not viewer.is_open
-    viewer.close()
-    viewer.close()
-    viewer.show(np.zeros(3))
-
-
-def test_the_address_is_in_no_command_line(robot_of, monkeypatch):
-    """The browser is given a file that only this user can read and that leads to the page; it goes with the viewer."""
-    opened: list[str] = []
-    monkeypatch.setattr(webbrowser, "open", opened.append)
-    with LiveViewer(robot_of("planar3")) as viewer:
-        (file,) = (Path(urlsplit(one).path) for one in opened)
-        token = urlsplit(viewer.url).path.strip("/")
-        assert viewer.url in file.read_text() and token not in opened[0]
-        assert file.parent.stat().st_mode & 0o077 == 0
-    assert not file.parent.exists()
 
 
 PROGRAM = """
@@ -348,15 +331,15 @@ def test_pages_are_counted(process, heard):
     again before the server has seen its first stream end counts once.
     """
     open_pages = {}
-    for page, pages in (
-        *(("one", ["one"]), ("two", ["one", "two"]), ("one", ["two"]), ("one", ["two", "one"])),
-        *(("three", ["two", "one", "three"]), ("two", ["one", "three"])),
+    for step, pages in (
+        *(("+one", ["one"]), ("+two", ["one", "two"]), ("-one", ["two"]), ("+one", ["two", "one"])),
+        *(("+three", ["two", "one", "three"]), ("-two", ["one", "three"])),
     ):
-        if page in open_pages:
-            open_pages.pop(page).close()
+        if step[0] == "+":
+            open_pages[step[1:]] = contextlib.ExitStack()
+            open_pages[step[1:]].enter_context(stream(process.url, step[1:]))
         else:
-            open_pages[page] = contextlib.ExitStack()
-            open_pages[page].enter_context(stream(process.url, page))
+            open_pages[step[1:]].close()
         assert heard.until(lambda all_, p=pages: all_ and all_[-1] == {"pages": p})
     assert len(heard) == 6
     with stream(process.url, "one"):
@@ -415,12 +398,7 @@ def test_busy_program_holds_up_nobody(heard):
     closing ends the process.
     """
     go_on, statuses = threading.Event(), []
-
-    def busy(line):
-        go_on.wait(60.0)
-        heard(line)
-
-    process = LiveProcess(lambda token: HELLO.decode(), 10.0, busy)
+    process = LiveProcess(lambda token: HELLO.decode(), 10.0, lambda line: (go_on.wait(60.0), heard(line)))
     pid, body = server_pid(), json.dumps({"text": 15_000 * "x"}).encode()
     speakers = [threading.Thread(target=lambda: statuses.append(post(process.url, body))) for _ in range(20)]
     with stream(process.url) as events:

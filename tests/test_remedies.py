@@ -1,56 +1,88 @@
 """A remedy works when it is obeyed: the flags that a refusal names are typed, and the recording is then read, or the
-next sentence is another one.
+next sentence is another one; for what is wrong, and for names of joints in files of every format.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+import re
+import shlex
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
-from obeying import advised
-from recording_corpus import GOOD, JOINTS, TABLE, TIME, VELOCITIES, Q, csv, npz, text
+import scipy.io
+from case import case
+from recording_corpus import GOOD, JOINTS, TABLE, TIME, VELOCITIES, Q, csv, npz, refusal, text
 from recording_formats import (
+    ENV_ARGS,
     ROS2,
     START,
     STEPS,
+    Build,
     Writer2,
     all_in_one,
+    archive,
     dataset,
     frames,
+    h5py,
     info,
     motion,
+    one,
+    pa,
+    robomimic,
+    some,
+    table,
     version_2,
     write_bag,
 )
-from recording_formats import robomimic as write
+from recording_formats import bag as bag_of
 
+import manip_learn as ml
 from manip_learn.cli import main
 
-Build = Callable[[Path], Path]
 RADIANS = ("--units", "radians")
-STATES = motion(0).tolist()
+NAMED = ("--joint-names", ",".join(JOINTS))
 QPOS = {"dtype": "float32", "shape": [3], "names": list(JOINTS)}
-HEADER = ",".join(("time", *JOINTS))
+HEAD = "time,joint1,joint2,joint3"
+OTHER = 0.5 * Q + 0.1  # of a second arm
+# a flag, and its value: a word, or what stands in quotes
+FLAG = r"--[a-z][a-z-]*(?: (?:'[^']*'|[^\s'-][^\s;]*(?<![:.,;])))?"
+RUN = re.compile(rf"(?<![\w-]){FLAG}(?: {FLAG})*")
+WITHOUT_VALUE = re.compile(r"(--degrees|--xacro)\b.*")
 
 
-def one(name: str, write_it: Callable[[Path], Any]) -> Build:
-    """A file of this name."""
-    return lambda folder: (write_it(folder / name), folder / name)[1]
+def advised(sentence: str) -> list[list[str]]:
+    """Words to type, one list for each way that the sentence offers."""
+    sentence = sentence.replace("<samples per second>", "50")
+    return [shlex.split(WITHOUT_VALUE.sub(r"\1", run)) for run in RUN.findall(sentence)]
 
 
-def columns(header: str, *parts: np.ndarray) -> Build:
-    return one("a.csv", text(csv(np.column_stack(parts), header)))
+def said(path: Path, out: Path, words: Sequence[str], capsys: Any) -> dict[str, str]:
+    """The error of `export`, or nothing."""
+    code = main(["export", "planar3", str(path), "--to", "csv", "--out", str(out), *words, "--json"])
+    assert code in (0, 2)
+    return json.loads(capsys.readouterr().out).get("error", {})
+
+
+def obeyed(path: Path, out: Path, capsys: Any, given: Sequence[str], way: int = 0, most: int = 3) -> list[str]:
+    """The codes of the refusals that are obeyed until the recording is read; each must be another one."""
+    heard: dict[str, str] = {}
+    words = list(given)
+    while error := said(path, out, words, capsys):
+        assert error["message"] not in heard, f"obeyed {words}, and heard again: {error['message']}"
+        ways = advised(error["message"])
+        assert ways and len(heard) < most, f"{words}: {error['message']}"
+        words += ways[0 if heard else min(way, len(ways) - 1)]
+        heard[error["message"]] = error["code"]
+    return list(heard.values())
 
 
 def bag(*streams: list[Any]) -> Build:
-    messages = sorted((m for stream in streams for m in stream), key=lambda m: m[1])
-    return lambda folder: write_bag(folder / "bag", "mcap", messages)
+    return bag_of("mcap", *streams)
 
 
 def chatter(folder: Path) -> Path:
@@ -61,12 +93,6 @@ def chatter(folder: Path) -> Path:
     return folder / "bag"
 
 
-def some(positions: slice, later: int = 0) -> list[Any]:
-    """Messages about some of the joints only, so many nanoseconds later."""
-    stamps = [START + int(s) + later for s in STEPS]
-    return [("/joint_states", s, (s, JOINTS[positions], Q[0][positions], ())) for s in stamps]
-
-
 def shuffled(folder: Path) -> Path:
     """Stamps in no order at all, received in one."""
     order = np.random.default_rng(0).permutation(len(STEPS))
@@ -74,8 +100,7 @@ def shuffled(folder: Path) -> Path:
     return write_bag(folder / "bag", "mcap", parts)
 
 
-def changing_names() -> list[Any]:
-    return [(t, r, (s, (f"x{k}", *n[1:]), q)) for k, (t, r, (s, n, q, *_)) in enumerate(all_in_one() * 6)]
+CHANGING = [(t, r, (s, (f"x{k}", *n[1:]), q)) for k, (t, r, (s, n, q, *_)) in enumerate(all_in_one() * 6)]
 
 
 def lerobot(described: Any = None, drop: tuple[str, ...] = (), **more: Any) -> Build:
@@ -87,90 +112,265 @@ def lerobot(described: Any = None, drop: tuple[str, ...] = (), **more: Any) -> B
 def without_a_file(folder: Path) -> Path:
     root = version_2(folder / "set", list(JOINTS))
     (root / "data/chunk-000/episode_000010.parquet").unlink()
-    described = root / "meta/info.json"
-    described.write_text(json.dumps({**json.loads(described.read_text()), "total_episodes": 4}))
+    (root / "meta/info.json").write_text(json.dumps({**info(list(JOINTS)), "total_episodes": 4}))
     return root
 
 
 # what is wrong -> the code of its refusal, how it is written, what is typed beside the path
 REFUSED: dict[str, tuple[str, Build, tuple[str, ...]]] = {
     "a table without a header": ("no-header", one("a.csv", text(csv(TABLE).partition("\n")[2])), ()),
-    "a table without stamps": ("no-time", columns(",".join(JOINTS), Q), ()),
-    "a stamp by an odd name": ("no-time", columns("zeit," + ",".join(JOINTS), TABLE), ()),
-    "numbered columns": ("numbered-columns", columns("time,q_0,q_1,q_2", TABLE), ()),
-    "several patterns": (
-        "columns", columns("time,a.joint1,a.joint2,a.joint3,b.joint1,b.joint2,b.joint3", TIME, Q, Q), ()
-    ),
-    "a column of something else": ("unknown-column", columns(HEADER + ",force", TABLE, TIME), ()),
-    "a misspelt joint": ("missing-joint", columns("time,joint1,joint2,joint_3", TABLE), ()),
-    "a joint that stood still": ("missing-joint", columns("time,joint1,joint2", TABLE[:, :3]), ()),
-    "one stamp for all": ("too-short", columns(HEADER, 0.0 * TIME, Q), ()),
-    "degrees": ("degrees", columns(HEADER, TIME, np.degrees(Q)), ()),
-    "far outside the limits": ("outside-limits", columns(HEADER, TIME, Q + [0.0, 900.0, 0.0]), ()),
-    "an archive without stamps": ("no-time", one("a.npz", npz(q=Q, joint_names=np.array(JOINTS))), ()),
-    "an archive without names": ("no-joint-names", one("a.npz", npz(time=TIME, q=Q)), ()),
+    "a table without stamps": ("no-time", table(",".join(JOINTS), Q), ()),
+    "a stamp by an odd name": ("no-time", table("zeit," + ",".join(JOINTS), TABLE), ()),
+    "a misspelt stamp": ("no-time", table("tmie," + ",".join(JOINTS), TABLE), ()),
+    "numbered columns": ("numbered-columns", table("time,q_0,q_1,q_2", TABLE), ()),
+    "several patterns": ("columns", table("time,a.joint1,a.joint2,a.joint3,b.joint1,b.joint2,b.joint3", TABLE, Q), ()),
+    "a column of something else": ("unknown-column", table(HEAD + ",force", TABLE, TIME), ()),
+    "a misspelt joint": ("missing-joint", table("time,joint1,joint2,joint_3", TABLE), ()),
+    "a joint that stood still": ("missing-joint", table("time,joint1,joint2", TABLE[:, :3]), ()),
+    "one stamp for all": ("too-short", table(HEAD, 0.0 * TIME, Q), ()),
+    "degrees": ("degrees", table(HEAD, TIME, np.degrees(Q)), ()),
+    "far outside the limits": ("outside-limits", table(HEAD, TIME, Q + [0.0, 900.0, 0.0]), ()),
+    "an archive without stamps": ("no-time", archive(time=None, u=None), ()),
+    "an archive without names": ("no-joint-names", archive(joint_names=None, u=None), ()),
     "an archive of another name": (
-        "missing-array", one("a.npz", npz(time=TIME, measured=Q, other=Q, joint_names=np.array(JOINTS))), ()
+        "missing-array",
+        one("a.npz", npz(time=TIME, measured=Q, other=Q, joint_names=JOINTS)),
+        (),
     ),
-    "too few names": ("shape", one("a.npz", npz(time=TIME, q=Q)), ("--joint-names", "joint1,joint2")),
+    "too few names": ("shape", archive(joint_names=None, u=None), ("--joint-names", "joint1,joint2")),
     "several topics": ("ambiguous-topic", bag(all_in_one(topic="/real"), all_in_one(topic="/other")), ()),
-    "names that change": ("unsteady-names", bag(changing_names(), all_in_one(topic="/real")), ()),
+    "names that change": ("unsteady-names", bag(CHANGING, all_in_one(topic="/real")), ()),
     "no order in a bag": ("time-order", shuffled, ()),
     "no units": ("units", lerobot(), ()),
     "no names of motors": ("no-joint-names", lerobot(info(None)), RADIANS),
     "another feature": (
         "no-state",
-        lerobot({"codebase_version": "v2.1", "fps": 50, "features": {"qpos": QPOS}}, qpos=pa.array(STATES)),
+        lerobot({"codebase_version": "v2.1", "fps": 50, "features": {"qpos": QPOS}}, qpos=pa.array(motion(0).tolist())),
         RADIANS,
     ),
     "stamps against fps": ("fps", lerobot(timestamp=pa.array(np.arange(80) / 30.0)), RADIANS),
     "no rate": ("no-time", lerobot({**info(list(JOINTS)), "fps": None}, drop=("timestamp",)), RADIANS),
     "a file is missing": ("lost-samples", without_a_file, RADIANS),
-    "no names in HDF5": ("no-joint-names", one("a.hdf5", write), ()),
-    "no rate in HDF5": (
-        "no-time", one("a.hdf5", lambda path: write(path, env_args=None)), ("--joint-names", ",".join(JOINTS))
-    ),
-}  # fmt: skip
+    "no names in HDF5": ("no-joint-names", one("a.hdf5", robomimic), ()),
+    "no rate in HDF5": ("no-time", one("a.hdf5", lambda path: robomimic(path, env_args=None)), NAMED),
+}
 # what no flag mends -> the code, how it is written, what is typed, and what the sentence says instead
 TO_DO: dict[str, tuple[str, Build, tuple[str, ...], str]] = {
-    "velocities only": (
-        "no-positions", columns("time" + VELOCITIES, TABLE), (), "record positions too"
-    ),
+    "velocities only": ("no-positions", table("time" + VELOCITIES, TABLE), (), "record positions too"),
     "no overlap": (
-        "no-overlap", bag(some(slice(0, 2)), some(slice(2, 3), later=60_000_000_000)), (), "record them together"
+        "no-overlap",
+        bag(some("/joint_states", (0, 1)), some("/joint_states", (2,), stamps=STEPS + 60_000_000_000)),
+        (),
+        "record them together",
     ),
     "no joint states": ("no-joint-states", chatter, (), "record /joint_states"),
     "radians called degrees": ("degrees", one("a.csv", text(GOOD)), ("--degrees",), "leave --degrees out"),
     "a link to itself": ("unreadable", one("a.csv", lambda path: path.symlink_to(path)), (), "cannot be opened"),
     "a pipe": ("not-a-file", one("a.csv", lambda path: os.mkfifo(path)), (), "write it to a file first"),
-}  # fmt: skip
-
-
-def refusal(path: Path, out: Path, words: list[str], capsys) -> dict[str, str]:
-    """The error of `export`, or nothing."""
-    code = main(["export", "planar3", str(path), "--to", "csv", "--out", str(out), *words, "--json"])
-    assert code in (0, 2)
-    return json.loads(capsys.readouterr().out).get("error", {})
+}
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_the_flags_in_a_sentence_mend_what_is_wrong(name: str, tmp_path: Path, capsys) -> None:
     """No sentence is heard twice, and after three at the most the recording is read."""
     code, build, given = REFUSED[name]
-    path, words, heard = build(tmp_path), list(given), list[str]()
-    while error := refusal(path, tmp_path / "out", words, capsys):
-        assert error["message"] not in heard, f"{words}: heard again: {error['message']}"
-        assert heard or error["code"] == code, error
-        heard.append(error["message"])
-        ways = advised(error["message"])
-        assert ways and len(heard) < 4, heard
-        words += ways[0]
-    assert heard
+    assert obeyed(build(tmp_path), tmp_path / "out", capsys, given)[0] == code
 
 
 @pytest.mark.parametrize("name", TO_DO)
 def test_what_no_flag_mends_says_what_to_do(name: str, tmp_path: Path, capsys) -> None:
     """In the sentence that refuses it."""
     code, build, words, says = TO_DO[name]
-    error = refusal(build(tmp_path), tmp_path / "out", list(words), capsys)
+    error = said(build(tmp_path), tmp_path / "out", words, capsys)
     assert error["code"] == code and says in error["message"], error
+
+
+# ---- names of joints in every format ---------------------------------------------------------------------------------
+
+Write = Callable[[Path, Sequence[str], np.ndarray], tuple[Path, list[str]]]
+
+
+def in_bag(kind: str) -> Write:
+    def write(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, list[str]]:
+        messages: list[Any] = [
+            ("/joint_states", START + int(s), (START + int(s), names, x)) for s, x in zip(STEPS, q, strict=True)
+        ]
+        return write_bag(folder / "bag", kind, messages), []
+
+    return write
+
+
+def data_set(form: Callable[[Sequence[str]], object]) -> Write:
+    def write(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, list[str]]:
+        described = info(form(names))
+        described["features"]["observation.state"]["shape"] = [len(names)]
+        columns = {"observation.state": pa.array(q.tolist()), "timestamp": TIME, "episode_index": np.zeros(len(q), int)}
+        return dataset(folder / "set", described, {"data/episode_000000.parquet": pa.table(columns)}), list(RADIANS)
+
+    return write
+
+
+def in_file(name: str, write: Callable[[Path, Sequence[str], np.ndarray], object], *options: str) -> Write:
+    """A file of this name; in its options, {} stands for the joints."""
+
+    def built(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, list[str]]:
+        write(folder / name, names, q)
+        return folder / name, [word.format(",".join(names)) for word in options]
+
+    return built
+
+
+def csv_file(path: Path, names: Sequence[str], q: np.ndarray) -> None:
+    table(",".join(["time", *(f'"{n}"' for n in names)]), TIME, q, name=path.name)(path.parent)
+
+
+def hdf5(path: Path, arrays: dict[str, Any], kind: bytes = b"", **more: Any) -> None:
+    """A file of arrays, of MATLAB where they have a class."""
+    with h5py.File(path, "w", **more) as file:
+        for name, array in arrays.items():
+            made = file.create_dataset(name, data=array.T if kind else array)
+            if kind:
+                made.attrs["MATLAB_class"] = np.bytes_(kind)
+
+
+def of_robomimic(path: Path, names: Sequence[str], q: np.ndarray) -> None:
+    with h5py.File(path, "w") as file:
+        file.create_group("data").attrs["env_args"] = ENV_ARGS
+        file["data/demo_0/obs/robot0_joint_pos"] = q
+
+
+def of_matlab_5(path: Path, names: Sequence[str], q: np.ndarray) -> None:
+    content = {"t": TIME, "q": q.T, "joint_names": np.array(names, dtype=object), "x": q[:, :3]}
+    scipy.io.savemat(path, {"demos": {"first": content}}, do_compression=True)
+
+
+def of_matlab_7(path: Path, names: Sequence[str], q: np.ndarray) -> None:
+    hdf5(path, {"log/t": TIME[:, None], "log/q": q, "log/ee_pos": q}, b"double", userblock_size=512)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512, b" "))
+
+
+def of_aloha(path: Path, names: Sequence[str], q: np.ndarray) -> None:
+    observed = {"observations/qpos": q, "observations/qvel": np.gradient(q, 0.02, axis=0)}
+    hdf5(path, observed | {"action": q + 0.1, "observations/images": np.zeros((60, 4, 4, 3), np.uint8)})
+
+
+WRITERS: dict[str, Write] = {
+    "CSV": in_file("demo.csv", csv_file),
+    "NPZ": in_file("demo.npz", lambda path, names, q: np.savez(path, time=TIME, q=q, joint_names=np.array(names))),
+    **{kind: in_bag(kind) for kind in ("ros1", "sqlite", "mcap")},
+    "LeRobot": data_set(list),
+    "LeRobot, nested": data_set(lambda names: [list(names)]),
+    "LeRobot, motors": data_set(lambda names: {"motors": [f"{n}.pos" for n in names]}),
+    "robomimic": in_file("demo.hdf5", of_robomimic, "--joint-names", "{}"),
+    "NPZ without names": in_file(
+        "demo.npz",
+        lambda path, names, q: np.savez(path, timestamps=TIME, joint_positions=q, tcp_pos=q),
+        *("--joint-names", "{}"),
+    ),
+    "a bare array": in_file(
+        "demo.npy",
+        lambda path, names, q: np.save(path, np.column_stack([q, TIME, TIME])),
+        *("--joint-names", "{},time,-"),
+    ),
+    "MATLAB 5": in_file("demo.mat", of_matlab_5),
+    "MATLAB 7.3": in_file("demo.mat", of_matlab_7, "--joint-names", "{}"),
+    "HDF5 as of ALOHA": in_file("episode_0.hdf5", of_aloha, "--joint-names", "{}", "--rate", "50"),
+}
+# how the joints are called in the file
+CALLED: dict[str, tuple[str, ...]] = {
+    "a prefix": tuple(f"left_{j}" for j in JOINTS),
+    "a name space": tuple(f"robot1/{j}" for j in JOINTS),
+    "a suffix": tuple(f"{j}_l" for j in JOINTS),
+    "both": tuple(f"arm-{j}:0" for j in JOINTS),
+    "another word": ("fr3_joint1", "fr3_joint2", "fr3_joint3"),
+    "capitals": ("Joint1", "Joint2", "Joint3"),
+    "a letter for the word": ("J1", "J2", "J3"),
+    "counted from 0": ("q[0]", "q[1]", "q[2]"),
+    "one misspelt": ("joint1", "jiont2", "joint3"),
+    "all misspelt": ("jiont1", "joit2", "jont_3"),
+    "two arms": tuple(f"{side}_{j}" for side in ("left", "right") for j in JOINTS),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_what_is_offered_reads_the_file(name: str, capsys) -> None:
+    """One refusal at most, and each way that it offers reads the joints of that arm: names of every kind in a table, a
+    prefix and two arms in every format. A pointer of Git LFS is named, whichever file was not fetched.
+    """
+    robot = ml.load_robot("planar3")
+    for called in CALLED if name == "CSV" else ("a prefix", "two arms"):
+        for way, q in enumerate([Q, OTHER] if called == "two arms" else [Q]):
+            with case(called, way) as folder:
+                whole = np.hstack([Q, OTHER]) if called == "two arms" else Q
+                path, options = WRITERS[name](folder, CALLED[called], whole)
+                obeyed(path, folder / "out.csv", capsys, options, way, most=1)
+                read = ml.load_demonstrations(folder / "out.csv", robot)[0]
+                np.testing.assert_allclose(read.q, q, atol=1e-6)
+    if name == "a bare array":
+        return
+    with case(name) as folder:
+        good, _ = WRITERS[name](folder, JOINTS, Q)
+        for victim in [good] if good.is_file() else [p for p in good.rglob("*") if p.is_file()]:
+            content = victim.read_bytes()
+            victim.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n")
+            assert refusal(good, robot, units="radians").code == "git-lfs", victim.name
+            victim.write_bytes(content)
+
+
+def lines(header: str, *after: str, first: Callable[[int], str] = lambda i: "", end: str = "") -> str:
+    """A table of stamps and positions with something before and after each row."""
+    body = [first(i) + ",".join(f"{x:.17g}" for x in row) + end for i, row in enumerate(np.column_stack([TIME, Q]))]
+    return "\n".join([header, *body, *after, ""])
+
+
+BARE = "\n".join(" ".join(f"{x:.17g}" for x in row) for row in Q) + "\n"
+# how a table is written -> its text, and options
+TABLES: dict[str, tuple[str, list[str]]] = {
+    "a comma at each line's end": (lines(HEAD + ",", end=","), []),
+    "a comma at each row's end": (lines(HEAD, end=","), []),
+    "R, names of rows": (lines('"time","joint1","joint2","joint3"', first=lambda i: f'"{i + 1}",'), []),
+    "R, names of rows without quotes": (lines(HEAD, first=lambda i: f"{i + 1},"), []),
+    "R, a name of the names": (lines('"",' + HEAD, first=lambda i: f'"{i + 1}",'), []),
+    "row numbers without a name": (lines("," + HEAD, first=lambda i: f"{i},"), []),
+    "row numbers of a part": (lines("," + HEAD, first=lambda i: f"{i + 500},"), []),
+    "names with commas": (lines('"time","a,joint1","a,joint2","a,joint3"'), []),
+    "a name with a comma beside the joints": (lines(f'{HEAD},"x, y"', end=",1.5"), ["--columns", "{joint}"]),
+    "text with commas": (lines(f"{HEAD},label", end=',"a, b"'), ["--columns", "{joint}"]),
+    "no header": (lines(HEAD).split("\n", 1)[1], ["--joint-names", HEAD]),
+    "no header, a column too many": (lines("", end=",7").split("\n", 1)[1], ["--joint-names", f"{HEAD},-"]),
+    "no header, no time": (BARE, [*NAMED, "--rate", "50"]),
+    "no time": ("joint1 joint2 joint3\n" + BARE, ["--rate", "50"]),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_other_programs_are_read(name: str, tmp_path: Path, capsys) -> None:
+    """Positions and stamps are those that were written; without the options a refusal says what to type."""
+    content, options = TABLES[name]
+    (path := tmp_path / "demo.csv").write_text(content)
+    if options:
+        offered = {word for way in advised(said(path, tmp_path / "out.csv", [], capsys)["message"]) for word in way}
+        assert offered >= {word for word in options if word.startswith("--")}
+    assert not said(path, tmp_path / "out.csv", options, capsys)
+    read = ml.load_demonstrations(tmp_path / "out.csv", ml.load_robot("planar3"))[0]
+    np.testing.assert_array_equal(read.q, Q)
+    np.testing.assert_allclose(read.time, TIME, atol=1e-9)
+
+
+def test_patterns_of_names_in_python(tmp_path: Path) -> None:
+    """A text, or a mapping of patterns; what is no pattern, or changes the number of joints, is refused. Joint 12 is
+    not joint 1 misspelt: only the robot's order is offered, as something that the user must know.
+    """
+    robot = ml.load_robot("planar3")
+    path, _ = WRITERS["NPZ"](tmp_path, CALLED["a prefix"], Q)
+    for rename in ("left_{joint}", {"left_{joint}": "{joint}"}, {"left_joint{joint}": "joint{joint}"}):
+        np.testing.assert_array_equal(ml.load_demonstrations(path, robot, rename=rename)[0].q, Q)
+    for rename in ("left_", {"left_{joint}": "joint1"}, {"left_joint{index}": "joint1"}, {"left_{joint}": 3}):
+        assert refusal(path, robot, rename=rename).code == "option"
+    assert "left_{joint}" in str(refusal(path, robot))
+    assert "no joint '{joint}_x'" in str(refusal(path, robot, rename={"left_{joint}": "{joint}_x"}))
+    for k, called in enumerate((("joint11", "joint12", "joint13"), ("elbow", "a", "b"))):
+        (tmp_path / str(k)).mkdir()
+        heard = str(refusal(in_bag("mcap")(tmp_path / str(k), called, Q)[0], robot))
+        assert "reads" not in heard and "if it is this one and they are in its order" in heard, heard

@@ -1,4 +1,4 @@
-"""Tracks, marks, evidence and choice of a replay: the page's numbers are the library's own."""
+"""Tracks, marks, mechanisms and evidence of a replay: the page's numbers are the library's own."""
 
 from __future__ import annotations
 
@@ -8,18 +8,11 @@ import numpy as np
 import pytest
 from test_playback import data_in, unpacked
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.policies import ManipulabilityAscent
-from manip_learn.control.rollout import Rollout
-from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import PointAttractor
-from manip_learn.errors import TargetError
-from manip_learn.playback import replay
+import manip_learn as ml
+from manip_learn.constraint.features import MechanismRows, RelativeFrameJacobian
+from manip_learn.errors import RecordingError, TargetError
 from manip_learn.playback.replay_page import evidence_of
-from manip_learn.playback.scene_data import held_directions
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.playback.scene_data import held_directions, mechanism_drawing
 from manip_learn.recordings.velocities import derive_velocities
 
 START = np.array([0.3, -0.9, 0.2, 1.6, 0.1, 0.7, 0.4])
@@ -31,60 +24,65 @@ def curves_of(rollout: dict, kind: str) -> dict[str, tuple[np.ndarray, np.ndarra
     measures = rollout["measures"]
     clocks = [unpacked(clock) for clock in measures["clocks"]]
     track = next(t for t in measures["tracks"] if t["kind"] == kind)
-    return {
-        c["name"]: (clocks[c["clock"]] if "clock" in c else unpacked(c["times"], "<f4"), unpacked(c["values"], "<f4"))
-        for c in track["curves"]
-    }
+    times = {c["name"]: clocks[c["clock"]] if "clock" in c else unpacked(c["times"], "<f4") for c in track["curves"]}
+    return {c["name"]: (times[c["name"]], unpacked(c["values"], "<f4")) for c in track["curves"]}
+
+
+@pytest.fixture
+def shown(tmp_path):
+    """The only rollout of a page."""
+    return lambda robot, motion, **more: page_of(robot, motion, tmp_path, **more)["rollouts"][0]
+
+
+def page_of(robot, motion, folder, **more):
+    """The data of a page."""
+    motions = motion if isinstance(motion, dict) else {"demo": motion}
+    return data_in(ml.replay(robot, motions, folder / "a.html", **more).html)
 
 
 @pytest.fixture(scope="module")
-def drawer(robot_of) -> Constraint:
+def drawer(robot_of) -> ml.Constraint:
     """Two rows of a drawer, held by hand."""
     robot = robot_of("sawyer")
     rows = np.array([[-0.42, 0.91, 0.0], [0.0, 0.0, 1.0]])
-    return Constraint(rows, FrameJacobian(robot, "right_gripper_tip", "xyz"), {"kind": "motion-constrained"})
+    return ml.Constraint(rows, ml.FrameJacobian(robot, "right_gripper_tip", "xyz"), {"kind": "motion-constrained"})
 
 
 @pytest.fixture(scope="module")
-def rollout(robot_of, drawer) -> Rollout:
+def rollout(robot_of, drawer) -> ml.Rollout:
     """One second towards a target."""
-    controller = ResolvedRateController(drawer, PointAttractor(TARGET), ManipulabilityAscent(drawer))
-    return simulate(robot_of("sawyer"), controller, START, 1.0, 0.01)
+    controller = ml.ResolvedRateController(drawer, ml.PointAttractor(TARGET), ml.ManipulabilityAscent(drawer))
+    return ml.simulate(robot_of("sawyer"), controller, START, 1.0, 0.01)
 
 
-def test_the_fit_is_that_of_each_phase(robot_of, drawer, rollout, tmp_path):
+def test_the_fit_is_that_of_each_phase(drawer, rollout, shown):
     """Within a phase its own constraint counts, outside the first; where none is known, or b != 0, there is no fit."""
-    robot = robot_of("sawyer")
-    demo = Trajectory(rollout.time, rollout.q, rollout.u, robot.joint_names, "demo")
-    other = Constraint([[1.0, 0.0, 0.0]], drawer.features)
+    robot = drawer.features.robot
+    demo = ml.Trajectory(rollout.time, rollout.q, rollout.u, robot.joint_names, "demo")
+    other = ml.Constraint([[1.0, 0.0, 0.0]], drawer.features)
     phases = (("demo", 0.0, 0.3, 0), ("demo", 0.4, 0.6, 1), ("demo", 0.7, 0.8, 2))
-    given = {"phases": phases, "constraint": (drawer, other)}
-    page = data_in(replay(robot, {"demo": demo}, tmp_path / "a.html", **given).html)["rollouts"][0]
-    ((times, shares),) = curves_of(page, "fit").values()
+    ((times, shares),) = curves_of(shown(robot, demo, phases=phases, constraint=(drawer, other)), "fit").values()
     for t, share in zip(times, shares, strict=True):
         i = int(np.argmin(np.abs(rollout.time - t)))
         if 0.7 <= t <= 0.8:
             assert np.isnan(share)
         elif not np.isnan(share):
-            own = other if 0.4 <= t <= 0.6 else drawer
-            u = rollout.u[i]
-            expected = np.linalg.norm(np.linalg.pinv(own(rollout.q[i])) @ own(rollout.q[i]) @ u) / np.linalg.norm(u)
-            assert share == pytest.approx(expected, rel=1e-5)
-    imposed = Constraint(drawer.selection, drawer.features, {"kind": "self-imposed"})
-    page = data_in(replay(robot, {"demo": demo}, tmp_path / "b.html", constraint=imposed).html)["rollouts"][0]
+            A, u = (other if 0.4 <= t <= 0.6 else drawer)(rollout.q[i]), rollout.u[i]
+            assert share == pytest.approx(np.linalg.norm(np.linalg.pinv(A) @ A @ u) / np.linalg.norm(u), rel=1e-5)
+    imposed = ml.Constraint(drawer.selection, drawer.features, {"kind": "self-imposed"})
+    page = shown(robot, demo, constraint=imposed)
     assert "fit" not in [t["kind"] for t in page["measures"]["tracks"]]
 
 
-def test_recordings_without_velocities_show_derived_ones(robot_of, rollout, tmp_path):
+def test_recordings_without_velocities_show_derived_ones(robot_of, rollout, shown):
     """They are those that the learner derives, at their own times; too few samples have none."""
     robot = robot_of("sawyer")
-    bare = Trajectory(rollout.time + 3.0, rollout.q, None, robot.joint_names, "demo")  # on a clock of its own
+    bare = ml.Trajectory(rollout.time + 3.0, rollout.q, None, robot.joint_names, "demo")  # on a clock of its own
     derived = derive_velocities(bare, robot)
-    page = data_in(replay(robot, bare, tmp_path / "a.html").html)["rollouts"][0]
-    times, values = curves_of(page, "velocity")[robot.joint_names[1]]
+    times, values = curves_of(shown(robot, bare), "velocity")[robot.joint_names[1]]
     np.testing.assert_allclose(times, derived.time - 3.0)
     np.testing.assert_allclose(values, derived.u[:, 1] / robot.velocity_limit[1], rtol=1e-6, atol=1e-7)
-    page = data_in(replay(robot, bare[3.0:3.025], tmp_path / "b.html").html)["rollouts"][0]
+    page = shown(robot, bare[3.0:3.025])
     assert [t["kind"] for t in page["measures"]["tracks"]] == ["position"]
 
 
@@ -96,32 +94,29 @@ def ranks(directions) -> list[int]:
 
 def test_directions_held_and_free(robot_of):
     """A drawer, a surface, rows along the hand's own axes, a plane robot, and rows that turn as they move."""
-    robot = robot_of("sawyer")
-    here = robot.position(START, robot.frame("right_hand"))[None]
-    xyz = FrameJacobian(robot, "right_hand", "xyz")
-    drawer = held_directions(Constraint([[0, 1, 0], [0, 0, 1]], xyz), here)
-    assert drawer is not None and drawer.axes is None and ranks(drawer) == [2, 1, 0, 0]
-    np.testing.assert_allclose(drawer.free, np.diag([1.0, 0.0, 0.0]), atol=1e-12)
-    table = held_directions(Constraint([[0, 0, 1]], FrameJacobian(robot, "right_hand", "xyz", "local")), here)
-    assert table is not None and table.axes == robot.frame("right_hand") and ranks(table) == [1, 2, 0, 0]
-    pose_features = FrameJacobian(robot, "right_hand", "pose")
-    pose = held_directions(Constraint(np.eye(6)[[2, 3, 4]], pose_features), here)
-    assert ranks(pose) == [1, 2, 2, 1]
-    np.testing.assert_allclose(pose.free_turns, np.diag([0.0, 0.0, 1.0]), atol=1e-12)
-    coupled = held_directions(Constraint([[1, 0, 0, 0, 1, 0]], pose_features), here)
-    assert ranks(coupled) == [0, 3, 0, 3]  # moving along x alone breaks it only without the turn that goes with it
-    for turn, expected in ((0.09, [1, 2, 0, 3]), (0.11, [0, 3, 0, 3])):  # a learnt row leaks by its uncertainty
-        row = np.array([[1.0, 0, 0, 0, turn, 0]]) / np.hypot(1.0, turn)
-        assert ranks(held_directions(Constraint(row, pose_features), here)) == expected, turn
+    robot, planar = robot_of("sawyer"), robot_of("planar3")
+    hand, seen_from = robot.frame("right_hand"), robot.frame("right_l2")
+    here = robot.position(START, hand)[None]
+    xyz, local, pose = (ml.FrameJacobian(robot, hand, *axes) for axes in (("xyz",), ("xyz", "local"), ("pose",)))
     about_x = MechanismRows(robot, "right_hand", "turn", axis=[1.0, 0.0, 0.0], point=[0.0, 0.0, 0.0])
-    turning = held_directions(Constraint([[1.0]], about_x), here)
-    assert ranks(turning) == [0, 3, 1, 2]
-    np.testing.assert_allclose(turning.held_turns, [np.diag([1.0, 0.0, 0.0])], atol=1e-12)
-    planar = robot_of("planar3")
-    flat = held_directions(Constraint(np.eye(3)[:1], FrameJacobian(planar, "tip", "planar")), np.zeros((1, 3)))
-    assert ranks(flat) == [1, 1, 0, 1]
-    seen = RelativeFrameJacobian(robot, "right_hand", "right_l2", "xyz")
-    assert held_directions(Constraint([[0, 0, 1]], seen), here).axes == robot.frame("right_l2")
+    leaks = [np.array([[1.0, 0, 0, 0, turn, 0]]) / np.hypot(1.0, turn) for turn in (0.09, 0.11)]
+    x, z = np.diag([1.0, 0.0, 0.0]), np.diag([0.0, 0.0, 1.0])
+    for rows, features, expected, axes, exact in (
+        ([[0, 1, 0], [0, 0, 1]], xyz, [2, 1, 0, 0], None, {"free": x}),
+        ([[0, 0, 1]], local, [1, 2, 0, 0], hand, {}),
+        (np.eye(6)[[2, 3, 4]], pose, [1, 2, 2, 1], None, {"free_turns": z}),
+        # moving along x alone breaks it only without the turn that goes with it
+        ([[1, 0, 0, 0, 1, 0]], pose, [0, 3, 0, 3], None, {}),
+        (leaks[0], pose, [1, 2, 0, 3], None, {}),  # a learnt row leaks by its uncertainty
+        (leaks[1], pose, [0, 3, 0, 3], None, {}),
+        ([[1.0]], about_x, [0, 3, 1, 2], None, {"held_turns": x}),
+        (np.eye(3)[:1], ml.FrameJacobian(planar, "tip", "planar"), [1, 1, 0, 1], None, {}),
+        ([[0, 0, 1]], RelativeFrameJacobian(robot, hand, seen_from, "xyz"), [1, 2, 0, 0], seen_from, {}),
+    ):
+        found = held_directions(ml.Constraint(rows, features), here)
+        assert ranks(found) == expected and found.axes == axes, (rows, features)
+        for name, matrix in exact.items():
+            np.testing.assert_allclose(np.reshape(getattr(found, name), (-1, 3, 3))[0], matrix, atol=1e-12)
 
 
 @pytest.mark.parametrize("rows", ["radial axial", "turn-1 turn-2 slide-1 slide-2 slide"])
@@ -132,7 +127,7 @@ def test_a_hinge_leaves_its_tangent_free_everywhere(robot_of, rows):
     features = MechanismRows(robot, "right_hand", rows, axis=axis, point=point)
     arm = np.cross(axis, [1.0, 0.0, 0.0])
     places = np.array([point + r * arm + 0.1 * axis for r in (0.02, 0.3, 1.5)])
-    directions = held_directions(Constraint(np.eye(features.n_rows), features), places)
+    directions = held_directions(ml.Constraint(np.eye(features.n_rows), features), places)
     assert directions is not None and directions.free.shape == (3, 3, 3)
     tangent = np.cross(axis, arm)
     for held, free in zip(directions.held, directions.free, strict=True):
@@ -142,48 +137,44 @@ def test_a_hinge_leaves_its_tangent_free_everywhere(robot_of, rows):
         np.testing.assert_allclose(directions.free_turns[0], np.outer(axis, axis), atol=1e-9)
 
 
-def test_the_target_is_where_the_task_wants_the_tip(robot_of, drawer, rollout, tmp_path):
+def test_the_target_is_where_the_task_wants_the_tip(drawer, rollout, shown, tmp_path):
     """From the rollout's file, from the argument, along the rows, as a pose, seen from a frame that moves."""
-    robot = robot_of("sawyer")
-
-    def target(motion, **given):
-        page = replay(robot, {"a": motion}, tmp_path / "a.html", **given).html
-        return data_in(page)["rollouts"][0]["marks"][0]["target"]
-
-    saved = Rollout.load(rollout.save(tmp_path / "r.npz"), robot)
-    assert target(saved) == {"carrier": None, "point": pytest.approx(TARGET)}
-    assert target(saved, target=[0.1, 0.2, 0.3])["point"] == [0.1, 0.2, 0.3]
+    robot = drawer.features.robot
+    saved = ml.Rollout.load(rollout.save(tmp_path / "r.npz"), robot)
+    target = lambda **given: shown(robot, saved, **given)["marks"][0]["target"]  # noqa: E731
+    assert target() == {"carrier": None, "point": pytest.approx(TARGET)}
     pose = np.eye(4)
     pose[:3, 3] = 0.4, 0.5, 0.6
-    assert target(saved, target=pose)["point"] == [0.4, 0.5, 0.6]
+    assert target(target=[0.1, 0.2, 0.3])["point"] == [0.1, 0.2, 0.3] and target(target=pose)["point"] == [
+        0.4,
+        0.5,
+        0.6,
+    ]
     rows = drawer.selection @ np.array(TARGET)
-    point = np.array(target(saved, target=rows)["point"])
+    point = np.array(target(target=rows)["point"])
     np.testing.assert_allclose(drawer.selection @ point, rows, atol=1e-12)
-    start = robot.position(rollout.q[0], robot.frame("right_gripper_tip"))
-    along = np.linalg.svd(drawer.selection)[2][2]
+    along, start = np.linalg.svd(drawer.selection)[2][2], robot.position(rollout.q[0], drawer.features.frame)
     assert along @ point == pytest.approx(along @ start)  # nothing is said of what is free
-    seen = Constraint(np.eye(3), RelativeFrameJacobian(robot, "right_gripper_tip", "right_l2", "xyz"))
-    carried = target(saved, constraint=seen, target=[0.1, 0.0, 0.2])
-    assert carried["point"] == [0.1, 0.0, 0.2]
-    assert carried["carrier"]["joint"] == robot.frame("right_l2").parent_joint
+    seen = ml.Constraint(np.eye(3), RelativeFrameJacobian(robot, "right_gripper_tip", "right_l2", "xyz"))
+    carried = target(constraint=seen, target=[0.1, 0.0, 0.2])
+    assert carried["point"] == [0.1, 0.0, 0.2] and carried["carrier"]["joint"] == robot.frame("right_l2").parent_joint
     for wrong in ("here", [np.nan, 0, 0]):
         with pytest.raises(TargetError, match="target to show"):
-            target(saved, target=wrong)
+            target(target=wrong)
 
 
-def test_a_rollout_shows_its_own_constraint_and_mechanism(robot_of, drawer, rollout, tmp_path):
+def test_a_rollout_shows_its_own_constraint_and_mechanism(drawer, tmp_path):
     """Also from its file; the evidence that its constraint keeps is in the page, and its frame is drawn."""
-    robot = robot_of("sawyer")
+    robot = drawer.features.robot
     line = {"type": "line", "axis": [0.91, 0.42, 0.0], "point": [0.6, 0.2, 0.3], "sentence": "a line"}
     learnt = {"kind": "motion-constrained", "sentence": "moves freely", "facts": {"gap": "12"}, "mechanism": line}
-    constraint = Constraint(drawer.selection, drawer.features, learnt)
-    controller = ResolvedRateController(constraint, PointAttractor(TARGET))
-    moved = Rollout.load(simulate(robot, controller, START, 0.1, 0.01).save(tmp_path / "r.csv"), robot)
-    data = data_in(replay(robot, {"a": moved}, tmp_path / "a.html").html)
-    assert data["mechanisms"][0]["type"] == "line"
+    constraint = ml.Constraint(drawer.selection, drawer.features, learnt)
+    law = ml.ResolvedRateController(constraint, ml.PointAttractor(TARGET))
+    moved = ml.Rollout.load(ml.simulate(robot, law, START, 0.1, 0.01).save(tmp_path / "r.csv"), robot)
+    data = page_of(robot, moved, tmp_path)
+    assert data["mechanisms"][0]["type"] == "line" and data["robot"]["tip"] == "right_gripper_tip"
     assert data["evidence"]["headline"] == "moves freely" and data["evidence"]["facts"] == [["gap", "12"]]
-    assert data["robot"]["tip"] == "right_gripper_tip"
-    bare = data_in(replay(robot, {"a": replace(moved, constraint=None)}, tmp_path / "b.html").html)
+    bare = page_of(robot, replace(moved, constraint=None), tmp_path)
     assert bare["mechanisms"] == bare["rollouts"][0]["marks"] == [] and bare["evidence"] is None
 
 
@@ -194,7 +185,7 @@ def test_a_rollout_that_waits_is_ok_and_keeps_its_tracks(robot_of, rollout, tmp_
     early = replace(rollout, ways=({**way, "begins": 0.2},), status=limited, following_error=error)
     late = replace(rollout, ways=({**way, "begins": 0.5},))
     named = {"early": early, "late": late, "bare": replace(early, status=())}
-    data = data_in(replay(robot_of("sawyer"), named, tmp_path / "a.html", align="grasp").html)
+    data = page_of(robot_of("sawyer"), named, tmp_path, align="grasp")
     waiting, _, bare = data["rollouts"]
     assert data["zero"] == pytest.approx(0.5)
     assert waiting["status"] == [[0.0, "ok", "ok"], [pytest.approx(0.3), "velocity-limited", "slowed"]]
@@ -224,3 +215,104 @@ def test_evidence_in_words():
     assert evidence_of(odd)["facts"] == [] and evidence_of({})["headline"] == ""
     long = evidence_of({"notes": ["x" * 3000] * 100, "odd_trajectories": [{"trajectory": "a", "reason": "b"}, ("c",)]})
     assert [len(note) for note in long["notes"]] == [2000] * 60 and long["odd"] == [["a", "b"]]
+
+
+# ---- what is drawn of a mechanism ------------------------------------------------------------------------------------
+
+AXIS, POINT, RADIUS = np.array([0.6, 0.0, 0.8]), np.array([0.3, -0.1, 0.2]), 0.4
+FIRST = np.array([0.8, 0.0, -0.6])  # across the axis
+SECOND = np.cross(AXIS, FIRST)
+
+
+def around(angle: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Points at a radius from the axis, shape (n, 3)."""
+    turned = np.cos(angle)[:, None] * FIRST + np.sin(angle)[:, None] * SECOND
+    return POINT + RADIUS * turned + along[:, None] * AXIS
+
+
+def described(kind: str, **more: object) -> dict[str, object]:
+    """A mechanism's dictionary; its axis is twice as long as it need be."""
+    return {"type": kind, "axis": (2.0 * AXIS).tolist(), "point": POINT.tolist(), **more}
+
+
+def in_the_axes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance from the axis, angle about it, and place along it."""
+    arm = points - POINT
+    x, y = arm @ FIRST, arm @ SECOND
+    return np.hypot(x, y), np.arctan2(y, x), arm @ AXIS
+
+
+def test_a_hinge_is_an_axis_and_a_circle() -> None:
+    """The circle lies in the middle of what was held; the axis is a quarter longer at each end, and 0.3 radii."""
+    held = around(np.linspace(0.2, 1.2, 30), np.linspace(-0.1, 0.3, 30))
+    axis, circle = mechanism_drawing(described("hinge", radius=RADIUS), held).lines
+    reach = 0.25 * 0.4 + 0.3 * RADIUS
+    np.testing.assert_allclose(axis, [POINT - (0.1 + reach) * AXIS, POINT + (0.3 + reach) * AXIS], atol=1e-12)
+    radius, angle, along = in_the_axes(circle)
+    np.testing.assert_allclose([radius, along], np.outer([RADIUS, 0.1], np.ones(len(circle))), atol=1e-12)
+    np.testing.assert_allclose(np.abs(np.diff(np.unwrap(angle))), np.deg2rad(3.75), atol=1e-9)
+    np.testing.assert_allclose(circle[0], circle[-1], atol=1e-12)
+
+
+@pytest.mark.parametrize("pitch", [0.05, -0.08])
+def test_a_screw_is_a_helix_through_the_hand(pitch: float) -> None:
+    """Every point that was held lies on the helix, which begins and ends where they do, right- and left-handed."""
+    angle = np.linspace(0.5, 4.0, 400)
+    held = around(angle, pitch * angle)
+    _, helix = mechanism_drawing(described("screw", radius=RADIUS, pitch=pitch), held).lines
+    radius, turned, along = in_the_axes(helix)
+    np.testing.assert_allclose(radius, RADIUS, atol=1e-12)
+    np.testing.assert_allclose([along.min(), along.max()], np.sort(pitch * angle[[0, -1]]), atol=1e-12)
+    np.testing.assert_allclose(np.diff(along), pitch * np.diff(np.unwrap(turned)), atol=1e-9)
+    nearest = np.linalg.norm(held[:, None] - helix[None], axis=2).min(axis=1)
+    assert nearest.max() < 0.02  # half the distance of two points of the helix
+    turns = mechanism_drawing(described("screw", radius=RADIUS, pitch=1e-4), held).lines[1]
+    _, angle, _ = in_the_axes(turns)
+    assert np.ptp(np.unwrap(angle)) == pytest.approx(2.0 * np.pi * 12.0)
+
+
+def test_a_cylinder_has_two_rims_and_a_line_none() -> None:
+    """Rims at the ends of what was held; a line is its axis alone, 0.06 m longer than a motion of nothing."""
+    held = around(np.linspace(0.0, 1.0, 9), np.linspace(-0.2, 0.2, 9))
+    _, low, high = mechanism_drawing(described("other", radius=RADIUS), held).lines
+    np.testing.assert_allclose([in_the_axes(low)[2].mean(), in_the_axes(high)[2].mean()], [-0.2, 0.2], atol=1e-12)
+    (line,) = mechanism_drawing(described("line"), POINT[None]).lines
+    np.testing.assert_allclose(line, [POINT - 0.06 * AXIS, POINT + 0.06 * AXIS], atol=1e-12)
+
+
+def test_a_table_is_a_patch_around_the_motion() -> None:
+    """Its corners lie in the plane, its sides along the motion's widest spread, a quarter of that beyond it."""
+    round_it = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    along, across = 0.4 - 0.4 * np.cos(round_it), 0.1 * np.sin(round_it)
+    turned = np.cos(0.3) * FIRST + np.sin(0.3) * SECOND
+    held = POINT + along[:, None] * turned + across[:, None] * np.cross(AXIS, turned)
+    drawn = mechanism_drawing(described("plane"), held)
+    (patch,), (edge,) = drawn.patches, drawn.lines
+    np.testing.assert_array_equal(edge, [*patch, patch[0]])
+    np.testing.assert_allclose((patch - POINT) @ AXIS, 0.0, atol=1e-12)
+    sides = np.sort(np.linalg.norm(np.diff(edge, axis=0), axis=1))
+    np.testing.assert_allclose(sides, [0.2 + 0.4, 0.2 + 0.4, 1.2, 1.2], atol=1e-9)
+    np.testing.assert_allclose(patch.mean(axis=0), POINT + 0.4 * turned, atol=1e-9)
+
+
+def test_a_ball_is_three_circles_and_what_is_not_known_is_not_drawn() -> None:
+    """Great circles around the centre; without a centre, or of a held orientation, the sentence alone."""
+    circles = mechanism_drawing(described("ball", radius=RADIUS), POINT[None]).lines
+    assert len(circles) == 3
+    for normal, circle in zip(np.eye(3), circles, strict=True):
+        np.testing.assert_allclose(np.linalg.norm(circle - POINT, axis=1), RADIUS, atol=1e-12)
+        np.testing.assert_allclose((circle - POINT) @ normal, 0.0, atol=1e-12)
+    for lacking in ({"type": "ball", "radius": 0.1}, {"type": "hinge", "axis": [0, 0, 1]}, {"type": "orientation"}):
+        drawn = mechanism_drawing({**lacking, "sentence": "in words"}, POINT[None])
+        assert not drawn.lines and not drawn.patches and drawn.sentence == "in words"
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("axis", [0, 1]), ("point", [0, 0, np.nan]), ("radius", "wide"), ("pitch", 2e9), ("point", [1e9, 0, 0])],
+)
+def test_bad_numbers_are_named(key: str, value: object) -> None:
+    """The error names the number that it cannot use."""
+    with pytest.raises(RecordingError, match=f"the mechanism's {key} must be") as caught:
+        mechanism_drawing({**described("hinge", radius=RADIUS), key: value}, POINT[None])
+    assert caught.value.code == "mechanism"

@@ -17,9 +17,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import nbformat
 import numpy as np
+from nbclient import NotebookClient
 from own_arm import NAMES, write_package
-from recordings import FREE, motions, write_bags, write_numbered, write_plotjuggler
+from recordings import FREE, motions, write_bag, write_numbered, write_plotjuggler
 
 import manip_learn as ml
 
@@ -83,7 +85,7 @@ def learns_the_line(out: str) -> str:
 def six_joints(out: str) -> str:
     """Empty if the six joints are those of the arm."""
     names = [joint["name"] for joint in json.loads(out)["joints"]]
-    return "" if names == list(NAMES) else f"the joints are {names}"
+    return "" if names == NAMES else f"the joints are {names}"
 
 
 def look_around(hour: Hour) -> None:
@@ -95,36 +97,27 @@ def look_around(hour: Hour) -> None:
     hour.note("the demo's replay", "" if page.is_file() and page.stat().st_size > 100_000 else "there is no page")
 
 
-def describe_the_arm(hour: Hour, package: Path) -> None:
-    urdf = str(package / "urdf" / "my_arm.urdf")
+def describe_the_arm(hour: Hour, urdf: str) -> None:
     found = hour.type("own URDF with package meshes", "inspect", urdf, "--json", check=six_joints)
     warnings = json.loads(found)["warnings"] if found else []
     hour.note("its meshes are found", "\n".join(warnings))
-    hour.type("the same as xacro", "inspect", str(package / "urdf" / "my_arm.urdf.xacro"), "--json", check=six_joints)
+    hour.type("the same as xacro", "inspect", f"{urdf}.xacro", "--json", check=six_joints)
     slower = ("--xacro", "--xacro-arg", "fastest=1.0")
     hour.type("xacro with an argument", "inspect", f"{urdf}.xacro", *slower, "--json", check=six_joints)
-    hour.type("the same as MJCF", "inspect", str(package / "mjcf" / "my_arm.xml"), "--json", check=six_joints)
 
 
-def learn_from_files(hour: Hour, package: Path) -> None:
-    urdf = str(package / "urdf" / "my_arm.urdf")
+def learn_from_files(hour: Hour, urdf: str) -> None:
     demos = motions(ml.load_robot(urdf))
-    writers: dict[str, Callable[[Path, list[ml.Trajectory]], Path]] = {
-        "ROS 2 bags": write_bags,
-        "PlotJuggler's CSV": write_plotjuggler,
-        "q[i] and dq[i]": write_numbered,
-    }
-    for title, write in writers.items():
-        folder = write(hour.folder / re.sub(r"\W+", "_", title), demos)
-        hour.type(f"learn from {title}", "learn", urdf, str(folder), *FRAME, "--json", check=learns_the_line)
-    bags = str(hour.folder / "ROS_2_bags")
-    hour.type("bags to LeRobot data", "export", urdf, bags, "--to", "lerobot", "--out", "lerobot")
+    for title, write in (("bags", write_bag), ("PlotJuggler", write_plotjuggler), ("numbered", write_numbered)):
+        (hour.folder / title).mkdir()
+        for i, demo in enumerate(demos):
+            write(hour.folder / title / f"demo_{i}.csv", demo)
+        hour.type(f"learn from {title}", "learn", urdf, title, *FRAME, "--json", check=learns_the_line)
+    hour.type("bags to LeRobot data", "export", urdf, "bags", "--to", "lerobot", "--out", "lerobot")
     hour.type("learn from LeRobot data", "learn", urdf, "lerobot", *FRAME, "--json", check=learns_the_line)
     out = ("--out", "line.json", "--html", "recordings.html")
-    words = hour.type("learn in words", "learn", urdf, bags, *FRAME, *out)
-    hour.note(
-        "it says what is free", "" if "The tip can move along (0.80, 0.60, 0.00)" in " ".join(words.split()) else words
-    )
+    words = " ".join(hour.type("learn in words", "learn", urdf, "bags", *FRAME, *out).split())
+    hour.note("it says what is free", "" if "The tip can move along (0.80, 0.60, 0.00)" in words else words)
 
 
 def does_the_way(out: str) -> str:
@@ -134,42 +127,36 @@ def does_the_way(out: str) -> str:
     return f"{answer['sentence']}, {answer['stopped_by']}, {answer['deviation']} m off" if wrong else ""
 
 
-def control_and_replay(hour: Hour, package: Path) -> None:
-    urdf = str(package / "urdf" / "my_arm.urdf")
+def control_and_replay(hour: Hour, urdf: str) -> None:
     motion = ("--start", START, "--target", TARGET, "--duration", "3", "--out", "run.npz")
     hour.type("control", "control", urdf, "line.json", *motion)
-    there = ("control", urdf, "line.json", "--along", "0.1")
-    way = hour.type("open what was learnt", *there, "--out", "run.npz", "--json", check=does_the_way)
+    there = ("control", urdf, "line.json", "--along", "0.1", "--json")
+    way = hour.type("open what was learnt", *there, "--out", "run.npz", check=does_the_way)
     hour.note("it says how far", "" if way and " 0.100 of 0.100 m" in way else way)
-    hour.type("the same from elsewhere", *there, "--start", START, "--json", check=does_the_way)
+    hour.type("the same from elsewhere", *there, "--start", START, check=does_the_way)
     hour.type("replay", "replay", urdf, "run.npz", "--html", "run.html")
-    hour.type("replay of the bags", "replay", urdf, "ROS_2_bags", "--constraint", "line.json", "--html", "bags.html")
+    hour.type("replay of the bags", "replay", urdf, "bags", "--constraint", "line.json", "--html", "bags.html")
     for page in ("recordings.html", "run.html", "bags.html"):
-        there = (hour.folder / page).is_file()
-        hour.note(f"{page} is there", "" if there else "it was not written")
-    hour.type("audit", "audit", urdf, "line.json", "ROS_2_bags")
+        hour.note(f"{page} is there", "" if (hour.folder / page).is_file() else "it was not written")
+    hour.type("audit", "audit", urdf, "line.json", "bags")
 
 
-def make_mistakes(hour: Hour, package: Path) -> None:
-    urdf = str(package / "urdf" / "my_arm.urdf")
-    hour.refused("a frame with a typing error", "learn", urdf, "ROS_2_bags", "--frame", "tool", words="tool0")
-    hour.refused("a folder that is not there", "learn", urdf, "bgas", *FRAME, words="bgas")
-    hour.refused("another robot's constraint", "control", "sawyer", "line.json", words="my_arm")
-    hour.refused("a turn of a line", "control", urdf, "line.json", "--turn", "30", words="--along")
-    too_long = ("control", urdf, "line.json", "--along", "9")
-    hour.refused("a way that is too long", *too_long, words="longer than what was shown")
-    hour.refused("a target of the wrong size", "control", urdf, "line.json", "--target", "1,2,3,4", words="target")
-    hour.refused("a robot that does not exist", "inspect", "sayer", words="sawyer")
+def make_mistakes(hour: Hour, urdf: str) -> None:
+    for title, words, *typed in (
+        ("a frame with a typing error", "tool0", "learn", urdf, "bags", "--frame", "tool"),
+        ("a folder that is not there", "bgas", "learn", urdf, "bgas", *FRAME),
+        ("another robot's constraint", "my_arm", "control", "sawyer", "line.json"),
+        ("a turn of a line", "--along", "control", urdf, "line.json", "--turn", "30"),
+        ("a way that is too long", "longer than what was shown", "control", urdf, "line.json", "--along", "9"),
+        ("a robot that does not exist", "sawyer", "inspect", "sayer"),
+    ):
+        hour.refused(title, *typed, words=words)
 
 
-def work_in_a_notebook(hour: Hour, package: Path) -> None:
-    import nbformat
-    from nbclient import NotebookClient
-
-    urdf = package / "urdf" / "my_arm.urdf"
+def work_in_a_notebook(hour: Hour, urdf: str) -> None:
     cells = [
-        f"import manip_learn as ml\nrobot = ml.load_robot({str(urdf)!r})\nrobot",
-        "demos = ml.load_demonstrations('ROS_2_bags', robot)\ndemos",
+        f"import manip_learn as ml\nrobot = ml.load_robot({urdf!r})\nrobot",
+        "demos = ml.load_demonstrations('bags', robot)\ndemos",
         "learner = ml.ConstraintLearner(ml.FrameJacobian(robot, 'tool0', 'xyz'))\n"
         "learner.fit([(demo.time, demo.q) for demo in demos])\nlearner.report_",
         f"task = ml.PointAttractor([{TARGET}])\n"
@@ -192,10 +179,10 @@ def main() -> int:
     """The hour; 1 if it has dead ends."""
     hour = Hour(Path(sys.argv[1]).resolve())
     hour.folder.mkdir(parents=True, exist_ok=True)
-    package = write_package(hour.folder)
+    urdf = str(write_package(hour.folder))
     look_around(hour)
     for part in (describe_the_arm, learn_from_files, control_and_replay, make_mistakes, work_in_a_notebook):
-        part(hour, package)
+        part(hour, urdf)
     print(f"{len(hour.dead_ends)} dead ends")
     return int(bool(hour.dead_ends))
 

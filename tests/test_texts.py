@@ -1,0 +1,131 @@
+"""What the library says: flags and commands that exist, codes that are documented, sentences with their figures."""
+
+from __future__ import annotations
+
+import ast
+import re
+import string
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+from library_source import PACKAGE, library
+
+from manip_learn import errors
+from manip_learn.commands.command_line import flags_of
+from manip_learn.commands.program import program
+from manip_learn.recordings.guards import template
+
+# flags of other programs: of `ros2 topic pub` and `echo`, of the program that writes the planar arms, and of git
+FOREIGN = {"--once", "--name", "--no-optional-locks", "--always", "--abbrev", "--exclude", "--dirty", "--csv"}
+COMMAND_LINE = re.compile(r"`manip-learn ([a-z]+)([^`]*)`")
+PAGE = (Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+CODE = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+# functions that make errors; one of their first arguments is the code
+MAKERS = ("refusal", "_refusal", "refused", "NamingError", "_header_error", "MergeError", "refuse")
+# tables of codes: (what it looks like, code, sentence)
+TABLES = ("REFUSED_MAGIC",)
+SAYS = {"refusal", "_refusal", "refused", "sentence", "note", "NamingError", "template"}
+PLACE = {"sample", "line", "column", "where", "path", "in_full", "text"}  # arguments that are no figures
+
+
+def test_flags_that_texts_name_exist():
+    """A flag is one of some command; in a command line, one of that command."""
+    own = {name: set(flags_of(program, [name])) for name in program.commands}
+    every, found, faults = set().union(*own.values(), {"--version", "--help"}, FOREIGN), set[str](), list[str]()
+    for source in library():
+        said = [text(node) for node in ast.walk(source.tree) if isinstance(node, ast.Constant)]
+        for command, words in (pair for part in said for pair in COMMAND_LINE.findall(part)):
+            known = own.get(command, set()) if "..." not in command else every
+            faults += [f"{source.name}: {command} {flag}" for flag in errors.FLAG.findall(words) if flag not in known]
+        named = {flag for part in said for flag in errors.FLAG.findall(COMMAND_LINE.sub("", part))}
+        found |= named
+        faults += [f"{source.name}: {flag}" for flag in named - every]
+    assert {"--rename", "--lock", "--time-unit", "--frame", "--xacro"} <= found
+    assert not faults, faults
+
+
+def test_commands_share_their_options():
+    """One set of reading options and one of the robot's, for all commands that read recordings or load robots."""
+    sets = {name: flags_of(program, [name]) for name in program.commands}
+    robot = {"--lock", "--package-dir", "--object", "--xacro", "--xacro-arg"}
+    reading = {flag for flag in sets["export"] if flag.startswith("--")} - robot - {"--out", "--to", "--at"}
+    assert {"--rename", "--columns", "--degrees", "--episodes"} <= reading
+    assert all(robot <= sets[name] for name in ("learn", "audit", "replay", "export", "control", "inspect"))
+    assert all(reading <= sets[name] for name in ("learn", "audit", "replay", "export"))
+    assert all("--json" in own for own in sets.values())
+
+
+def codes(tree: ast.Module) -> Iterator[str]:
+    """Codes in a file: given by name, to a function that makes errors, as a class's own, or in a table."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            yield from (text(part) for k in node.keywords if k.arg == "code" for part in values(k.value))
+            if ast.unparse(node.func).split(".")[-1] in MAKERS:
+                said = [text(v).partition(".")[0] for a in node.args[:4] for v in values(a)]  # of a key, its code
+                yield next((s for s in said if s and CODE.fullmatch(s.replace("*", "x"))), "")
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            target = ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target)
+            if target == "code" and node.value is not None:
+                yield from map(text, values(node.value))
+            if target == "RULES" and isinstance(node.value, ast.Dict):  # code: sentence
+                yield from (text(key).partition(".")[0] for key in node.value.keys if key is not None)
+            if target in TABLES and isinstance(node.value, ast.Tuple):
+                yield from (text(row.elts[1]) for row in node.value.elts if isinstance(row, ast.Tuple))
+        elif isinstance(node, ast.FunctionDef):
+            pairs = zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)
+            yield from (text(value) for argument, value in pairs if argument.arg == "code" and value is not None)
+
+
+def values(node: ast.expr) -> list[ast.expr]:
+    """Both values of a choice, or the one that there is."""
+    return [node.body, node.orelse] if isinstance(node, ast.IfExp) else [node]
+
+
+def text(node: ast.AST) -> str:
+    """A constant; of an f-string what is constant, with * for the rest; empty for anything else."""
+    if isinstance(node, ast.JoinedStr):
+        return "".join(text(v) if isinstance(v, ast.Constant) else "*" for v in node.values)
+    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
+
+
+def test_each_code_has_its_entry_and_each_entry_its_code() -> None:
+    """Both ways; and whatever is raised on purpose has a code, from its class or from where it is raised."""
+    entries = re.findall(r"^\| `([^`]+)` \|", PAGE, re.MULTILINE)
+    in_source = {code for source in library() for code in codes(source.tree) if CODE.fullmatch(code.replace("*", "x"))}
+    assert len(in_source) > 150
+    patterns = [re.compile(re.escape(code).replace(r"\*", "[a-z]+")) for code in in_source]
+    missing = sorted(p.pattern for p in patterns if not any(p.fullmatch(e) for e in entries))
+    # a code may be made elsewhere and passed on: then it stands in the source as a text
+    texts = "\n".join(source.text for source in library())
+    surplus = [e for e in entries if not any(p.fullmatch(e) for p in patterns) and f'"{e}"' not in texts]
+    assert (missing, surplus) == ([], [])
+    samples = {"UnknownNameError": ("frame", "a", ["b"]), "NumberOfConstraintsError": (9, 3, "rows")}
+    samples["MissingExtraError"] = ("reading", "ros")
+    for name in (n for n in dir(errors) if n.endswith("Error")):
+        assert getattr(errors, name)(*samples.get(name, ("a sentence",))).code in entries, name
+
+
+def test_every_sentence_about_recordings_is_said_with_its_figures() -> None:
+    """A key in the code has a sentence, figures that are written out are those of the sentence; none is left over."""
+    catalogue = tomllib.loads((PACKAGE / "recordings" / "sentences.toml").read_text(encoding="utf-8"))
+    variants = ((code, v if isinstance(v, dict) else {"": v}) for code, v in catalogue.items())
+    sentences = {f"{code}.{word}".rstrip(".") for code, words in variants for word in words}
+    room = [source for source in library() if source.top == "recordings"]
+    texts, said = "\n".join(source.text for source in room), set[str]()
+    for call in (n for source in room for n in ast.walk(source.tree) if isinstance(n, ast.Call)):
+        name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+        keys = [text(a) for a in call.args[:2] if not isinstance(a, ast.JoinedStr | ast.IfExp)]
+        keys = [k for k in keys if k] + [text(b) for a in call.args[:2] if isinstance(a, ast.IfExp) for b in values(a)]
+        if name not in SAYS or not keys or len(call.args) > 2 or (len(call.args) == 2 and text(call.args[0]) in keys):
+            continue
+        for key in filter(None, keys):
+            needed = {field for _, field, _, _ in string.Formatter().parse(template(key)) if field is not None}
+            given = {k.arg for k in call.keywords}
+            said.add(key)
+            if None not in given:  # no figures by `**`
+                missing = needed - given - ({"name"} if name == "_refusal" else set())
+                assert not missing, (key, missing)
+            assert not {g for g in given if g} - needed - PLACE, (key, given)
+    left = {k for k in sentences - said if f'"{k}' not in texts and f'"{k.partition(".")[0]}.{{' not in texts}
+    assert not left
