@@ -21,7 +21,6 @@ from manip_learn.learning import audit
 from manip_learn.learning.audit import AuditReport, EpisodeAudit
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings import load as trajectory_source
-from manip_learn.recordings.velocities import jerk
 
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
 OTHER = TWO[:, [2, 0, 1]]
@@ -52,21 +51,6 @@ def measured(constraint: ml.Constraint, t: ml.Trajectory) -> EpisodeAudit:
     return ml.audit_episodes(constraint, [t], velocities="recorded").episodes[0]
 
 
-def test_measures_are_those_of_the_constraint(constraint: ml.Constraint, demos: ml.Demonstrations) -> None:
-    """Singular values, manipulability and residual are what the constraint's own functions give, sample by sample."""
-    t = demos[3]
-    row, sigma = measured(constraint, t), [np.linalg.svd(constraint(q), compute_uv=False)[-1] for q in t.q]
-    for name, wanted in (
-        ("sigma_min", min(sigma)),
-        ("sigma_median", float(np.median(sigma))),
-        ("manipulability_min", min(ml.manipulability(constraint, q) for q in t.q)),
-        ("residual", constraint.residual([t])),
-        ("n_samples", len(t)),
-        ("duration", t.duration),
-    ):
-        assert getattr(row, name) == pytest.approx(wanted, rel=1e-9), name
-
-
 def test_displacement_is_how_far_the_tip_moves_along_held_rows(features: ml.FrameJacobian) -> None:
     """A tip that moves 30 mm along x and turns 12 degrees about z: that is what is reported, in mm and degrees."""
     robot, target = features.robot, ml.FrameJacobian(features.robot, TIP, "pose")
@@ -94,17 +78,6 @@ def test_limits_speed_and_rest(constraint: ml.Constraint) -> None:
     assert 0.0 < row.beyond_limits < 0.5 and row.too_fast == 0.0
     assert row.peak_speed == pytest.approx(0.5) and row.peak_speed_joint == robot.joint_names[1]
     assert row.rest_share == pytest.approx(0.5, abs=0.01)
-
-
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_jerk_is_that_of_the_motion_not_of_the_noise(noise: float, rng: np.random.Generator) -> None:
-    """A sinusoid of 0.5 Hz has the jerk a w^3 cos(w t), also through noise whose third difference is far larger."""
-    time, a, w = np.arange(1000) / 100.0, 0.4, np.pi
-    x = a * np.sin(w * time)[:, None] * [1.0, 0.5] + noise * rng.standard_normal((1000, 2))
-    rms, peak = jerk(time, x)
-    size = a * w**3 * np.hypot(1.0, 0.5)
-    assert rms == pytest.approx(size / np.sqrt(2.0), rel=0.05) and peak == pytest.approx(size, rel=0.25)
-    assert all(np.isnan(jerk(time[:6], x[:6])))
 
 
 @pytest.mark.parametrize("n", [6, 50])

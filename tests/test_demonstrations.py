@@ -16,7 +16,7 @@ from task_sets import DATA
 import manip_learn as ml
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.given import recordings_given
-from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names, subsample
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, subsample
 
 NAMES = ("a", "b")
 
@@ -42,15 +42,6 @@ def test_frozen_through_and_through():
                 frozen[0] = 1.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         t.q = q  # type: ignore[misc]
-
-
-def test_any_numbers_become_float64_in_native_order():
-    """Lists, integers, float32 and big-endian numbers are taken as what they mean."""
-    q = np.arange(10).reshape(5, 2)
-    for numbers in (q.tolist(), q, q.astype(np.float32), q.astype(">f8"), np.asfortranarray(q)):
-        t = trajectory(q=numbers)
-        assert t.q.dtype == np.float64 and t.q.dtype.isnative
-        np.testing.assert_array_equal(t.q, q)
 
 
 @pytest.mark.parametrize(
@@ -174,16 +165,6 @@ def test_arrays_are_read_like_files(demos: Demonstrations, features: ml.FrameJac
         np.testing.assert_array_equal(ml.ConstraintLearner(features).fit(arriving).constraint_.selection, selection)
 
 
-def test_one_motion_needs_no_list(demos: Demonstrations, features: ml.FrameJacobian):
-    """A trajectory, a pair or a triple of arrays is one motion, with the velocities that were given."""
-    t = ml.derive_velocities(demos[0], features.robot)
-    for given in (t, (t.time, t.q), [t.time, t.q], (t.time, t.q, t.u), (list(t.time), t.q)):
-        held = recordings_given(given, features.robot, 7, "recorded")
-        assert isinstance(held, Demonstrations) and len(held) == 1
-        np.testing.assert_array_equal(held[0].q, t.q)
-        assert (held[0].u is not None) == (given is t or (isinstance(given, tuple) and len(given) == 3))
-
-
 @pytest.mark.parametrize(
     ("spoil", "code", "words"),
     [
@@ -285,10 +266,3 @@ def test_frames_that_cannot_be_used(spoil: Callable, words: str, demos: Demonstr
     """As for files: named by trajectory, with the value; and a frame that is empty."""
     with pytest.raises(RecordingError, match=words):
         ml.load_demonstrations(spoil(demos.to_frame()), features.robot)
-
-
-def test_names_that_are_told_apart_stay_apart():
-    """A number that tells two of a name apart makes no other's name."""
-    given = [ml.Trajectory(np.arange(3.0), np.zeros((3, 1)), None, ("a",), name) for name in ("a 2", "a", "a", "b")]
-    names = distinct_names(given)
-    assert len(set(names)) == 4 and names[3] == "b"

@@ -89,18 +89,6 @@ def test_what_was_learnt_is_done_from_the_mechanism_and_from_elsewhere(name: str
             assert nearest < (0.1 if name == "table" else 0.05)
 
 
-def test_a_way_along_a_table_is_straight() -> None:
-    """The direction that is neither held nor driven stands still: the null-space policy does not carry the hand off."""
-    constraint, _ = learnt("table")
-    q0 = np.array(constraint.provenance["postures"][0])
-    task = ml.motion(constraint, along=0.15, direction=[1.0, 0.0, 0.0])
-    rollout, _way = done(constraint, task, q0)
-    moved = tips(constraint, rollout.q) - tips(constraint, rollout.q[:1])
-    f = task.constraint.selection[-1]
-    assert task.constraint.n_constraints == 3
-    assert np.max(np.linalg.norm(moved - np.outer(moved @ f, f), axis=1)) < 1e-3
-
-
 def test_the_hand_keeps_its_orientation_if_asked() -> None:
     """A gripper that has closed on a handle does not turn on the way; otherwise it may."""
     constraint, _ = learnt("drawer")
@@ -140,19 +128,6 @@ def test_a_run_may_begin_at_any_time_and_last_as_long_as_is_said() -> None:
     assert unfinished.stopped_by is not None and "on its way to the mechanism: the time" in unfinished.stopped_by
     long, _way = simulate_way(robot, controller, q0, duration=12.0)
     assert long.time[-1] == 12.0
-
-
-def test_a_pause_lets_the_spare_joints_move_first() -> None:
-    """The hand stands still for the pause, and the manipulability at the beginning of the way is larger for it."""
-    constraint, _ = learnt("drawer")
-    q0 = np.array(constraint.provenance["postures"][0])
-    task = ml.motion(constraint, along=0.1, pause=0.8)
-    rollout, way = done(constraint, task, q0)
-    still = tips(constraint, rollout.q[rollout.time < 0.8])
-    assert way.begins == pytest.approx(0.8, abs=0.011) and way.is_done
-    assert way.least_manipulability == np.min(rollout.manipulability[rollout.time >= way.begins - 1e-9])
-    assert np.max(np.linalg.norm(still - still[0], axis=1)) < 1e-4
-    assert rollout.manipulability[80] > rollout.manipulability[0]
 
 
 def test_a_way_that_is_too_long_says_what_stops_it() -> None:
@@ -234,16 +209,3 @@ def test_a_door_is_not_turned_towards_a_point_from_elsewhere() -> None:
         motion_to(learnt("door")[0], point, np.array([0.5, -1.5, 1.0, -1.0, -1.5, 0.0]))
     with pytest.raises(ConstraintError, match="turns about no one axis"):
         motion_to(learnt("drawer")[0], point, READY)
-
-
-def test_a_noisy_encoder_does_not_keep_the_way_from_beginning() -> None:
-    """With noise of 1e-3 rad the hand is there to a millimetre or so, and the way begins at most a second later."""
-    constraint, _ = learnt("door")
-    task = ml.motion(constraint, turn=0.3)
-    controller = ml.ResolvedRateController(constraint, task)
-    q, rng, dt = np.array([0.5, -1.5, 1.0, -1.0, -1.5, 0.0]), np.random.default_rng(0), 0.01
-    expected = task.duration_from(q)
-    for k in range(round((expected + 1.5) / dt)):
-        q = q + dt * controller(q + rng.normal(0.0, 1e-3, 6), k * dt, dt).velocity
-    assert task.way_begins is not None and task.way_begins < expected - 3.0 * 0.3 / 0.36 + 2.0
-    assert abs(task.progress(q) - task.wanted) < 0.01 and task.deviation(q, task.wanted) < 2e-3

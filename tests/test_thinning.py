@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-import tracemalloc
 from functools import partial
 
 import numpy as np
@@ -21,10 +19,8 @@ from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings import load as trajectory_source
 from manip_learn.recordings.velocities import with_velocities
 
-ONE = orthonormal_rows(np.array([[0.5, 1.0, -0.4]]))
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
 HELD = {"velocities": "recorded", "n_constraints": 2, "estimator": "null-space"}
-JOINT = {"velocities": "recorded", "n_constraints": 1, "estimator": "joint", "policy_model": "affine"}
 
 
 @pytest.fixture(scope="module")
@@ -91,23 +87,6 @@ def test_what_is_left_out(most, rate, lengths, steps, left):
             np.testing.assert_array_equal(np.column_stack([a.time, a.q]), np.column_stack([b.time, b.q]))
 
 
-@pytest.mark.parametrize(("settings", "truth"), [(HELD, TWO), (JOINT, ONE)], ids=["held", "moved"])
-def test_a_choice_answers_like_all(features, held, settings, truth):
-    """A sixth of the samples: within what is stated of the answer of all, in memory and in a stream."""
-    demos = held if truth is TWO else motions(features, ONE, np.random.default_rng(2), 60, noise=0.02)
-    whole = ml.ConstraintLearner(features, **settings).fit(demos)
-    few = {**settings, "most_samples": 1000}
-    listed = ml.ConstraintLearner(features, **few).fit(demos)
-    off = np.degrees(row_space_angle(whole.constraint_.selection, listed.constraint_.selection))
-    assert off < 2.0 * listed.report_.uncertainty_deg
-    assert np.degrees(row_space_angle(truth, listed.constraint_.selection)) < 3.0 * listed.report_.uncertainty_deg
-    assert listed.report_.n_samples <= 1000
-    assert any("chosen evenly out of 6,000 of 60" in note for note in listed.report_.notes)
-    if truth is TWO:
-        other = ml.ConstraintLearner(features, **few).fit(Yielded(demos))
-        np.testing.assert_array_equal(other.constraint_.selection, listed.constraint_.selection)
-
-
 def test_velocities_are_derived_before_samples_are_left_out():
     """Velocities of the choice are those of the full rate, to the last bit."""
     robot = ml.load_robot("sawyer")
@@ -137,36 +116,6 @@ def test_phases_are_found_in_a_choice():
     assert chosen.report_.mechanism is not None and chosen.report_.mechanism.type == "line"
     with pytest.raises(NotIdentifiableError):
         ml.ConstraintLearner(features, switch=1e6).fit(given)
-
-
-def test_a_recording_that_repeats_another_counts_once(features, held):
-    """Named, and passed over, among those that were chosen."""
-    copy = ml.Trajectory(held[0].time, held[0].q, held[0].u, held[0].joint_names, "the copy")
-
-    def learnt(*recordings):
-        return ml.ConstraintLearner(features, **HELD, most_samples=1000).fit(Yielded(recordings))
-
-    once, twice = learnt(*held[:11]), learnt(*held[:11], copy)
-    assert any("the copy repeats motion 0" in warning for warning in twice.report_.warnings)
-    assert twice.report_.n_trajectories == 11
-    np.testing.assert_array_equal(twice.constraint_.selection, once.constraint_.selection)
-
-
-@pytest.mark.slow
-def test_memory_does_not_grow(features, held):
-    """Five times as many samples need no more memory."""
-
-    def peak(times: int) -> int:
-        gc.collect()
-        tracemalloc.start()
-        ml.ConstraintLearner(features, **HELD, most_samples=700).fit(Yielded(held[:20], times))
-        _, most = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        return most
-
-    peak(1)  # what is loaded at first use
-    small, large = peak(1), peak(5)
-    assert large < small + 500_000  # the difference in data is 0.9 MB
 
 
 # ---- files -----------------------------------------------------------------------------------------------------------

@@ -64,16 +64,6 @@ def test_derived_velocities_are_close_to_the_truth(dt: float, n: int, noise: flo
         np.testing.assert_array_equal(derived.time, b.time)
 
 
-def test_the_unit_of_time_changes_nothing() -> None:
-    """A motion that is replayed ten times slower, or stamped since 1970, has the same velocities but for the factor."""
-    for noise in (1e-5, 1e-3):
-        t = recorded(4, noise)[1][0]
-        u = derive_velocities(t, ROBOT).u
-        slow, late = (derive_velocities(replace(t, time=x), ROBOT).u for x in (10.0 * t.time, t.time + 1.7e9))
-        np.testing.assert_allclose(10.0 * slow, u, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(late, u, rtol=0, atol=1e-3 * np.abs(u).max())
-
-
 def test_lost_samples_and_uneven_stamps() -> None:
     """Polynomials of degree 5 have their slope exactly, at the ends and beside what is lost; noise grows by what the
     samples that are lost took with them.
@@ -253,17 +243,6 @@ def test_times_that_contradict_the_positions_are_spread(fault: str) -> None:
         np.testing.assert_array_equal(one.q, true.q)
         steps = np.diff(one.time)
         assert np.ptp(steps) < 1e-3 * np.mean(steps)
-
-
-def test_a_pause_stays_a_gap_among_bunches() -> None:
-    """Where the arm has moved on, or stood still for long, no count of samples makes up for the time."""
-    features, exact, _ = motions("planar3")
-    t = exact[0]
-    for stamps in (t.time, bunches(5)(t.time, np.random.default_rng(0))):
-        keep = np.r_[0:100, 160:300]
-        read = recordings_given([(stamps[keep] + 3.0 * (keep >= 160), t.q[keep])], features.robot, 3)
-        assert isinstance(read, ml.Demonstrations)
-        assert [len(part) for part in read] == [100, 140]
 
 
 def test_uneven_sampling_is_believed() -> None:
