@@ -17,7 +17,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.constraint.manipulability import manipulability_gradient
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
-from manip_learn.experiments import EXPERIMENTS, reproduce, rmse, sawyer, singular_starts, table
+from manip_learn.experiments import reproduce, rmse, sawyer, singular_starts, table
 from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie
 from manip_learn.experiments.paper_setup import (
     PAPER_NMIE,
@@ -33,7 +33,7 @@ from manip_learn.experiments.paper_setup import (
     tip,
 )  # fmt: skip
 from manip_learn.experiments.reproduce import write_result
-from manip_learn.experiments.results import TrialsResult, markdown_table, mean_and_sd, number, share, summary
+from manip_learn.experiments.results import TrialsResult, number, share, summary
 from manip_learn.experiments.table import LABELS, LearningCase, learning_trial
 from manip_learn.experiments.trials import Trials
 
@@ -91,10 +91,6 @@ def test_what_is_asked_for_is_checked_before_anything_is_written(tmp_path):
                 reproduce("rmse", out=tmp_path / "out", **({"trials": 1} | {name: value}))
     with pytest.raises(UnknownNameError, match="did you mean 'singular-start'"):
         reproduce("singularstart", out=tmp_path / "out")
-    for gone in ("beyond", "bounds", "recorded", "variants"):
-        with pytest.raises(UnknownNameError) as refusal:
-            reproduce(gone, out=tmp_path / "out")
-        assert all(repr(name) in str(refusal.value) for name in EXPERIMENTS)
     assert not (tmp_path / "out").exists()
     (tmp_path / "thesis.docx").write_text("mine")
     with pytest.raises(OutputError, match="cannot be a folder"):
@@ -133,23 +129,17 @@ def test_table_has_the_shape_that_checks_read():
         }  # fmt: skip
         assert block["ours"]["auto"]["mean"] == 3.5 and block["ours"]["auto"]["refused"] == pytest.approx(1.0 / 3.0)
         assert block["ours"]["auto"]["rows_right"] == pytest.approx(2.0 / 3.0)
-    json.dumps(result.to_dict(), allow_nan=False)
     assert "| joint, affine policy | 3 +- 2.6 | 2 | 6 | 0.1 +- " in result.markdown()
     assert result.rows()[1] | {"auto.refused": "too-few", "separate.test": 2.0} == result.rows()[1]
-    assert "auto.test" not in result.rows()[1]  # an empty cell
 
 
 def test_statistics_and_numbers_for_tables():
     """Mean, sample s.d., median and worst, None where there is no number; short words, and never misleading ones."""
     assert summary([1.0, None, 2.0, 6.0]) == {"mean": 3.0, "sd": 7.0**0.5, "median": 2.0, "worst": 6.0, "n": 3}
-    assert summary([1.0, 3.0]) == {"mean": 2.0, "sd": 2.0**0.5, "median": 2.0, "worst": 3.0, "n": 2}
     assert summary([4.0])["sd"] == 0.0 and summary([]) == dict.fromkeys(("mean", "sd", "median", "worst")) | {"n": 0}
-    assert mean_and_sd(summary([])) == "- +- -"
     assert share([True, False]) == 0.5 and share([]) is None
-    words = {None: "-", 0.0: "0", 1.23e-7: "1.2e-07", 0.314: "0.31", 12.4: "12", 12345.0: "1.2e+04", 0.01: "0.01"}
-    words |= {1.0: "1", -0.5: "-0.5", 9.96: "10", 1000.0: "1.0e+03", 999.0: "999", 0.00999: "1.0e-02"}
+    words = {None: "-", 0.0: "0", 1.23e-7: "1.2e-07", 0.314: "0.31", 9.96: "10", 1000.0: "1.0e+03", 0.00999: "1.0e-02"}
     assert [number(value) for value in words] == list(words.values())
-    assert markdown_table(["a", "b"], [[1, 2]]) == "| a | b |\n|---|---|\n| 1 | 2 |"
 
 
 def test_errors_are_as_defined(robot_of, rng):
@@ -178,8 +168,6 @@ def test_policy_rmse():
     pi = np.array([[[1.0, 0.0], [0.0, 1.0]], [[3.0, 0.0], [0.0, 4.0]]])
     assert_allclose(policy_rmse(pi, np.zeros_like(pi)), [1.0, np.sqrt(12.5)])
     assert_allclose(policy_rmse(pi[1:], pi[:1]), [np.sqrt((2.0**2 + 3.0**2) / 2)])
-    longer = np.concatenate([pi, pi], axis=1)
-    assert_allclose(policy_rmse(longer, np.zeros_like(longer)), [1.0, np.sqrt(12.5)])
 
 
 # ---- the systems that the experiments run on
@@ -267,15 +255,9 @@ def test_figure_2_is_judged_over_starts_that_differ_by_rounding(near_singular, s
     assert rounding["attractor"]["at_rest"] == 0 and rounding["attractor"]["least_late_speed"] > 1e6
 
 
-@pytest.mark.parametrize("name", [
-    pytest.param(n, marks=pytest.mark.slow) if c.direction == "y" or c.points is None else n
-    for n, c in sawyer.CASES.items()
-])  # fmt: skip
+@pytest.mark.parametrize("name", [n for n, c in sawyer.CASES.items() if c.direction != "y" and c.points is not None])
 def test_drawer_is_learnt(name):
-    """Every reading finds its rows by itself; the model to rounding, kind physics to 0.1 and hard to 2 degrees.
-
-    All samples, and a drawer along y, which opens as that along x does, are for long runs.
-    """
+    """Every reading finds its rows by itself; the model to rounding, kind physics to 0.1 and hard to 2 degrees."""
     of = sawyer.CASES[name]
     outcome = sawyer.sawyer_trial(of, np.random.default_rng(0))
     assert outcome["rows"] == of.constraint.n_constraints == outcome["rows_true"]

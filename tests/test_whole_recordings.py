@@ -5,17 +5,15 @@ Recordings that do not belong are named, those that do are not; rows, mechanism 
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from task_sets import DATA, arm, generated, learnt, learnt_from, moving, shipped, true_rows
+from task_sets import arm, generated, learnt, learnt_from, moving, shipped, true_rows
 
 import manip_learn as ml
-from manip_learn.cli import main
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.linalg import row_space_angle
 
@@ -197,22 +195,6 @@ def test_phases_can_be_turned_off():
         ml.ConstraintLearner(features, phases="off").fit(demos[:3])
 
 
-def test_the_command_line_tells_phases_and_mechanisms(capsys: pytest.CaptureFixture[str], tmp_path: Path):
-    """One JSON document holds every constraint, phase and odd recording; `--from` beyond the end is one sentence."""
-    folder = str(DATA / "panda_drawer_whole")
-    arguments = ["learn", "panda", folder, "--frame", "panda_hand_tcp", "--out", str(tmp_path / "c.json")]
-    assert main([*arguments, "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["mechanism"]["type"] == "line" and answer["odd_trajectories"] == []
-    assert [c["n_constraints"] for c in answer["constraints"]] == [2]
-    assert {"trajectory", "start", "end", "constraint", "reason"} == set(answer["phases"][0])
-    assert {p["constraint"] for p in answer["phases"]} == {0, None}
-    assert main([*arguments, "--from", "1000"]) == 2
-    assert "no sample lies between 1000 s" in capsys.readouterr().err
-    assert main([*arguments, "--mechanism", "maybe"]) == 2
-    assert "--mechanism must be 'auto' or 'off'" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("robot", "sets"),
     [
@@ -240,14 +222,6 @@ def test_tasks_in_equal_parts_are_not_pooled(robot: str, sets: list):
         assert np.linalg.norm(np.cross(mechanism.axis, true["axis"])) < np.radians(0.1)
         if sets[halves.index(task)][0] == "door" and len(sets) == 2:
             assert away_from_axis(report, true) < 1e-3
-
-
-def test_a_door_elsewhere_is_left_out_of_the_rows_too():
-    """Recordings in which the others' hinge does not hold are named, and both rows of the others are kept."""
-    _, trajectories, truth = moving("door_other_place", "sawyer", 1003, 8)
-    learner = learnt("sawyer", truth["tip"], trajectories)
-    assert {trajectories[i].name for i in truth["contaminated"]} <= named(learner.report_)
-    assert learner.constraint_.n_constraints == 2
 
 
 @pytest.mark.parametrize(
