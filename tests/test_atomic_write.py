@@ -101,15 +101,14 @@ def test_refuses_folders_and_devices(tmp_path):
     """A folder, a pipe, an empty path and a folder that is a file are each refused in one sentence."""
     (tmp_path / "file").write_text("")
     os.mkfifo(tmp_path / "pipe")
-    cases = {
+    for path, reason in {
         tmp_path: "it is a folder",
         f"{tmp_path}/missing/": "names a folder",
         "": "empty path",
         tmp_path / "pipe": "device or a pipe",
         tmp_path / "file" / "page.html": "cannot write",
         tmp_path / "a\0b": "cannot write",
-    }
-    for path, reason in cases.items():
+    }.items():
         with pytest.raises(OutputError, match=reason):
             write_atomically(path, "x")
     assert not (tmp_path / "missing").exists()

@@ -13,24 +13,14 @@ from case import case
 from numpy.random import Generator
 from numpy.testing import assert_allclose
 
-from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.constraint.manipulability import manipulability_gradient
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
-from manip_learn.experiments import reproduce, rmse, sawyer, singular_starts, table
+from manip_learn.experiments import reproduce, sawyer, singular_starts, table
 from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie
 from manip_learn.experiments.paper_setup import (
     PAPER_NMIE,
-    REST,
     SELECTIONS,
-    STEP,
     Setup,
-    demonstrate,
-    draw_starts,
-    draw_targets,
-    null_parts,
-    planar_features,
-    tip,
 )  # fmt: skip
 from manip_learn.experiments.reproduce import write_result
 from manip_learn.experiments.results import TrialsResult, number, share, summary
@@ -175,35 +165,6 @@ def differences(function, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
     """Central differences, the derivative index last."""
     steps = h * np.eye(len(q))
     return np.stack([(np.asarray(function(q + s)) - np.asarray(function(q - s))) / (2 * h) for s in steps], axis=-1)
-
-
-def test_demonstrations_follow_the_papers_law(rng):
-    """A u = r* - r on the constrained rows along a trajectory, N u = N (rest - q), and each step is an Euler step."""
-    Lambda = Setup("x rz").selection
-    demos = demonstrate(Setup("x rz", trajectories=6), Lambda, rng)
-    assert len(demos) == 6 and len(demos[0]) == 10
-    w = null_parts(planar_features(), demos, Lambda).reshape(6, 10, 3)
-    for t, part in zip(demos, w, strict=True):
-        assert_allclose(np.diff(t.q, axis=0), STEP * t.u[:-1], atol=1e-14)
-        A = Lambda @ planar_features().batch(t.q)
-        goal = np.einsum("nsv,nv->ns", A, t.u) + tip(t.q) @ Lambda.T
-        assert_allclose(goal, np.tile(goal[0], (10, 1)), atol=1e-12)
-        N = np.eye(3) - np.linalg.pinv(A) @ A
-        assert_allclose(part, np.einsum("nij,nj->ni", N, REST - t.q), atol=1e-12)
-
-
-def test_climbing_rollouts_are_euler_steps_of_the_papers_law(rng):
-    """From posture to posture in 0.02 s: u = A^+ b + N grad mu, and the policies returned are grad mu."""
-    constraint = Constraint(Setup("x y").selection, planar_features())
-    starts, targets = draw_starts(3, rng), draw_targets(3, rng)
-    for q, pi, target in zip(*rmse.climbing(constraint, starts, targets), targets, strict=True):
-        assert q.shape == (100, 3)
-        assert_allclose(pi[7], manipulability_gradient(constraint, q[7]), atol=1e-12)
-        for i in (0, 1, 40, 98):
-            A = constraint(q[i])
-            N, b = np.eye(3) - np.linalg.pinv(A) @ A, (target - tip(q[i][None])[0])[:2]
-            u = np.linalg.pinv(A) @ b + N @ manipulability_gradient(constraint, q[i])
-            assert_allclose((q[i + 1] - q[i]) / 0.02, u, atol=1e-9)
 
 
 def test_every_way_to_learn_learns(rng):

@@ -866,17 +866,15 @@ def test_recordings_read_in_parts_are_judged_together(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    ("robot", "names", "said"),
+    ("names", "said"),
     [
-        ("sawyer", HEADER, "it was recorded with 'planar3', not 'sawyer': name that robot"),
-        ("sawyer", "time,left_a,left_b,left_c", "was it recorded with another robot than 'sawyer'?"),
-        ("planar3", "time,q1,q2,q3", "another robot than 'planar3'? Then name that one; if it is this one, columns="),
+        (HEADER, "it was recorded with 'planar3', not 'sawyer': name that robot"),
+        ("time,left_a,left_b,left_c", "was it recorded with another robot than 'sawyer'?"),
     ],
 )
-def test_another_robot_is_suspected(robot: str, names: str, said: str, tmp_path: Path) -> None:
+def test_another_robot_is_suspected(names: str, said: str, tmp_path: Path) -> None:
     """Columns that are no joints of the robot: first the robot is doubted, and the shipped one named that they fit."""
-    error = refusal(table(names, TABLE)(tmp_path), load_robot(robot))
-    assert said in str(error) and "lock" not in str(error)
+    assert said in str(refusal(table(names, TABLE)(tmp_path), load_robot("sawyer")))
 
 
 def test_options_for_rollouts_are_refused_as_typed(planar3: Robot, tmp_path: Path, capsys) -> None:

@@ -233,20 +233,6 @@ def test_times_that_contradict_the_positions_are_spread(fault: str) -> None:
         assert np.ptp(steps) < 1e-3 * np.mean(steps)
 
 
-def test_uneven_sampling_is_believed() -> None:
-    """Dropped samples and random times are what they say: the positions follow them."""
-    features, exact, _ = motions("sawyer")
-    rng = np.random.default_rng(SEED)
-    for t in exact:
-        keep = np.sort(rng.choice(SAMPLES, 200, replace=False))
-        when = np.sort(rng.uniform(0.0, t.time[-1], 250))
-        there = np.column_stack([np.interp(when, t.time, column) for column in t.q.T])
-        for time, q in ((t.time[keep], t.q[keep]), (when, there)):
-            read = recordings_given([(time, q)], features.robot, 7)
-            assert isinstance(read, ml.Demonstrations)
-            np.testing.assert_array_equal(np.concatenate([part.time for part in read]), time)
-
-
 def test_positions_that_are_noise_are_no_motion() -> None:
     """Where no joint moves farther than its encoder's noise nothing is learnt; one recording that moves is not that."""
     features, exact, _ = motions("planar3")

@@ -119,11 +119,9 @@ def test_a_loosely_held_door_is_a_hinge(tmp_path: Path):
 def test_another_drawer_among_the_recordings_is_named():
     """The odd recordings are named with the reason, and the answer is that of the others: no row disappears."""
     (truth, demos), learner = shipped("panda_drawer_mixed"), learnt_from("panda_drawer_mixed")
-    assert learner.report_.n_constraints == 2
-    assert degrees(learner.constraint_, truth) < 0.1
+    assert learner.report_.n_constraints == 2 and degrees(learner.constraint_, truth) < 0.1
     assert named(learner.report_) == {demos[i].name for i in truth["contaminated"]}
     assert all("mm along a direction" in odd.reason for odd in learner.report_.odd_trajectories)
-    assert any("do not agree" in warning for warning in learner.report_.warnings)
 
 
 @pytest.mark.parametrize("kind", ["free_repeated", "free_slow"])
