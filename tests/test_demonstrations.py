@@ -73,9 +73,8 @@ def test_parts():
     """Slices, index arrays and spans of time pick the same samples of time, q, u and efforts; the name follows."""
     t = trajectory(T=6)
     for samples in (slice(1, 6, 2), np.array([1, 3, 5])):
-        part = t.part(samples)
         for name in ("time", "q", "u", "effort"):
-            np.testing.assert_array_equal(getattr(part, name), getattr(t, name)[1::2])
+            np.testing.assert_array_equal(getattr(t.part(samples), name), getattr(t, name)[1::2])
     bare = trajectory(u=None, effort=None)
     assert bare.part(slice(1, 3)).u is None and "efforts" in repr(t) and "efforts" not in repr(bare)
     np.testing.assert_array_equal(t.with_joint_names(("c", "d")).effort, t.effort)

@@ -120,16 +120,14 @@ def test_a_rollout_can_be_learnt_from_again(planar3: Robot, robot_of, tmp_path: 
 # (made with, locked; used with, locked): mistakes, each of which the same names could hide
 WRONG_ROBOTS: list[tuple[str, dict, str, dict]] = [
     ("arm", {}, "longer", {}),
-    ("arm", {"j3": 1.2}, "longer", {"j3": 1.2}),
     ("renamed", {"j1": 0.3}, "arm", {"j1": 0.3}),
     ("arm", {}, "joints", {}),
     ("arm", {}, "arm", {"j2": None}),
     ("arm", {"j2": 1.2}, "arm", {}),
-    ("arm", {"j2": 1.2}, "arm", {"j3": None}),
 ]
 
 
-@pytest.mark.parametrize("number", range(7))
+@pytest.mark.parametrize("number", range(5))
 def test_no_file_is_used_with_another_robot_in_silence(number: int, arms: Path, tmp_path: Path, capsys) -> None:
     """Files, each with a robot or locked joints that are not its own: Python refuses to load, learn from or replay
     them and names both robots; the command line restores the locked joints, and says so, or refuses too.
@@ -249,27 +247,26 @@ def door(planar3: Robot, tmp_path: Path) -> Path:
 
 def test_a_constraint_file_comes_back_if_another_program_wrote_it(planar3: Robot, door: Path, tmp_path: Path) -> None:
     """The same A to the last bit and the same steps, as it was written and as another program writes it again: 1 for
-    1.0, -0.0, keys in another order, no indentation. Files of format 2 and 1 alike; neither is called changed. A(q) of
-    format 1 is what the version that wrote it computed; saved again it is a file of format 2 with the same A.
+    1.0, -0.0, keys in another order. Files of format 2 and 1 alike; neither is called changed. A(q) of format 1 is what
+    the version that wrote it computed; saved again it is a file of format 2 with the same A.
     """
+    again = tmp_path / "again.json"
     for path, schema in ((door, 2), (OF_02, 1)):
-        content, again = json.loads(path.read_text()), tmp_path / "again.json"
+        content = json.loads(path.read_text())
         assert content["schema"] == schema and len(content["sha256"]) == 64
-        for text in (json.dumps(rewritten(content)), json.dumps(content, indent=7, sort_keys=True)):
-            again.write_text(text)
-            first, other = ml.Constraint.load(path, planar3), ml.Constraint.load(again, planar3)
-            assert first.notes == other.notes == ()
-            for q in ROWS_OF_02:
-                np.testing.assert_array_equal(other(q), first(q))
-            steps = Skill.load(again, planar3).steps
-            assert [(step.kind, step.gripper) for step in steps] == [("reach", None), ("way", "close")]
+        again.write_text(json.dumps(rewritten(content), indent=7))
+        first, other = ml.Constraint.load(path, planar3), ml.Constraint.load(again, planar3)
+        assert first.notes == other.notes == ()
+        for q in ROWS_OF_02:
+            np.testing.assert_array_equal(other(q), first(q))
+        steps = Skill.load(again, planar3).steps
+        assert [(step.kind, step.gripper) for step in steps] == [("reach", None), ("way", "close")]
     old = ml.Constraint.load(OF_02, planar3, same_urdf=False)
-    new = ml.Constraint.load(old.save(tmp_path / "new.json"), planar3)
+    new = ml.Constraint.load(old.save(again), planar3)
     for q, rows in ROWS_OF_02.items():
         np.testing.assert_allclose(old(q), rows, rtol=0, atol=1e-14)
         np.testing.assert_array_equal(new(q), old(q))
-    assert json.loads((tmp_path / "new.json").read_text())["schema"] == 2
-    assert new.provenance == old.provenance and new.shown is not None and new.shown.n == 3
+    assert json.loads(again.read_text())["schema"] == 2 and new.provenance == old.provenance
 
 
 NO_FINITE = "c.json is damaged: .* finite number"
