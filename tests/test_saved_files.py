@@ -205,7 +205,7 @@ def test_a_rollout_keeps_what_guided_it(suffix: str, robot_of, tmp_path: Path) -
 
 
 def test_a_task_says_where_it_ends(robot_of) -> None:
-    """A door's motion ends at its start turned by the way; features that cannot be written leave the rollout without."""
+    """A door's motion ends at its start turned by the way; features that cannot be written leave none."""
     robot, start = robot_of("sawyer"), np.array([0.1, -0.8, 0.2, 1.5, 0.1, 0.6, 0.3])
     hinge = MechanismRows(robot, "right_hand", "radial axial", axis=(0, 0, 1), point=(0.2, 0.0, 0.0))
     door = ml.Constraint(np.eye(2), hinge)
@@ -358,8 +358,8 @@ def test_what_differs_is_said(elbow) -> None:
 # ---- exports
 @pytest.mark.parametrize("to", ["mcap", "csv", "lerobot"])
 def test_recordings_come_back(to: str, arms: Path, robot: Robot, tmp_path: Path, capsys) -> None:
-    """Positions, velocities and efforts bit for bit in each format; times too, or to the nanosecond where the format has those.
-    Another robot is refused.
+    """Positions, velocities and efforts bit for bit in each format; times too, or to the nanosecond where the format
+    has those. Another robot is refused.
     """
     out = tmp_path / "out"
     words = ["export", str(arms / "arm.urdf"), str(arms / "demos"), "--out", str(out), "--to", to, "--json"]

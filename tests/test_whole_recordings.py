@@ -197,8 +197,8 @@ def test_phases_can_be_turned_off():
     ("robot", "sets"),
     [
         pytest.param("xarm7", [("door", 601, 4, False), ("door", 5601, 4, False)], id="two doors that share a sphere"),
-        pytest.param("panda", [(kind, seed, 3, False) for kind, seed in (("drawer", 4004), ("door", 5004), ("table", 6004))],
-             id="a table whose normal is 11 degrees from the axis of a door, and a drawer"),
+        pytest.param("panda", [("drawer", 4004, 3, False), ("door", 5004, 3, False), ("table", 6004, 3, False)],
+                     id="a table whose normal is 11 degrees from the axis of a door, and a drawer"),
     ],
 )  # fmt: skip
 def test_tasks_in_equal_parts_are_not_pooled(robot: str, sets: list):
