@@ -35,11 +35,11 @@ def test_frozen_through_and_through():
     assert t.q[0, 0] == 0.0
     copy = pickle.loads(pickle.dumps(Demonstrations([t], ["note"])))
     assert copy.notes == ("note",) and copy[0].name == "demo"
-    for array, other in ((t.q, copy[0].q), (t.time, copy[0].time), (t.u, copy[0].u), (t.effort, copy[0].effort)):
-        np.testing.assert_array_equal(array, other)
-        for frozen in (array, other):
+    for name in ("time", "q", "u", "effort"):
+        np.testing.assert_array_equal(getattr(t, name), getattr(copy[0], name))
+        for frozen in (t, copy[0]):
             with pytest.raises(ValueError, match="read-only"):
-                frozen[0] = 1.0
+                getattr(frozen, name)[0] = 1.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         t.q = q  # type: ignore[misc]
 
@@ -49,12 +49,9 @@ def test_frozen_through_and_through():
     [
         ({"time": [], "q": np.zeros((0, 2)), "u": None, "effort": None}, "empty", "no samples"),
         ({"time": [0, 1, 2]}, "shape", "got"),
-        ({"q": np.zeros(5)}, "shape", "2 dimension"),
         ({"q": np.zeros((5, 1))}, "shape", "q must have shape"),
-        ({"u": np.zeros((4, 2))}, "shape", "u must have shape"),
         ({"effort": np.zeros((5, 1))}, "shape", "effort must have shape"),
         ({"effort": np.where(np.eye(5, 2), np.nan, 0.0)}, "not-finite", "effort of sample 0, joint 'a' is nan"),
-        ({"q": [["x", "y"]] * 5}, "not-a-number", "must be numbers"),
         ({"q": [[1.0, 2.0], [3.0]]}, "not-a-number", "must be numbers"),
         ({"time": [0, 1, 1, 2, 3]}, "time-order", "sample 2 is at 1"),
         ({"time": [0, 1, np.nan, 2, 3]}, "not-finite", "sample 2"),
@@ -207,13 +204,11 @@ def test_frames_come_back(demos: Demonstrations, features: ml.FrameJacobian):
 
 
 FRAMES: dict[str, Callable[[pd.DataFrame], Any]] = {
-    "column": lambda f: f,
     "named index": lambda f: f.set_index("time"),
     "durations": lambda f: f.set_index(pd.to_timedelta(f.time.to_numpy(), unit="s")).drop(columns="time"),
     "dates": lambda f: f.set_index(pd.Timestamp("2026-01-01") + pd.to_timedelta(f.time.to_numpy(), unit="s")).drop(
         columns="time"
     ),
-    "foreign columns": lambda f: f.assign(seq=range(len(f)), frame_id="base"),
 }
 
 

@@ -34,16 +34,14 @@ def held(features) -> ml.Demonstrations:
 
 
 class Yielded:
-    """Trajectories that exist only while they are read, several times over if asked for."""
+    """Trajectories that come one by one, and how often they were asked for."""
 
-    def __init__(self, trajectories, times: int = 1):
-        self.trajectories, self.times, self.passes = trajectories, times, 0
+    def __init__(self, trajectories):
+        self.trajectories, self.passes = trajectories, 0
 
     def __iter__(self):
         self.passes += 1
-        for i in range(self.times):
-            for t in self.trajectories:
-                yield ml.Trajectory(t.time, t.q + 1e-3 * i, t.u, t.joint_names, t.name)
+        yield from self.trajectories
 
 
 def chosen(recordings, each: int, robot, most: int) -> EvenChoice:
