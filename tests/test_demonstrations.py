@@ -16,7 +16,7 @@ from task_sets import DATA
 import manip_learn as ml
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.given import recordings_given
-from manip_learn.recordings.trajectory import Demonstrations, Trajectory, subsample
+from manip_learn.recordings.trajectory import Demonstrations, Trajectory, distinct_names, subsample
 
 NAMES = ("a", "b")
 
@@ -221,3 +221,10 @@ def test_frames_of_others(kind: str, demos: Demonstrations, features: ml.FrameJa
     )
     np.testing.assert_array_equal(back[0].q, t.q)
     np.testing.assert_allclose(back[0].time - back[0].time[0], t.time - t.time[0], rtol=0, atol=2e-9)
+
+
+def test_names_that_are_told_apart_stay_apart():
+    """A number that tells two of a name apart makes no other's name."""
+    given = [ml.Trajectory(np.arange(3.0), np.zeros((3, 1)), None, ("a",), name) for name in ("a 2", "a", "a", "b")]
+    names = distinct_names(given)
+    assert len(set(names)) == 4 and names[3] == "b"

@@ -138,6 +138,7 @@ KINDS: dict[str, Kind] = {
         {"rename": {"obs/arm/joint_pos": "q"}},
         **GIVEN,
     ),
+    "HDF5, names in the file": kind(hdf5(q=Q, t=T, joint_names=np.array(N, dtype="S"))),
     "HDF5, commands alone": kind(hdf5(action__joint_pos=Q, time=T), "only as commands", **GIVEN),
     "HDF5, states copied among commands": kind(hdf5(**COPIED), **GIVEN, rate=50),
     "an archive of three dimensions": kind(npz(t=T, q=Q[None]), **GIVEN),

@@ -50,7 +50,7 @@ from manip_learn.cli import main
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import RecordingSource, load_demonstrations
-from manip_learn.recordings.streams import JointStates, merge
+from manip_learn.recordings.streams import JointStates, joint_groups, merge
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.identity import RobotIdentity
 
@@ -496,6 +496,7 @@ REFUSED = {
     "two times": unfit(
         "no-time", "rename={'t': 'time'} or rename={'stamp': 'time'}", table("t,stamp," + NAMES, TIME, TABLE)
     ),
+    "a gap in the numbers": unfit("columns", "numbered 0, 1, 3", table("time,q0,q1,q3", TABLE), columns="q{index}"),
     "more numbers than joints": unfit("columns", "4 such columns and 3 moving joints", NUMBERED, columns="q{index}"),
     "no such column": unfit("columns", "no column 'pos.joint1'", table(HEADER, TABLE), columns="pos.{joint}"),
     **{
@@ -664,6 +665,16 @@ def test_angles_that_wrap_are_interpolated_the_short_way():
     both = [states_of("/arm", "a b", every(10, 0, 20)), states_of("/hand", "c", every(20, 0, 20), [[3.1], [-3.1]])]
     for wraps, middle in ((frozenset({"c"}), np.pi), (frozenset(), 0.0)):
         assert merge(both, wraps)[0].arrays["position"][1, 2] == pytest.approx(middle)
+
+
+def test_the_last_message_of_equal_stamps_is_kept() -> None:
+    """Of messages of two kinds with one stamp the last stays, by the names of its joints, and it is said."""
+    stamps = every(10, 0, 20)
+    first = states_of("/arm", "a b", stamps, np.arange(6.0).reshape(3, 2), stamps)
+    other = states_of("/arm", "b a", stamps[1:2], [[8, 7]], stamps[1:2])
+    (merged,), notes = joint_groups([first, other], {"a": "/arm", "b": "/arm"})
+    np.testing.assert_array_equal(merged.arrays["position"], [[0, 1], [7, 8], [4, 5]])
+    assert [*map(str, notes)] == ["/arm: 1 message left out for a repeated stamp, the last is kept"]
 
 
 def test_a_late_message_is_told_from_a_clock_that_was_set_back():
