@@ -31,11 +31,11 @@ def one(name: str, write: Callable[[Path], Any]) -> Build:
     return lambda folder: (write(folder / name), folder / name)[1]
 
 
-def table(header: str, *parts: Any, name: str = "a.csv", mark: str = ",", end: str = "\n") -> Build:
+def table(header: str, *parts: Any, name: str = "a.csv") -> Build:
     """Text, all digits; a part is one column or, of shape (T, n), n of them."""
     each = [c for x in parts for c in (x.T if isinstance(x, np.ndarray) and x.ndim == 2 else [x])]
     lines = zip(*(c.tolist() if isinstance(c, np.ndarray) else c for c in each), strict=True)
-    content = "".join(mark.join(map(str, line)) + "\n" for line in lines).removesuffix("\n") + end
+    content = "".join(",".join(map(str, line)) + "\n" for line in lines)
     return one(name, lambda path: path.write_text(f"{header}\n{content}", encoding="utf-8", newline=""))
 
 
@@ -182,10 +182,10 @@ def all_in_one(names: Sequence[str] = JOINTS, q: Any = Q, u: Any = U, topic: str
     ]
 
 
-def some(topic: str, joints: Sequence[int], q: Any = Q, late: int = 0, ahead: int = 0, stamps: Any = STEPS) -> list:
+def some(topic: str, joints: Sequence[int], q: Any = Q, late: int = 0, ahead: int = 0) -> list:
     """Messages with some of the joints, so many nanoseconds late, of a host whose clock is ahead; efforts are 7 q."""
     names = [JOINTS[j] for j in joints]
-    rows = zip((START + int(s) + late for s in stamps), q, strict=True)
+    rows = zip((START + int(s) + late for s in STEPS), q, strict=True)
     return [(topic, at, (at + ahead, names, row[[*joints]], (), 7.0 * row[[*joints]])) for at, row in rows]
 
 

@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 import pytest
 from case import case
-from hypothesis import given
-from hypothesis import strategies as st
 from recording_corpus import CASES, FULL, JOINTS, TIME, Q, U, npz, numbers, refusal
 from recording_formats import all_in_one, bag, file_of, h5py, one, pa, pq, robomimic, table, version_2, version_3
 
@@ -80,24 +78,13 @@ def test_verdict(first: int, command: str, planar3: Robot, tmp_path: Path) -> No
 # ---- any damage
 def mutant(content: bytes, rng: np.random.Generator) -> bytes:
     """Cut off, bits flipped, bytes overwritten, a stretch repeated or left out; text gets huge numbers too."""
-    broken, at = bytearray(content), int(rng.integers(len(content)))
+    at = int(rng.integers(len(content)))
     end = min(at + int(rng.integers(1, 40)), len(content))
-    kind = rng.integers(7)
-    if kind == 0:
-        return bytes(broken[:at])
-    if kind == 1:
-        broken[at] ^= 1 << int(rng.integers(8))
-    elif kind == 2:
-        broken[at:end] = rng.bytes(end - at)
-    elif kind == 3:
-        del broken[at:end]
-    elif kind == 4:
-        broken[at:at] = broken[at:end]
-    elif kind == 5:
-        broken[at:end] = (b"9" * 400, b"9" * 5000, b"[" * 3000, b"nan", b"\xff\xfe", b"-1", b"{}")[rng.integers(7)]
-    else:
-        broken[at : at + 4] = (b"\xff\xff\xff\xff", b"\x00\x00\x00\x80", b"\xff\xff\xff\x7f")[rng.integers(3)]
-    return bytes(broken)
+    before, inside, after = content[:at], content[at:end], content[end:]
+    put = (b"9" * 400, b"[" * 3000, b"nan", b"-1", b"{}", b"\xff\xff\xff\xff", b"\x00\x00\x00\x80")[rng.integers(7)]
+    flipped = bytes([inside[0] ^ 1 << int(rng.integers(8))]) + inside[1:]
+    changed = (flipped + after, rng.bytes(len(inside)) + after, after, inside + inside + after, put + after, b"")
+    return before + changed[rng.integers(6)]
 
 
 def parquet_file(path: Path) -> None:
@@ -157,73 +144,35 @@ def rollout(planar3: Robot) -> Rollout:
 
 
 # values that a damaged or forged JSON file may hold
-VALUES = (None, True, -1, 10**400, 1e308, "", "x", [], [1], {}, {"a": 1}, [[1, 2], [3]], "\ud800", float("inf"))
+VALUES = ["null", "true", "-1", "1" + "0" * 400, "1e308", '""', '"x"', "[]", "[1]", "{}", '{"a": 1}', "[[1, 2], [3]]"]
+VALUES += ['"\\ud800"', "Infinity"]
 
 
-def forged(content: object, rng: np.random.Generator) -> object:
-    """JSON content with one value, anywhere, replaced or left out."""
-    places: list[tuple] = []
-
-    def walk(node: object) -> None:
-        for key in node if isinstance(node, dict) else range(len(node)) if isinstance(node, list) else ():
-            places.append((node, key))
-            walk(node[key])
-
-    walk(content)
-    node, key = places[rng.integers(len(places))]
-    if isinstance(node, dict) and rng.integers(4) == 0:
-        del node[key]
-    else:
-        node[key] = VALUES[rng.integers(len(VALUES))]
-    return content
+def forged(text: str, rng: np.random.Generator) -> str:
+    """JSON with one value, anywhere, replaced."""
+    spans = [found.span() for found in re.finditer(r'"[^"]*"(?!:)|-?\d[\d.e+-]*', text)]
+    start, end = spans[rng.integers(len(spans))]
+    return text[:start] + VALUES[rng.integers(len(VALUES))] + text[end:]
 
 
-@pytest.mark.fuzz
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")  # of forged numbers such as 1e308
 def test_damaged_constraints(planar3: Robot, rollout: Rollout, tmp_path: Path, rng, capsys) -> None:
-    """Bytes and values changed in a constraint file, from its robot to its mechanism: one sentence, code 2."""
+    """Values changed in a constraint file, from its robot to its mechanism: one sentence, code 2."""
     learnt = {
         "phases": [["run", 0.0, 0.5, 0], ["run", 0.5, 1.0, None]],
         "mechanism": {"type": "hinge", "axis": [0, 0, 1], "point": [0, 0, 0], "radius": 1.0},
     }
-    path = ml.Constraint([[1.0, 0.0, 0.0]], ml.FrameJacobian(planar3, "tip", "planar"), learnt).save(
-        tmp_path / "c.json"
-    )
-    content, run = path.read_bytes(), rollout.save(tmp_path / "run.npz")
+    features = ml.FrameJacobian(planar3, "tip", "planar")
+    path = ml.Constraint([[1.0, 0.0, 0.0]], features, learnt).save(tmp_path / "c.json")
+    content, run = path.read_text(), rollout.save(tmp_path / "run.npz")
     replay = ["replay", "planar3", str(run), "--constraint", str(path), "--html", str(tmp_path / "p.html")]
-    assert main(replay) == 0
-    codes = set()
-    for i in range(2000 if FUZZ else 8):
-        if i % 2:
-            path.write_bytes(mutant(content, rng))
-        else:
-            path.write_text(json.dumps(forged(json.loads(content), rng)))
-        code, said = main(replay), capsys.readouterr().err
-        assert code in (0, 2) and "internal error" not in said and "Traceback" not in said, said
-        codes.add(code)
-        try:
-            ml.Constraint.load(path, planar3)
-        except ManipLearnError as error:
-            assert "\n" not in str(error)
-    assert 2 in codes
-
-
-@given(cut=st.floats(0.0, 1.0), changes=st.lists(st.tuples(st.floats(0.0, 0.999999), st.integers(0, 255)), max_size=6))
-@pytest.mark.fuzz
-def test_damaged_rollouts_are_refused_or_harmless(planar3: Robot, cut: float, changes: list) -> None:
-    """Whatever bytes are changed or missing, loading gives a rollout or a RecordingError, never anything else."""
-    with case(cut, changes) as folder:
-        path, u = folder / "damaged.npz", np.ones((4, 2))
-        np.savez(path, format="manip_learn.rollout", time=0.1 * np.arange(4), q=u, u=u, status=["ok"] * 4,
-                 manipulability=u[:, 0], task_error=u[:, 0], joint_names=["a", "b"])  # fmt: skip
-        content = bytearray(path.read_bytes())
-        for place, value in changes:
-            content[int(place * len(content))] = value
-        path.write_bytes(content[: max(1, int(np.ceil(cut * len(content))))])
-        try:
-            Rollout.load(path)
-        except RecordingError as error:
-            assert "damaged.npz" in str(error)
+    codes = [main(replay)]
+    for _ in range(2000 if FUZZ else 8):
+        path.write_text(forged(content, rng))
+        codes.append(main(replay))
+        said = capsys.readouterr().err
+        assert "internal error" not in said and "Traceback" not in said, said
+    assert codes[0] == 0 and {*codes} == {0, 2}
 
 
 # ---- samples that are stated, and are not there
@@ -264,13 +213,10 @@ HDF5 = one("demo.hdf5", lambda path: robomimic(path, (0, 1, 2), None))
 SHORT = "of 60 messages that the bag states {} are of its topics"
 # what is done to which recording -> code and words of its refusal, options
 LOST: dict[str, tuple[Any, Callable[[Path], Any], str, str, dict[str, Any]]] = {
-    **{
-        f"metadata of {kind}": (
-            bag(kind, all_in_one()), replaced("metadata.yaml", "message_count: 60", "message_count: 85"),
-            "lost-messages", "60 messages.* states 85.*ros2 bag reindex", {},
-        )
-        for kind in ("sqlite", "mcap")
-    },
+    "metadata": (
+        bag("sqlite", all_in_one()), replaced("metadata.yaml", "message_count: 60", "message_count: 85"),
+        "lost-messages", "60 messages.* states 85.*ros2 bag reindex", {},
+    ),
     **{
         f"the attribute {name}": (HDF5, attribute(where, name), "lost-samples", f"{name!r}.*999", GIVEN)
         for where, name in (("data", "total"), ("data/demo_1", "num_samples"), ("data", "num_demos"))
@@ -283,14 +229,9 @@ LOST: dict[str, tuple[Any, Callable[[Path], Any], str, str, dict[str, Any]]] = {
     "an end that is none": (
         mcap, bytes_of(lambda b: b[: len(b) // 2] + b"xxxxxxxx"), "damaged", "File end magic is invalid", {}
     ),
-    "more at the end": (mcap, bytes_of(lambda b: b + b"xyz"), "damaged", "the bag cannot be read", {}),
-    **{
-        f"statistics {channel}, {n}": (
-            mcap, bytes_of(lambda b, c=channel, n=n: b.replace(COUNTED, struct.pack("<HQ", c, n))), "lost-messages",
-            SHORT.format(left), {},
-        )
-        for channel, n, left in ((1, 59, 59), (7, 60, 0))
-    },
+    "statistics": (
+        mcap, bytes_of(lambda b: b.replace(COUNTED, struct.pack("<HQ", 1, 59))), "lost-messages", SHORT.format(59), {}
+    ),
 }  # fmt: skip
 
 
@@ -341,26 +282,17 @@ def test_the_totals_of_a_lerobot_data_set_are_believed(version, gone, frames, pl
     def load(path: Path, **options: Any) -> Any:
         return load_demonstrations(path, planar3, units="radians", **options)
 
-    def streamed(path: Path) -> int:
-        source = RecordingSource(path, planar3, units="radians")
-        return sum(len(t) for i in range(source.n_parts) for t in source.part(i))
-
-    def state(**totals: Any) -> None:
-        info.write_text(json.dumps(json.loads(info.read_text()) | totals))
-
     root = version(tmp_path / "set")
     info = root / "meta" / "info.json"
-    state(total_frames=frames, total_episodes=4)
-    assert load(root).n_samples == frames == streamed(root)
+    info.write_text(json.dumps(json.loads(info.read_text()) | {"total_frames": frames, "total_episodes": 4}))
+    assert load(root).n_samples == frames
     next(root.glob(f"data/**/{gone}.parquet")).unlink()
-    for use in (load, streamed):
+    for use in (load, lambda path: list(RecordingSource(path, planar3, units="radians"))):
         with pytest.raises(RecordingError, match="meta/info.json states total_") as caught:
             use(root)
         assert caught.value.code == "lost-samples" and "episodes='0:'" in str(caught.value)
     assert len(load(root, episodes=[0, 1])) == 2
     assert load(next(root.glob("data/**/*.parquet"))).n_samples > 0
-    state(total_frames=True, total_episodes=None)
-    assert load(root).n_samples == frames - 80
 
 
 @pytest.mark.parametrize("ending", ["npz", "csv"])
@@ -401,9 +333,7 @@ def saved_with(**changes: Any) -> Callable[[Path, Rollout], Any]:
 
 
 NO_ROLLOUT: dict[str, tuple[Callable[[Path, Rollout], Any], str]] = {
-    "nothing": (lambda path, _: None, r"r\.npz"),
     "a folder": (lambda path, _: path.mkdir(), r"r\.npz"),
-    "no content": (lambda path, _: path.write_bytes(b""), r"r\.npz"),
     "text": (lambda path, _: path.write_text("time,q\n0,1\n", encoding="utf-8"), r"r\.npz"),
     "another archive": (lambda path, _: np.savez(path, q=np.zeros(3)), r"r\.npz"),
     "a pickle": (lambda path, _: np.savez(path, format=np.array([{}], dtype=object)), r"r\.npz"),
@@ -429,13 +359,12 @@ def test_what_is_no_rollout_is_refused_by_name(what: str, planar3: Robot, rollou
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
-def test_an_answer_that_cannot_be_printed(rollout: Rollout, tmp_path: Path) -> None:
-    """On a full disk a command says so in one sentence and ends with code 2; so for an output file that is a device."""
+def test_an_answer_that_cannot_be_printed() -> None:
+    """On a full disk a command says so in one sentence and ends with code 2."""
     command = [sys.executable, "-m", "manip_learn", "inspect", "planar3", "--json"]
     with open("/dev/full", "w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=110)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "cannot be printed" in done.stderr
-    assert main(["replay", "planar3", str(rollout.save(tmp_path / "r.npz")), "--html", "/dev/full"]) == 2
 
 
 # ---- every door of the library
@@ -477,33 +406,25 @@ def test_what_is_no_file_is_refused_at_each_door(what: str, planar3: Robot, tmp_
 
 def test_what_may_not_be_read_is_not_called_damaged(planar3: Robot, tmp_path: Path, monkeypatch) -> None:
     """At each door; a folder is called one."""
-    opened = os.open
+    for load in (ml.Constraint.load, Skill.load, Scene.load):
+        with pytest.raises(ManipLearnError, match="is a folder"):
+            load(tmp_path, planar3)
 
     def protected(path, *flags, **more):
-        if Path(path).parent == tmp_path:
-            raise PermissionError(13, "Permission denied")
-        return opened(path, *flags, **more)
+        raise PermissionError(13, "Permission denied")
 
     for name, load in DOORS.items():
         (tmp_path / name).write_text("{}")
         with case(name), monkeypatch.context() as patch, pytest.raises(ManipLearnError, match="may not be read"):
             patch.setattr(os, "open", protected)
             load(tmp_path / name, planar3)
-    (tmp_path / "folder").mkdir()
-    for load in (ml.Constraint.load, Skill.load, Scene.load):
-        with pytest.raises(ManipLearnError, match="is a folder"):
-            load(tmp_path / "folder", planar3)
 
 
 # JSON that parsers take badly -> what is said of a constraint and of a scene
 BAD_JSON = {
     "an integer of 400 digits": ('{"floor": %s}' % ("1" + "0" * 400), "format", "floor is inf"),
-    "an integer of 5000 digits": ('{"floor": %s}' % ("1" + "0" * 5000), "format", "floor is inf"),
-    "a float beyond all": ('{"floor": 1e999}', "format", "floor is inf"),
     "not a number": ('{"floor": NaN}', "format", "floor is nan"),
     "lists 10,000 deep": ("[" * 10_000 + "]" * 10_000, "100 brackets", "100 brackets"),
-    "lists 200 deep": ('{"boxes": ' + "[" * 200 + "]" * 200 + "}", "100 brackets", "100 brackets"),
-    "objects 10,000 deep": ('{"floor": ' * 10_000 + "0" + "}" * 10_000, "100 brackets", "100 brackets"),
     "a key that stands twice": ('{"boxes": [], "boxes": []}', "'boxes' stands twice", "'boxes' stands twice"),
     "no UTF-8": (b'{"floor": "\xff\xfe\x80"}', "utf-8", "utf-8"),
     "nothing": ("", "not JSON", "empty"),
@@ -523,32 +444,18 @@ def test_json_that_parsers_take_badly(what: str, planar3: Robot, tmp_path: Path,
     ):
         with pytest.raises(error, match=words):
             load(path, planar3)
-    for command in ("control", "repeat"):
-        assert main([command, "planar3", str(path)]) == 2
-        said = capsys.readouterr().err
-        assert "internal error" not in said and of_constraint in said and said.count("\n") == 1 and len(said) < 500
-
-
-def test_huge_numbers_in_a_constraint_are_refused(planar3: Robot, tmp_path: Path) -> None:
-    """In each entry that decides anything; a byte-order mark, which some editors write, is not."""
-    path = ml.Constraint([[1.0, 0.0, 0.0]], ml.FrameJacobian(planar3, "tip", "planar")).save(tmp_path / "c.json")
-    content, huge = path.read_text(), "1" + "0" * 400
-    path.write_bytes(b"\xef\xbb\xbf" + content.encode())
-    assert ml.Constraint.load(path, planar3).n_constraints == 1
-    for key, old, end in (('"n_constraints": ', "1", ""), ("", "1.0", ","), ('"schema": ', "2", "")):
-        path.write_text(content.replace(key + old + end, key + huge + end, 1))
-        with case(key, old), pytest.raises(ConstraintMismatchError, match="c.json"):
-            ml.Constraint.load(path, planar3)
+    assert main(["control", "planar3", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert "internal error" not in said and of_constraint in said and said.count("\n") == 1 and len(said) < 500
 
 
 def test_too_little_memory_is_said(planar3: Robot, rollout: Rollout, tmp_path: Path, monkeypatch, capsys) -> None:
     """How much was asked for and what asks for less: of a rollout, and of a file, which is not called damaged."""
     path = ml.Constraint([[0.0, 1.0]], ml.FrameJacobian(planar3, "tip", "x y")).save(tmp_path / "c.json")
     command = ["control", "planar3", str(path), "--target", "1,1.5"]
-    for t, dt, words in (("1e8", "1e-6", "1e+14 steps take 4.8e+06 GB"), ("1e300", "1e-300", "inf steps take inf GB")):
-        assert main([*command, "--duration", t, "--dt", dt]) == 2
-        said = capsys.readouterr().err
-        assert words in said and "shorter --duration or a larger --dt" in said
+    assert main([*command, "--duration", "1e8", "--dt", "1e-6"]) == 2
+    said = capsys.readouterr().err
+    assert "1e+14 steps take 4.8e+06 GB" in said and "shorter --duration or a larger --dt" in said
     run = rollout.save(tmp_path / "run.npz")
 
     def full(*_: object) -> None:

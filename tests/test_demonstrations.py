@@ -35,22 +35,13 @@ def test_frozen_through_and_through():
     assert t.q[0, 0] == 0.0
     copy = pickle.loads(pickle.dumps(Demonstrations([t], ["note"])))
     assert copy.notes == ("note",) and copy[0].name == "demo"
-    for array, other in ((t.q, copy[0].q), (t.time, copy[0].time), (t.u, copy[0].u), (t.effort, copy[0].effort)):
-        np.testing.assert_array_equal(array, other)
-        for frozen in (array, other):
+    for name in ("time", "q", "u", "effort"):
+        np.testing.assert_array_equal(getattr(t, name), getattr(copy[0], name))
+        for frozen in (t, copy[0]):
             with pytest.raises(ValueError, match="read-only"):
-                frozen[0] = 1.0
+                getattr(frozen, name)[0] = 1.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         t.q = q  # type: ignore[misc]
-
-
-def test_any_numbers_become_float64_in_native_order():
-    """Lists, integers, float32 and big-endian numbers are taken as what they mean."""
-    q = np.arange(10).reshape(5, 2)
-    for numbers in (q.tolist(), q, q.astype(np.float32), q.astype(">f8"), np.asfortranarray(q)):
-        t = trajectory(q=numbers)
-        assert t.q.dtype == np.float64 and t.q.dtype.isnative
-        np.testing.assert_array_equal(t.q, q)
 
 
 @pytest.mark.parametrize(
@@ -58,50 +49,38 @@ def test_any_numbers_become_float64_in_native_order():
     [
         ({"time": [], "q": np.zeros((0, 2)), "u": None, "effort": None}, "empty", "no samples"),
         ({"time": [0, 1, 2]}, "shape", "got"),
-        ({"time": [[0, 1, 2, 3, 4]]}, "shape", "1 dimension"),
-        ({"q": np.zeros(5)}, "shape", "2 dimension"),
         ({"q": np.zeros((5, 1))}, "shape", "q must have shape"),
-        ({"u": np.zeros((5, 3))}, "shape", "u must have shape"),
-        ({"u": np.zeros((4, 2))}, "shape", "u must have shape"),
         ({"effort": np.zeros((5, 1))}, "shape", "effort must have shape"),
         ({"effort": np.where(np.eye(5, 2), np.nan, 0.0)}, "not-finite", "effort of sample 0, joint 'a' is nan"),
-        ({"q": [["x", "y"]] * 5}, "not-a-number", "must be numbers"),
         ({"q": [[1.0, 2.0], [3.0]]}, "not-a-number", "must be numbers"),
-        ({"q": None}, None, "demo"),
         ({"time": [0, 1, 1, 2, 3]}, "time-order", "sample 2 is at 1"),
-        ({"time": [0, 1, 0.5, 2, 3]}, "time-order", "time must increase"),
         ({"time": [0, 1, np.nan, 2, 3]}, "not-finite", "sample 2"),
         ({"q": [[0, 0], [0, np.nan], [0, 0], [0, 0], [0, 0]]}, "not-finite", "sample 1, joint 'b' is nan"),
         ({"joint_names": ("a", "a")}, "duplicate-joint", "must differ"),
     ],
 )
-def test_what_cannot_be_used_is_refused_by_name(changes: dict[str, Any], code: str | None, words: str):
+def test_what_cannot_be_used_is_refused_by_name(changes: dict[str, Any], code: str, words: str):
     """The trajectory, the sample, the joint and the value."""
     with pytest.raises(RecordingError) as caught:
         trajectory(**changes)
-    assert words in str(caught.value) and str(caught.value).startswith("demo: ")
-    assert code in (None, caught.value.code)
+    assert words in str(caught.value) and str(caught.value).startswith("demo: ") and caught.value.code == code
 
 
 def test_parts():
     """Slices, index arrays and spans of time pick the same samples of time, q, u and efforts; the name follows."""
     t = trajectory(T=6)
     for samples in (slice(1, 6, 2), np.array([1, 3, 5])):
-        part = t.part(samples)
         for name in ("time", "q", "u", "effort"):
-            np.testing.assert_array_equal(getattr(part, name), getattr(t, name)[1::2])
-        assert part.name == "demo"
+            np.testing.assert_array_equal(getattr(t.part(samples), name), getattr(t, name)[1::2])
     bare = trajectory(u=None, effort=None)
     assert bare.part(slice(1, 3)).u is None and "efforts" in repr(t) and "efforts" not in repr(bare)
     np.testing.assert_array_equal(t.with_joint_names(("c", "d")).effort, t.effort)
     assert not Demonstrations([trajectory(), bare]).has_velocities
-    assert t.part(slice(0, 2), "start").name == "start" and len(t) == 6 and t.duration == pytest.approx(0.5)
+    assert t.part(slice(0, 2), "start").name == "start" and t.duration == pytest.approx(0.5)
     with pytest.raises(RecordingError, match="no samples"):
         t.part(slice(3, 3))
     long = trajectory(T=100, time=np.arange(100) * 0.1 + 5.0)
-    part = long[6.0:7.0]
-    assert part.time[0] == pytest.approx(6.0) and part.time[-1] == pytest.approx(7.0) and part.name == "demo"
-    np.testing.assert_array_equal(part.effort, long.effort[10:21])
+    np.testing.assert_array_equal(long[6.0:7.0].effort, long.effort[10:21])
     assert len(long[:6.0]) == 11 and len(long[14.0:]) == 10
     with pytest.raises(RecordingError, match=r"no sample lies between 100 s .* runs from 5 s to 14.9 s"):
         long[100.0:]
@@ -125,18 +104,13 @@ def test_an_even_choice_keeps_both_ends(planar3: ml.Robot):
 
 def test_demonstrations_are_a_sequence():
     """Length, order, iteration and slices are those of the trajectories; notes stay with slices."""
-    one, two, three = trajectory(3, "one"), trajectory(4, "two"), trajectory(5, "three")
-    demos = Demonstrations(iter([one, two, three]), ["trimmed"])
-    assert len(demos) == 3 and demos[1] is two and list(demos) == [one, two, three] and two in demos
-    assert isinstance(demos[1:], Demonstrations)
-    assert demos[1:].trajectories == (two, three) and demos[1:].notes == ("trimmed",)
-    assert demos.joint_names == NAMES and demos.n_samples == 12
-    for content, words in [
-        ([], "at least one"),
-        ([one, "text"], "got str"),
-        ([one, trajectory(name="other", joint_names=("b", "a"))], "other has the joints"),
-        ([one, trajectory(name="other", joint_names=("a", "c"))], "same joints in the same order"),
-    ]:
+    one, two = trajectory(3, "one"), trajectory(4, "two")
+    demos = Demonstrations(iter([one, two]), ["trimmed"])
+    assert list(demos) == [one, two] and demos.joint_names == NAMES and demos.n_samples == 7
+    assert isinstance(demos[1:], Demonstrations) and demos[1:].trajectories == (two,)
+    assert demos[1:].notes == ("trimmed",)
+    other = trajectory(name="other", joint_names=("b", "a"))
+    for content, words in [([], "at least one"), ([one, "text"], "got str"), ([one, other], "other has the joints")]:
         with case(words), pytest.raises(RecordingError, match=words):
             Demonstrations(content)
 
@@ -169,33 +143,17 @@ def test_arrays_are_read_like_files(demos: Demonstrations, features: ml.FrameJac
             assert one.joint_names == features.robot.joint_names
             np.testing.assert_array_equal(one.time, other.time)
             np.testing.assert_array_equal(one.q, other.q)
-    selection = ml.ConstraintLearner(features).fit(demos).constraint_.selection
-    for arriving in (((t.time, t.q) for t in demos), given[-1]):
-        np.testing.assert_array_equal(ml.ConstraintLearner(features).fit(arriving).constraint_.selection, selection)
-
-
-def test_one_motion_needs_no_list(demos: Demonstrations, features: ml.FrameJacobian):
-    """A trajectory, a pair or a triple of arrays is one motion, with the velocities that were given."""
-    t = ml.derive_velocities(demos[0], features.robot)
-    for given in (t, (t.time, t.q), [t.time, t.q], (t.time, t.q, t.u), (list(t.time), t.q)):
-        held = recordings_given(given, features.robot, 7, "recorded")
-        assert isinstance(held, Demonstrations) and len(held) == 1
-        np.testing.assert_array_equal(held[0].q, t.q)
-        assert (held[0].u is not None) == (given is t or (isinstance(given, tuple) and len(given) == 3))
 
 
 @pytest.mark.parametrize(
     ("spoil", "code", "words"),
     [
         (lambda t: t.q, "type", "times are not known"),
-        (lambda t: [t.q], "type", "motion 1 must be a Trajectory"),
         (lambda t: (t.time, t.q[:, :6]), "shape", "q has 6 columns, robot 'sawyer' has 7 joints"),
         (lambda t: (t.time, np.degrees(t.q)), "degrees", "look like degrees"),
-        (lambda t: (t.time[:-1], t.q), "shape", "q must have shape"),
         (lambda t: (t.time[::-1], t.q), "time-order", "time goes back in 338 of 338 steps"),
         (lambda t: [(t.time, t.q), (t.time, np.full_like(t.q, np.nan))], "not-finite", "motion 2"),
         (lambda t: "demo.csv", "type", "load_demonstrations"),
-        (lambda t: [5], "type", "got int"),
         (lambda t: 5, "type", "got int"),
         (lambda t: iter([t, 5]), "type", "motion 2 must be a Trajectory"),
         (lambda t: iter([t, t.with_joint_names(tuple("abcdefg"))]), "joint-names", "sorts by name"),
@@ -222,14 +180,6 @@ def test_system_without_robot():
 
 
 # ---- data frames
-def same(a: Demonstrations, b: Demonstrations) -> None:
-    assert len(a) == len(b)
-    for t, s in zip(a, b, strict=True):
-        np.testing.assert_array_equal(t.q, s.q)
-        np.testing.assert_allclose(t.time, s.time, rtol=0, atol=1e-12)
-        assert (t.u is None) == (s.u is None)
-        if t.u is not None and s.u is not None:
-            np.testing.assert_array_equal(t.u, s.u)
 
 
 def test_frames_come_back(demos: Demonstrations, features: ml.FrameJacobian):
@@ -238,27 +188,27 @@ def test_frames_come_back(demos: Demonstrations, features: ml.FrameJacobian):
     """
     robot = features.robot
     moving = [dataclasses.replace(t, u=np.gradient(t.q, t.time, axis=0), effort=7.0 * t.q) for t in demos]
-    for trajectories in (list(demos), moving, [*moving[:2], *list(demos)[2:]]):
-        original = Demonstrations(trajectories)
-        frame = original.to_frame()
-        assert len(frame) == original.n_samples
-        back = ml.load_demonstrations(frame, robot, velocities="recorded")
-        same(original, back)
-        assert [(t.name, t.effort is None) for t in back] == [(t.name, t.effort is None) for t in original]
     single = [Demonstrations([t]).to_frame().drop(columns="trajectory") for t in demos]
-    for given in (demos.to_frame(), single):  # as a learner takes them
-        same(demos, recordings_given(given, robot, robot.nv))
+    for trajectories, given in (
+        (demos, recordings_given(single, robot, robot.nv)),  # as a learner takes them
+        ([*moving[:2], *list(demos)[2:]], None),
+    ):
+        original = Demonstrations(trajectories)
+        back = given or ml.load_demonstrations(original.to_frame(), robot, velocities="recorded")
+        for t, s in zip(original, back, strict=True):
+            assert given or (t.name, t.effort is None, t.u is None) == (s.name, s.effort is None, s.u is None)
+            np.testing.assert_array_equal(t.q, s.q)
+            np.testing.assert_allclose(t.time, s.time, rtol=0, atol=1e-12)
+            if t.u is not None:
+                np.testing.assert_array_equal(t.u, s.u)
 
 
 FRAMES: dict[str, Callable[[pd.DataFrame], Any]] = {
-    "column": lambda f: f,
     "named index": lambda f: f.set_index("time"),
     "durations": lambda f: f.set_index(pd.to_timedelta(f.time.to_numpy(), unit="s")).drop(columns="time"),
     "dates": lambda f: f.set_index(pd.Timestamp("2026-01-01") + pd.to_timedelta(f.time.to_numpy(), unit="s")).drop(
         columns="time"
     ),
-    "shuffled": lambda f: f[list(reversed(f.columns))],
-    "foreign columns": lambda f: f.assign(seq=range(len(f)), frame_id="base"),
 }
 
 
@@ -271,20 +221,6 @@ def test_frames_of_others(kind: str, demos: Demonstrations, features: ml.FrameJa
     )
     np.testing.assert_array_equal(back[0].q, t.q)
     np.testing.assert_allclose(back[0].time - back[0].time[0], t.time - t.time[0], rtol=0, atol=2e-9)
-
-
-@pytest.mark.parametrize(
-    ("spoil", "words"),
-    [
-        (lambda f: f.where(~((f.index == 700)[:, None] & (f.columns == "right_j3"))), r"demo_03\.csv.*right_j3"),
-        (lambda f: f.assign(**{f"right_j{k}": np.degrees(f[f"right_j{k}"]) for k in range(7)}), "look like degrees"),
-        (lambda f: f.iloc[:0], "nothing in it"),
-    ],
-)
-def test_frames_that_cannot_be_used(spoil: Callable, words: str, demos: Demonstrations, features: ml.FrameJacobian):
-    """As for files: named by trajectory, with the value; and a frame that is empty."""
-    with pytest.raises(RecordingError, match=words):
-        ml.load_demonstrations(spoil(demos.to_frame()), features.robot)
 
 
 def test_names_that_are_told_apart_stay_apart():

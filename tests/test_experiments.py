@@ -12,30 +12,18 @@ import pytest
 from case import case
 from numpy.random import Generator
 from numpy.testing import assert_allclose
-from rounding import rounding
 
-from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.constraint.manipulability import manipulability_gradient
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
-from manip_learn.experiments import EXPERIMENTS, reproduce, rmse, sawyer, singular_starts, table
+from manip_learn.experiments import reproduce, sawyer, singular_starts, table
 from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie
 from manip_learn.experiments.paper_setup import (
     PAPER_NMIE,
-    REST,
     SELECTIONS,
-    STEP,
     Setup,
-    demonstrate,
-    draw_starts,
-    draw_targets,
-    null_parts,
-    planar_arm,
-    planar_features,
-    tip,
 )  # fmt: skip
 from manip_learn.experiments.reproduce import write_result
-from manip_learn.experiments.results import TrialsResult, markdown_table, mean_and_sd, number, share, summary
+from manip_learn.experiments.results import TrialsResult, number, share, summary
 from manip_learn.experiments.table import LABELS, LearningCase, learning_trial
 from manip_learn.experiments.trials import Trials
 
@@ -93,10 +81,6 @@ def test_what_is_asked_for_is_checked_before_anything_is_written(tmp_path):
                 reproduce("rmse", out=tmp_path / "out", **({"trials": 1} | {name: value}))
     with pytest.raises(UnknownNameError, match="did you mean 'singular-start'"):
         reproduce("singularstart", out=tmp_path / "out")
-    for gone in ("beyond", "bounds", "recorded", "variants"):
-        with pytest.raises(UnknownNameError) as refusal:
-            reproduce(gone, out=tmp_path / "out")
-        assert all(repr(name) in str(refusal.value) for name in EXPERIMENTS)
     assert not (tmp_path / "out").exists()
     (tmp_path / "thesis.docx").write_text("mine")
     with pytest.raises(OutputError, match="cannot be a folder"):
@@ -135,23 +119,17 @@ def test_table_has_the_shape_that_checks_read():
         }  # fmt: skip
         assert block["ours"]["auto"]["mean"] == 3.5 and block["ours"]["auto"]["refused"] == pytest.approx(1.0 / 3.0)
         assert block["ours"]["auto"]["rows_right"] == pytest.approx(2.0 / 3.0)
-    json.dumps(result.to_dict(), allow_nan=False)
     assert "| joint, affine policy | 3 +- 2.6 | 2 | 6 | 0.1 +- " in result.markdown()
     assert result.rows()[1] | {"auto.refused": "too-few", "separate.test": 2.0} == result.rows()[1]
-    assert "auto.test" not in result.rows()[1]  # an empty cell
 
 
 def test_statistics_and_numbers_for_tables():
     """Mean, sample s.d., median and worst, None where there is no number; short words, and never misleading ones."""
     assert summary([1.0, None, 2.0, 6.0]) == {"mean": 3.0, "sd": 7.0**0.5, "median": 2.0, "worst": 6.0, "n": 3}
-    assert summary([1.0, 3.0]) == {"mean": 2.0, "sd": 2.0**0.5, "median": 2.0, "worst": 3.0, "n": 2}
     assert summary([4.0])["sd"] == 0.0 and summary([]) == dict.fromkeys(("mean", "sd", "median", "worst")) | {"n": 0}
-    assert mean_and_sd(summary([])) == "- +- -"
     assert share([True, False]) == 0.5 and share([]) is None
-    words = {None: "-", 0.0: "0", 1.23e-7: "1.2e-07", 0.314: "0.31", 12.4: "12", 12345.0: "1.2e+04", 0.01: "0.01"}
-    words |= {1.0: "1", -0.5: "-0.5", 9.96: "10", 1000.0: "1.0e+03", 999.0: "999", 0.00999: "1.0e-02"}
+    words = {None: "-", 0.0: "0", 1.23e-7: "1.2e-07", 0.314: "0.31", 9.96: "10", 1000.0: "1.0e+03", 0.00999: "1.0e-02"}
     assert [number(value) for value in words] == list(words.values())
-    assert markdown_table(["a", "b"], [[1, 2]]) == "| a | b |\n|---|---|\n| 1 | 2 |"
 
 
 def test_errors_are_as_defined(robot_of, rng):
@@ -180,8 +158,6 @@ def test_policy_rmse():
     pi = np.array([[[1.0, 0.0], [0.0, 1.0]], [[3.0, 0.0], [0.0, 4.0]]])
     assert_allclose(policy_rmse(pi, np.zeros_like(pi)), [1.0, np.sqrt(12.5)])
     assert_allclose(policy_rmse(pi[1:], pi[:1]), [np.sqrt((2.0**2 + 3.0**2) / 2)])
-    longer = np.concatenate([pi, pi], axis=1)
-    assert_allclose(policy_rmse(longer, np.zeros_like(longer)), [1.0, np.sqrt(12.5)])
 
 
 # ---- the systems that the experiments run on
@@ -189,44 +165,6 @@ def differences(function, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
     """Central differences, the derivative index last."""
     steps = h * np.eye(len(q))
     return np.stack([(np.asarray(function(q + s)) - np.asarray(function(q - s))) / (2 * h) for s in steps], axis=-1)
-
-
-def test_tip_is_that_of_the_shipped_arm(rng):
-    """The closed form agrees with the robot, and its derivative is Phi."""
-    q = rng.uniform(-3.0, 3.0, size=(5, 3))
-    for row, point in zip(q, tip(q), strict=True):
-        pose, known = planar_arm().pose(row, "tip"), rounding(8 * 3, row, 3.0)  # [m] long
-        assert_allclose(pose[:2, 3], point[:2], atol=known)
-        assert_allclose(differences(lambda p: tip(p[None])[0], row), planar_features().batch(row[None])[0], atol=1e-8)
-
-
-def test_demonstrations_follow_the_papers_law(rng):
-    """A u = r* - r on the constrained rows along a trajectory, N u = N (rest - q), and each step is an Euler step."""
-    Lambda = Setup("x rz").selection
-    demos = demonstrate(Setup("x rz", trajectories=6), Lambda, rng)
-    assert len(demos) == 6 and len(demos[0]) == 10
-    w = null_parts(planar_features(), demos, Lambda).reshape(6, 10, 3)
-    for t, part in zip(demos, w, strict=True):
-        assert_allclose(np.diff(t.q, axis=0), STEP * t.u[:-1], atol=1e-14)
-        A = Lambda @ planar_features().batch(t.q)
-        goal = np.einsum("nsv,nv->ns", A, t.u) + tip(t.q) @ Lambda.T
-        assert_allclose(goal, np.tile(goal[0], (10, 1)), atol=1e-12)
-        N = np.eye(3) - np.linalg.pinv(A) @ A
-        assert_allclose(part, np.einsum("nij,nj->ni", N, REST - t.q), atol=1e-12)
-
-
-def test_climbing_rollouts_are_euler_steps_of_the_papers_law(rng):
-    """From posture to posture in 0.02 s: u = A^+ b + N grad mu, and the policies returned are grad mu."""
-    constraint = Constraint(Setup("x y").selection, planar_features())
-    starts, targets = draw_starts(3, rng), draw_targets(3, rng)
-    for q, pi, target in zip(*rmse.climbing(constraint, starts, targets), targets, strict=True):
-        assert q.shape == (100, 3)
-        assert_allclose(pi[7], manipulability_gradient(constraint, q[7]), atol=1e-12)
-        for i in (0, 1, 40, 98):
-            A = constraint(q[i])
-            N, b = np.eye(3) - np.linalg.pinv(A) @ A, (target - tip(q[i][None])[0])[:2]
-            u = np.linalg.pinv(A) @ b + N @ manipulability_gradient(constraint, q[i])
-            assert_allclose((q[i + 1] - q[i]) / 0.02, u, atol=1e-9)
 
 
 def test_every_way_to_learn_learns(rng):
@@ -269,26 +207,6 @@ def test_singular_start_is_the_papers_picture(singular):
     assert numbers["attractor, dt 0.02 s"]["min_manipulability"] == pytest.approx(0.0831, abs=1e-3)
 
 
-@pytest.mark.slow
-def test_near_singular_start_is_not(near_singular):
-    """The leap of 6e11 rad/s happens in joint 2 only, whatever the policy; what Figure 2 shows of the policies holds.
-
-    After it nothing is printed: neither the tables nor the JSON have a digit of what is rounding noise.
-    """
-    printed = {c.text: c.holds for c in near_singular.claims}
-    assert not printed.pop("The next state is beyond 1e9 rad for each joint")
-    assert len(printed) == 2 and all(text.startswith("Figure 2") and holds for text, holds in printed.items())
-    for law, numbers in near_singular.to_dict()["ours"].items():
-        chaotic = "our controller" not in law
-        assert numbers["chaotic"] == chaotic
-        assert (numbers["final_error"] is None) == (numbers["min_manipulability"] is None) == chaotic
-    assert near_singular.markdown().count("| chaotic | chaotic |") == 6
-    for law, rollout in near_singular.rollouts.items():
-        if "our controller" not in law:
-            assert np.max(np.abs(rollout.u[0])) == pytest.approx(5.73e11, rel=1e-2)
-            assert np.all(np.isfinite(rollout.q))
-
-
 def test_figure_2_is_judged_over_starts_that_differ_by_rounding(near_singular, singular):
     """Zero and manipulability policies rest on the target from all of them, the attractor from none."""
     rounding = near_singular.to_dict()["rounding"]
@@ -298,15 +216,9 @@ def test_figure_2_is_judged_over_starts_that_differ_by_rounding(near_singular, s
     assert rounding["attractor"]["at_rest"] == 0 and rounding["attractor"]["least_late_speed"] > 1e6
 
 
-@pytest.mark.parametrize("name", [
-    pytest.param(n, marks=pytest.mark.slow) if c.direction == "y" or c.points is None else n
-    for n, c in sawyer.CASES.items()
-])  # fmt: skip
+@pytest.mark.parametrize("name", [n for n, c in sawyer.CASES.items() if c.direction != "y" and c.points is not None])
 def test_drawer_is_learnt(name):
-    """Every reading finds its rows by itself; the model to rounding, kind physics to 0.1 and hard to 2 degrees.
-
-    All samples, and a drawer along y, which opens as that along x does, are for long runs.
-    """
+    """Every reading finds its rows by itself; the model to rounding, kind physics to 0.1 and hard to 2 degrees."""
     of = sawyer.CASES[name]
     outcome = sawyer.sawyer_trial(of, np.random.default_rng(0))
     assert outcome["rows"] == of.constraint.n_constraints == outcome["rows_true"]

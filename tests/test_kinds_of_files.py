@@ -11,7 +11,6 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-import scipy.io
 import yaml
 
 import manip_learn as ml
@@ -26,8 +25,6 @@ SEC, PART = np.floor(STAMPS), STAMPS % 1
 NS = np.round(PART * 1e9)
 GIVEN = {"joint_names": N}
 NAMED = [[name] * len(T) for name in N]  # columns that hold the names of the joints
-LISTS = list(zip(T.tolist(), Q.tolist(), strict=True))
-ROWS = [(t, dict(zip(N, q, strict=True))) for t, q in LISTS]
 
 Write = Callable[[Path], Any]  # writes a file, or returns what is given instead of one
 # how it is written, words of the refusal ("" if it is read), options that the refusal advises, options
@@ -78,11 +75,6 @@ def npz(save: Callable[..., Any] = np.savez, **arrays: Any) -> Write:
     return write
 
 
-def mat(**arrays: Any) -> Write:
-    """Return how to write a MATLAB file."""
-    return npz(lambda file, **arrays: scipy.io.savemat(file, arrays), **arrays)
-
-
 def state(k: int, named: bool = True, words: tuple[str, str] = ("sec", "nanosec")) -> dict[str, Any]:
     """Return a JointState."""
     stamp = dict(zip(words, (int(SEC[k]), int(NS[k])), strict=True))
@@ -101,42 +93,29 @@ def each(prefix: str, n: int = 7) -> list[str]:
 
 
 FRAME = dict(zip(N, Q.T, strict=True))  # columns of a data frame
-DATES = [(pd.Timestamp("2026-01-01") + pd.Timedelta(seconds=t)).isoformat() + "Z" for t in T]
 DURATIONS = ({"secs": int(t), "nsecs": round((t % 1) * 1e9)} for t in T.tolist())
 POINTS = [{"positions": q, "velocities": [], "time_from_start": t} for t, q in zip(DURATIONS, Q.tolist(), strict=True)]
 WIDE = 0.8 * np.sin(T[:, None] * np.linspace(1.0, 2.5, 7) + np.arange(7))
-SECONDS = "sec,nanosec secs,nsecs seconds,nseconds stamp_sec,stamp_nanosec header.stamp.secs,header.stamp.nsecs"
-SECONDS += " tv_sec,tv_nsec header/stamp/sec,header/stamp/nanosec"
+SECONDS = "sec,nanosec secs,nsecs seconds,nseconds tv_sec,tv_nsec header/stamp/sec,header/stamp/nanosec"
 COMMANDS = "action control target master leader command desired next_obs goal".split()
 POSES = {"transform_positions": 3, "tcp_pos": 3, "ee_pose": 7, "gripper_position": 1, "object_pos": 7}
 COPIED = {f"{group}__robot_state__joint_positions": Q for group in ("observation", "action")}
 COPIED |= {"action__joint_position": OTHER}
 EULER = ["x", "y", "z", "roll", "pitch", "yaw", "gripper"]
-FRANKA = ["time", *(f"{w}[{k}]" for w in ("q", "q_d", "O_T_EE") for k in range(7))]
 RTDE = ["timestamp", *each("actual_q_"), *each("target_q_"), *each("actual_TCP_pose_", 6)]
 ECHO_P = ["%time", "field.header.seq", *each("field.name"), *each("field.position")]
 MOTORS = [[{"position": np.degrees(p), "velocity": 0.0} for p in q] for q in Q.tolist()]
 ACTUATORS = [{"time": t, "actuators": motors} for t, motors in zip(T.tolist(), MOTORS, strict=True)]
-SAMPLES = [{"time": t, "q": q} for t, q in LISTS]
 
 KINDS: dict[str, Kind] = {
     **{f"stamps {s}": kind(table([*s.split(","), *N], SEC, NS, Q)) for s in SECONDS.split()},
-    "stamps in nanoseconds since 1970": kind(table(["timestamp", *N], np.round(STAMPS * 1e9), Q)),
     "seconds and microseconds": kind(table(["tv_sec", "tv_usec", *N], SEC, np.round(PART * 1e6), Q)),
-    "an index, then stamps": kind(table(["Unnamed: 0", "sec", "nanosec", *N], T, SEC, NS, Q)),
-    "stamps of who received it": kind(table(["receive_time", "time", *N], T + 0.003, T, Q)),
-    "stamps of the bag": kind(
-        table(["rosbagTimestamp", "header.stamp.secs", "header.stamp.nsecs", *N], np.round(STAMPS * 1e9), SEC, NS, Q)
-    ),
     "times that contradict each other": kind(
         table(["time", "stamp", *N], T, 2 * T, Q),
         "count 2.98 and 5.96: leave the wrong one out, ignore_columns=['stamp']",
         {"ignore_columns": ["stamp"]},
     ),
-    "dates in UTC": kind(table(["timestamp", *N], DATES, Q)),
-    "frames, counted": kind(table(["frame_index", *N], np.arange(150.0), Q), rate=50),
     "frames without a rate": kind(table(["frame_index", *N], np.arange(150.0), Q), "rate="),
-    "stamps (T, 2) in an archive": kind(npz(stamps=np.column_stack([SEC, NS]), q=Q, joint_names=N)),
     "stamps (T, 2) in HDF5": kind(hdf5(joint_positions=Q, timestamps=np.column_stack([SEC, NS])), **GIVEN),
     "two arrays of times": kind(npz(t=T, stamp=2 * T, q=Q), "could be the time: say which: rename={'t'", **GIVEN),
     "a line of units": kind(table(["time", *N], ["s", *T], *(["rad", *q] for q in Q.T))),
@@ -159,24 +138,14 @@ KINDS: dict[str, Kind] = {
         {"rename": {"obs/arm/joint_pos": "q"}},
         **GIVEN,
     ),
-    "HDF5, commands alone": kind(hdf5(action__joint_pos=Q, time=T), "only as commands", **GIVEN),
-    "HDF5, leader and follower": kind(hdf5(leader__joint_pos=OTHER, follower__joint_pos=Q, time=T), **GIVEN),
     "HDF5, names in the file": kind(hdf5(q=Q, t=T, joint_names=np.array(N, dtype="S"))),
-    "HDF5, an array for each joint": kind(hdf5(time=T, **dict(zip(N, Q.T, strict=True)))),
-    "HDF5, qpos and action": kind(hdf5(observations__qpos=Q, action=OTHER), **GIVEN, rate=50),
+    "HDF5, commands alone": kind(hdf5(action__joint_pos=Q, time=T), "only as commands", **GIVEN),
     "HDF5, states copied among commands": kind(hdf5(**COPIED), **GIVEN, rate=50),
-    "an archive with a pose as wide": kind(npz(timestamp=T, joint_angles=Q, ee_pose=OTHER, names=N)),
-    "an archive, actual and desired": kind(npz(t=T, actual_positions=Q, desired_positions=OTHER), **GIVEN),
     "an archive of three dimensions": kind(npz(t=T, q=Q[None]), **GIVEN),
-    "MATLAB, a struct, one column a sample": kind(
-        mat(data={"time": T, "joint_positions": Q.T, "tau": 0 * Q.T}), **GIVEN
-    ),
     "ros2 topic echo": kind(echo(False)),
     "ros2 topic echo --flow-style": kind(echo()),
-    "rostopic echo": kind(echo(words=("secs", "nsecs"))),
     "topic echo without names": kind(echo(named=False), "joint_names=", GIVEN),
     "ros2 topic echo --csv": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *NAMED, Q)),
-    "... with velocities": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *NAMED, Q, 0 * Q)),
     "... without names": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, Q), **GIVEN),
     "rostopic echo -p": kind(table(ECHO_P, np.round(STAMPS * 1e9), np.arange(150), *NAMED, Q)),
     "messages whose joints change": kind(
@@ -184,39 +153,17 @@ KINDS: dict[str, Kind] = {
         "change from row",
     ),
     "PlotJuggler": kind(table(["__time", "/js/header/stamp", *(f"/js/{n}/position" for n in N)], STAMPS, STAMPS, Q)),
-    "a flattened frame": kind(
-        table(["timestamp", *(f"{w}.{n}" for w in ("position", "effort") for n in N)], T, Q, 0 * Q)
-    ),
-    "a written frame": kind(
-        table(["", "timestamp", *N, "width", "label"], np.arange(150), T, Q, T, ["pick"] * 150), columns="{joint}"
-    ),
-    "a table of messages": kind(table(["Time", *each("name_"), *each("position_")], STAMPS, *NAMED, Q)),
-    "... with a stamp of two columns": kind(
-        table(["header.stamp.sec", "header.stamp.nanosec", *each("name."), *each("position.")], *(SEC, NS, *NAMED, Q))
-    ),
     "... in a message": kind(text("\n".join(json.dumps({"js": state(k)}) for k in range(150)))),
     "JSON, columns beside a pose": kind(
         dumped({"timestamp": T.tolist(), "tcp_x": T.tolist()} | {n: q.tolist() for n, q in FRAME.items()})
     ),
-    "JSON, rows with names": kind(dumped([{"time": t, **row} for t, row in ROWS])),
-    "JSON, rows with an object of joints": kind(dumped([{"time": t, "positions": row} for t, row in ROWS])),
-    "JSON, rows of lists": kind(dumped([{"time": t, "robot": {"joint_angle": q}} for t, q in LISTS]), **GIVEN),
-    "JSON, rows beside what the program says": kind(dumped({"fps": 50, "data": SAMPLES}), **GIVEN),
     "JSON, an object for each joint": kind(dumped(ACTUATORS), **GIVEN, degrees=True),
     "YAML of a JointTrajectory": kind(text(yaml.safe_dump({"joint_trajectory": {"joint_names": N, "points": POINTS}}))),
     "a pose of angles": kind(table(["time", *EULER], T, Q), "coordinates of a pose"),
-    "a pose of a quaternion": kind(table(["time", *"xyz", "qx", "qy", "qz", "qw"], T, Q), "of a pose"),
-    "a pose beside joints": kind(table(["time", *N, "ee_x", "ee_y", "ee_z", "ee_qw"], T, Q, Q[:, :4])),
-    "more motors than joints": kind(table(["time", *each("motor_", 9)], T, Q, T, T), "motor_0"),
-    "numbers from 0": kind(table(["time", *each("joint_")], T, Q), "joint_0 as right_j0"),
-    "numbers from 1": kind(table(["time", *each("joint_", 8)[1:]], T, Q), "joint_1 as right_j0"),
     "numbered": kind(table(["time", *each("q")], T, Q), "q0 as right_j0", {"columns": "q{index}"}),
-    "libfranka": kind(table(FRANKA, T, Q, OTHER, Q), "columns='q[{index}]'", {"columns": "q[{index}]"}),
     "UR's RTDE": kind(
         table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), "columns='actual_q_{index}'", {"columns": "actual_q_{index}"}
     ),
-    "degrees in the names": kind(table(["time", *(n + "_deg" for n in N)], T, np.degrees(Q)), "degrees"),
-    "a frame with dates": kind(lambda _: pd.DataFrame({"time": pd.to_datetime(STAMPS, unit="s"), **FRAME})),
     "a frame with times as its index": kind(lambda _: pd.DataFrame(FRAME, index=pd.Index(T, name="time"))),
 }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -58,25 +57,12 @@ def test_guided_motions_pass_without_a_word(sawyer: Robot, rng: np.random.Genera
     assert load(sawyer, tmp_path, time, q, u).notes == ()
 
 
-@pytest.mark.parametrize("seed", [9, 13, 16])
-def test_stamps_that_are_right_and_uneven_are_kept(seed: int, planar3: Robot, tmp_path: Path) -> None:
-    """Samples of a loop that runs late and catches up, with rests and noise of 1e-3 rad: the arm moves as they say."""
-    rng = np.random.default_rng(seed)
-    time = np.cumsum(np.where(rng.random(200) < 0.3, 0.002, 0.07))
-    s = np.clip((time / time[-1] - 0.3) / 0.4, 0.0, 1.0)
-    q = np.outer(s**3 * (10.0 - 15.0 * s + 6.0 * s * s), [0.5, -0.4, 0.3]) + [0.1, 0.9, 0.2]
-    (demo,) = load(planar3, tmp_path, time, q + 1e-3 * rng.normal(size=q.shape))
-    np.testing.assert_array_equal(demo.time, time)
-
-
-@pytest.mark.parametrize("name", ["panda", "ur5", "sawyer"])
-def test_degrees_are_always_caught(name: str, robot_of, rng: np.random.Generator, tmp_path: Path) -> None:
+def test_degrees_are_always_caught(sawyer: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
     """By the limits, without velocities; with the way out, which gives the radians back."""
-    robot = robot_of(name)
     for _ in range(8):
-        time, q, u = guided(robot, rng)
-        assert refused(robot, tmp_path, time, np.degrees(q)).code == "degrees"
-    demos = load(robot, tmp_path, time, np.degrees(q), np.degrees(u), degrees=True)
+        time, q, u = guided(sawyer, rng)
+        assert refused(sawyer, tmp_path, time, np.degrees(q)).code == "degrees"
+    demos = load(sawyer, tmp_path, time, np.degrees(q), np.degrees(u), degrees=True)
     np.testing.assert_allclose(demos[0].q, q, rtol=1e-12)
     np.testing.assert_allclose(demos[0].u, u, rtol=1e-12)
     assert demos.notes == ("demo.npz: degrees converted to radians, as asked",)
@@ -109,7 +95,6 @@ FAULTS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str, str, tuple[str,
     "a sample above": (
         lambda q: put(q, 3, 50.0, 100), "outside-limits", "right_j3", ("sample 100", "50 is outside", "at 1 of 400")
     ),
-    "a sample below": (lambda q: put(q, 3, -50.0, 100), "outside-limits", "right_j3", ("-50 is outside the limits",)),
     "all samples": (lambda q: put(q, 3, 4.0 + 0.01 * q[:, 3]), "outside-limits", "right_j3", ("400 of 400", "robot?")),
     "one column in degrees": (
         lambda q: put(np.clip(q, -2, 2), 3, np.degrees(np.clip(q[:, 3], -2, 2))), "degrees", "right_j3",
@@ -247,17 +232,6 @@ def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
         assert ("is not a number" in noted) == is_refused
 
 
-def test_places_without_a_number_are_listed(planar3: Robot, tmp_path: Path) -> None:
-    """Up to five of them, all of five; of more the first five and that there are more."""
-    for n, more in ((1, False), (5, False), (6, True)):
-        q = np.cumsum(np.full((40, 3), 0.01), axis=0)
-        q[3 : 3 + n, 1] = np.nan
-        sentence = str(refused(planar3, tmp_path, 0.01 * np.arange(40), q))
-        assert f"in {n} sample" in sentence and (", ...;" in sentence) is more
-        others = re.findall(r"sample (\d+)", sentence.partition(": sample ")[2])
-        assert others == [str(3 + i) for i in range(1, min(n, 5))]
-
-
 # ---- two publishers on one topic, and reads that failed: seen from the samples alone
 
 
@@ -271,20 +245,7 @@ def motion(rng: np.random.Generator, n_samples: int, nv: int, dt: float, speed: 
     return total * (rng.random(nv) < 0.8)
 
 
-def turns(rng: np.random.Generator, n_samples: int, kind: str) -> np.ndarray:
-    """Who sent each sample, 0 or 1."""
-    if kind == "strict":
-        return np.arange(n_samples) % 2
-    if kind == "random":
-        return (rng.random(n_samples) < rng.uniform(0.2, 0.8)).astype(int)
-    ratio = rng.uniform(0.2, 1.0) if kind == "rate" else rng.uniform(0.95, 1.05)
-    one = np.arange(n_samples) + 0.05 * rng.standard_normal(n_samples)
-    two = (np.arange(int(n_samples * ratio)) + rng.random()) / ratio
-    order = np.argsort(np.concatenate([one, two]), kind="stable")
-    return np.repeat([0, 1], [len(one), len(two)])[order][:n_samples]
-
-
-@pytest.mark.parametrize("kind", ["strict", "phase", "rate", "random"])
+@pytest.mark.parametrize("kind", ["strict", "random"])
 def test_interleaved_motions_are_found(kind: str, rng: np.random.Generator) -> None:
     """A moving robot and a GUI that stands elsewhere: at least 19 of 20 are found, however they take turns; so in a
     part of a recording.
@@ -294,7 +255,8 @@ def test_interleaved_motions_are_found(kind: str, rng: np.random.Generator) -> N
         n, nv, dt = int(rng.integers(60, 1200)), int(rng.integers(2, 8)), float(rng.choice([0.002, 0.01, 0.02]))
         robot = motion(rng, n, nv, dt, 0.5) + 1e-4 * rng.standard_normal((n, nv))
         gui = np.broadcast_to(rng.choice([-1, 1], nv) * rng.uniform(0.6, 1.5, nv), (n, nv))
-        found += alternation(np.where(turns(rng, n, kind)[:, None] == 1, gui, robot))[0].size > 0
+        turns = np.arange(n) % 2 == 1 if kind == "strict" else rng.random(n) < rng.uniform(0.2, 0.8)
+        found += alternation(np.where(turns[:, None], gui, robot))[0].size > 0
     assert found >= 38
     q = motion(rng, 2_000, 4, 0.01, 0.5)
     q[800:1000:2] += 0.8
@@ -310,7 +272,6 @@ def test_noise_and_coarse_encoders_are_no_second_publisher(rng: np.random.Genera
         noisy = (
             q + 1.5 * size * rng.standard_normal(q.shape),
             q + size * rng.standard_t(2, q.shape),
-            np.round(q / size) * size,
             np.round((q + 0.3 * size * rng.standard_normal(q.shape)) / size) * size,
             np.round((q + size * (np.arange(n) % 2)[:, None]) / size) * size,
         )
@@ -331,13 +292,9 @@ def test_failed_reads_are_left_out(planar3: Robot, rng: np.random.Generator) -> 
     rested = np.concatenate([q[:300], np.repeat(q[300:301], 200, axis=0), q[301:801]])
     kept = load_demonstrations(table(rested), planar3)
     assert kept.n_samples == 1000 and kept.notes == ()
-
-    for irregular in (0, 3):  # written ten times as fast as the arm told, with large steps that are no failed reads
-        lengths = 10 + rng.integers(-irregular, irregular + 1, 100)
-        slow = motion(rng, 100, 3, 0.1, 3.0)
-        told = load_demonstrations(table(np.repeat(slow, lengths, axis=0)), planar3)
-        assert len(told) == 1 and {*map(tuple, told[0].q)} == {*map(tuple, slow)} and len(told[0].q) < 120
-        assert "only repeat the posture before" in told.notes[0]
+    slow = motion(rng, 100, 3, 0.1, 3.0)  # written ten times as fast, with large steps that are no failed reads
+    told = load_demonstrations(table(np.repeat(slow, 10 + rng.integers(-3, 4, 100), axis=0)), planar3)
+    assert len(told) == 1 and {*map(tuple, told[0].q)} == {*map(tuple, slow)} and len(told[0].q) < 120
 
 
 def table(q: np.ndarray, at: Any = (), value: float = 0.0) -> pd.DataFrame:

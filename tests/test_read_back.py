@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 from manip_learn.constraint.features import MechanismRows
-from manip_learn.control.interop.force_control import force_mode, moveit_constraints, urscript
+from manip_learn.control.interop.force_control import force_mode, urscript
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.writers.write_motion import write_motion
 
@@ -151,65 +151,6 @@ def test_urscript_computes_the_task_frame(robot):
     assert "tip" not in "".join(code).replace("manip_learn_2e5_tip_no_end", ""), "a name of the robot in the program"
     opened = len(re.findall(r"^ *(?:def|thread|while) .*:$", text, re.MULTILINE))
     assert opened == len(re.findall(r"^ *end$", text, re.MULTILINE)) == 5
-
-
-def yaml_of(text: str) -> Any:
-    """Read as ROS reads it, by YAML 1.1, in which no, off and ~ are no words and 1e-05 is no number."""
-    reader = pytest.importorskip("ruamel.yaml", reason="the extra 'ros' is not installed").YAML(typ="safe", pure=True)
-    reader.version = (1, 1)
-    return reader.load(text)
-
-
-def allowed(content: Any, robot: ml.Robot, q: np.ndarray) -> bool:
-    """Whether a posture keeps path constraints, as MoveIt measures: boxes around a point, a rotation vector."""
-
-    def of(numbers: Any, names: str = "xyz") -> np.ndarray:
-        return np.array([numbers[k] for k in names])
-
-    for kept in content["position_constraints"]:
-        point = (robot.pose(q, kept["link_name"]) @ [*of(kept["target_point_offset"]), 1.0])[:3]
-        region = kept["constraint_region"]
-        inside = []
-        for shape, place in zip(region["primitives"], region["primitive_poses"], strict=True):
-            turn = Rotation.from_quat(of(place["orientation"], "xyzw"))
-            apart = turn.inv().apply(point - of(place["position"]))
-            inside.append(np.all(np.abs(apart) <= 0.5 * np.array(shape["dimensions"]) + 1e-9))
-        if not any(inside):
-            return False
-    for kept in content["orientation_constraints"]:
-        hand = Rotation.from_matrix(robot.pose(q, kept["link_name"])[:3, :3])
-        off = (Rotation.from_quat(of(kept["orientation"], "xyzw")).inv() * hand).as_rotvec()
-        if np.any(np.abs(off) > [kept[f"absolute_{k}_axis_tolerance"] for k in "xyz"]):
-            return False
-    return True
-
-
-def test_moveit_allows_the_way_and_little_else(robot):
-    """The arm goes along what each constraint leaves free: all its postures keep what is written, and none does that
-    is 3 cm or 6 degrees off along a held row.
-    """
-    start = postures(robot, 1)[0]
-    p = robot.position(start, EVIL)
-    hinge = MechanismRows(robot, EVIL, "radial axial", axis=(0.0, 0.0, 1.0), point=p - [0.3, 0.1, 0.0])
-    constraints = {
-        "a line": ml.Constraint(np.eye(3)[1:], ml.FrameJacobian(robot, EVIL, "xyz")),
-        "a firm line": ml.Constraint(np.eye(6)[1:], ml.FrameJacobian(robot, EVIL, "pose")),
-        "a hinge": ml.Constraint(np.eye(2), hinge),
-    }
-    for name, constraint in constraints.items():
-        content = yaml_of(moveit_constraints(constraint, start))
-        assert {kept["link_name"] for kinds in list(content.values())[1:] for kept in kinds} == {EVIL}
-        motion = ml.motion(constraint, turn=0.4) if name == "a hinge" else ml.motion(constraint, along=0.08)
-        run = ml.simulate(robot, ml.ResolvedRateController(constraint, motion), start, duration=2.0, dt=0.05)
-        assert np.ptp(run.q, axis=0).max() > 0.05
-        for q in run.q[::5]:
-            with case(name, q.tolist()):
-                assert allowed(content, robot, q)
-                A = constraint(q)
-                for row in range(constraint.n_constraints):
-                    angle = constraint.features.row_names[int(np.argmax(np.abs(constraint.selection[row])))][0] == "r"
-                    off = math.radians(6.0) if angle and name != "a hinge" else 0.03
-                    assert not allowed(content, robot, q + np.linalg.pinv(A)[:, row] * off)
 
 
 def test_a_bag_read_by_another_reader(robot, tmp_path):

@@ -16,17 +16,9 @@ from task_sets import DATA, EXAMPLES, arm
 from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot
 
-MADE_WITH = "4.0.0"  # MuJoCo; other versions give other last digits
-FOLDERS = {"sawyer_drawer": ("sawyer", 50), "sawyer_door": ("sawyer", 8), "planar3_reach": ("planar3", 20)}
 SHIPPED = ("panda_drawer_whole", "xarm7_drawer_then_table", "ur5_loose_door", "panda_drawer_mixed")
-HELD = (
-    "drawer drawer_firm drawer_offset drawer_moved drawer_slip drawer_other_direction drawer_then_table "
-    "door door_firm door_offset door_moved door_other_place door_then_drawer "
-    "table table_flat hinge screw sleeve tether joystick"
-).split()
-QUICK = {"drawer_then_table", "door_offset", "hinge", "screw", "sleeve", "tether", "table_flat", "joystick"}
-EXACT, SIMULATED, NOISY = 1e-9, 2e-5, 2e-4  # [m]; with 1e-4 rad of noise, a lever of up to 0.9 m and several joints
-SLOW = pytest.mark.slow
+HELD = "drawer_then_table door_offset table_flat hinge screw sleeve tether joystick".split()
+EXACT, NOISY = 1e-9, 2e-4  # [m]; with 1e-4 rad of noise, a lever of up to 0.9 m and several joints
 
 
 def files_of(folder: str) -> list[Path]:
@@ -54,20 +46,6 @@ def worst(part, robot: Robot, trajectories: list, truth: dict[str, Any]) -> tupl
     return linear, angular
 
 
-@pytest.mark.parametrize("folder", FOLDERS)
-def test_files_are_complete_and_name_the_robots_joints(folder: str) -> None:
-    """The promised number of files; columns named like the robot's joints; finite; even time from 0; inside limits."""
-    robot, paths = arm(FOLDERS[folder][0]), files_of(folder)
-    assert [p.name for p in paths] == [f"demo_{i:02d}.csv" for i in range(1, FOLDERS[folder][1] + 1)]
-    for path in paths:
-        header, rows = read(path)
-        assert header[: robot.nv + 1] == ["time", *robot.joint_names]
-        assert np.all(np.isfinite(rows)) and rows[0, 0] == 0.0
-        np.testing.assert_allclose(np.diff(rows[:, 0]), rows[1, 0], atol=1e-12)
-        q = rows[:, 1 : robot.nv + 1]
-        assert np.all(q > robot.position_lower) and np.all(q < robot.position_upper)
-
-
 @pytest.mark.parametrize("folder", SHIPPED)
 def test_shipped_recordings_obey_their_truth(part, folder: str) -> None:
     """Each shipped window obeys the shipped truth to the noise of the encoders; the reader accepts the files."""
@@ -78,60 +56,22 @@ def test_shipped_recordings_obey_their_truth(part, folder: str) -> None:
     assert 1e-5 < linear < NOISY
 
 
-@pytest.mark.parametrize(
-    ("script", "words", "folder", "numbers", "within"),
-    [
-        ("record_planar_reaching", [], "planar3_reach", range(20), 2e-7),
-        pytest.param("record_drawer_physics", ["--only", "7"], "sawyer_drawer", [6], 2e-5, marks=SLOW),
-        pytest.param("record_door_physics", ["--only", "3"], "sawyer_door", [2], 2e-5, marks=SLOW),
-    ],
-)
-def test_the_scripts_write_the_files_again(part, tmp_path: Path, script, words, folder, numbers, within) -> None:
-    """Same seed, same numbers, but for the last digit; physics with the MuJoCo that made the files."""
-    if words and pytest.importorskip("mujoco").__version__ != MADE_WITH:
-        pytest.skip(f"the files were made with MuJoCo {MADE_WITH}")
-    part(script).main([str(tmp_path), *words])
-    files = [files_of(folder)[k] for k in numbers]
-    assert {p.name for p in files} <= {p.name for p in tmp_path.iterdir()}
-    for path in files:
+def test_the_script_writes_the_planar_files_again(part, tmp_path: Path) -> None:
+    """Same seed, same numbers, but for the last digit."""
+    part("record_planar_reaching").main([str(tmp_path)])
+    for path in files_of("planar3_reach"):
         (header, rows), (shipped_header, shipped) = read(tmp_path / path.name), read(path)
         assert header == shipped_header
-        np.testing.assert_allclose(rows, shipped, rtol=0.0, atol=within)
+        np.testing.assert_allclose(rows, shipped, rtol=0.0, atol=2e-7)
 
 
-@pytest.mark.parametrize("kind", [pytest.param(k, marks=() if k in QUICK else SLOW) for k in HELD])
+@pytest.mark.parametrize("kind", HELD)
 def test_the_tip_obeys_the_truth(part, kind: str) -> None:
     """Without noise the windows obey type, axis, point, radius and pitch exactly, and last a second in all."""
     name = ("panda", "xarm7", "ur5")[HELD.index(kind) % 3]
     trajectories, truth = part("make_recordings.kinematic_sets").make_set(kind, name, 5, 2, noise=0.0)
     assert max(worst(part, arm(name), trajectories, truth)) < EXACT
     assert all(sum(end - start for start, end, _ in windows) > 1.0 for windows in truth["windows"])
-
-
-def test_the_same_seed_gives_the_same_recordings(part) -> None:
-    """Equal to the last bit; another seed gives others; the noise is drawn apart from the motion."""
-    make_set = part("make_recordings.kinematic_sets").make_set
-    (first, truth), (again, same) = (make_set("door_then_drawer", "ur5", 8, 2) for _ in range(2))
-    clean, _ = make_set("door_then_drawer", "ur5", 8, 2, noise=0.0)
-    other, _ = make_set("door_then_drawer", "ur5", 9, 2)
-    assert truth == same and truth == json.loads(json.dumps(truth))
-    for (time, q), (time_again, q_again), (_, q_clean) in zip(first, again, clean, strict=True):
-        assert np.array_equal(time, time_again) and np.array_equal(q, q_again)
-        assert np.std(q - q_clean) == pytest.approx(1e-4, rel=0.1)
-    assert first[0][1].shape != other[0][1].shape or not np.allclose(first[0][1], other[0][1])
-
-
-@SLOW
-@pytest.mark.parametrize(("kind", "robot"), [("drawer_slip", "panda"), ("screw", "ur5"), ("door", "xarm7")])
-def test_the_simulated_grip_holds(part, kind: str, robot: str) -> None:
-    """In rigid-body dynamics the windows obey the truth to 20 micrometres, a fifth of what the encoders let one see."""
-    pytest.importorskip("mujoco")
-    (trajectories, truth), (again, _) = (
-        part("make_recordings.physics_sets").make_set(kind, robot, 5, 2, noise=0.0) for _ in range(2)
-    )
-    linear, angular = worst(part, arm(robot), trajectories, truth)
-    assert linear < SIMULATED and angular < 1e-4
-    assert all(np.array_equal(a[1], b[1]) for a, b in zip(trajectories, again, strict=True))
 
 
 def test_the_command_writes_recordings_that_can_be_loaded(part, tmp_path: Path) -> None:

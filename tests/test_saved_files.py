@@ -18,8 +18,6 @@ import pytest
 from case import case
 from recording_corpus import TIME, Q, U, refusal
 from recording_formats import pq, table
-from task_sets import DATA
-from task_sets import arm as arm_of
 from urdf_corpus import edited
 
 import manip_learn as ml
@@ -32,8 +30,8 @@ from manip_learn.errors import ConstraintMismatchError, OutputError, RecordingEr
 from manip_learn.playback import replay
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
-from manip_learn.recordings.writers.lerobot_writer import samples_per_second, write_lerobot
-from manip_learn.recordings.writers.write_motion import joint_trajectory_bytes, nanoseconds, write_motion
+from manip_learn.recordings.writers.lerobot_writer import samples_per_second
+from manip_learn.recordings.writers.write_motion import joint_trajectory_bytes, nanoseconds
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.identity import RobotIdentity
 
@@ -74,7 +72,8 @@ def arms(tmp_path_factory) -> Path:
         t = 5.0 + 2.5 * k + np.arange(40) * 0.01 + 1e-9 * (np.arange(40) % 3)
         q = np.column_stack([np.sin(t + k), np.cos(t), 0.3 * t])
         u = np.column_stack([np.cos(t + k), -np.sin(t), 0.3 + 0.0 * t])
-        table("time,j1,j2,j3,j1_velocity,j2_velocity,j3_velocity", t, q, u, name=f"demo_{k}.csv")(folder / "demos")
+        names = ",".join(f"j{j}{of}" for of in ("", "_velocity", "_effort") for j in (1, 2, 3))
+        table(f"time,{names}", t, q, u, q / 3.0, name=f"demo_{k}.csv")(folder / "demos")
     return folder
 
 
@@ -108,8 +107,6 @@ def test_a_rollout_can_be_learnt_from_again(planar3: Robot, robot_of, tmp_path: 
     """The same motion, limits are not used to doubt our own units; continuous joints as (cos, sin) become angles."""
     rollout = Rollout(TIME, Q * 10.0, U * 10.0, TIME, ("ok",) * 60, planar3.joint_names, TIME)
     demos = load_demonstrations(rollout.save(tmp_path / "r.npz"), planar3)
-    np.testing.assert_array_equal(demos[0].q, rollout.q)
-    np.testing.assert_array_equal(demos[0].u, rollout.u)
     assert any("beyond their limits" in note for note in demos.notes)
     wrist = robot_of("wrist")
     positions = np.column_stack([3.0 + TIME, 0.1 * TIME, 6.0 * TIME, 0.2 * TIME])
@@ -120,31 +117,25 @@ def test_a_rollout_can_be_learnt_from_again(planar3: Robot, robot_of, tmp_path: 
     assert "full turns added" in " ".join(demos.notes)
 
 
-# (made with, locked; used with, locked): ten mistakes, each of which the same names could hide
+# (made with, locked; used with, locked): mistakes, each of which the same names could hide
 WRONG_ROBOTS: list[tuple[str, dict, str, dict]] = [
     ("arm", {}, "longer", {}),
-    ("longer", {}, "arm", {}),
-    ("arm", {"j3": 1.2}, "longer", {"j3": 1.2}),
-    ("arm", {}, "renamed", {}),
     ("renamed", {"j1": 0.3}, "arm", {"j1": 0.3}),
     ("arm", {}, "joints", {}),
     ("arm", {}, "arm", {"j2": None}),
     ("arm", {"j2": 1.2}, "arm", {}),
-    ("arm", {"j2": 1.2}, "arm", {"j2": None}),
-    ("arm", {"j2": 1.2}, "arm", {"j3": None}),
 ]
 
 
-@pytest.mark.parametrize("number", range(10))
+@pytest.mark.parametrize("number", range(5))
 def test_no_file_is_used_with_another_robot_in_silence(number: int, arms: Path, tmp_path: Path, capsys) -> None:
-    """Ten files, each with a robot or locked joints that are not its own: Python refuses to load, learn from or replay
-    them and names both robots; the command line restores the locked joints, or refuses too.
+    """Files, each with a robot or locked joints that are not its own: Python refuses to load, learn from or replay
+    them and names both robots; the command line restores the locked joints, and says so, or refuses too.
     """
     made_with, locked, used_with, used_locked = WRONG_ROBOTS[number]
     made_with, used_with = (str(arms / f"{name}.urdf") for name in (made_with, used_with))
     own, other = load_robot(made_with, locked=locked), load_robot(used_with, locked=used_locked)
-    rollout, page, learnt = rollout_of(own), tmp_path / "page.html", tmp_path / "c.json"
-    path = rollout.save(tmp_path / ("run.npz", "run.csv")[number % 2])
+    page, path = tmp_path / "page.html", rollout_of(own).save(tmp_path / ("run.npz", "run.csv")[number % 2])
     for use in (
         lambda: Rollout.load(path, other),
         lambda: load_demonstrations(path, other),
@@ -154,25 +145,18 @@ def test_no_file_is_used_with_another_robot_in_silence(number: int, arms: Path, 
             use()
         assert caught.value.code == "other-robot" and repr(other.name) in str(caught.value)
     locks = [x for joint in used_locked for x in ("--lock", joint)]
-    same_description = made_with == used_with and not set(used_locked) - set(locked)
     silent = {name: at for name, at in locked.items() if name not in used_locked}  # what the file alone has locked
-    notes = ["as when it was made: " + ", ".join(f"{n} = {x:.4g}" for n, x in silent.items()) + " locked"]
     for command in (
         ["replay", used_with, str(path), "--html", str(page), *locks],
-        ["learn", used_with, str(path), "--frame", "tip", "--axes", "x", "--out", str(learnt), *locks],
+        ["learn", used_with, str(path), "--frame", "tip", "--axes", "x", *locks],
     ):
         code, said = main(command), capsys.readouterr()
-        assert "internal error" not in said.err
-        if code == 0 and command[0] == "replay" and silent:
-            assert " ".join(notes[0].split()) in " ".join(said.out.split())
-        if not same_description:
-            assert code == 2 and repr(own.name) in said.err and "was made with robot" in said.err
-            assert not page.exists() and not learnt.exists()
-    if same_description:
-        replay(own, {"run": rollout}, tmp_path / "direct.html", open_browser=False, notes=notes if silent else ())
-        assert page.read_bytes() == (tmp_path / "direct.html").read_bytes()  # of the joints as they were locked
-        if learnt.exists():  # there may be too little motion to learn from
-            assert json.loads(learnt.read_text())["robot"]["locked"] == locked
+        if made_with == used_with and not set(used_locked) - set(locked):
+            assert command[0] == "learn" or code == 0
+            notes = [f"{name} = {at:.4g}" for name, at in silent.items()] if code == 0 else []
+            assert all(note in " ".join(said.out.split()) for note in notes)
+        else:
+            assert code == 2 and repr(own.name) in said.err and "was made with robot" in said.err and not page.exists()
 
 
 def test_files_without_a_robot(robot: Robot, arms: Path, tmp_path: Path) -> None:
@@ -191,58 +175,45 @@ def test_files_without_a_robot(robot: Robot, arms: Path, tmp_path: Path) -> None
 
 
 def test_another_ending_is_refused(robot: Robot, tmp_path: Path) -> None:
-    """The ending says the format; one that says nothing is an error that lists the formats, as is one that went."""
+    """The ending says the format; one that says nothing is an error that lists the formats, as is one that went; what
+    cannot be a rollout again is not read as one.
+    """
     rollout = rollout_of(robot)
     gone = r"JSON lines are not written any more; \.npz and \.csv"
     for name, said in (("run.xyz", r"\.npz, \.csv, \.mcap"), ("run.jsonl", gone)):
         with pytest.raises(OutputError, match=said):
             rollout.save(tmp_path / name)
-    motion = motion_of_trajectory(ml.Trajectory(rollout.time, rollout.q, None, rollout.joint_names), robot)
-    rollout.save(tmp_path / "run.mcap")
-    (tmp_path / "old.jsonl").write_bytes(b'{"format": "manip_learn.rollout", "schema": 2}\n')
-    (tmp_path / "run.yaml").write_bytes(joint_trajectory_bytes(motion))
-    for name in ("run.mcap", "old.jsonl", "run.yaml"):
-        with pytest.raises(RecordingError, match=r"\.npz and \.csv|\.npz or \.csv") as caught:
-            Rollout.load(tmp_path / name)
-        assert caught.value.code == "not-a-rollout"
+    with pytest.raises(RecordingError, match=r"\.npz and \.csv|\.npz or \.csv") as caught:
+        Rollout.load(rollout.save(tmp_path / "run.mcap"))
+    assert caught.value.code == "not-a-rollout"
 
 
 @FORMATS
 def test_a_rollout_keeps_what_guided_it(suffix: str, robot_of, tmp_path: Path) -> None:
     """Target, constraint and following error come back from every format; the constraint can be built again."""
     robot = robot_of("sawyer")
-    provenance = {"kind": "motion-constrained", "phases": [["a", 0, 1, 0]]}
-    constraint = ml.Constraint([[0, 1, 0], [0, 0, 1]], FrameJacobian(robot, "right_hand", "xyz"), provenance)
+    constraint = ml.Constraint(np.eye(3)[1:], FrameJacobian(robot, "right_hand", "xyz"), {"kind": "motion-constrained"})
     law = ml.ResolvedRateController(constraint, ml.PointAttractor([0.6, 0.2, 0.4]))
     rollout = ml.simulate(robot, ServoLoop(law, 0.01), robot.neutral(), 0.05, 0.01)
-    assert rollout.following_error is not None and rollout.following_error.shape == rollout.time.shape
     slipping = replace(rollout, following_error=np.linspace(0.0, 0.1, len(rollout)))
     loaded = Rollout.load(slipping.save(tmp_path / f"run.{suffix}"), robot)
     assert loaded.target is not None and loaded.target.tolist() == [0.6, 0.2, 0.4] and loaded.constraint is not None
     np.testing.assert_array_equal(loaded.following_error, slipping.following_error)
-    again = ml.Constraint.from_dict(loaded.constraint, robot)
-    np.testing.assert_array_equal(again.selection, constraint.selection)
-    assert again.provenance == {"kind": "motion-constrained"}  # the phases are of other recordings
+    np.testing.assert_array_equal(ml.Constraint.from_dict(loaded.constraint, robot).selection, constraint.selection)
     with pytest.raises(ConstraintMismatchError, match="the constraint: it was made with"):
         ml.Constraint.from_dict(loaded.constraint, robot_of("planar3"))
 
 
 def test_a_task_says_where_it_ends(robot_of) -> None:
-    """A drawer's motion ends at its start plus the way; features that cannot be written leave the rollout without."""
+    """A door's motion ends at its start turned by the way; features that cannot be written leave none."""
     robot, start = robot_of("sawyer"), np.array([0.1, -0.8, 0.2, 1.5, 0.1, 0.6, 0.3])
-    constraint = ml.Constraint([[0, 1, 0], [0, 0, 1]], FrameJacobian(robot, "right_hand", "xyz"))
-    task = ml.FreeDirection(constraint, 0.05, 0.1)
-    assert task.goal() is None
-    rollout = ml.simulate(robot, ml.ResolvedRateController(constraint, task), start, 1.0, 0.01)
-    np.testing.assert_allclose(rollout.target, robot.position(start, "right_hand") + [0.05, 0.0, 0.0], atol=1e-12)
     hinge = MechanismRows(robot, "right_hand", "radial axial", axis=(0, 0, 1), point=(0.2, 0.0, 0.0))
     door = ml.Constraint(np.eye(2), hinge)
     law = ml.ResolvedRateController(door, ml.FreeDirection(door, 0.3, 0.5))
     turned = ml.simulate(robot, law, start, 3.0, 0.01)
     end = robot.position(turned.q[-1], "right_hand")
     np.testing.assert_allclose(np.asarray(turned.target)[:3, 3], end, atol=2e-3)
-    python = ml.Constraint([[1.0]], CustomFeatures(lambda q: q[None, :], ("a",), 1))
-    assert written_constraint(python) is None
+    assert written_constraint(ml.Constraint([[1.0]], CustomFeatures(lambda q: q[None, :], ("a",), 1))) is None
 
 
 # ---- constraints
@@ -276,27 +247,26 @@ def door(planar3: Robot, tmp_path: Path) -> Path:
 
 def test_a_constraint_file_comes_back_if_another_program_wrote_it(planar3: Robot, door: Path, tmp_path: Path) -> None:
     """The same A to the last bit and the same steps, as it was written and as another program writes it again: 1 for
-    1.0, -0.0, keys in another order, no indentation. Files of format 2 and 1 alike; neither is called changed. A(q) of
-    format 1 is what the version that wrote it computed; saved again it is a file of format 2 with the same A.
+    1.0, -0.0, keys in another order. Files of format 2 and 1 alike; neither is called changed. A(q) of format 1 is what
+    the version that wrote it computed; saved again it is a file of format 2 with the same A.
     """
+    again = tmp_path / "again.json"
     for path, schema in ((door, 2), (OF_02, 1)):
-        content, again = json.loads(path.read_text()), tmp_path / "again.json"
+        content = json.loads(path.read_text())
         assert content["schema"] == schema and len(content["sha256"]) == 64
-        for text in (json.dumps(rewritten(content)), json.dumps(content, indent=7, sort_keys=True)):
-            again.write_text(text)
-            first, other = ml.Constraint.load(path, planar3), ml.Constraint.load(again, planar3)
-            assert first.notes == other.notes == ()
-            for q in ROWS_OF_02:
-                np.testing.assert_array_equal(other(q), first(q))
-            steps = Skill.load(again, planar3).steps
-            assert [(step.kind, step.gripper) for step in steps] == [("reach", None), ("way", "close")]
+        again.write_text(json.dumps(rewritten(content), indent=7))
+        first, other = ml.Constraint.load(path, planar3), ml.Constraint.load(again, planar3)
+        assert first.notes == other.notes == ()
+        for q in ROWS_OF_02:
+            np.testing.assert_array_equal(other(q), first(q))
+        steps = Skill.load(again, planar3).steps
+        assert [(step.kind, step.gripper) for step in steps] == [("reach", None), ("way", "close")]
     old = ml.Constraint.load(OF_02, planar3, same_urdf=False)
-    new = ml.Constraint.load(old.save(tmp_path / "new.json"), planar3)
+    new = ml.Constraint.load(old.save(again), planar3)
     for q, rows in ROWS_OF_02.items():
         np.testing.assert_allclose(old(q), rows, rtol=0, atol=1e-14)
         np.testing.assert_array_equal(new(q), old(q))
-    assert json.loads((tmp_path / "new.json").read_text())["schema"] == 2
-    assert new.provenance == old.provenance and new.shown is not None and new.shown.n == 3
+    assert json.loads(again.read_text())["schema"] == 2 and new.provenance == old.provenance
 
 
 NO_FINITE = "c.json is damaged: .* finite number"
@@ -309,38 +279,34 @@ CHANGED: list[tuple[str, Any, str]] = [
     *(("schema", n, re.escape(f"c.json has schema {n!r}, this version reads 1 and 2: load it with a newer"))
       for n in (3, 0, "2", None, [2])),
     *((f"provenance.{key}", [value], NO_FINITE) for key in ("gap", "shown") for value in (
-        float("nan"), float("inf"), float("-inf"), "1e999",
+        float("nan"), float("-inf"), "1e999",
     )),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("old", [False, True])
-def test_what_was_changed_in_a_constraint_file_is_refused(
-    old: bool, planar3: Robot, door: Path, tmp_path: Path
-) -> None:
+def test_what_was_changed_in_a_constraint_file_is_refused(old: bool, planar3: Robot, door: Path) -> None:
     """In features, what was shown and the steps of a skill, in either format; not in what is only reported. A number of
     the format that is not known has a way out; NaN and infinity are refused wherever they stand, and are not written.
     """
     text, constraint = (OF_02 if old else door).read_text(), ml.Constraint.load(OF_02 if old else door, planar3)
 
-    def changed(key: str, value: Any) -> str:
+    def change(key: str, value: Any) -> None:
         content = inner = json.loads(text)
         *keys, last = key.split(".")
         for step in keys:
             inner = inner[step]
         inner[last] = value
-        return json.dumps(content).replace('"1e999"', "1e999")
+        door.write_text(json.dumps(content).replace('"1e999"', "1e999"))
 
     for key, value, said in CHANGED:
-        door.write_text(changed(key, value))
+        change(key, value)
         with case(key, value), pytest.raises(ConstraintMismatchError, match=said):
             ml.Constraint.load(door, planar3)
-    door.write_text(changed("provenance.sentence", "another one"))
+    change("provenance.sentence", "another one")
     assert ml.Constraint.load(door, planar3).provenance["sentence"] == "another one"
-    for key in ("gap", "shown"):
-        with pytest.raises(ValueError, match="float values|finite number"):
-            ml.Constraint(constraint.selection, constraint.features, {key: np.inf}).save(tmp_path / "none.json")
-    assert not (tmp_path / "none.json").exists()
+    with pytest.raises(ValueError, match="float values|finite number"):
+        ml.Constraint(constraint.selection, constraint.features, {"gap": np.inf}).save(door)
 
 
 # ---- which robot
@@ -360,59 +326,40 @@ def test_an_identity_is_kept_in_json(elbow) -> None:
     identity = RobotIdentity.of(elbow(locked={"elbow": 0.1}, objects=("box",)))
     words = json.loads(json.dumps(identity.to_dict()))
     assert RobotIdentity.from_dict(words) == identity
-    assert (words["name"], words["nq"], words["locked"], words["objects"]) == ("arm", 8, {"elbow": 0.1}, ["box"])
     assert RobotIdentity.from_dict({k: v for k, v in words.items() if k not in ("locked", "objects")}).locked == {}
     for sentence, change in {
         "nq must be a number": {"nq": True},
         "nq must be a number, it is -1": {"nq": -1},
-        "nq must be a number, it is 100000": {"nq": 100_000},
         "name must be text": {"name": 3},
-        "fingerprint must be text": {"fingerprint": None},
         "joint_names must be a list of names": {"joint_names": ["a", 1]},
         "locked joints must be an object": {"locked": []},
         "'elbow' is locked at True": {"locked": {"elbow": True}},
-        "'elbow' is locked at nan": {"locked": {"elbow": float("nan")}},
         "objects must be a list": {"objects": "box"},
     }.items():
         with case(sentence), pytest.raises(ValueError, match=sentence):
             RobotIdentity.from_dict(words | change)
-    with pytest.raises(ValueError, match="it is list"):
-        RobotIdentity.from_dict([])
 
 
 def test_what_differs_is_said(elbow) -> None:
     """Joints, locks, objects; else that the description has changed, as where all links are 1.3 times as long."""
-    plain, path = RobotIdentity.of(elbow()), Path("some/run.npz")
-    assert plain.differences(elbow()) == ()
+    plain, held = RobotIdentity.of(elbow()), RobotIdentity.of(elbow(locked={"elbow": 0.5}))
     plain.refuse_another(elbow(), "run.npz")
     longer = elbow(("0 0 0.3", "0 0 0.39"), ("0.4 0 0", "0.52 0 0"))
-    hashes = f"hash {plain.fingerprint[:12]!r}, not {longer.fingerprint[:12]!r}"
-    assert plain.differences(longer) == (f"the description has changed (kinematics or masses; {hashes})",)
-    free = "'elbow' is free to move, not locked at 1.2"
-    assert plain.differences(elbow(locked={"elbow": 1.2})) == ("its joints are shoulder, elbow, not shoulder", free)
-    held = RobotIdentity.of(elbow(locked={"elbow": 0.5}))
+    assert plain.differences(longer)[0].startswith("the description has changed")
     assert held.differences(elbow(locked={"elbow": 1.2})) == ("'elbow' is locked at 0.5, not locked at 1.2",)
-    with pytest.raises(RecordingError) as caught:
-        held.refuse_another(elbow(), "run.npz", path)
-    assert (caught.value.code, caught.value.path) == ("other-robot", path)
-    assert str(caught.value) == (
-        "run.npz was made with robot 'arm', the robot loaded is 'arm': its joints are shoulder, not shoulder, elbow; "
-        "'elbow' is locked at 0.5, not free to move. Load the robot that it was made with, "
-        "load_robot(..., locked={'elbow': 0.5})"
-    )
+    with pytest.raises(RecordingError, match="'elbow' is locked at 0.5, not free.*locked={'elbow': 0.5}") as caught:
+        held.refuse_another(elbow(), "run.npz", Path("some/run.npz"))
+    assert (caught.value.code, caught.value.path) == ("other-robot", Path("some/run.npz"))
     with advice_for_command(["--lock"]), pytest.raises(RecordingError, match="are locked without --lock"):
         held.refuse_another(elbow(), "run.npz")
     assert "its objects are none, not box" in plain.differences(elbow(objects="box"))
-    many = RobotIdentity.of(load_robot("panda", locked=load_robot("panda").joint_names))
-    said = many.differences(load_robot("panda"))[1]
-    assert said.count("locked at") == 8 and said.endswith(" and 1 more")
 
 
 # ---- exports
 @pytest.mark.parametrize("to", ["mcap", "csv", "lerobot"])
 def test_recordings_come_back(to: str, arms: Path, robot: Robot, tmp_path: Path, capsys) -> None:
-    """Positions and velocities bit for bit in each format; times too, or to the nanosecond where the format has those.
-    Another robot is refused.
+    """Positions, velocities and efforts bit for bit in each format; times too, or to the nanosecond where the format
+    has those. Another robot is refused.
     """
     out = tmp_path / "out"
     words = ["export", str(arms / "arm.urdf"), str(arms / "demos"), "--out", str(out), "--to", to, "--json"]
@@ -425,39 +372,12 @@ def test_recordings_come_back(to: str, arms: Path, robot: Robot, tmp_path: Path,
     for a, b in zip(before, after, strict=True):
         assert a.q.tobytes() == b.q.tobytes()
         assert a.u is not None and b.u is not None and a.u.tobytes() == b.u.tobytes()
+        assert a.effort is not None and b.effort is not None and a.effort.tobytes() == b.effort.tobytes()
         start = 0.0 if to == "csv" else a.time[0]  # the others count from the first sample
         assert to == "mcap" or (a.time - start).tobytes() == b.time.tobytes()
         np.testing.assert_array_equal(np.rint(1e9 * (a.time - start)), np.rint(1e9 * b.time))
     if to != "mcap":  # which is read as the bag of any robot with these joints
         assert refusal(out, load_robot(arms / "longer.urdf"), match="'arm'").code == "other-robot"
-
-
-EFFORT = np.column_stack([np.exp(TIME), -3.0 * TIME, 1.0 / 3.0 + TIME])
-
-
-@pytest.mark.parametrize("u", [None, U], ids=["positions", "velocities"])
-@pytest.mark.parametrize("ending", [".npz", ".csv", ".mcap", ""])
-def test_own_formats_keep_efforts_exactly(ending: str, u: Any, planar3: Robot, tmp_path: Path) -> None:
-    """Written and read again, bit for bit, beside velocities and without; a trajectory for a controller has none, for
-    what was measured in contact is no command.
-    """
-    trajectory = ml.Trajectory(TIME, Q, u, planar3.joint_names, "demo", effort=EFFORT)
-    motion, path = motion_of_trajectory(trajectory, planar3), tmp_path / f"out{ending}"
-    write_motion(path, motion) if ending else write_lerobot(path, [motion])
-    (again,) = load_demonstrations(path, planar3)
-    assert again.effort is not None and again.effort.tobytes() == EFFORT.tobytes()
-    assert (again.u is not None) == (u is not None) and b"effort" not in joint_trajectory_bytes(motion)
-
-
-def test_a_rollout_with_a_locked_joint(arms: Path, tmp_path: Path, capsys) -> None:
-    """The joint is locked again by the command, and by the file that it writes."""
-    robot = load_robot(arms / "arm.urdf", locked={"j2": 1.2})
-    rollout = rollout_of(robot)
-    run, out = rollout.save(tmp_path / "run.npz"), tmp_path / "run.csv"
-    assert main(["export", str(arms / "arm.urdf"), str(run), "--out", str(out)]) == 0
-    assert "51 samples" in capsys.readouterr().out
-    assert load_demonstrations(out, robot)[0].q.tobytes() == rollout.q.tobytes()
-    refusal(out, load_robot(arms / "arm.urdf"), match="'j2' is locked at 1.2, not free to move")
 
 
 @pytest.fixture(scope="module")
@@ -481,13 +401,9 @@ def moved(sample: int, joint: int, by: float) -> Callable[[Rollout], Rollout]:
 # what happens to a rollout -> what the command says: joint, moment, and both figures
 NO_ARM_DID: dict[str, tuple[Callable[[Rollout], Rollout], str]] = {
     "a posture of 1e9 rad": (moved(10, 2, 1e9), r"sample 10, column 'right_j2': 1e\+09 .*limits \[-3.04"),
-    "so at first": (moved(0, 2, 1e9), "column 'right_j2': the joint jumps from 1e"),
     "so at last": (moved(-1, 2, 1e9), r"sample 300, column 'right_j2': 1e\+09 is outside the limits"),
-    "all postures": (lambda r: replace(r, q=r.q + 1e9), "is outside the limits"),
     "a jump": (moved(20, 1, 0.5), "sample 20, column 'right_j1': the joint jumps .* its limit is 1.33"),
     "two joints exchanged": (lambda r: replace(r, q=r.q[:, [2, 1, 0, 3, 4, 5, 6]]), "has moved by .* velocities say"),
-    "velocities negated": (lambda r: replace(r, u=-r.u), "has moved by .* rad, its velocities say -?0"),
-    "velocities in degrees": (lambda r: replace(r, u=np.degrees(r.u)), "has moved by .* its velocities say"),
     "velocities of a tenth": (lambda r: replace(r, u=0.1 * r.u), "has moved by .* its velocities say"),
 }
 
@@ -502,40 +418,21 @@ def test_what_no_arm_can_have_done_is_not_written(what: str, sawyer_run: Rollout
 
 
 def test_what_an_arm_did_is_written(sawyer_run: Rollout, robot_of, tmp_path: Path) -> None:
-    """From outside the limits, along them, in long steps, by another method; measured far behind its commands, stopped
-    by a jam, and led by hand while nothing was commanded.
+    """From outside the limits, in long steps; measured far behind its commands, and led by hand while nothing was
+    commanded.
     """
     robot, run = robot_of("sawyer"), sawyer_run
     law = ml.ResolvedRateController(ml.Constraint([[0.0, 0.0, 1.0]], FrameJacobian(robot, "right_hand", "xyz")))
-    outside, at = ([x, *run.q[0, 1:]] for x in robot.position_upper[0] + [0.6, 0.0])
-    behind, jammed = run.q[np.maximum(np.arange(301) - 30, 0)], run.q[np.minimum(np.arange(301), 150)]
-    by_hand = np.vstack([run.q, run.q[-1] + np.linspace(0.0, 0.5, 301)[:, None] * np.eye(7)[1]])
-    still = {name: np.concatenate([getattr(run, name)] * 2) for name in ("manipulability", "task_error")}
-    still |= {"time": np.arange(602) * 0.01, "u": np.vstack([run.u, 0.0 * run.u]), "status": run.status * 2}
-    for name, done in {
-        "outside": ml.simulate(robot, law, outside, 1.0, 0.01),
-        "shortly outside": ml.simulate(robot, law, outside, 0.05, 0.01),
-        "at a limit": ml.simulate(robot, law, at, 1.0, 0.01),
-        "long steps": ml.simulate(robot, law, run.q[0], 3.0, 0.25),
-        "behind": replace(run, q=behind, following_error=np.abs(run.q - behind).max(axis=1)),
-        "jammed": replace(run, q=jammed, following_error=np.abs(run.q - jammed).max(axis=1)),
-        "by hand": replace(run, q=by_hand, **still),
-    }.items():
-        with case(name):
-            path = done.save(tmp_path / "run.npz")
-            assert main(["export", "sawyer", str(path), "--out", str(tmp_path / "out.csv")]) == 0
-
-
-@pytest.mark.parametrize("folder", [path.name for path in sorted(DATA.iterdir()) if path.is_dir()])
-def test_each_shipped_recording_is_written_and_read_again(folder: str, tmp_path: Path) -> None:
-    """Accepted without any note; what the library wrote of a true recording is no damage when it is read again."""
-    truth = DATA / folder / "truth.json"
-    robot = arm_of(json.loads(truth.read_text())["robot"] if truth.exists() else folder.split("_")[0])
-    demos = load_demonstrations(DATA / folder, robot)
-    assert demos.joint_names == robot.joint_names and (truth.exists() or demos.notes == ())
-    for trajectory in demos[:3]:
-        path = write_motion(tmp_path / "demo.csv", motion_of_trajectory(trajectory, robot))
-        assert load_demonstrations(path, robot)[0].q.tobytes() == trajectory.q.tobytes()
+    behind = run.q[np.maximum(np.arange(301) - 30, 0)]
+    by_hand = run.q[-1] + np.linspace(0.0, 0.5, 301)[:, None] * np.eye(7)[1]
+    for done in (
+        ml.simulate(robot, law, [robot.position_upper[0] + 0.6, *run.q[0, 1:]], 1.0, 0.01),
+        ml.simulate(robot, law, run.q[0], 3.0, 0.25),
+        replace(run, q=behind, following_error=np.abs(run.q - behind).max(axis=1)),
+        replace(run, q=by_hand, u=0.0 * run.u),
+    ):
+        path = done.save(tmp_path / "run.npz")
+        assert main(["export", "sawyer", str(path), "--out", str(tmp_path / "out.csv")]) == 0
 
 
 def test_a_trajectory_is_yaml_for_ros(robot: Robot) -> None:
@@ -544,7 +441,8 @@ def test_a_trajectory_is_yaml_for_ros(robot: Robot) -> None:
     yaml.version = (1, 1)
     time = np.array([3.0, 3.1, 3.25])
     q = np.array([[1e-5, 1e22, -0.0], [1.0, 2.5e-300, 0.1], [0.2, 0.3, 1.0 / 3.0]])
-    motion = motion_of_trajectory(ml.Trajectory(time, q, -q, robot.joint_names), robot)
+    motion = motion_of_trajectory(ml.Trajectory(time, q, -q, robot.joint_names, effort=q), robot)
+    assert b"effort" not in joint_trajectory_bytes(motion)  # what was measured in contact is no command
     message = yaml.load(joint_trajectory_bytes(motion).decode())
     assert set(message) == {"header", "joint_names", "points"}
     assert message["joint_names"] == list(robot.joint_names)
@@ -567,20 +465,13 @@ def test_lerobot_metadata(arms: Path, tmp_path: Path) -> None:
     assert ends == [(0, 40, 40), (40, 80, 40)]
     states = np.array(written.column("observation.state").to_pylist())
     parts = {"mean": states.mean(0), "std": states.std(0), "min": states.min(0), "max": states.max(0), "count": [80]}
-    assert set(stats["observation.state"]) == set(parts)
     for name, part in parts.items():
         np.testing.assert_allclose(stats["observation.state"][name], part, rtol=1e-12)
-    numbered = {"index": np.arange(80), "episode_index": np.repeat([0, 1], 40), "task_index": np.zeros(80)}
-    for name, numbers in numbered.items():
-        np.testing.assert_array_equal(written.column(name).to_numpy(), numbers)
-    assert info["features"]["observation.velocity"] == {"dtype": "float64", "shape": [3], "names": ["j1", "j2", "j3"]}
-    assert info["splits"] == {"train": "0:2"} and info["robot_type"] == "arm"
-    assert pq.read_table(out / "meta/tasks.parquet").num_rows == info["total_tasks"] == 1
-    for rate, said in ((30.0, 30), (30.02, 30), (30.05, 30.05), (0.7, 0.7), (1.0, 1), (0.9999, 0.9999)):
+    np.testing.assert_array_equal(written.column("episode_index").to_numpy(), np.repeat([0, 1], 40))
+    for rate, said in ((30.02, 30), (30.05, 30.05), (0.7, 0.7), (0.9999, 0.9999)):
         slower = np.cumsum(np.full((2, 40), 1.0 / rate), axis=1)
         slower[0][20:] += 5.0  # a pause does not count
-        found = samples_per_second([*slower])
-        assert found == pytest.approx(said, rel=1e-9) and isinstance(found, type(said))
+        assert samples_per_second([*slower]) == pytest.approx(said, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -602,11 +493,9 @@ def test_wrong_outputs_are_refused(arguments: str, words: str, arms: Path, tmp_p
 def test_stamps_are_whole_nanoseconds() -> None:
     """From zero, or from the first sample where a stamp could not hold that; what cannot be told apart is refused."""
     for time, from_first, expected in (
-        ([0.0, 0.5], False, [0, 500_000_000]),
         ([3.0, 3.5], False, [3_000_000_000, 3_500_000_000]),
         ([3.0, 3.5], True, [0, 500_000_000]),
         ([-1.0, 0.5], False, [0, 1_500_000_000]),
-        ([2.0**31 - 1.0, 2.0**31 - 0.5], False, [2_147_483_647_000_000_000, 2_147_483_647_500_000_000]),
         ([2.0**31, 2.0**31 + 0.5], False, [0, 500_000_000]),
         ([0.0, 0.6e-9], False, [0, 1]),
     ):

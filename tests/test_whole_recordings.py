@@ -5,26 +5,19 @@ Recordings that do not belong are named, those that do are not; rows, mechanism 
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from task_sets import DATA, arm, generated, learnt, learnt_from, moving, shipped, true_rows
+from task_sets import arm, generated, learnt, learnt_from, moving, shipped, true_rows
 
 import manip_learn as ml
-from manip_learn.cli import main
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.linalg import row_space_angle
 
 MOVES = 0.01  # a tip slower than this is at rest [m/s]
-SLOW = pytest.mark.slow
-
-
-def case(*values: Any, id: str, slow: bool = False) -> Any:
-    return pytest.param(*values, id=id, marks=[SLOW] if slow else [])
 
 
 def degrees(constraint: ml.Constraint, truth: dict[str, Any], mechanism: int = 0) -> float:
@@ -88,39 +81,14 @@ def test_two_tasks_in_one_recording():
     check_windows(truth, demos, learner, [order[found.index(c)] for c in learner.constraints_])
 
 
-def test_a_contact_in_one_recording_only_is_named_and_not_learnt():
-    """It is neither free motion nor a constraint: report, JSON and words say where it is and to record it again."""
-    truth, given = shipped("xarm7_drawer_then_table")  # the table in the last one only
-    cut = [t[: 0.5 * (w[0][1] + w[1][0])] for t, w in zip(given, truth["windows"], strict=True)]
-    demos, (start, end) = [*cut[:-1], given[len(given) - 1]], truth["windows"][-1][1][:2]
-    features = ml.FrameJacobian(arm("xarm7"), truth["tip"], "xyz")
-    learner = ml.ConstraintLearner(features).fit(demos)
-    assert len(learner.constraints_) == 1
-    (lone,) = [p for p in learner.report_.phases if p.reason]
-    assert lone.trajectory == demos[-1].name and lone.constraint is None and "one recording only" in lone.reason
-    assert abs(lone.start - start) < 0.5 and abs(lone.end - end) < 0.5
-    beside = [p for p in learner.report_.phases if p.trajectory == lone.trajectory and p != lone]
-    assert all(p.end <= lone.start + 1e-9 or p.start >= lone.end - 1e-9 for p in beside)
-    assert any(w.startswith("record again, at least twice, 1 contact") for w in learner.report_.warnings)
-    entry = next(p for p in learner.report_.to_dict()["phases"] if p["reason"])
-    assert entry["constraint"] is None and entry["trajectory"] == lone.trajectory
-
-
-@pytest.mark.parametrize(
-    ("robot", "seed"),
-    [
-        case("panda", 4000, id="recombined recordings must not keep the door of one of them"),
-        case("xarm7", 4001, id="a door that is found as a tether", slow=True),
-    ],
-)
-def test_the_drawer_of_one_recording_is_named_beside_the_door_of_all(robot: str, seed: int):
+def test_the_drawer_of_one_recording_is_named_beside_the_door_of_all():
     """Six recordings of a door, the last of which opens a drawer too: the hinge is learnt, no recording is odd, and the
     drawer is named where it is.
     """
-    truth, made = generated("door_then_drawer", robot, seed, 6)
+    truth, made = generated("door_then_drawer", "panda", 4000, 6)
     ends = [0.5 * (first[1] + second[0]) for first, second in truth["windows"]]
     demos = [t.part(slice(int(np.searchsorted(t.time, end)))) for t, end in zip(made[:5], ends, strict=False)]
-    report = learnt(robot, truth["tip"], [*demos, made[5]]).report_
+    report = learnt("panda", truth["tip"], [*demos, made[5]]).report_
     assert report.mechanism is not None and report.mechanism.type == "hinge"
     assert not report.odd_trajectories
     alone = [p for p in report.phases if p.reason == "appears in one recording only"]
@@ -151,16 +119,12 @@ def test_a_loosely_held_door_is_a_hinge(tmp_path: Path):
 def test_another_drawer_among_the_recordings_is_named():
     """The odd recordings are named with the reason, and the answer is that of the others: no row disappears."""
     (truth, demos), learner = shipped("panda_drawer_mixed"), learnt_from("panda_drawer_mixed")
-    assert learner.report_.n_constraints == 2
-    assert degrees(learner.constraint_, truth) < 0.1
+    assert learner.report_.n_constraints == 2 and degrees(learner.constraint_, truth) < 0.1
     assert named(learner.report_) == {demos[i].name for i in truth["contaminated"]}
     assert all("mm along a direction" in odd.reason for odd in learner.report_.odd_trajectories)
-    assert any("do not agree" in warning for warning in learner.report_.warnings)
 
 
-@pytest.mark.parametrize(
-    "kind", ["free_repeated", "free_slow", pytest.param("free", marks=SLOW), pytest.param("free_sticking", marks=SLOW)]
-)
+@pytest.mark.parametrize("kind", ["free_repeated", "free_slow"])
 def test_free_motion_is_no_constraint(kind: str):
     """Reaches, a reach that is repeated, sticking joints and slow motion are refused, with what to do."""
     truth, demos = generated(kind, "xarm7", 1500, 6)
@@ -171,15 +135,9 @@ def test_free_motion_is_no_constraint(kind: str):
 @pytest.mark.parametrize(
     ("thing", "robot", "seed", "whole"),
     [
-        case("door", "ur5", 606, False, id="short arcs among long ones"),
-        case("door", "xarm7", 601, False, id="a slip that a wide hinge would fit", slow=True),
-        case("door", "ur5", 602, True, id="an approach along the door", slow=True),
-        case("door", "sawyer", 607, True, id="a chance stretch beside the contact", slow=True),
-        case("door", "xarm7", 605, True, id="a slip that makes the first fit soft", slow=True),
-        case("door", "panda", 600, True, id="a slip across the axis only", slow=True),
-        case("door", "xarm7", 601, True, id="a piece of the arc that is a line of its own"),
-        case("drawer", "ur5", 7002, True, id="slips so large that the evidence of all eight drowns in them"),
-        case("drawer", "sawyer", 7503, True, id="slips halfway", slow=True),
+        pytest.param("door", "ur5", 606, False, id="short arcs among long ones"),
+        pytest.param("door", "xarm7", 601, True, id="a piece of the arc that is a line of its own"),
+        pytest.param("drawer", "ur5", 7002, True, id="slips so large that the evidence of all eight drowns in them"),
     ],
 )
 def test_a_slip_is_named_and_nothing_else(thing: str, robot: str, seed: int, whole: bool):
@@ -196,17 +154,11 @@ def test_a_slip_is_named_and_nothing_else(thing: str, robot: str, seed: int, who
 
 
 @pytest.mark.timeout(120)
-@pytest.mark.parametrize(("thing", "robot", "seed"), [("drawer", "xarm7", 1201), ("door", "panda", 1204)])
-def test_a_slip_that_the_phases_cut_out_is_named(thing: str, robot: str, seed: int):
-    """The answer is right without the slip, and the recording is named with its moment. Two constraints that explain
-    the same stretches, each better in its turn, end the search all the same.
-    """
-    truth, demos = generated(f"{thing}_slip", robot, seed, 8, whole=True)
-    report = ml.ConstraintLearner(ml.FrameJacobian(arm(robot), truth["tip"], "xyz")).fit(demos).report_
+def test_a_slip_that_the_phases_cut_out_is_named():
+    """The answer is right without the slip, and the recording is named with its moment."""
+    truth, demos = generated("drawer_slip", "xarm7", 1201, 8, whole=True)
+    report = learnt("xarm7", truth["tip"], demos).report_
     assert named(report) == {f"demo_{i}" for i in truth["contaminated"]}
-    if thing == "door":
-        assert report.mechanism is not None and report.mechanism.type == "hinge"
-        return
     for odd, number in zip(report.odd_trajectories, truth["contaminated"], strict=True):
         (_, before, _), (after, _, _) = truth["windows"][number]
         said = re.search(r"(?:at|interrupted from) (\d+\.\d+) s", odd.reason)
@@ -241,29 +193,12 @@ def test_phases_can_be_turned_off():
         ml.ConstraintLearner(features, phases="off").fit(demos[:3])
 
 
-def test_the_command_line_tells_phases_and_mechanisms(capsys: pytest.CaptureFixture[str], tmp_path: Path):
-    """One JSON document holds every constraint, phase and odd recording; `--from` beyond the end is one sentence."""
-    folder = str(DATA / "panda_drawer_whole")
-    arguments = ["learn", "panda", folder, "--frame", "panda_hand_tcp", "--out", str(tmp_path / "c.json")]
-    assert main([*arguments, "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["mechanism"]["type"] == "line" and answer["odd_trajectories"] == []
-    assert [c["n_constraints"] for c in answer["constraints"]] == [2]
-    assert {"trajectory", "start", "end", "constraint", "reason"} == set(answer["phases"][0])
-    assert {p["constraint"] for p in answer["phases"]} == {0, None}
-    assert main([*arguments, "--from", "1000"]) == 2
-    assert "no sample lies between 1000 s" in capsys.readouterr().err
-    assert main([*arguments, "--mechanism", "maybe"]) == 2
-    assert "--mechanism must be 'auto' or 'off'" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("robot", "sets"),
     [
-        case("xarm7", [("door", 601, 4, False), ("door", 5601, 4, False)], id="two doors that share a sphere"),
-        case("xarm7", [("door", 601, 4, True), ("door", 5601, 4, True)], id="two whole doors", slow=True),
-        case("panda", [(kind, seed, 3, False) for kind, seed in (("drawer", 4004), ("door", 5004), ("table", 6004))],
-             id="a table whose normal is 11 degrees from the axis of a door, and a drawer"),
+        pytest.param("xarm7", [("door", 601, 4, False), ("door", 5601, 4, False)], id="two doors that share a sphere"),
+        pytest.param("panda", [("drawer", 4004, 3, False), ("door", 5004, 3, False), ("table", 6004, 3, False)],
+                     id="a table whose normal is 11 degrees from the axis of a door, and a drawer"),
     ],
 )  # fmt: skip
 def test_tasks_in_equal_parts_are_not_pooled(robot: str, sets: list):
@@ -287,30 +222,13 @@ def test_tasks_in_equal_parts_are_not_pooled(robot: str, sets: list):
             assert away_from_axis(report, true) < 1e-3
 
 
-@SLOW
-def test_pairs_that_share_a_direction_are_no_answer():
-    """Free motion in which one joint moves at a time: whatever two of six recordings share, nothing is held."""
-    truth, demos = generated("free_one_joint", "xarm7", 7017, 6, True)
-    cut = [t.part(slice(len(t) // 3, len(t) // 3 + 250)) for t in demos]
-    with pytest.raises(NotIdentifiableError):
-        learnt("xarm7", truth["tip"], cut)
-
-
-def test_a_door_elsewhere_is_left_out_of_the_rows_too():
-    """Recordings in which the others' hinge does not hold are named, and both rows of the others are kept."""
-    _, trajectories, truth = moving("door_other_place", "sawyer", 1003, 8)
-    learner = learnt("sawyer", truth["tip"], trajectories)
-    assert {trajectories[i].name for i in truth["contaminated"]} <= named(learner.report_)
-    assert learner.constraint_.n_constraints == 2
-
-
 @pytest.mark.parametrize(
     ("kind", "robot", "seed", "whole", "axes", "mechanism", "rows"),
     [
-        case("door", "panda", 2031, True, "xyz", "hinge", ("radial", "axial"),
+        pytest.param("door", "panda", 2031, True, "xyz", "hinge", ("radial", "axial"),
              id="the phases show one constant row of a door, along the axis"),
-        case("hinge", "xarm7", 2001, False, "pose", "hinge", 5, id="a firm lever has no constant rows beside"),
-        case("tether", "sawyer", 1007, False, "xyz", "ball", ("spherical",),
+        pytest.param("hinge", "xarm7", 2001, False, "pose", "hinge", 5, id="a firm lever has no constant rows beside"),
+        pytest.param("tether", "sawyer", 1007, False, "xyz", "ball", ("spherical",),
              id="the gap shows two weak constant rows that nothing holds"),
     ],
 )  # fmt: skip
@@ -326,10 +244,3 @@ def test_rows_and_mechanism_do_not_contradict_each_other(kind, robot, seed, whol
     else:
         assert learner.constraint_.features.row_names == rows
     assert not whole or not any("asked for" in warning for warning in report.warnings)
-
-
-def test_one_free_motion_is_no_ball():
-    """A single free motion stays near some sphere: that alone is no answer, and the reason is said."""
-    _, trajectories, truth = moving("free", "panda", 1000, 1)
-    with pytest.raises(NotIdentifiableError, match="^record at least 3, better 5, .* not 1 recording"):
-        learnt("panda", truth["tip"], trajectories)
