@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import subprocess
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -63,12 +62,3 @@ def test_numbers_have_a_checksum_too(learner):
     other = ml.Trajectory(demo.time, demo.q + 1e-9)
     assert checksum(array) == checksum(ml.Trajectory(demo.time.copy(), demo.q.copy()))
     assert len({checksum(t) for t in (demo, array, other)}) == 3
-
-
-def test_a_checkout_names_its_commit():
-    """The commit that is checked out, or that it was changed since; without a checkout the number alone."""
-    if not (ROOT / ".git").exists():
-        pytest.skip("no checkout")
-    head = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True).stdout
-    said = version().partition("+")[2].removesuffix("-dirty")
-    assert said and head.startswith(said)

@@ -71,25 +71,3 @@ def test_lengths_and_zeros_that_contradict_each_other_lower_the_gap(tmp_path):
     assert elbow.report_.gap < 0.1 * drawer.report_.gap == pytest.approx(0.1 * turned.report_.gap, rel=1e-6)
     turn = rotation_matrix(np.array([0.0, 0.0, 0.5]))
     assert row_space_angle(turned.constraint_.selection, drawer.constraint_.selection @ turn.T) < 1e-9
-
-
-def test_a_factor_on_velocities_or_time_turns_nothing(tmp_path):
-    """Velocities are derived from the positions: the rows are the same whatever was recorded, at any speed."""
-    arm = sawyer_drawer()[0]
-
-    def changed(velocities: float, time: float) -> ml.Demonstrations:
-        """The hard drawer's files with other numbers."""
-        for path in recordings("sawyer_drawer_hard", 8):
-            names, *lines = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
-            numbers = np.array(lines, dtype=np.float64)
-            numbers[:, 0] *= time
-            numbers[:, [name.endswith("_velocity") for name in names]] *= velocities
-            np.savetxt(tmp_path / path.name, numbers, "%.9g", ",", header=",".join(names), comments="")
-        return ml.load_demonstrations(sorted(tmp_path.glob("*.csv")), arm)
-
-    found = learnt(arm, changed(1.0, 1.0))
-    stated = np.radians(found.report_.uncertainty_deg)
-    for velocities, time, most in ((1.9, 1.0, 1e-9), (-1.0, 1.0, 1e-9), (1.0, 10.0, stated / 3.0)):
-        again = learnt(arm, changed(velocities, time)).constraint_.selection
-        assert row_space_angle(again, found.constraint_.selection) < most  # contacts are looked for in seconds
-    assert any("check the unit of time" in str(note) for note in changed(10.0, 0.1).notes)
