@@ -138,7 +138,7 @@ def test_rows_along_axes(rng):
         near(linalg.along_axes(np.linalg.qr(rng.normal(size=(3, 3)))[0] @ wanted), wanted, 1e-12)
 
 
-@pytest.mark.parametrize(("s", "nv"), [(0, 7), (1, 3), (2, 3), (3, 3), (2, 7), (6, 7)])
+@pytest.mark.parametrize(("s", "nv"), [(0, 7), (3, 3), (2, 7)])
 def test_batch_row_spaces(rng, s, nv):
     """In a stack, each Q is orthogonal, A^T = Q[:, :s] R, and Q[:, s:] is a null basis, as matrix by matrix; the thin
     factors are the first columns of the full ones, for singular and zero matrices too.

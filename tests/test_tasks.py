@@ -160,7 +160,7 @@ def test_ascent_where_several_directions_are_lost():
     assert ml.manipulability(constraint, q) > 1e-3
 
 
-@pytest.mark.parametrize("name", ["one", "planar3", "gantry", "wrist", "panda", "ur5", "sawyer"])
+@pytest.mark.parametrize("name", ["gantry", "wrist", "panda"])
 def test_joint_limit_avoidance(robot_of, rng, name):
     """It descends the potential, at most at its speed, finite at the limits and outside; free joints are left alone."""
     robot = robot_of(name)

@@ -11,14 +11,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from generated_motions import PLANAR_ROWS, angle_deg, arm_features, guided_motions, oblique, paper_motions
-from mechanism_motions import about, ball, demonstrate
+from mechanism_motions import about, demonstrate
 from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.learning.fit import Motion, RowFit, changes_by_links, errors_of
 from manip_learn.learning.place import placed
-from manip_learn.learning.report import JOINT_ZEROS, NOISE, PARTS, POLICY, parts_in_words
+from manip_learn.learning.report import JOINT_ZEROS, NOISE, PARTS, POLICY
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View
 from manip_learn.linalg import orthonormal_rows
 
@@ -53,7 +53,6 @@ def learnt(demos, truth, **settings):
     ("make", "zeros", "seeds", "most", "settings"),
     [
         (held, 0.1, range(20), 1.0, {"links": 0.0}),
-        pytest.param(held, 1.0, range(20), 1.0, {"links": 0.0}, marks=pytest.mark.slow),
         (noisy, 0.0, range(7000, 7024), 0.85, {}),
         pytest.param(
             reaching, 0.0, range(7000, 7024), 0.85, {"estimator": "joint", "policy_model": "affine"},
@@ -196,11 +195,8 @@ def test_the_report_states_the_parts():
     demos, truth, _ = held(10, 0.0, motions=1)
     one = learnt(demos, truth).report_
     assert one.uncertainty == dict.fromkeys(PARTS) and one.uncertainty_deg is None and one.mu_uncertainty is None
-    written = json.loads(json.dumps(one.to_dict(), allow_nan=False))
-    assert written["uncertainty_deg"] is None and set(written["gap_table"]) == {"1", "2", "3"}
-    assert str(one).splitlines()[0] == one.sentence and "warning: only one trajectory" in str(one)
-    parts = {NOISE: 0.01, JOINT_ZEROS: 0.02, POLICY: None}
-    assert parts_in_words(parts, "local") == "noise 0.01 degrees, joint zeros 0.02 degrees"
+    assert json.loads(json.dumps(one.to_dict(), allow_nan=False))["uncertainty_deg"] is None
+    assert "warning: only one trajectory" in str(one)
 
 
 # ---- places of mechanisms -----------------------------------------------------------------------------------------
@@ -211,11 +207,9 @@ MIDDLE = np.array([0.2, -0.4, 0.1, -2.0, 0.1, 1.7, 0.8])
 TIP = "panda_hand_tcp"
 KINDS = {  # path, form of the rows, their number
     "hinge": (about(AXIS, POINT, 0.7, firm=False), "point", 2),
-    "ball": (ball(POINT, 0.25, False), "point", 1),
     "screw, firm": (about(AXIS, POINT, 0.8, pitch=0.04), "twist", 5),
 }
 SETS, WHITE = 60, 1e-3
-QUICK = (("screw, firm", False), ("hinge", True))  # the others run with `make proofs`
 
 
 def place_of(robot: ml.Robot, kind: str, postures: list[np.ndarray]) -> tuple[RowFit, ml.Mechanism]:
@@ -231,11 +225,10 @@ def place_of(robot: ml.Robot, kind: str, postures: list[np.ndarray]) -> tuple[Ro
 
 def errors(m: ml.Mechanism, radius: float) -> dict[str, tuple[float, float]]:
     """Error and what is stated, by parameter."""
-    e, out = m.point - POINT, {}
-    if m.axis is not None:
-        e = e - (e @ AXIS) * AXIS
-        out["axis"] = np.degrees(np.linalg.norm(np.cross(AXIS, m.axis))), m.uncertainty["axis"]
-    out["point"] = np.linalg.norm(e), m.uncertainty["point"]
+    out = {
+        "axis": (np.degrees(np.linalg.norm(np.cross(AXIS, m.axis))), m.uncertainty["axis"]),
+        "point": (np.linalg.norm(np.cross(AXIS, m.point - POINT)), m.uncertainty["point"]),
+    }
     if m.grip != "firm":
         out["radius"] = abs(m.radius - radius), m.uncertainty["radius"]
     if m.pitch is not None:
@@ -248,14 +241,7 @@ def exact_postures(robot: ml.Robot, kind: str) -> list[np.ndarray]:
     return [t.q for t in demonstrate(robot, TIP, MIDDLE, KINDS[kind][0], np.random.default_rng(3), noise=0.0)]
 
 
-@pytest.mark.parametrize(
-    ("kind", "smoothed"),
-    [
-        pytest.param(kind, smoothed, marks=() if (kind, smoothed) in QUICK else pytest.mark.slow)
-        for kind in KINDS
-        for smoothed in (False, True)
-    ],
-)
+@pytest.mark.parametrize(("kind", "smoothed"), [("screw, firm", False), ("hinge", True)])
 def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
     """Over 60 draws of the encoders' noise, white or shared by neighbours, each parameter is within what is stated in
     52 to 88 % of them (70 % and three standard errors), and its median error is no less than a third of that; the
@@ -263,8 +249,7 @@ def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
     """
     robot = robot_of("panda")
     exact, rng, inside, variances = exact_postures(robot, kind), np.random.default_rng(11), {}, []
-    away = robot.position(exact[0][0], TIP) - POINT
-    radius = float(np.linalg.norm(away if kind == "ball" else np.cross(AXIS, away)))
+    radius = float(np.linalg.norm(np.cross(AXIS, robot.position(exact[0][0], TIP) - POINT)))
     for _ in range(SETS):
         noise = [rng.normal(0.0, WHITE, q.shape) for q in exact]
         if smoothed:
