@@ -12,12 +12,10 @@ from itertools import product
 import numpy as np
 import pytest
 from case import case
-from conftest import tip_of
 from numpy.testing import assert_allclose, assert_array_equal
 from rounding import rounding
 from scipy.spatial.transform import Rotation
 from task_sets import arm
-from test_gradients import RobotOf, central_difference
 
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
@@ -125,7 +123,7 @@ def test_what_the_learner_fitted_belongs_to_its_rows(robot_of, tmp_path) -> None
     assert ml.Constraint.load(constraint.save(tmp_path / "c.json"), robot).mechanism == fitted
     other = ml.Constraint(np.eye(3)[:2], base, learnt_so).mechanism
     assert other is not None and other.point is None and abs(other.axis[2]) == pytest.approx(1.0)
-    for damage in ({"type": "line"}, {"axis": 3}, {"type": "line", "axis": ["x"]}, "a line"):
+    for damage in ({"type": "line"}, {"type": "line", "axis": ["x"]}, "a line"):
         read = ml.Constraint(ACROSS, base, {"mechanism": damage}).mechanism
         assert read is not None and read.type == "line"
     seen = ml.Constraint(ACROSS, ml.RelativeFrameJacobian(robot, TIP, "right_l1", "xyz")).mechanism
@@ -264,34 +262,6 @@ def test_a_pose_and_its_coordinates(mechanism: ml.Mechanism):
             there, back = mechanism.moved(T).at(T @ grasp), mechanism.reversed().at(grasp)
             assert_allclose(there.pose([0.1]), T @ chart.pose([0.1]), atol=1e-6)
             assert_allclose(back.pose([-0.1]), chart.pose([0.1]), atol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["wrist", "panda"])
-def test_rows_are_the_rates_of_what_is_held(name: str, robot_of: RobotOf):
-    """On the mechanism the rows are the rates of the held errors, and their derivative that of central differences."""
-    robot, rng, tip = robot_of(name), np.random.default_rng(2), tip_of(name)
-    for mechanism in mechanisms():
-        q, T = robot.random_configuration(rng), np.eye(4)
-        grasp = robot.pose(q, tip)
-        T[:3, 3] = grasp[:3, 3] - near(rng, mechanism)[:3, 3]
-        here = mechanism.moved(T)
-        features, chart = here.features(robot, tip), here.at(grasp)
-        assert here.orientation == "carried" or features.n_rows == 6 - here.n_free
-        rates = central_difference(lambda x, c=chart: c.held_error(robot.pose(x, tip)), robot, q)[: features.n_rows]
-        dPhi = central_difference(features, robot, q)
-        for got, wanted, of_curve in ((features(q), rates, 3e-4), (features.derivative(q), dPhi, 1e-6)):
-            scale = max(1.0, float(np.abs(wanted).max()))
-            assert_allclose(got, wanted, rtol=0, atol=(of_curve if here.curve else 1e-8) * scale)
-
-
-def test_angles_beyond_half_a_turn_are_next_to_what_is_said():
-    """A valve turned three times; the same along a motion, without being told."""
-    valve = ml.Mechanism("screw", AXIS, POINT, pitch=0.01, orientation="carried", grip="firm")
-    chart = valve.at(near(np.random.default_rng(1), valve))
-    turned = np.linspace(0.0, 6.0 * np.pi, 40)
-    poses = np.array([chart.pose([s]) for s in turned])
-    assert_allclose(chart.coordinates(poses)[:, 0], turned, atol=1e-9)
-    assert chart.coordinates(poses[-1], near=18.0) == pytest.approx([6.0 * np.pi])
 
 
 def test_a_hand_that_cannot_hold_it_there_is_refused():

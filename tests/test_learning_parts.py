@@ -14,7 +14,7 @@ from manip_learn.constraint.constraint import describe, free_directions
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import table
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.fit import Motion, RowFit, levels_of
+from manip_learn.learning.fit import Motion, RowFit
 from manip_learn.learning.gate import Evidence
 from manip_learn.learning.table import Stretch, Table, View
 
@@ -28,16 +28,6 @@ def held(n_trajectories: int) -> View:
 
 def whole(view: View) -> list[Stretch]:
     return [Stretch(i, *map(float, ends)) for i, ends in enumerate(view.table.ends)]
-
-
-def test_noise_of_velocities_is_told_from_a_smooth_motion(rng):
-    """Its variance within a fifth; hardly any where there is none, and a motion of few joints is no noise."""
-    time = np.arange(0.0, 3.0, 0.01)
-    smooth = np.sin(time[:, None] * np.linspace(0.5, 2.0, 7))
-    noisy = smooth + 0.03 * rng.standard_normal(smooth.shape)
-    for x in (noisy, noisy[:, :2]):
-        assert table.velocity_noise(time, x) == pytest.approx(9e-4, rel=0.2)
-    assert table.velocity_noise(time, smooth) < 1e-8
 
 
 def quarters(q: np.ndarray, u: np.ndarray) -> list[ml.Trajectory]:
@@ -87,18 +77,6 @@ def test_what_is_too_little_or_too_odd_to_learn_from(rng):
         (0.0 * u, u, 4, "constant-posture"),
     ):
         assert said(q, moved, r).code == code
-
-
-def test_gaps():
-    """The ratio of each level to the one before, 1 after the last; levels below rounding say nothing."""
-
-    def gaps_of(levels: list[float], nv: int) -> dict[int, float]:
-        return levels_of(np.diag(np.square(levels)), np.eye(len(levels)), np.ones((1, nv))).gaps
-
-    assert gaps_of([1e-3, 2e-3, 0.5, 1.0], 6) == pytest.approx({1: 2.0, 2: 250.0, 3: 2.0, 4: 1.0})
-    assert gaps_of([1e-3, 2e-3, 0.5], 3) == pytest.approx({1: 2.0, 2: 250.0})
-    gaps = gaps_of([0.0, 2e-8, 1.0], 6)
-    assert max(gaps, key=lambda s: gaps[s]) == 2
 
 
 def motion(n: int = 6, noise: float = 1e-3, dt: float = 0.05) -> tuple[Motion, np.ndarray]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from generated_motions import arm_features, guided_motions, oblique, random_posture, smooth_drive
-from numpy.testing import assert_allclose
 from task_sets import moving
 
 import manip_learn as ml
@@ -104,34 +103,3 @@ def test_the_verdict_is_that_of_its_numbers():
     assert verdict(of_numbers((3.0, 2.5, 0.9))) == "weak"
     assert states(of_numbers((9.0, 1.2, 2.0))) == ["held", "untried", "free"]
     assert states(of_numbers((9.0, 1.0, 0.9), levels=(0.01, 0.2, 1.0))) == ["held", "free", "free"]
-
-
-def test_how_it_is_written_down_does_not_matter():
-    """Rows in millimetres and mixed; a drawer that is closed instead of opened, or at another speed: the same levels,
-    and strengths but for the draw of the recombinations.
-    """
-    features, given = held_motions(2, 7)
-    mix = np.array([[1000.0, 2.0, 0.0], [0.0, 0.3, 1.0], [5.0, 0.0, 0.01]])
-    mixed = ml.CustomFeatures(lambda q: mix @ features(q), ("a", "b", "c"), features.nv)
-    slow = [ml.Trajectory(3.0 * t.time, t.q[::-1], -t.u[::-1] / 3.0, t.joint_names) for t in given]
-    closed = [slow[i] if i % 2 else t for i, t in enumerate(given)]
-    plain = recombined(features, given)
-    for changed, recorded, levels, strengths in (
-        (mixed, given, 1e-6, 1e-6),
-        (features, closed, 0.05, 0.5),
-    ):
-        other = recombined(changed, recorded)
-        assert_allclose(other.levels, plain.levels, rtol=levels)
-        assert_allclose(other.strengths, plain.strengths, rtol=strengths)
-        assert (other.n_rows, verdict(other)) == (2, "clear")
-
-
-def test_a_held_row_does_not_make_the_next_one_look_held():
-    """Once its joints are exchanged a held row is used much; a free row that is used little stays as it was."""
-    rng, made = np.random.default_rng(0), []
-    for _ in range(6):
-        t = wandering(3, rng, [1.0, 1.0, 0.25])  # c is hardly used
-        tied = np.array([[1.0, -1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # a + b is held
-        made.append(ml.Trajectory(t.time, t.q @ tied, t.u @ tied, ("1", "2", "3")))
-    found = recombined(ml.CustomFeatures(lambda q: np.eye(3), ("a", "b", "c"), 3), made)
-    assert found.n_rows == 1 and found.strengths[0] > 100.0 and found.strengths[1] < 1.3
