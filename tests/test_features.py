@@ -196,23 +196,6 @@ def test_rows_of_a_mechanism_in_numbers(panda, rng, radius):
     assert_allclose(features(q), [wanted[name] for name in features.row_names], rtol=0, atol=1e-8)
 
 
-def test_rows_of_a_place_in_numbers(panda, rng):
-    """v, the rate of half the squared distance, w; the velocity of the hand's point at m; products (p - m)_i v_j."""
-    m, q = np.array([0.3, -0.2, 0.6]), panda.random_configuration(rng)
-    J, d = panda.jacobian(q, TCP), panda.position(q, TCP) - m
-    v, w, place, turn = J[:3], J[3:], ("m/s",) * 3, ("rad/s",) * 3
-    forms = {
-        "point": ([*v, d @ v], "x y z distance", (*place, "m^2/s")),
-        "point and rotation": ([*v, d @ v, *w], "x y z distance rx ry rz", (*place, "m^2/s", *turn)),
-        "twist": ([*(v + np.cross(d, w.T).T), *w], "x y z rx ry rz", (*place, *turn)),
-        "surface": ([*v, *np.kron(d[:, None], v)], "x y z xx xy xz yx yy yz zx zy zz", (*place, *("m^2/s",) * 9)),
-    }
-    for form, (rows, names, units) in forms.items():
-        features = PlaceRows(panda, TCP, form, m)
-        assert_allclose(features(q), rows, rtol=0, atol=1e-12, err_msg=form)
-        assert (features.row_names, features.row_units) == (tuple(names.split()), units)
-
-
 def test_finite_on_the_axis(panda, rng):
     """On the axis, in the centre and close by everything stays finite, and mu vanishes only there."""
     q = panda.random_configuration(rng)

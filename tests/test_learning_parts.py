@@ -153,9 +153,6 @@ ACROSS = np.array([[-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
         (("x y rz", "world"), np.eye(3)[:2], True, 3e-6, None,
          "The tip is steered on purpose along x and y; it can turn about z. "
          "Direction known to better than 0.0001 degrees."),
-        (("pose", "local"), np.insert(np.eye(6)[[0, 1, 5]], 0, [0, 0, 0.6, 0.8, 0, 0], axis=0), False, None, None,
-         "In its own axes, the tip can move along (0.00, 0.00, 0.80) while turning about (-0.60, 0.00, 0.00) and turn "
-         "about y, and is blocked in every other way."),
         (("radial axial", None), np.eye(2), False, None, HINGE,
          "The tip can move on a circle of radius 0.300 m about the axis (0.00, 0.00, 1.00) through (0.40, 0.10, 0.00) "
          "and cannot leave it. It looks like a hinge (a door); the hand turns with it. "

@@ -11,7 +11,7 @@ from rounding import rounding
 from scipy.spatial.transform import Rotation
 
 from manip_learn import linalg
-from manip_learn.linalg import EPS, row_space_angle
+from manip_learn.linalg import EPS
 from manip_learn.robot import rotations
 
 seeds = st.integers(0, 2**32 - 1)
@@ -74,16 +74,6 @@ def test_null_projector_and_inverse(draw):
     if computed[-1] > 1e-3:
         near(N, np.eye(A.shape[1]) - X @ A, slack)
         near(N @ X, 0.0, slack * np.max(np.abs(X)))
-
-
-def test_angles_see_no_rows_that_add_nothing():
-    """Zero and repeated rows (the paper prints Lambda with a zero row) neither hide nor make an angle."""
-    xy, yz = np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 1.0, 1.0])
-    assert row_space_angle(xy, yz) == pytest.approx(np.pi / 2)
-    assert row_space_angle(xy, np.eye(3)[:2]) < rounding(4 * 9)
-    assert row_space_angle(np.eye(3)[[0, 0]], np.eye(3)[:1]) < rounding(4 * 9)
-    assert row_space_angle(np.eye(3)[[0, 0]], np.eye(3)[:2]) == np.pi / 2
-    assert row_space_angle(np.zeros((2, 3)), np.zeros((1, 3))) == 0.0
 
 
 def test_exact_inverse_inverts_however_small():

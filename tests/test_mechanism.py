@@ -39,7 +39,6 @@ def paths(point):
     """Name -> (path, type, rows)."""
     return {
         "line": (along(AXIS[None], 0.2, False), "line", 2),
-        "line, firm": (along(AXIS[None], 0.15, True), "line", 5),
         "plane": (along(across(AXIS), 0.12, False), "plane", 1),
         "hinge": (about(AXIS, point, 0.7, firm=False), "hinge", 2),
         "hinge, firm": (about(AXIS, point, 0.7), "hinge", 5),
@@ -117,8 +116,7 @@ def test_a_planar_arm(robot_of):
 
 def test_a_short_arc_is_known_badly_and_says_so(robot_of):
     """Five degrees of a door: the radius is off by far more than on forty, and its standard deviation says so. Three
-    degrees with bad encoders: a line, or a hinge whose place is known badly and is warned of. One opening gives the
-    axis, and says that repetition cannot be excluded.
+    degrees with bad encoders: a line, or a hinge whose place is known badly and is warned of.
     """
     point, sigmas = place(robot_of("panda"), "panda"), {}
     for arc in (5.0, 40.0):
@@ -133,9 +131,6 @@ def test_a_short_arc_is_known_badly_and_says_so(robot_of):
         assert any("hinge would fit as well" in w for w in report.warnings)
     elif report.mechanism is not None:
         assert report.mechanism.uncertainty["radius"] > 0.005
-    report = fit(robot_of, "panda", record(robot_of, "panda", about(AXIS, point, 0.7), n=1), "xyz").report_
-    assert report.mechanism is not None and report.mechanism.name == "hinge, firm"
-    assert degrees_between(report.mechanism.axis, AXIS) < 0.1 and any("one trajectory" in w for w in report.warnings)
 
 
 def test_what_is_no_mechanism(robot_of):
@@ -279,20 +274,12 @@ def shown(learner: ml.ConstraintLearner, constraint: int) -> list[str]:
 
 
 def test_a_cut_recording_is_one_stretch():
-    """Recordings that hold nothing but the contact: one constraint, every recording as a whole, none of them odd. So
-    are sixteen recordings of one table with bad encoders.
-    """
+    """Recordings that hold nothing but the contact: one constraint, every recording as a whole, none of them odd."""
     features, made, _ = moving("door", "xarm7", 2021, 8, whole=False)
     learner = found_in(features, made)
     assert len(learner.constraints_) == 1 and not learner.report_.odd_trajectories
     spans = [(p.trajectory, p.start, p.end, p.constraint) for p in learner.report_.phases]
     assert spans == [(t.name, t.time[0], t.time[-1], 0) for t in made]
-    features, made, _ = moving("table", "ur5", 2024, 16, whole=False)
-    rng, noisy = np.random.default_rng(1), []
-    for t in made:
-        q = t.q + rng.normal(0.0, 3e-3, t.q.shape)
-        noisy.append(ml.derive_velocities(ml.Trajectory(t.time, q, None, t.joint_names), features.robot))
-    assert len(found_in(features, noisy).constraints_) == 1
 
 
 def test_odd_ones_are_named_with_numbers_and_units():

@@ -12,7 +12,6 @@ import pinocchio as pin
 import pytest
 from generated_motions import PLANAR_ROWS, angle_deg, arm_features, guided_motions, oblique, paper_motions
 from mechanism_motions import about, demonstrate
-from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
@@ -91,11 +90,7 @@ def test_what_is_thought_of_the_arm_is_stated():
     parts = [report.uncertainty[JOINT_ZEROS] for report in stated.values()]
     assert parts[0] < 0.05 < 0.1 < parts[1] < 0.6 and parts[2] > 4.0 * parts[1]
     assert stated[2.0].uncertainty[NOISE] == stated[0.0].uncertainty[NOISE]
-    turned = [replace(t, q=t.q + np.eye(7)[0]) for t in demos]
-    mu = [learnt(d, truth).constraint_.manipulability(d[0].q[3]) for d in (demos, turned)]
-    assert mu[1] == pytest.approx(mu[0], rel=1e-6)
     demos, truth, _ = held(12, 0.0, noise=0.0)
-    assert learnt(demos, truth, zeros=0.0, links=5.0).report_.uncertainty[JOINT_ZEROS] == 0.0
     wide = [learnt(demos, truth, zeros=0.1, links=links).report_.uncertainty[JOINT_ZEROS] for links in (0.0, 0.5, 5.0)]
     assert 0.05 < wide[0] <= 1.05 * wide[1] and 1.5 * wide[1] < wide[2]
 
@@ -140,34 +135,6 @@ def fitted(demos, features: ml.FeatureMap, s: int = 2) -> tuple[View, RowFit]:
     whole = [Stretch(i, *map(float, ends)) for i, ends in enumerate(view.table.ends)]
     motion = Motion.of(view, whole, Settings())
     return view, RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
-
-
-def apart(view: View, fit: RowFit, selection: np.ndarray) -> np.ndarray:
-    """The truth beside the learnt rows: (1, B) with learnt + B perp."""
-    true = selection @ np.linalg.pinv(view.W)
-    return np.linalg.solve(true @ fit.rows.T, true @ fit.perp.T).reshape(-1)
-
-
-@pytest.mark.parametrize("scatter", [0.0, 5e-3])
-def test_the_stated_noise_is_the_error_that_is_made(scatter):
-    """With white noise alone, or with rows that scatter between recordings: over 30 sets the error of Lambda is as
-    large as the stated draws, larger than about half of them (0.39 and 0.44). Twice the variance, or a scatter between
-    recordings that is counted with a wrong sign, weight or freedom, is far from that.
-    """
-    ranks = []
-    for seed in range(30):
-        rng, given = np.random.default_rng([7, seed]), []
-        rows = oblique(2, 3, rng)
-        for _ in range(6):
-            turn = Rotation.from_rotvec(scatter * rng.standard_normal(3)).as_matrix()
-            demos, truth = guided_motions(arm_features(), rows @ turn.T, rng, 1, 20, 0.05)
-            given += [replace(t, q=t.q + rng.normal(0.0, 1e-4, t.q.shape)) for t in demos]
-        view, fit = fitted(given, truth.features)
-        noise = errors_of(fit, ArmErrors(), rng).noise
-        inverse = np.linalg.inv(np.cov(noise.T))
-        made, stated = (np.einsum("...i,ij,...j", b, inverse, b) for b in (apart(view, fit, rows), noise))
-        ranks.append(np.mean(stated < made))
-    assert 0.33 < np.mean(ranks) < 0.58
 
 
 def test_the_report_states_the_parts():
