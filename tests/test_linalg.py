@@ -95,31 +95,6 @@ def test_exact_inverse_inverts_however_small():
     assert linalg.rank_of(np.array([]), (0, 3)) == linalg.rank_of(np.zeros(2), (2, 3)) == 0
 
 
-@pytest.mark.parametrize(("s", "nv"), [(0, 7), (3, 3), (2, 7)])
-def test_batch_row_spaces(rng, s, nv):
-    """In a stack, each Q is orthogonal, A^T = Q[:, :s] R, and Q[:, s:] is a null basis, as matrix by matrix; the thin
-    factors are the first columns of the full ones, for singular and zero matrices too.
-    """
-    A = rng.normal(size=(30, s, nv))
-    A[3, :1], A[4, -1:], A[7] = 0.0, A[4, :1], 0.0
-    Q, R = linalg.batch_row_spaces(A)
-    longest = max(1.0, *np.linalg.norm(A, axis=(1, 2)))
-    known = rounding(4 * nv * nv, longest)
-    sigma = np.linalg.svd(np.delete(A, [3, 4, 7], axis=0), compute_uv=False)  # of independent rows
-    turned = rounding(4 * nv * nv, longest, np.max(sigma[:, :1] / sigma[:, -1:], initial=1.0))
-    unit = np.broadcast_to(np.eye(nv), (30, nv, nv))
-    near(Q.transpose(0, 2, 1) @ Q, unit, known)
-    near(Q[:, :, :s] @ R, A.transpose(0, 2, 1), known)
-    near(A @ Q[:, :, s:], 0.0, known)
-    np.testing.assert_array_equal(R, np.triu(R))
-    thin_Q, thin_R = (x.transpose(2, 0, 1) for x in linalg.row_bases(A.transpose(2, 1, 0)))
-    others = np.arange(30) != 4  # of dependent rows rounding decides what is added
-    near(thin_Q[others], Q[others, :, :s], turned)
-    near(thin_R[others], R[others], turned)
-    near(thin_Q @ thin_R, A.transpose(0, 2, 1), known)
-    near(thin_Q.transpose(0, 2, 1) @ thin_Q, unit[:, :s, :s], turned)
-
-
 ANGLES = [0.0, 1e-300, 1e-12, 1e-6, 0.1, 0.0999999, 0.1000001, 1.0, 3.0, *(np.pi - x for x in (1e-2, 1e-6, 1e-12, 0.0))]
 
 

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from mechanism_motions import T, about, along, ball, demonstrate, stroke, wave
 from scipy.spatial.transform import Rotation
-from task_sets import arm, learnt, moving, true_rows
+from task_sets import arm, learnt, moving
 
 import manip_learn as ml
 from manip_learn.constraint.mechanism import KIND_BY_NAME
 from manip_learn.constraint.place import Place, across
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.place import Placed
-from manip_learn.linalg import row_space_angle
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 PITCH = 0.04
@@ -125,12 +124,6 @@ def test_a_short_arc_is_known_badly_and_says_so(robot_of):
         sigmas[arc] = m.uncertainty["radius"]
         assert m.type == "hinge" and abs(m.radius - 0.3) < 4.0 * sigmas[arc]
     assert sigmas[5.0] > 20.0 * sigmas[40.0]
-    path = about(AXIS, point, np.radians(3.0), firm=False)
-    report = fit(robot_of, "panda", record(robot_of, "panda", path, n=3, noise=5e-4)).report_
-    if report.mechanism is not None and report.mechanism.type == "line":
-        assert any("hinge would fit as well" in w for w in report.warnings)
-    elif report.mechanism is not None:
-        assert report.mechanism.uncertainty["radius"] > 0.005
 
 
 def test_what_is_no_mechanism(robot_of):
@@ -139,23 +132,22 @@ def test_what_is_no_mechanism(robot_of):
     """
     s = np.linspace(0.0, 1.0, T)
     shape, given = 10 * s**3 - 15 * s**4 + 6 * s**5, []
-    for name, repeats in (("panda", False), ("planar3", False), ("panda", True)):
-        robot, rng, demos = robot_of(name), np.random.default_rng(0), []
-        goal = rng.normal(0.0, 0.5, robot.nv)
+    for repeats in (False, True):
+        robot, rng, demos = robot_of("panda"), np.random.default_rng(0), []
+        goal = repeats * rng.normal(0.0, 0.5, robot.nv)
         for _ in range(6):
-            q = MIDDLE[name] + wave(rng, np.full(robot.nv, 0.004 if repeats else 0.4))
-            if repeats:
-                q = q + np.outer(shape, goal + rng.normal(0.0, 0.01, robot.nv)) + rng.normal(0.0, 1e-4, q.shape)
+            q = MIDDLE["panda"] + wave(rng, np.full(robot.nv, 0.004 if repeats else 0.4))
+            q = q + np.outer(shape, goal + repeats * rng.normal(0.0, 0.01, robot.nv)) + rng.normal(0.0, 1e-4, q.shape)
             demos.append(ml.Trajectory(np.arange(T) * 0.02, q, None, robot.joint_names))
-        given.append((name, demos))
+        given.append(demos)
     doors = []
     for i, distance in enumerate((0.25, 0.33, 0.42, 0.5)):
         axis = AXIS + 0.15 * np.array([np.cos(2.0 * i), np.sin(2.0 * i), 0.0])
         path = about(axis / np.linalg.norm(axis), place(robot_of("panda"), "panda", distance), 0.6)
         doors += record(robot_of, "panda", path, seed=i, n=1)
-    for name, demos in [*given, ("panda", doors)]:
+    for demos in [*given, doors]:
         with pytest.raises(NotIdentifiableError):
-            fit(robot_of, name, demos)
+            fit(robot_of, "panda", demos)
 
 
 @pytest.mark.parametrize(
@@ -221,7 +213,8 @@ def test_what_was_moved_between_recordings_is_learnt_as_it_stood_last() -> None:
     assert len(found.constraints_) == 1 and found.constraint_.n_constraints == 2
     assert angle(found.constraint_, stood[-1]) < 0.3
     assert any("moved between recordings" in w and "demo_5" in w for w in found.report_.warnings)
-    assert shown(found, 0) == [f"demo_{i}" for i in range(6)] and not found.report_.odd_trajectories
+    assert {p.trajectory for p in found.report_.phases if p.constraint == 0} == {f"demo_{i}" for i in range(6)}
+    assert not found.report_.odd_trajectories
 
 
 def test_an_arm_whose_zeros_are_off_sees_one_drawer() -> None:
@@ -264,33 +257,13 @@ def test_a_wide_cylinder_is_no_plane() -> None:
 # ---- whole recordings ---------------------------------------------------------------------------------------------
 
 
-def found_in(features: ml.FrameJacobian, trajectories: list[ml.Trajectory]) -> ml.ConstraintLearner:
-    return ml.ConstraintLearner(features).fit(trajectories)
-
-
-def shown(learner: ml.ConstraintLearner, constraint: int) -> list[str]:
-    """Recordings that show a constraint."""
-    return sorted({p.trajectory for p in learner.report_.phases if p.constraint == constraint})
-
-
 def test_a_cut_recording_is_one_stretch():
     """Recordings that hold nothing but the contact: one constraint, every recording as a whole, none of them odd."""
     features, made, _ = moving("door", "xarm7", 2021, 8, whole=False)
-    learner = found_in(features, made)
+    learner = ml.ConstraintLearner(features).fit(made)
     assert len(learner.constraints_) == 1 and not learner.report_.odd_trajectories
     spans = [(p.trajectory, p.start, p.end, p.constraint) for p in learner.report_.phases]
     assert spans == [(t.name, t.time[0], t.time[-1], 0) for t in made]
-
-
-def test_odd_ones_are_named_with_numbers_and_units():
-    """Another drawer: exactly these recordings, with the reason, and both rows are kept."""
-    features, made, truth = moving("drawer_other_direction", "panda", 2021, 8, whole=False)
-    learner = found_in(features, made)
-    others = {p.trajectory for p in learner.report_.phases if p.constraint not in (0, None)}
-    told = {odd.trajectory for odd in learner.report_.odd_trajectories} | others
-    assert told == {made[i].name for i in truth["contaminated"]}
-    assert all(name in reason and " mm along " in reason for name, reason in learner.report_.odd_trajectories)
-    assert np.degrees(row_space_angle(learner.constraint_.selection, true_rows(truth, 0))) < 0.2
 
 
 def test_an_orientation_that_is_held_softly_is_learnt_with_its_axis():

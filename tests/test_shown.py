@@ -10,7 +10,7 @@ import pytest
 from case import case
 from numpy.testing import assert_allclose
 from shown_motions import Thing, recordings
-from task_sets import arm, generated
+from task_sets import arm
 
 import manip_learn as ml
 from manip_learn.constraint.shown import Intention
@@ -64,21 +64,6 @@ def test_what_was_shown_is_what_people_did_and_is_done_again(kind, name):
     else:
         assert abs(way.done) == pytest.approx(far, rel=0.03)
         assert np.linalg.norm(places[-1] - thing.place(np.array([[far]]))[0]) < 0.03 * far * 0.5 + 3e-3
-
-
-@pytest.mark.parametrize(("low", "high", "step"), [(0.0, 1.0, 10), (0.1, 0.3, 2)])
-def test_recordings_that_are_cut_to_the_motion_lose_nothing_of_it(low, high, step):
-    """From the first sample on, at rest there or in full motion: way, place and time are those recorded."""
-    truth, motions = generated("drawer", "panda", 4200, 4, whole=False)
-    robot = arm("panda")
-    demos = [t.part(slice(int(low * len(t)), int(high * len(t)), step)) for t in motions]
-    paths = [np.array([robot.position(q, truth["tip"]) for q in t.q]) for t in demos]
-    ways = [np.linalg.norm(p - p[0], axis=1) for p in paths]
-    seconds = np.array([t.time[np.argmax(way)] - t.time[0] for t, way in zip(demos, ways, strict=True)])
-    shown = ml.ConstraintLearner(ml.FrameJacobian(robot, truth["tip"], "xyz")).fit(demos).constraint_.shown
-    assert shown is not None and shown.extent == pytest.approx(np.median([w.max() for w in ways]), rel=0.03)
-    assert min(np.linalg.norm(p[0] - shown.begin) for p in paths) < 5e-3
-    assert np.min(np.abs(shown.time[-1] / seconds - 1.0)) < 0.03
 
 
 def test_positive_is_the_way_shown():

@@ -15,12 +15,6 @@ from manip_learn.robot.rotations import rotation_matrix
 
 ROOT = Path(__file__).resolve().parents[1]
 TIP = "right_gripper_tip"
-FACTOR = 1.3
-
-
-def recordings(folder: str = "sawyer_drawer", count: int = 6) -> list[Path]:
-    """The first shipped files of a folder."""
-    return sorted((DATA / folder).glob("*.csv"))[:count]
 
 
 def learnt(robot: ml.Robot, demos) -> ml.ConstraintLearner:
@@ -28,23 +22,20 @@ def learnt(robot: ml.Robot, demos) -> ml.ConstraintLearner:
     return ml.ConstraintLearner(ml.FrameJacobian(robot, TIP)).fit(demos)
 
 
-def described(tmp_path: Path, joint: str = "") -> ml.Robot:
-    """The arm with all origins of its joints 1.3 times as far away, or those of one joint."""
+def longer(path: Path, joint: str) -> ml.Robot:
+    """The arm with the origin of one joint 1.3 times as far away."""
     tree = ElementTree.parse(ROOT / "robots" / "sawyer.urdf")
-    for element in tree.iter("joint"):
-        origin = element.find("origin")
-        if origin is not None and joint in ("", element.get("name")):
-            place = map(float, origin.get("xyz", "0 0 0").split())
-            origin.set("xyz", " ".join(f"{FACTOR * x:.12g}" for x in place))
-    path = tmp_path / f"long{joint}.urdf"
+    origin = tree.find(f"joint[@name='{joint}']/origin")
+    assert origin is not None
+    origin.set("xyz", " ".join(f"{1.3 * float(x):.12g}" for x in origin.get("xyz", "").split()))
     tree.write(path)
     return ml.load_robot(path)
 
 
 def test_lengths_and_zeros_that_contradict_each_other_lower_the_gap(tmp_path):
     """One longer link, or the elbow's zero, bends what is held; the first joint's zero only turns it."""
-    (arm, demos, drawer), one = sawyer_drawer(), described(tmp_path, "right_j4")
-    bent = learnt(one, ml.load_demonstrations(recordings(), one)).report_
+    (arm, demos, drawer), one = sawyer_drawer(), longer(tmp_path / "long.urdf", "right_j4")
+    bent = learnt(one, ml.load_demonstrations(sorted((DATA / "sawyer_drawer").glob("*.csv"))[:6], one)).report_
     assert bent.gap < 0.1 * drawer.report_.gap and any("another shape" in warning for warning in bent.warnings)
     elbow, turned = (
         learnt(arm, [ml.Trajectory(t.time, t.q + x, None, t.joint_names, t.name) for t in demos])
