@@ -333,14 +333,14 @@ def test_all_of_lambda_comes_back(name, features):
 
 
 def test_axes_in_words():
-    """What is held, free and not known of a table, a drawer and a flat arm, z along the mechanism's axis. What is
+    """What is held, free and not known of a table and a drawer, z along the mechanism's axis. What is
     written down is JSON, with the axes by name; features of no frame are refused in a sentence.
     """
     robot = arm("sawyer")
     q = robot.neutral() + 0.3
 
-    def frame(selection, axes: str, of: ml.Robot = robot, at=q) -> ml.TaskFrame:
-        return ml.Constraint(selection, ml.FrameJacobian(of, TIP if of is robot else "tip", axes)).task_frame(at)
+    def frame(selection, axes: str) -> ml.TaskFrame:
+        return ml.Constraint(selection, ml.FrameJacobian(robot, TIP, axes)).task_frame(q)
 
     table = frame([[0.1, 0.2, 0.97]], "xyz")
     assert table.axes == ("free", "free", "held", "unknown", "unknown", "unknown")

@@ -114,8 +114,8 @@ def test_a_planar_arm(robot_of):
 
 
 def test_a_short_arc_is_known_badly_and_says_so(robot_of):
-    """Five degrees of a door: the radius is off by far more than on forty, and its standard deviation says so. Three
-    degrees with bad encoders: a line, or a hinge whose place is known badly and is warned of.
+    """Five degrees of a door: the radius is off by far more than on forty, and its standard deviation says
+    so.
     """
     point, sigmas = place(robot_of("panda"), "panda"), {}
     for arc in (5.0, 40.0):
