@@ -31,6 +31,7 @@ from task_sets import DATA
 import manip_learn as ml
 from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableError
 from manip_learn.experiments.metrics import manipulability_along, nmie
+from manip_learn.experiments.paper_setup import Setup, demonstrate
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 
 TIP = "right_gripper_tip"
@@ -207,7 +208,10 @@ PLANAR, JOINTS = planar_features(), planar_features().robot.joint_names
 def motions(held: bool, rows: str = "two", n: int = 24, points: int = 12, seed: int = 0) -> ml.Demonstrations:
     """A planar arm that reaches for targets along the rows, or that is pushed about while these are held."""
     selection = {"two": TWO_ROWS, "one": ONE_ROW, "turn": np.eye(3)[2:], "place": np.eye(3)[:2]}[rows]
-    return scale_motions.motions(PLANAR, selection, np.random.default_rng(seed), n, points, held=held)
+    rng = np.random.default_rng(seed)
+    if held:
+        return scale_motions.motions(PLANAR, selection, rng, n, points, held=True)
+    return demonstrate(Setup("x y", n, points), selection, rng)
 
 
 def learner(name: str, features: ml.FeatureMap = PLANAR, n: int | None = None) -> ml.ConstraintLearner:
