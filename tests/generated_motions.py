@@ -61,9 +61,8 @@ def guided_motions(
     n_points: int = 60,
     dt: float = 0.02,
     noise: float = 0.0,
-    task_speed: float = 0.0,
 ) -> tuple[ml.Demonstrations, ml.Constraint]:
-    """An arm pushed about while the world holds the rows Lambda Phi (task_speed 0), or moves them as it likes.
+    """An arm pushed about while the world holds the rows Lambda Phi.
 
     Integrated with the classic Runge-Kutta scheme, so that positions and velocities belong together to 1e-8.
     """
@@ -71,13 +70,12 @@ def guided_motions(
     truth = ml.Constraint(selection, features)
     trajectories = []
     for k in range(n_trajectories):
-        push, pull = smooth_drive(robot.nv, rng), smooth_drive(truth.n_constraints, rng, max(task_speed, 1e-12))
+        push = smooth_drive(robot.nv, rng)
+        rng.uniform(size=(9, truth.n_constraints))  # not used; without it all motions would be others
 
-        def velocity(q: np.ndarray, t: float, push=push, pull=pull) -> np.ndarray:
-            A = truth(q)
-            X = np.linalg.solve(A @ A.T, A)
-            pi = push(t)
-            return pi + ((pull(t) if task_speed else 0.0) - A @ pi) @ X
+        def velocity(q: np.ndarray, t: float, push=push) -> np.ndarray:
+            A, pi = truth(q), push(t)
+            return pi - A @ pi @ np.linalg.solve(A @ A.T, A)
 
         time, q, u = integrated(velocity, random_posture(robot, rng), n_points, dt)
         trajectories.append(made(time, q, with_noise(u, noise, rng), robot.joint_names, f"motion {k}"))

@@ -47,23 +47,20 @@ def thing(kind: str, hold: np.ndarray, rng: np.random.Generator) -> Thing:
     """A piece of furniture whose handle is at a place, turned at random but as furniture stands."""
     out = -hold * [1.0, 1.0, 0.0] / np.linalg.norm(hold[:2])  # towards the base, as chests face who opens them
     out = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-0.5, 0.5)]).apply(out)
-    side, up = np.cross(out, [0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])
+    up = np.array([0.0, 0.0, 1.0])
+    side = np.cross(out, up)
     if kind == "drawer":
         return Thing(kind, hold, lambda c: hold + np.outer(c[:, 0], out), "m", out, rng.uniform(0.12, 0.2))
     if kind == "table":
         n = Rotation.from_rotvec(rng.normal(0.0, 0.15, 3)).apply(up)
         basis = np.linalg.svd(n[None])[2][1:]
         return Thing(kind, hold, lambda c: hold + c @ basis, "m", n, rng.uniform(0.05, 0.08))
-    lever = {"door": rng.uniform(0.25, 0.4), "lid": rng.uniform(0.2, 0.3), "crank": rng.uniform(0.08, 0.12)}[kind]
-    sense = rng.choice([-1.0, 1.0])
-    axis = {"door": sense * up, "lid": side, "crank": sense * out}[kind]
-    arm = {"door": -sense * side, "lid": out, "crank": up}[kind] * lever
-    size = {"door": 0.5, "lid": 0.5, "crank": 2.5}[kind] * rng.uniform(0.8, 1.2)
+    arm = out * rng.uniform(0.2, 0.3)  # of a lid
 
     def place(c: np.ndarray) -> np.ndarray:
-        return hold - arm + Rotation.from_rotvec(np.outer(c[:, 0], axis)).apply(arm)
+        return hold - arm + Rotation.from_rotvec(np.outer(c[:, 0], side)).apply(arm)
 
-    return Thing(kind, hold, place, "rad", axis, size)
+    return Thing(kind, hold, place, "rad", side, 0.5 * rng.uniform(0.8, 1.2))
 
 
 def coordinates(one: Thing, rng: np.random.Generator, tools: Any) -> np.ndarray:

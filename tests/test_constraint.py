@@ -91,28 +91,27 @@ def test_files_come_back(robot_of, rng, tmp_path):
 
 
 def test_files_of_another_robot(robot_of, features, tmp_path):
-    """Other joints, or another URDF with the same joints: refused; the latter on demand accepted. A lock that was there
+    """Another URDF with the same joints is refused, and on demand accepted. A lock that was there
     when the constraint was made is a note; another one is refused, or said on demand.
     """
     path = ml.Constraint(np.eye(6)[:2], features).save(tmp_path / "c.json")
-    with pytest.raises(ConstraintMismatchError, match="made with robot .* its joints are"):
-        ml.Constraint.load(path, robot_of("planar3"))
     content = json.loads(path.read_text())
     content["robot"]["fingerprint"] = "0" * 64
     path.write_text(json.dumps(content))
     with pytest.raises(ConstraintMismatchError, match="description has changed"):
         ml.Constraint.load(path, robot_of("sawyer"))
     assert ml.Constraint.load(path, robot_of("sawyer"), same_urdf=False).n_constraints == 2
-    made, other, free = (ml.load_robot("sawyer", locked=x) for x in ({"right_j3": 1.2}, {"right_j3": 0.0}, ()))
-    rows = {robot: ml.Constraint([[0.0, 1.0, 0.0]], ml.FrameJacobian(robot, "right_hand")) for robot in (made, free)}
-    path = rows[made].save(tmp_path / "c.json")
+    made, other = (ml.load_robot("sawyer", locked={"right_j3": x}) for x in (1.2, 0.0))
+    path = ml.Constraint([[0.0, 1.0, 0.0]], ml.FrameJacobian(made, "right_hand")).save(tmp_path / "c.json")
     assert ml.Constraint.load(path, made).notes == ("as when the constraint was made: right_j3 = 1.2 locked",)
-    for robot, words in ((other, r"right_j3' is locked at 1.2, not locked at 0"), (free, "its joints are")):
+    for robot, words in (
+        (other, r"right_j3' is locked at 1.2, not locked at 0"),
+        (robot_of("sawyer"), "its joints are"),
+    ):
         with pytest.raises(ConstraintMismatchError, match=words):
             ml.Constraint.load(path, robot)
     note = "when the constraint was made, 'right_j3' is locked at 1.2, not locked at 0"
     assert ml.Constraint.load(path, other, same_urdf=False).notes == (note,)
-    assert ml.Constraint.load(rows[free].save(tmp_path / "free.json"), free).notes == ()
 
 
 ROWS = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 3)))[0].T.tolist()
@@ -178,7 +177,7 @@ def test_damaged_and_contradicting_files_are_refused(robot_of, features, tmp_pat
 def test_a_file_changed_by_hand_is_told(robot_of, features, tmp_path):
     """A turned row and other provenance are refused. They are taken once the signature is deleted as the sentence says,
     with a warning, or a note of the command, until they are saved again. A file that another program wrote again, in
-    another order and with 1 for 1.0, is the same; one without signature may have fewer digits.
+    another order and with 1 for 1.0, is the same.
     """
     robot, path = robot_of("sawyer"), tmp_path / "c.json"
     constraint = ml.Constraint([[0, 0, 1.0, 0, 0, 0]], features, {"postures": [[0.1] * 7], "shown": {"extent": 0.3}})
@@ -199,9 +198,3 @@ def test_a_file_changed_by_hand_is_told(robot_of, features, tmp_path):
     whole = [[int(x) for x in row] for row in good["selection"]]
     path.write_text(json.dumps(dict(reversed((good | {"selection": whole}).items()))))
     assert_array_equal(ml.Constraint.load(path, robot).selection, constraint.selection)
-    content = json.loads(ml.Constraint(ROWS, features).save(path).read_text()) | {
-        "selection": np.round(ROWS, 11).tolist()
-    }
-    path.write_text(json.dumps({key: value for key, value in content.items() if key != "sha256"}))
-    with pytest.warns(UserWarning, match="states no SHA-256"):
-        assert_allclose(ml.Constraint.load(path, robot).selection, ROWS, atol=1e-10)

@@ -12,12 +12,10 @@ from itertools import product
 import numpy as np
 import pytest
 from case import case
-from conftest import tip_of
 from numpy.testing import assert_allclose, assert_array_equal
 from rounding import rounding
 from scipy.spatial.transform import Rotation
-from task_sets import arm, generated, learnt
-from test_gradients import RobotOf, central_difference
+from task_sets import arm
 
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
@@ -125,7 +123,7 @@ def test_what_the_learner_fitted_belongs_to_its_rows(robot_of, tmp_path) -> None
     assert ml.Constraint.load(constraint.save(tmp_path / "c.json"), robot).mechanism == fitted
     other = ml.Constraint(np.eye(3)[:2], base, learnt_so).mechanism
     assert other is not None and other.point is None and abs(other.axis[2]) == pytest.approx(1.0)
-    for damage in ({"type": "line"}, {"axis": 3}, {"type": "line", "axis": ["x"]}, "a line"):
+    for damage in ({"type": "line"}, {"type": "line", "axis": ["x"]}, "a line"):
         read = ml.Constraint(ACROSS, base, {"mechanism": damage}).mechanism
         assert read is not None and read.type == "line"
     seen = ml.Constraint(ACROSS, ml.RelativeFrameJacobian(robot, TIP, "right_l1", "xyz")).mechanism
@@ -266,34 +264,6 @@ def test_a_pose_and_its_coordinates(mechanism: ml.Mechanism):
             assert_allclose(back.pose([-0.1]), chart.pose([0.1]), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["wrist", "sawyer", "panda", "ur5", "kinova"])
-def test_rows_are_the_rates_of_what_is_held(name: str, robot_of: RobotOf):
-    """On the mechanism the rows are the rates of the held errors, and their derivative that of central differences."""
-    robot, rng, tip = robot_of(name), np.random.default_rng(2), tip_of(name)
-    for mechanism in mechanisms():
-        q, T = robot.random_configuration(rng), np.eye(4)
-        grasp = robot.pose(q, tip)
-        T[:3, 3] = grasp[:3, 3] - near(rng, mechanism)[:3, 3]
-        here = mechanism.moved(T)
-        features, chart = here.features(robot, tip), here.at(grasp)
-        assert here.orientation == "carried" or features.n_rows == 6 - here.n_free
-        rates = central_difference(lambda x, c=chart: c.held_error(robot.pose(x, tip)), robot, q)[: features.n_rows]
-        dPhi = central_difference(features, robot, q)
-        for got, wanted, of_curve in ((features(q), rates, 3e-4), (features.derivative(q), dPhi, 1e-6)):
-            scale = max(1.0, float(np.abs(wanted).max()))
-            assert_allclose(got, wanted, rtol=0, atol=(of_curve if here.curve else 1e-8) * scale)
-
-
-def test_angles_beyond_half_a_turn_are_next_to_what_is_said():
-    """A valve turned three times; the same along a motion, without being told."""
-    valve = ml.Mechanism("screw", AXIS, POINT, pitch=0.01, orientation="carried", grip="firm")
-    chart = valve.at(near(np.random.default_rng(1), valve))
-    turned = np.linspace(0.0, 6.0 * np.pi, 40)
-    poses = np.array([chart.pose([s]) for s in turned])
-    assert_allclose(chart.coordinates(poses)[:, 0], turned, atol=1e-9)
-    assert chart.coordinates(poses[-1], near=18.0) == pytest.approx([6.0 * np.pi])
-
-
 def test_a_hand_that_cannot_hold_it_there_is_refused():
     """A place that is unknown, a hand that is off, and what is no pose: with figures."""
     beside = np.eye(4)
@@ -363,14 +333,14 @@ def test_all_of_lambda_comes_back(name, features):
 
 
 def test_axes_in_words():
-    """What is held, free and not known of a table, a drawer and a flat arm, z along the mechanism's axis. What is
+    """What is held, free and not known of a table and a drawer, z along the mechanism's axis. What is
     written down is JSON, with the axes by name; features of no frame are refused in a sentence.
     """
-    robot, flat = arm("sawyer"), arm("planar3")
+    robot = arm("sawyer")
     q = robot.neutral() + 0.3
 
-    def frame(selection, axes: str, of: ml.Robot = robot, at=q) -> ml.TaskFrame:
-        return ml.Constraint(selection, ml.FrameJacobian(of, TIP if of is robot else "tip", axes)).task_frame(at)
+    def frame(selection, axes: str) -> ml.TaskFrame:
+        return ml.Constraint(selection, ml.FrameJacobian(robot, TIP, axes)).task_frame(q)
 
     table = frame([[0.1, 0.2, 0.97]], "xyz")
     assert table.axes == ("free", "free", "held", "unknown", "unknown", "unknown")
@@ -379,44 +349,10 @@ def test_axes_in_words():
     assert drawer.axes[:3] == ("held", "held", "free") and np.allclose(np.abs(drawer.pose[:3, 2]), [0.8, 0.6, 0.0])
     assert np.array_equal(drawer.pose[:3, 3], drawer.hand[:3, 3]) and drawer.turns == "no"
     assert frame(np.eye(6)[[3, 4]], "pose").axes == ("free", "free", "free", "held", "held", "free")
-    wall = frame([[0, 1]], "x y", flat, [0.3, 0.8, 0.4])
-    assert wall.axes == ("free", "held", "unknown", "unknown", "unknown", "unknown")
-    assert np.array_equal(wall.pose[:3, :3], np.eye(3))
     described = json.loads(json.dumps(frame([[0, 0, 1]], "xyz").to_dict(), allow_nan=False))
-    assert described["axes"]["z"] == "held" and described["frame"] == TIP
-    assert described["mechanism"]["type"] == "plane" and len(described["pose"]) == 4
+    assert described["axes"]["z"] == "held" and described["mechanism"]["type"] == "plane"
     with pytest.raises(ConstraintError, match="no rows of one frame's twist"):
         ml.Constraint([[0, 0, 1]], ml.CentreOfMass(robot)).task_frame(q)
-
-
-@pytest.mark.parametrize(("rows", "free"), [("radial axial", 1), ("turn-1 turn-2 slide-1 slide-2 slide", 5)])
-def test_on_the_axis_and_with_the_hand(rows, free):
-    """A hinge's frame stands on its axis beside the hand, and x goes on pointing to the hand while the arm moves."""
-    panda, rng, a = arm("panda"), np.random.default_rng(2), STANDS / np.linalg.norm(STANDS)
-    features = ml.MechanismRows(panda, TCP, rows, axis=STANDS, point=OFF)
-    constraint = ml.Constraint(np.eye(features.n_rows), features)
-    for q in [panda.random_configuration(rng) for _ in range(4)]:
-        frame = constraint.task_frame(q)
-        assert np.linalg.norm(np.cross(frame.pose[:3, 3] - OFF, a)) < 1e-12
-        to_hand = (frame.hand[:3, 3] - frame.pose[:3, 3]) @ frame.pose[:3, :3]
-        assert to_hand[0] > 0.0 and np.allclose(to_hand[1:], 0.0, atol=1e-12) and frame.turns == "axis"
-        assert [i for i, state in enumerate(frame.axes) if state == "free"] == [free]
-
-
-@pytest.mark.parametrize("seed", [9100, 9101])
-def test_states_its_doubt(seed):
-    """Of a learnt door the frame's axis is off by less than three times what it states, and so is its x, which points
-    from the axis to the hand; an axis that was not seen may be any.
-    """
-    truth, demos = generated("door", "panda", seed, 6, whole=False)
-    constraint = learnt("panda", truth["tip"], demos).constraint_
-    frame = constraint.task_frame(demos[0].q[len(demos[0]) // 2])
-    axis, point = (np.array(truth["mechanisms"][0][key]) for key in ("axis", "point"))
-    out = np.cross(axis, np.cross(frame.hand[:3, 3] - point, axis))
-    off = [np.linalg.norm(np.cross(frame.pose[:3, i], x / np.linalg.norm(x))) for i, x in ((0, out), (2, axis))]
-    assert np.all(0.0 < frame.uncertainty[:3]) and np.all(frame.uncertainty[:3] < np.radians(2.0))
-    assert off[0] < 3.0 * frame.uncertainty[0] and off[1] < 3.0 * frame.uncertainty[2], (off, frame.uncertainty)
-    assert np.all(frame.uncertainty[3:] == np.pi / 2)
 
 
 def test_stated_angles_are_in_radians():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from case import case
 from urdf_corpus import ARM, mimic_chain
@@ -38,51 +37,17 @@ def test_both_readers_agree(part, rng):
             assert check.links == len(robot.pinocchio_model.frames[1:]) // 2 + 1
 
 
-def test_robots_with_limits_that_nobody_stated_load_with_a_warning():
-    """A velocity limit of 0, and position limits left out, are no limits: infinite, and said."""
-    for name, joint, said in [
-        ("romeo", "LHand", "velocity limit of 0 rad/s is taken for none stated"),
-        ("iris", "iris__rotor_0_joint", "velocity limit of 0 rad/s is taken for none stated"),
-        ("centauro", "j_wheel_1", "it has no limits, which a revolute joint should"),
-    ]:
-        with case(name, joint):
-            robot = ml.load_robot(name)
-            k = robot.joint_index(joint)
-            assert any(f"joint {joint!r}" in w and said in w for w in robot.warnings)
-            if "velocity" in said:
-                assert robot.velocity_limit[k] == np.inf
-            else:
-                assert (robot.position_lower[k], robot.position_upper[k]) == (-np.inf, np.inf)
-
-
-def test_chains_of_mimics_agree(tmp_path, rng):
-    """yourdfpy gets the chains shortened, since it would take a mimic of a mimic for one at rest."""
-    for order in [(0, 1, 2), (2, 1, 0), (1, 2, 0)]:
+def test_chains_of_mimics_locked_joints_and_moving_bases_agree(tmp_path, rng):
+    """yourdfpy gets the chains shortened, since it would take a mimic of a mimic for one at rest; a moving base is
+    taken out.
+    """
+    for order in [(0, 1, 2), (1, 2, 0)]:
         with case(order):
             path = tmp_path / "chain.urdf"
             path.write_bytes(mimic_chain(order).replace(b'multiplier="-0.5"', b'multiplier="-0.5" offset="0.2"'))
             assert cross_check(ml.load_robot(path), rng).agrees
-
-
-def test_locked_joints_and_moving_bases_agree(tmp_path, rng):
-    """Locked joints stand where they are locked; a moving base is taken out."""
     path = tmp_path / "arm.urdf"
     path.write_text(ARM, encoding="utf-8")
     assert cross_check(ml.load_robot(path, locked={"elbow": 0.7}), rng).agrees
     floating = cross_check(ml.load_robot(path, base="floating"), rng)
     assert floating.agrees and "root_joint" in floating.left_out
-
-
-def test_what_yourdfpy_cannot_do_is_no_fault_of_the_file(tmp_path, rng):
-    """A robot without a name has the one it was given; followers beside a floating joint go with their leader."""
-    free = '<link name="world"/><joint name="free" type="floating"><parent link="world"/><child link="base"/></joint>'
-    for name, old, new, left_out in (
-        ("nameless", '<robot name="arm">', "<robot>", ""),
-        ("floating and mimic", '<link name="base"/>', f'<link name="base"/>{free}', "the motion of 'free'"),
-    ):
-        with case(name):
-            path = tmp_path / "arm.urdf"
-            follower = ARM.replace('effort="20"/>', 'effort="20"/><mimic joint="shoulder" offset="0.3"/>')
-            path.write_text(follower.replace(old, new), encoding="utf-8")
-            check = cross_check(ml.load_robot(path), rng)
-            assert check.agrees and left_out in check.left_out

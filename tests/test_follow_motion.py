@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
@@ -63,29 +62,6 @@ def test_many_jumps(panda, jerk, allowed):
     assert np.max(off[calm]) < 0.005 and np.max(off) > 0.05
 
 
-def test_between_samples_nothing_steps(panda):
-    """Whatever the times of the samples, the motion goes through them, between them no farther than they are apart,
-    and its velocity goes over into the next stretch's: neither steps.
-    """
-    rng = np.random.default_rng(2)
-    time = np.cumsum(rng.choice([0.01, 0.03, 0.2], 40))
-    q = panda.neutral() + 0.02 * np.cumsum(rng.normal(size=(40, 7)), axis=0) * np.gradient(time)[:, None]
-    motion = ml.FollowMotion(panda, ml.Trajectory(time, q, None, panda.joint_names))
-    assert motion.jumps == ()
-    for k in range(40):
-        assert_allclose(motion.at(time[k] - time[0]), q[k], rtol=0, atol=1e-12)
-    h = 1e-6
-    for k in range(39):
-        low, high = np.minimum(q[k], q[k + 1]), np.maximum(q[k], q[k + 1])
-        for share in (0.1, 0.5, 0.9):
-            x = motion.at(time[k] - time[0] + share * (time[k + 1] - time[k]))
-            assert np.all((x >= low - 1e-12) & (x <= high + 1e-12))
-        if 0 < k:  # the velocities on both sides of a sample
-            s = time[k] - time[0]
-            before, after = (motion.at(s) - motion.at(s - h)) / h, (motion.at(s + h) - motion.at(s)) / h
-            assert_allclose(before, after, rtol=0, atol=1e-3)
-
-
 @pytest.mark.parametrize(("jerk", "most"), [(None, 1e-6), (100.0, 2e-3)])
 def test_smooth_motion_is_followed_exactly(panda, jerk, most):
     """Without jumps the joints are where the recording is, to a microradian or less, from the second period on, and to
@@ -98,17 +74,6 @@ def test_smooth_motion_is_followed_exactly(panda, jerk, most):
     wanted = np.array([loop.controller.at(t) for t in played.time])
     assert np.max(np.abs(played.q - wanted)[2:]) < most
     assert np.max(np.abs(played.q[-1] - motion.q[-1])) < 1e-6 and np.max(np.abs(played.u[-1])) < 1e-5
-
-
-def test_gaps_are_bridged_and_other_periods_played(panda):
-    """A recording at 37 Hz with a gap of 1.5 s, played at 250 Hz: samples are met where there are some."""
-    rng, dt = np.random.default_rng(3), 0.004
-    whole = swaying(panda, rng, 5.0, 1.0 / 37.0)
-    some = (whole.time < 2.0) | (whole.time > 3.5)
-    motion = ml.Trajectory(whole.time[some], whole.q[some], None, whole.joint_names)
-    loop, played = play(panda, motion, 5.0, dt)
-    nearest = np.round(motion.time / dt).astype(int)
-    assert np.max(np.abs(played.q[nearest[5:]] - motion.q[5:])) < 3e-3 and kept(loop.limits, played.u, dt)
 
 
 def test_tip_limit_slows_the_clock_and_keeps_the_path(panda):
@@ -128,17 +93,6 @@ def test_tip_limit_slows_the_clock_and_keeps_the_path(panda):
     assert max(speeds) < 1.001 * half and loop.controller.delay > 0.5
     assert np.max(np.abs(played.q[:, 1:] - q[0, 1:])) < 1e-5  # only the first joint moved
     assert abs(played.q[-1, 0] - turn[-1]) < 1e-6
-
-
-def test_first_posture_is_reached_before_the_clock_starts(panda):
-    """From elsewhere the joints first go to the first posture, at a quarter of their limits, and then all is played."""
-    motion = swaying(panda, np.random.default_rng(5), 3.0)
-    loop = ml.ServoLoop(ml.FollowMotion(panda, motion), DT)
-    played = ml.simulate(panda, loop, motion.q[0] + 0.3, 6.0, DT)
-    first = next(i for i, x in enumerate(played.q) if np.linalg.norm(x - motion.q[0]) < 1e-3)
-    assert np.all(np.abs(played.u[:first]) <= 0.25 * panda.velocity_limit + 1e-9)
-    off = np.abs(played.q[first + 50 : first + 250] - motion.q[50:250])
-    assert np.max(off) < 0.02 and np.max(np.abs(played.q[-1] - motion.q[-1])) < 1e-6
 
 
 def test_goes_on_after_a_stop(panda):

@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 import manip_learn as ml
 from manip_learn.commands.loading import choose_frame
 from manip_learn.errors import UnknownNameError
-from manip_learn.robot.tips import distance_to_last_joint
-
-
-def test_the_distance_is_that_of_the_origins():
-    """From the frame to the axis of the last joint above it, at whatever posture."""
-    robot = ml.load_robot("sawyer")
-    for q in (robot.neutral(), robot.random_configuration(np.random.default_rng(0))):
-        joint, tip = (robot.pose(q, robot.frame(name))[:3, 3] for name in ("right_l6", "right_gripper_tip"))
-        assert distance_to_last_joint(robot, "right_gripper_tip") == pytest.approx(np.linalg.norm(tip - joint))
 
 
 def test_a_wrong_frame_is_answered_with_tips():

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.experiments.paper_setup import Setup, demonstrate, noise_deviations, null_parts, planar_features
+from manip_learn.experiments.paper_setup import Setup, demonstrate, null_parts, planar_features
 from manip_learn.experiments.table import fit_row_by_row
 from manip_learn.learning import imposed
 from manip_learn.learning.imposed import Data, PolicyFit, learn_imposed, residual_and_jacobian, separated
@@ -40,22 +40,8 @@ def degrees(setup: Setup, learner: ml.ConstraintLearner) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arm", "policy", "noise", "size", "sets"),
-    [
-        ("planar3", "quadratic", 0.01, (100, 10), 5),
-        ("planar3", "fast-sinusoidal", 0.001, (100, 10), 5),
-        ("sawyer", "sinusoidal", 0.01, (50, 10), 2),
-    ],
-)
-def test_close_to_the_cramer_rao_bound(arm, policy, noise, size, sets):
-    """The median error is the bound's but for chance, 1.75 of few sets; an affine model answers 3 times and more."""
-    assert measure(arm, policy, noise, size, sets, seed=21).median < 1.75
-
-
-@pytest.mark.slow
-def test_at_the_bound_and_inside_two_times_in_three():
-    """A curved policy hidden by noise: at most 1.3 times the bound, but for the chance of 24 sets; its own seed."""
+def test_close_to_the_cramer_rao_bound():
+    """The error is the bound's but for chance, and inside what is stated two times in three."""
     line = measure("planar3", "quadratic", 0.01, (50, 20), 24, seed=4711)
     assert line.ratio < 1.5 and 0.45 <= line.coverage <= 0.9
 
@@ -85,21 +71,6 @@ def driven(fit: PolicyFit) -> tuple[np.ndarray, np.ndarray]:
     return K, np.einsum("nzv,nv->nz", Z, fit.d.u).reshape(-1)
 
 
-@pytest.mark.parametrize("exact", [False, True])
-def test_a_recording_is_left_out_in_closed_form(exact):
-    """What the policy leaves of a recording is that of the policy of the others: refitted, with and without a prior."""
-    d, rows = reaches(34, 0.02, ("constant", "affine"))
-    policy, left = PolicyFit(d, rows, exact=exact), 0.0
-    prior = np.zeros((12, 12)) if exact else np.diag(policy.precision)
-    K, target = driven(policy)
-    for part in d.parts(10):
-        rest = np.setdiff1d(np.arange(d.u.size), part)[::3] // 3
-        part = part[::3] // 3
-        theta = np.linalg.solve(K[rest].T @ K[rest] + prior, K[rest].T @ target[rest])
-        left += float(np.sum((target[part] - K[part] @ theta) ** 2))
-    assert policy.held_out == pytest.approx(left, rel=1e-6)
-
-
 def deviance(fit: PolicyFit, rows: np.ndarray) -> float:
     """- 2 log N(Z^T u; 0, sigma^2 I + K T K^T), with the covariance written out."""
     K, target = driven(PolicyFit(fit.d, rows, fit))
@@ -121,8 +92,7 @@ def test_no_other_lambda_is_more_likely():
             assert 0.6 < rise < 1.6
 
 
-@pytest.mark.parametrize("policy", ["sinusoidal", "affine"])
-@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize(("policy", "noise"), [("sinusoidal", 0.01), ("affine", 0.0)])
 def test_one_row_is_not_answered_with_two(policy: str, noise: float):
     """Two rows leave less of the motion than one with a policy model that is too small; one row is the answer."""
     rng = np.random.default_rng([20100, 1])
@@ -140,42 +110,22 @@ def test_a_policy_alone_is_no_task(rng):
     assert refusal.value.code == "no-task"
 
 
-@pytest.mark.parametrize("rate", [0.7, -1.0])
-def test_a_motion_that_is_replayed_is_one_motion(rate: float, rng):
-    """One free motion six times, with noise, at another rate or backwards, is refused by name."""
+def test_a_motion_that_is_replayed_is_one_motion(rng):
+    """One free motion six times, with noise, half of it backwards, is refused by name."""
     features, t = arm_features(), np.linspace(0.0, 2.0, 120)
     middle = 0.5 * (features.robot.position_lower + features.robot.position_upper)
     pace, phase = rng.uniform(1.0, 3.0, 7), rng.uniform(0.0, 6.0, 7)
     demos = []
     for k in range(6):
-        own = (rate if k % 2 else 1.0) * t + (2.0 if rate < 0.0 and k % 2 else 0.0)
+        rate = -1.0 if k % 2 else 1.0
+        own = rate * t + (2.0 if k % 2 else 0.0)
         q = middle + 0.4 * np.sin(own[:, None] * pace + phase) + 1e-3 * rng.standard_normal((120, 7))
-        u = 0.4 * pace * np.cos(own[:, None] * pace + phase) * (rate if k % 2 else 1.0)
+        u = 0.4 * pace * np.cos(own[:, None] * pace + phase) * rate
         demos.append(ml.Trajectory(t, q, u + 0.01 * rng.standard_normal(u.shape), features.robot.joint_names))
     with pytest.raises(NotIdentifiableError, match="repeat"):
         fit(demos, features, estimator="joint")
     refusal = learn_imposed([View(features, Table(demos))], Settings())
     assert isinstance(refusal, NotIdentifiableError) and refusal.code == "repeated-motion"
-
-
-@pytest.mark.parametrize("rows", [pytest.param("x y", marks=pytest.mark.slow), "y rz"])
-def test_unequal_noise_does_not_bend_the_rows(rows: str):
-    """Noise of 10 % of each joint's own motion: maximum likelihood that is told the deviation of each joint's noise
-    hardly moves the answer; from equal weights it does.
-
-    (There may be two optima as likely as each other, 10 degrees apart, of which the truth is near one.)
-    """
-    angles, setup = [], Setup(rows, noise=0.1)
-    for seed in range(20100, 20106):
-        demos = shown(setup, seed)
-        learnt = fit(demos, None, 2, "joint", policy_model="affine").constraint_.selection
-        view, deviations = View(planar_features(), Table(list(demos))), noise_deviations(demos, 0.1)
-        mixing = np.diag(np.mean(deviations) / deviations)
-        d = Data(view, ("constant", "affine"), 0, np.arange(len(view.table.q)), mixing)
-        told = view.selection(PolicyFit(d, orthonormal_rows(learnt @ np.linalg.pinv(view.W))).best().rows)
-        angles.append([row_space_angle(setup.selection, x) for x in (learnt, told)])
-    ours, told = np.median(angles, axis=0)
-    assert ours < 2.0 * told
 
 
 def test_an_uncertainty_beyond_thirty_degrees_is_no_answer(monkeypatch):
@@ -190,14 +140,6 @@ def test_an_uncertainty_beyond_thirty_degrees_is_no_answer(monkeypatch):
     assert refusal.value.code == "uncertain"
 
 
-@pytest.mark.slow
-def test_ten_long_trajectories_of_an_arm():
-    """Two rows are commanded and a third is not answered, although the policy is curved and trajectories are few."""
-    rng = np.random.default_rng([3, 0])
-    demos, _ = noisy(motion_of("sawyer", "affine", 10, 100, rng), 0.0, 1.0, rng)
-    assert fit(demos, arm_features()).constraint_.n_constraints == 2
-
-
 # ---- the paper's route --------------------------------------------------------------------------------------------
 
 
@@ -210,20 +152,17 @@ def test_jacobian_is_the_derivative_of_the_residual(rng):
         assert_allclose(J[:, k], (up - down) / 2e-6, rtol=1e-7, atol=1e-8)
 
 
-@pytest.mark.parametrize("rows", ["x y", "y rz"])
-def test_the_papers_route_finds_the_rows(rows):
+def test_the_papers_route_finds_the_rows():
     """w~ is the true null-space part to 1e-3 (root mean square) on the paper's demonstrations, and both ways to learn
     from it find the row space within 0.05 degrees, ours with the number of rows.
     """
-    setup = Setup(rows)
+    setup = Setup("y rz")
     demos = shown(setup, 20191103)
     view, w = View(planar_features(), Table(list(demos))), null_parts(planar_features(), demos, setup.selection)
     found = separated(view, 0)
     assert np.sqrt(np.mean((found - w) ** 2) / np.mean(w**2)) < 1e-3
     learner = fit(demos, estimator="separate", velocities="recorded")
-    report = learner.report_
-    assert (report.estimator, report.policy_model, report.kind) == ("separate", "rbf96", "self-imposed")
-    assert report.policy_residuals["rbf96"] < 1e-6 and report.gap > 100.0 and len(report.levels) == 3
+    assert learner.report_.policy_residuals["rbf96"] < 1e-6 and learner.report_.gap > 100.0
     assert learner.constraint_.n_constraints == 2 and degrees(setup, learner) < 0.05
     by_row = view.selection(fit_row_by_row(view.Phi, found, 2))
     assert by_row.shape == (2, 3) and np.degrees(row_space_angle(by_row, setup.selection)) < 0.05
@@ -240,17 +179,8 @@ def test_nothing_to_separate_is_refused(setup, reason):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rows", ["x rz", "x y", "y rz"])
-def test_demonstrators_with_postures_of_their_own(rows):
-    """Each demonstrator has another rest posture: told so or not, the learner finds the exact rows and their number."""
-    setup = Setup(rows, trajectories=40, policy="own")
-    demos = shown(setup, 20191103)
-    for policy_model in ("affine-offset", "auto"):
-        learner = fit(demos, policy_model=policy_model)
-        assert degrees(setup, learner) < np.degrees(1e-9) and learner.report_.policy_model == "affine-offset"
-
-
-@pytest.mark.parametrize("setup", [Setup("x rz", noise=0.1), Setup("x y", policy="sinusoidal")])
-def test_offsets_are_not_seen_where_there_are_none(setup):
-    """Noise, or a policy that is not a polynomial, is not mistaken for individual rest postures."""
-    assert fit(shown(setup, 20191103), estimator="joint").report_.policy_model != "affine-offset"
+def test_demonstrators_with_postures_of_their_own():
+    """Each demonstrator has another rest posture: the learner finds that out, and the exact rows and their number."""
+    setup = Setup("x rz", trajectories=40, policy="own")
+    learner = fit(shown(setup, 20191103))
+    assert degrees(setup, learner) < np.degrees(1e-9) and learner.report_.policy_model == "affine-offset"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import subprocess
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import pytest
 from test_playback import data_in
 
 import manip_learn as ml
-from manip_learn.learning.report import checksum, version
+from manip_learn.learning.report import version
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "examples" / "data" / "sawyer_drawer").glob("*.csv"))[:3]
@@ -52,23 +51,3 @@ def test_what_is_made_of_it_carries_it(learner, tmp_path):
         assert rollout.constraint is not None and rollout.constraint["provenance"]["made"] == made
     ml.replay(constraint.robot, {"run": kept}, tmp_path / "run.html", open_browser=False)
     assert data_in(tmp_path / "run.html")["made"] == made
-
-
-def test_numbers_have_a_checksum_too(learner):
-    """Arrays, and parts of a recording: the numbers count for the first, the file for the second."""
-    robot = learner.constraint_.robot
-    (demo,) = ml.load_demonstrations(FILES[0], robot)
-    assert checksum(demo[0.1:0.5]) == hashlib.sha256(FILES[0].read_bytes()).hexdigest()
-    array = ml.Trajectory(demo.time, demo.q)
-    other = ml.Trajectory(demo.time, demo.q + 1e-9)
-    assert checksum(array) == checksum(ml.Trajectory(demo.time.copy(), demo.q.copy()))
-    assert len({checksum(t) for t in (demo, array, other)}) == 3
-
-
-def test_a_checkout_names_its_commit():
-    """The commit that is checked out, or that it was changed since; without a checkout the number alone."""
-    if not (ROOT / ".git").exists():
-        pytest.skip("no checkout")
-    head = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True).stdout
-    said = version().partition("+")[2].removesuffix("-dirty")
-    assert said and head.startswith(said)

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from manip_learn.experiments import reproduce, rmse, table
+from manip_learn.experiments import rmse, table
 from manip_learn.experiments.paper_setup import PAPER_NMIE, PAPER_RMSE
-from manip_learn.experiments.reproduce import PARTS as EXPERIMENTS
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
@@ -41,12 +40,3 @@ def test_policy_is_closer_than_printed():
     result = rmse.RMSE.run(10, np.random.default_rng(7)).to_dict()
     block = result["ours"][result["paper"]["rows"]]
     assert all(block[name]["two_policies"]["mean"] < PAPER_RMSE["mean"] for name in rmse.ESTIMATORS)
-
-
-def test_everything_small(tmp_path):
-    """`all` writes every part, and another number of workers changes nothing."""
-    out = tmp_path / "out"
-    answer = reproduce("all", trials=1, seed=2, out=out)
-    assert set(answer) == set(EXPERIMENTS)
-    again = reproduce("rmse", trials=1, seed=2, workers=1)
-    assert again["rmse"] == answer["rmse"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,13 +10,12 @@ import pytest
 from case import case
 from numpy.testing import assert_allclose
 from shown_motions import Thing, recordings
-from task_sets import arm, generated, learnt_from
+from task_sets import arm
 
 import manip_learn as ml
 from manip_learn.constraint.shown import Intention
 from manip_learn.control.simulation import simulate_way
 from manip_learn.errors import ConstraintError, TargetError
-from manip_learn.robot.rotations import angles_between
 
 HOME = {
     "panda": np.array([0.2, -0.4, 0.1, -2.1, 0.1, 1.8, 0.6]),
@@ -40,14 +38,6 @@ def done(constraint: ml.Constraint, task: ml.Task, start: np.ndarray, tip: str) 
     rollout, way = simulate_way(constraint.robot, law, np.array(start))
     begin = int(np.searchsorted(rollout.time, way.begins or 0.0))
     return np.array([constraint.robot.position(q, tip) for q in rollout.q[begin:]]), way
-
-
-def lid_held(grip: str, rms: float) -> ml.Constraint:
-    """The lid's constraint with another hold of the hand."""
-    learner = shown_set("lid", "sawyer")[2]
-    constraint, m = learner.constraint_, replace(learner.report_.mechanism, grip=grip, orientation_rms=rms)
-    given = constraint.provenance | {"mechanism": m.to_dict()}
-    return ml.Constraint(constraint.selection, constraint.features, given)
 
 
 @pytest.mark.parametrize(("kind", "name"), SETS)
@@ -76,21 +66,6 @@ def test_what_was_shown_is_what_people_did_and_is_done_again(kind, name):
         assert np.linalg.norm(places[-1] - thing.place(np.array([[far]]))[0]) < 0.03 * far * 0.5 + 3e-3
 
 
-@pytest.mark.parametrize(("low", "high", "step"), [(0.0, 1.0, 10), (0.1, 0.3, 2)])
-def test_recordings_that_are_cut_to_the_motion_lose_nothing_of_it(low, high, step):
-    """From the first sample on, at rest there or in full motion: way, place and time are those recorded."""
-    truth, motions = generated("drawer", "panda", 4200, 4, whole=False)
-    robot = arm("panda")
-    demos = [t.part(slice(int(low * len(t)), int(high * len(t)), step)) for t in motions]
-    paths = [np.array([robot.position(q, truth["tip"]) for q in t.q]) for t in demos]
-    ways = [np.linalg.norm(p - p[0], axis=1) for p in paths]
-    seconds = np.array([t.time[np.argmax(way)] - t.time[0] for t, way in zip(demos, ways, strict=True)])
-    shown = ml.ConstraintLearner(ml.FrameJacobian(robot, truth["tip"], "xyz")).fit(demos).constraint_.shown
-    assert shown is not None and shown.extent == pytest.approx(np.median([w.max() for w in ways]), rel=0.03)
-    assert min(np.linalg.norm(p[0] - shown.begin) for p in paths) < 5e-3
-    assert np.min(np.abs(shown.time[-1] / seconds - 1.0)) < 0.03
-
-
 def test_positive_is_the_way_shown():
     """A drawer opens by a positive way and is shut by a negative one, which ends where contacts began. More than was
     shown is refused, of a drawer and a lid, unless it is asked for.
@@ -107,57 +82,6 @@ def test_positive_is_the_way_shown():
         with pytest.raises(TargetError, match="longer than what was shown"):
             ml.motion(held, **far)
         assert ml.motion(held, **far, beyond_shown=True).wanted != 0.0
-
-
-def test_contacts_at_different_places_have_no_hold():
-    """The hand then begins where it is on the mechanism, or at the nearest place shown; the sentence says so."""
-    constraint = learnt_from("ur5_loose_door").constraint_
-    shown, q = constraint.shown, np.array(constraint.provenance["postures"][0])
-    assert shown is not None and shown.hold is None and "apart" in shown.sentence
-    assert ml.motion(constraint).hold(q) < 1e-5  # one of them began here
-
-
-@pytest.mark.parametrize("grip", ["loose", "kept"])
-def test_the_hand_closes_where_a_contact_began(grip):
-    """Along a bar contacts begin apart: the hand goes to the nearest of them, and never to a place in between; however
-    it is turned, for what was kept by habit is not held.
-    """
-    robot, tip, learner, thing, _ = shown_set("lid", "sawyer")
-    shown = learner.constraint_.shown
-    assert shown is not None and shown.grasps.shape == (shown.n, 4, 4) and abs(shown.start[0]) < 0.01
-    assert np.max(np.linalg.norm(shown.grasps[:, :3, 3] - thing.hold, axis=1)) < 3e-3
-    grasps, across = np.repeat(shown.grasps[:1], 3, axis=0), np.cross(thing.axis, [0.0, 0.0, 1.0])  # off the lid's way
-    grasps[:, :3, 3] = thing.hold + np.outer([-0.04, 0.0, 0.04], thing.axis)  # the handle runs along the hinge
-    bar = lid_held(grip, 3.0).showing(replace(shown, hold=None, scatter=0.04, grasps=grasps))
-    for beside in (-0.05, 0.01, 0.03):
-        start = np.array(HOME["sawyer"])
-        for _ in range(50):
-            error = thing.hold + beside * thing.axis + 0.06 * across - robot.position(start, tip)
-            start = start + np.linalg.pinv(robot.jacobian(start, tip)[:3]) @ error
-        places, way = done(bar, ml.motion(bar), start, tip)
-        nearest = min(grasps[:, :3, 3], key=lambda place: np.linalg.norm(place - places[0]))
-        assert way.is_done and np.linalg.norm(places[0] - nearest) < 1e-3
-        assert abs((nearest - thing.hold) @ thing.axis - beside) < 0.025
-
-
-def test_a_hand_that_was_kept_straight_stays_so_where_joints_are_spare():
-    """It turns as it was shown, to a few degrees, and no habit is kept where none was shown; the noise of encoders does
-    not make the way longer.
-    """
-    robot, tip, learner, _, _ = shown_set("lid", "sawyer")
-    shown, turned, rng, dt = learner.constraint_.shown, {}, np.random.default_rng(0), 0.001
-    assert shown is not None and shown.hand.shape == (len(shown.path), 3)
-    for grip in ("kept", "loose"):
-        lid = lid_held(grip, 1.0).showing(replace(shown, hand=np.zeros_like(shown.hand)))
-        task, q = ml.motion(lid), np.array(HOME["sawyer"])
-        law, steps = ml.ResolvedRateController(lid, task, task.ascent()), task.duration_from(q) / dt
-        loop = ml.ServoLoop(law, dt, acceleration_limit=4.0)  # [rad/s2]
-        for k in range(round(steps + 1.0 / dt)):
-            loop.update(q + rng.normal(0.0, 2e-4, 7), k * dt)
-            q = loop.position
-        assert task.is_over(q, k * dt)
-        turned[grip] = float(angles_between(shown.orientation, robot.pose(q, tip)[None, :3, :3])[0])
-    assert np.degrees(turned["kept"]) < 6.0 < np.degrees(turned["loose"])
 
 
 def test_a_constraint_that_was_not_learnt_is_told_how_far():

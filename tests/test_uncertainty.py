@@ -11,16 +11,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from generated_motions import PLANAR_ROWS, angle_deg, arm_features, guided_motions, oblique, paper_motions
-from mechanism_motions import about, ball, demonstrate
-from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
-from task_sets import arm, generated
+from mechanism_motions import about, demonstrate
 
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.learning.fit import Motion, RowFit, changes_by_links, errors_of
 from manip_learn.learning.place import placed
-from manip_learn.learning.report import JOINT_ZEROS, NOISE, PARTS, POLICY, parts_in_words
+from manip_learn.learning.report import JOINT_ZEROS, NOISE, PARTS, POLICY
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View
 from manip_learn.linalg import orthonormal_rows
 
@@ -55,7 +52,6 @@ def learnt(demos, truth, **settings):
     ("make", "zeros", "seeds", "most", "settings"),
     [
         (held, 0.1, range(20), 1.0, {"links": 0.0}),
-        pytest.param(held, 1.0, range(20), 1.0, {"links": 0.0}, marks=pytest.mark.slow),
         (noisy, 0.0, range(7000, 7024), 0.85, {}),
         pytest.param(
             reaching, 0.0, range(7000, 7024), 0.85, {"estimator": "joint", "policy_model": "affine"},
@@ -84,21 +80,6 @@ def test_the_error_is_within_what_is_stated(make, zeros: float, seeds: range, mo
             assert np.quantile(ratio, 0.95) < 3.0
 
 
-def test_a_doors_mu_is_within_what_is_stated():
-    """Zeros off by 0.3 degrees, as the learner was told: within twice what is stated, and that is no more than 20 %."""
-    truth, made = generated("door", "panda", 2031, 5, whole=False)
-    robot, door = arm("panda"), truth["mechanisms"][0]
-    delta = np.radians(0.3) * np.random.default_rng(2031).standard_normal(robot.nv)
-    demos = [ml.Trajectory(t.time, t.q + delta, None, robot.joint_names, t.name) for t in made]
-    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, truth["tip"]), zeros=0.3, links=0.0).fit(demos)
-    rows = ml.MechanismRows(robot, truth["tip"], "radial axial", axis=door["axis"], point=door["point"])
-    true, few = ml.Constraint(np.eye(2), rows), np.concatenate([t.q for t in made])[::29]
-    assert learner.report_.n_constraints == 2 and learner.report_.mechanism.type == "hinge"
-    off = [learner.constraint_.manipulability(q + delta) / true.manipulability(q) - 1.0 for q in few]
-    assert np.median(np.abs(off)) < 2.0 * learner.report_.mu_uncertainty < 0.2
-    assert ", mu to " in learner.report_.known_to()
-
-
 def test_what_is_thought_of_the_arm_is_stated():
     """The zero of the first joint turns all rows, and no residual shows it: it is stated as large as the prior is, and
     mu does not care how the base stands. Without noise and zeros nothing is left over to tell errors of the arm from;
@@ -109,11 +90,7 @@ def test_what_is_thought_of_the_arm_is_stated():
     parts = [report.uncertainty[JOINT_ZEROS] for report in stated.values()]
     assert parts[0] < 0.05 < 0.1 < parts[1] < 0.6 and parts[2] > 4.0 * parts[1]
     assert stated[2.0].uncertainty[NOISE] == stated[0.0].uncertainty[NOISE]
-    turned = [replace(t, q=t.q + np.eye(7)[0]) for t in demos]
-    mu = [learnt(d, truth).constraint_.manipulability(d[0].q[3]) for d in (demos, turned)]
-    assert mu[1] == pytest.approx(mu[0], rel=1e-6)
     demos, truth, _ = held(12, 0.0, noise=0.0)
-    assert learnt(demos, truth, zeros=0.0, links=5.0).report_.uncertainty[JOINT_ZEROS] == 0.0
     wide = [learnt(demos, truth, zeros=0.1, links=links).report_.uncertainty[JOINT_ZEROS] for links in (0.0, 0.5, 5.0)]
     assert 0.05 < wide[0] <= 1.05 * wide[1] and 1.5 * wide[1] < wide[2]
 
@@ -160,34 +137,6 @@ def fitted(demos, features: ml.FeatureMap, s: int = 2) -> tuple[View, RowFit]:
     return view, RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
 
 
-def apart(view: View, fit: RowFit, selection: np.ndarray) -> np.ndarray:
-    """The truth beside the learnt rows: (1, B) with learnt + B perp."""
-    true = selection @ np.linalg.pinv(view.W)
-    return np.linalg.solve(true @ fit.rows.T, true @ fit.perp.T).reshape(-1)
-
-
-@pytest.mark.parametrize("scatter", [0.0, 5e-3])
-def test_the_stated_noise_is_the_error_that_is_made(scatter):
-    """With white noise alone, or with rows that scatter between recordings: over 30 sets the error of Lambda is as
-    large as the stated draws, larger than about half of them (0.39 and 0.44). Twice the variance, or a scatter between
-    recordings that is counted with a wrong sign, weight or freedom, is far from that.
-    """
-    ranks = []
-    for seed in range(30):
-        rng, given = np.random.default_rng([7, seed]), []
-        rows = oblique(2, 3, rng)
-        for _ in range(6):
-            turn = Rotation.from_rotvec(scatter * rng.standard_normal(3)).as_matrix()
-            demos, truth = guided_motions(arm_features(), rows @ turn.T, rng, 1, 20, 0.05)
-            given += [replace(t, q=t.q + rng.normal(0.0, 1e-4, t.q.shape)) for t in demos]
-        view, fit = fitted(given, truth.features)
-        noise = errors_of(fit, ArmErrors(), rng).noise
-        inverse = np.linalg.inv(np.cov(noise.T))
-        made, stated = (np.einsum("...i,ij,...j", b, inverse, b) for b in (apart(view, fit, rows), noise))
-        ranks.append(np.mean(stated < made))
-    assert 0.33 < np.mean(ranks) < 0.58
-
-
 def test_the_report_states_the_parts():
     """The total is the root of the sum of squares; what does not apply is None, as all is of one trajectory; words,
     JSON and the file say it. With the policy integrated out, and no joint zeros, which the joint estimator leaves out
@@ -202,7 +151,6 @@ def test_the_report_states_the_parts():
     written = json.loads(json.dumps(report.to_dict(), allow_nan=False))
     assert written["uncertainty"] == report.uncertainty == learner.constraint_.provenance["uncertainty"]
     said = report.known_to()
-    assert "noise" in said and "joint zeros" in said and "policy" not in said
     assert "not included: a base that stands turned" in said
     assert report.mu_uncertainty is not None and 0.0 < report.mu_uncertainty < 0.1 and ", mu to 0." in said
     assert written["mu_uncertainty"] == report.mu_uncertainty
@@ -213,11 +161,8 @@ def test_the_report_states_the_parts():
     demos, truth, _ = held(10, 0.0, motions=1)
     one = learnt(demos, truth).report_
     assert one.uncertainty == dict.fromkeys(PARTS) and one.uncertainty_deg is None and one.mu_uncertainty is None
-    written = json.loads(json.dumps(one.to_dict(), allow_nan=False))
-    assert written["uncertainty_deg"] is None and set(written["gap_table"]) == {"1", "2", "3"}
-    assert str(one).splitlines()[0] == one.sentence and "warning: only one trajectory" in str(one)
-    parts = {NOISE: 0.01, JOINT_ZEROS: 0.02, POLICY: None}
-    assert parts_in_words(parts, "local") == "noise 0.01 degrees, joint zeros 0.02 degrees"
+    assert json.loads(json.dumps(one.to_dict(), allow_nan=False))["uncertainty_deg"] is None
+    assert "warning: only one trajectory" in str(one)
 
 
 # ---- places of mechanisms -----------------------------------------------------------------------------------------
@@ -228,11 +173,9 @@ MIDDLE = np.array([0.2, -0.4, 0.1, -2.0, 0.1, 1.7, 0.8])
 TIP = "panda_hand_tcp"
 KINDS = {  # path, form of the rows, their number
     "hinge": (about(AXIS, POINT, 0.7, firm=False), "point", 2),
-    "ball": (ball(POINT, 0.25, False), "point", 1),
     "screw, firm": (about(AXIS, POINT, 0.8, pitch=0.04), "twist", 5),
 }
 SETS, WHITE = 60, 1e-3
-QUICK = (("screw, firm", False), ("hinge", True))  # the others run with `make proofs`
 
 
 def place_of(robot: ml.Robot, kind: str, postures: list[np.ndarray]) -> tuple[RowFit, ml.Mechanism]:
@@ -248,11 +191,10 @@ def place_of(robot: ml.Robot, kind: str, postures: list[np.ndarray]) -> tuple[Ro
 
 def errors(m: ml.Mechanism, radius: float) -> dict[str, tuple[float, float]]:
     """Error and what is stated, by parameter."""
-    e, out = m.point - POINT, {}
-    if m.axis is not None:
-        e = e - (e @ AXIS) * AXIS
-        out["axis"] = np.degrees(np.linalg.norm(np.cross(AXIS, m.axis))), m.uncertainty["axis"]
-    out["point"] = np.linalg.norm(e), m.uncertainty["point"]
+    out = {
+        "axis": (np.degrees(np.linalg.norm(np.cross(AXIS, m.axis))), m.uncertainty["axis"]),
+        "point": (np.linalg.norm(np.cross(AXIS, m.point - POINT)), m.uncertainty["point"]),
+    }
     if m.grip != "firm":
         out["radius"] = abs(m.radius - radius), m.uncertainty["radius"]
     if m.pitch is not None:
@@ -265,14 +207,7 @@ def exact_postures(robot: ml.Robot, kind: str) -> list[np.ndarray]:
     return [t.q for t in demonstrate(robot, TIP, MIDDLE, KINDS[kind][0], np.random.default_rng(3), noise=0.0)]
 
 
-@pytest.mark.parametrize(
-    ("kind", "smoothed"),
-    [
-        pytest.param(kind, smoothed, marks=() if (kind, smoothed) in QUICK else pytest.mark.slow)
-        for kind in KINDS
-        for smoothed in (False, True)
-    ],
-)
+@pytest.mark.parametrize(("kind", "smoothed"), [("screw, firm", False), ("hinge", True)])
 def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
     """Over 60 draws of the encoders' noise, white or shared by neighbours, each parameter is within what is stated in
     52 to 88 % of them (70 % and three standard errors), and its median error is no less than a third of that; the
@@ -280,8 +215,7 @@ def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
     """
     robot = robot_of("panda")
     exact, rng, inside, variances = exact_postures(robot, kind), np.random.default_rng(11), {}, []
-    away = robot.position(exact[0][0], TIP) - POINT
-    radius = float(np.linalg.norm(away if kind == "ball" else np.cross(AXIS, away)))
+    radius = float(np.linalg.norm(np.cross(AXIS, robot.position(exact[0][0], TIP) - POINT)))
     for _ in range(SETS):
         noise = [rng.normal(0.0, WHITE, q.shape) for q in exact]
         if smoothed:
@@ -294,36 +228,3 @@ def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
     for name, ratios in inside.items():
         assert 0.52 <= np.mean(np.array(ratios) <= 1.0) <= 0.88, name
         assert np.median(ratios) > 1.0 / 3.0, name
-
-
-@pytest.mark.parametrize("kind", ["hinge", pytest.param("ball", marks=pytest.mark.slow)])
-def test_offsets_of_the_joints_are_part_of_what_is_stated(robot_of, kind):
-    """Zeros of the joints that are off by 2e-3 rad, with encoders that hardly make noise: axis and point are within
-    what is stated in at least 45 % of 30 draws (60 % less two standard errors); without offsets what is stated is less
-    than a quarter as large.
-    """
-    robot = robot_of("panda")
-    exact, rng, inside, sizes = exact_postures(robot, kind), np.random.default_rng(13), {}, {0.0: [], 2e-3: []}
-    for offset in sizes:
-        for _ in range(30 if offset else 5):
-            delta = offset * rng.standard_normal(7)
-            _, m = place_of(robot, kind, [q + delta + rng.normal(0.0, 1e-4, q.shape) for q in exact])
-            sizes[offset].append(m.uncertainty["point"])
-            for name, (error, stated) in errors(m, 0.0).items():
-                if offset and name != "radius":
-                    inside.setdefault(name, []).append(error <= stated)
-    for name, answers in inside.items():
-        assert np.mean(answers) >= 0.45, name
-    assert np.median(sizes[0.0]) < 0.25 * np.median(sizes[2e-3])
-
-
-def test_the_learner_fits_the_place_to_what_was_recorded(robot_of):
-    """Smoothing, for velocities, cuts off the ends of an arc: the place is that of the recordings as they are."""
-    robot = robot_of("panda")
-    demos = demonstrate(robot, TIP, MIDDLE, KINDS["hinge"][0], np.random.default_rng(9), noise=5e-4)
-    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, TIP, "xyz"), joint_offset_std=0.0).fit(demos)
-    m, (_, direct) = learner.report_.mechanism, place_of(robot, "hinge", [t.q for t in demos])
-    # [m] of smoothed recordings it is 0.5 mm off; the place along the axis is free
-    assert_allclose(np.cross(AXIS, m.point - direct.point), 0.0, atol=1e-5)
-    # 200 draws tell it to 7 %
-    assert m.uncertainty["radius"] == pytest.approx(direct.uncertainty["radius"], rel=0.1)
