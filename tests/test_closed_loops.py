@@ -96,24 +96,6 @@ def test_exact_singularities_are_left(name, reaching):
         assert chatter(u[100:]) == 0, constraint.selection
 
 
-def test_a_singularity_at_a_joint_limit_is_left():
-    """Folded at the upper end of a joint: what leads out and the null-space motion turn to the free side together."""
-    robot, features = arm_of("planar3")
-    constraint, q = ml.Constraint(np.eye(2), features), np.array([0.0, 0.0, np.pi])
-    limits = ml.Limits(robot)
-    limits.lower.setflags(write=True)
-    limits.upper.setflags(write=True)
-    limits.lower[:], limits.upper[:] = -np.pi, np.pi
-    limits = limits.with_rates(limits.acceleration, None)
-    law = ml.ResolvedRateController(constraint, null_policy=ml.ManipulabilityAscent(constraint), limits=limits)
-    loop, smallest = ml.ServoLoop(law, DT), 0.0
-    for k in range(300):
-        command = loop.update(q, k * DT)
-        q, smallest = q + DT * command.velocity, max(smallest, command.smallest_singular_value)
-        assert np.all(np.abs(q) <= np.pi + 1e-9)
-    assert smallest >= 0.01
-
-
 @pytest.mark.parametrize(
     ("name", "seed"), list(product(["panda"], (16, 19, 21))) + list(product(["sawyer"], (4, 10, 15)))
 )
