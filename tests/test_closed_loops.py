@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -94,20 +94,6 @@ def test_exact_singularities_are_left(name, reaching):
         commands, u = run(law, q, 1000)
         assert max(c.smallest_singular_value for c in commands) >= 0.01, constraint.selection
         assert chatter(u[100:]) == 0, constraint.selection
-
-
-@pytest.mark.parametrize(
-    ("name", "seed"), list(product(["panda"], (16, 19, 21))) + list(product(["sawyer"], (4, 10, 15)))
-)
-def test_an_arm_that_has_arrived_stays(name, seed):
-    """Null-space motion that ends at a joint limit does not lead the hand off the target that it came to."""
-    (robot, features), rng = arm_of(name), np.random.default_rng(seed)
-    constraint = oblique(features, rng, 2)
-    start, goal = (posture(robot, rng, 0.05) for _ in range(2))
-    task = ml.PointAttractor(robot.position(goal, features.frame))
-    law = ml.ResolvedRateController(constraint, task, ml.ManipulabilityAscent(constraint))
-    error = ml.simulate(robot, law, start, 20.0, 0.01).task_error
-    assert error.min() < 1e-3 and error[int(np.argmin(error)) :].max() < 1e-3
 
 
 @pytest.mark.parametrize("name", ["panda", "sawyer", "ur5"])

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_arms import Asks, Drives, random_case
 from rounding import rounding
-from scipy.optimize import linprog
 from servo_cases import Arm
 
 import manip_learn as ml
@@ -170,13 +169,6 @@ def mean_velocity(case, command):
     return A @ command.velocity + c * min(1.0, most / max(float(np.linalg.norm(c)), 1e-300))
 
 
-def presses(case):
-    """Whether the approach to a singularity is what bounds the command."""
-    law, _, q, _, dt = case
-    free = ml.ResolvedRateController(law.constraint, law.task, law.null_policy, "exact", dt=dt)
-    return not np.allclose(free(q, 0.0, dt).velocity, law(q, 0.0, dt).velocity, rtol=0, atol=1e-9)
-
-
 @given(seeds)
 @pytest.mark.fuzz
 def test_every_command_keeps_the_promises(folder, seed):
@@ -204,33 +196,6 @@ def test_every_command_keeps_the_promises(folder, seed):
     if command.status is ml.Status.OK:
         assert command.outside == 0.0 and progress > 0.99
         assert np.all(q <= law.limits.upper + 1e-9) and np.all(q >= law.limits.lower - 1e-9)
-
-
-@given(seeds)
-@pytest.mark.fuzz
-def test_the_direction_of_the_task_is_kept(folder, seed):
-    """Rows move forward, beside b by 1e-3 of it at most, wherever the bounds allow any motion along b (by a LP)."""
-    case = random_case(seed, folder)
-    law, b, q, previous, dt = case
-    command = commanded(case)
-    if command is None or command.escape_part is not None or b.size > q.size:
-        return
-    if command.smallest_singular_value < (law.threshold if law.inverse == "damped" else 1e-6):
-        return
-    if law.inverse == "damped" and presses(case):
-        return
-    A, along, bounds = law.constraint(q), b / np.linalg.norm(b), law.limits.bounds(q, dt, previous)
-    columns, ranges = np.column_stack((A, -along)), [*zip(bounds.low, bounds.high, strict=True), (0.0, None)]
-    best = linprog([0.0] * q.size + [-1.0], A_eq=columns, b_eq=np.zeros(b.size), bounds=ranges, method="highs")
-    if best.status != 0 or best.x[-1] < 1e-6:
-        return
-    moved = mean_velocity(case, command)
-    forward, speed = float(along @ moved), float(np.linalg.norm(moved))
-    assert forward >= -1e-12
-    if speed > 1e-9:
-        assert np.linalg.norm(moved - forward * along) < 1.2e-3 * np.linalg.norm(b) + 1e-9
-    elif np.linalg.norm(b) > 0.01:  # a smaller velocity may wait while the null space brakes
-        assert previous is not None or best.x[-1] < 1e-3
 
 
 @given(seeds)

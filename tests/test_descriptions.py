@@ -169,21 +169,6 @@ def test_the_tip_is_what_the_whole_arm_moves(name, tmp_path):
     assert likely_tips(load_robot(described(tmp_path / "a.urdf", ["b", *(e[1] for e in edges)], *joints))) == tips
 
 
-@pytest.mark.parametrize(
-    ("name", "tips"),
-    [("planar3", ("tip",)), ("panda", ("panda_hand_tcp",)), ("xarm7", ("link_eef",)),
-     ("kinova", ("j2s6s200_end_effector",)), ("so101", ("gripper_frame_link",)), ("ur5", ("ee_link", "tool0")),
-     ("tiago_dual", ("hand_left_grasping_frame", "hand_right_grasping_frame")),
-     ("solo12", ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")), ("hector", ())],
-)  # fmt: skip
-def test_likely_tips_of_robots_that_are_known(name, tips):
-    """One tip is an answer, two are a question; a robot that does not move has none, a locked arm none of its own."""
-    assert likely_tips(load_robot(name)) == tips
-    if name == "tiago_dual":
-        left = [n for n in load_robot(name).joint_names if "left" in n and "wheel" not in n]
-        assert likely_tips(load_robot(name, locked=left)) == tips[1:]
-
-
 @pytest.mark.parametrize("tag", ["visual", "collision"])
 def test_summary_says_what_is_wrong(tag, tmp_path):
     """Warnings of validation, missing meshes, and the kind of each coordinate of a moving base."""
@@ -197,37 +182,6 @@ def test_summary_says_what_is_wrong(tag, tmp_path):
     assert list(summary.meshes_missing) == ["gone0.stl", "gone1.stl", "gone2.stl"]  # one line with their number
     known = [w.partition(";")[0] for w in summary.warnings]
     assert "Plain shapes stand in for l: mesh 'gone0.stl' (and 2 more) was not found" in known
-
-
-HEAD = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
-INCLUDE = '<xacro:include filename="$(find {}_description)/urdf/arm.xacro"/></robot>'
-CHOSEN = '<xacro:arg name="kind" default="a"/><xacro:if value="${\'$(arg kind)\' == \'b\'}"><link name="b"/></xacro:if>'
-
-
-@pytest.mark.parametrize(
-    ("text", "options", "code", "words"),
-    [
-        (INCLUDE.format("their"), True, "limit-order", "cell.xacro: joint 'j': its limits"),
-        (INCLUDE.format("no"), True, "xacro-failed", "the package 'no_description' of .* was not found; name the fo"),
-        (f"{CHOSEN}</robot>", {"kind": "B"}, "no-links", "expanded with kind=B it has no <link>.*arguments kind: g"),
-    ],
-)
-def test_xacro_files_are_refused_without_lines_and_with_what_helps(text, options, code, words, tmp_path):
-    """Packages are found by the name in package.xml beside the robot's own; what matched nothing is told."""
-    pytest.importorskip("xacrodoc")
-    for folder, package in (("theirs-main", "their_description"), ("mine", "my_description")):
-        (tmp_path / folder / "urdf").mkdir(parents=True)
-        (tmp_path / folder / "package.xml").write_text(f"<package><name>{package}</name></package>")
-    part = described(tmp_path / "theirs-main" / "urdf" / "arm.xacro", ["b", "l"], joint("j", "b", "l"))
-    own = tmp_path / "mine" / "urdf" / "cell.xacro"
-    own.write_text(HEAD + INCLUDE.format("their"))
-    assert load_robot(own, xacro=True).joint_names == ("j",)
-    part.write_text(part.read_text().replace('"-2" upper="2"', '"0" upper="0"'))
-    own.write_text(HEAD + text)
-    with pytest.raises(RobotError, match=words) as caught:
-        load_robot(own, xacro=options)
-    assert (caught.value.code, caught.value.line) == (code, None)
-    assert str(caught.value).count("not found") <= 1
 
 
 # ---- hostile, unusual and mutated descriptions ----
@@ -379,15 +333,6 @@ def test_what_pinocchio_refuses_is_refused(monkeypatch):
     with pytest.raises(RobotError, match="the reason") as caught:
         robot_from_text(ARM.encode(), PATH)
     assert caught.value.code == "pinocchio"
-
-
-def test_warnings_have_an_end():
-    """A file with very many oddities gives a hundred warnings and the number of the others."""
-    junk = "".join(f"<x{i}/>" for i in range(1000))
-    warnings = validate_urdf(
-        parse_xml(edited(('<link name="base"/>', f'<link name="base">{junk}</link>')), PATH)
-    ).warnings
-    assert len(warnings) == 101 and warnings[-1] == "900 more warnings are left out"
 
 
 if __name__ == "__main__":

@@ -200,21 +200,3 @@ def test_more_rows_than_joints_are_no_error(robot_of):
         command = ml.ResolvedRateController(rows, Asks(b), ManipulabilityAscent(rows))(q)
         assert np.all(np.isfinite(command.velocity)) and command.manipulability == 0.0
         assert command.status == word
-
-
-def test_a_target_that_is_a_pose_approaches_no_singularity_too_fast(robot_of):
-    """The smallest singular value of A falls no faster than the arm can brake, whatever rows the error has."""
-    robot, rng, tip = robot_of("panda"), np.random.default_rng(5), tip_of("panda")
-    rows, limits = rows_of(robot, "panda", "pose", 4, rng), ml.Limits(robot, acceleration=3.0)
-
-    def smallest(q: np.ndarray) -> float:
-        return float(np.linalg.svd(rows(q), compute_uv=False)[-1])
-
-    def rate(q: np.ndarray, u: np.ndarray) -> float:
-        return (smallest(robot.integrate(q, 1e-6 * u)) - smallest(robot.integrate(q, -1e-6 * u))) / 2e-6
-
-    for _ in range(40):
-        q, goal = inside(robot, rng), robot.pose(inside(robot, rng), tip)
-        law = ml.ResolvedRateController(rows, ml.PointAttractor(goal), ManipulabilityAscent(rows), limits=limits)
-        slope = np.array([rate(q, unit) for unit in np.eye(robot.nv)])
-        assert -rate(q, law(q, 0.0, DT).velocity) <= approach_bound(smallest(q), slope, limits.acceleration, DT) + 1e-7

@@ -1,4 +1,4 @@
-"""A LeRobot robot as a driver, and the teleoperator for LeRobot (make lerobot has the real classes)."""
+"""A LeRobot robot as a driver (make lerobot has the real classes, and the teleoperator)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from servo_cases import Constantly
 from test_driver import loop_of
 
 import manip_learn as ml
@@ -190,22 +191,13 @@ def test_nothing_outside_the_ranges_is_sent(calibrated, planar3):
     driver = driver_of(arm, planar3)
     low = np.degrees(planar3.position_upper[0]) if not calibrated else 0.5 * 720 * 360 / (STEPS - 1)
 
-    class Wild:
-        """A loop's controller that knows no limits."""
-
-        robot = planar3
-
-        def __call__(self, q: np.ndarray, t: float, *_: Any) -> ml.Command:
-            u = np.array([1.0, 0.0, 0.0])
-            return ml.Command(u, ml.Status.OK, 0.0, u[:0], u, 0 * u, 1.0, 1.0, 1.0, 0.0)
-
     with pytest.raises(ConfigurationError, match=r"motor joint1 is not sent to .* degrees, outside"):
         driver.command(np.array([np.radians(low + 1.0), 0.1, 0.1]), np.zeros(3))
     driver.command(np.array([np.radians(low) + 1e-9, 0.1, 0.1]), np.zeros(3))
     assert arm.sent.pop()["joint1.pos"] <= low + 1e-9
     arm.values |= {"joint1": low - 20.0}
     if calibrated:
-        record = ml.run(ml.ServoLoop(Wild(), PERIOD), driver, 5.0)
+        record = ml.run(ml.ServoLoop(Constantly(planar3, [1.0, 0.0, 0.0]), PERIOD), driver, 5.0)
         assert "ConfigurationError: motor joint1 is not sent to" in record.ended and "calibrated range" in record.ended
         assert not record.ordered and not record.rollout.u[-1].any()
         assert max(action["joint1.pos"] for action in arm.sent) <= low

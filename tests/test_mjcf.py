@@ -120,14 +120,6 @@ def test_limits_are_those_of_mujoco(tmp_path, range_, limited):
     assert any("is no limit" in w for w in robot.warnings) == is_odd
 
 
-@pytest.mark.parametrize("limit", ['range="-31 31"', 'limited="true" range="1 0"'])
-def test_limits_that_cannot_be_are_told_as_mjcf_says_them(tmp_path, limit):
-    """Many turns, and a range the other way round."""
-    with pytest.raises(RobotError, match='or limited="false"') as caught:
-        load(tmp_path, mjcf(body("a", "", f'<joint name="j" {limit}/>')))
-    assert "type=" not in str(caught.value)
-
-
 def test_a_mesh_has_the_scale_of_its_class(tmp_path):
     """A file in millimetres whose scale stands in a default class is as large as one that says it itself."""
     (tmp_path / "a.stl").write_bytes(stl(value=900.0))

@@ -339,16 +339,6 @@ def test_paths_are_clear_and_repeated(roboplan, name, tmp_path):
     assert found >= 1
 
 
-def test_a_joint_without_end_keeps_its_turns(roboplan):
-    """The goal is reached as it is given, not a whole turn beside it."""
-    robot = ml.load_robot("kinova")
-    start, goal, clear = next(blocked(robot, 2, around(robot)))
-    turns = 6.0 * np.pi * ~np.isfinite(robot.position_upper)
-    near, path = (joint_path(robot, start + x, goal + x, Limits(robot), clear, 0) for x in (0.0, turns))
-    assert path is not None and near is not None
-    assert np.allclose(np.array(path) - turns, near, atol=1e-6)
-
-
 def test_what_cannot_be_is_said(roboplan, caplog):
     """Walls that part the plane of a planar arm, a goal inside one, a base that floats."""
     caplog.set_level(logging.INFO)

@@ -334,22 +334,6 @@ def test_distances_mean_forces(force, trips, robot):
     np.testing.assert_allclose(following.distance, away, atol=1e-12)
 
 
-@pytest.mark.parametrize(("share", "trips"), [(0.85, False), (1.15, True)])
-def test_a_push_beside_the_hand_is_found_by_its_joint(share, trips, robot):
-    """What moves no hand counts by joints: as much as 15 N at the longest lever that the hand has on any of them."""
-    q, tip, rng = start_of(robot), default_tip(robot), np.random.default_rng(7)
-    postures = [robot.random_configuration(rng) for _ in range(2000)]
-    lever = np.max([np.linalg.norm(robot.jacobian(x, tip)[:3], axis=0) for x in postures])
-    beside = np.linalg.svd(robot.jacobian(q, tip)[:3])[2][3]
-    following = FollowingError(robot, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), tip)
-    j = int(np.argmax(np.abs(beside)))
-    for _ in range(40):
-        following.compare(q, q + share * beside / abs(beside[j]) * 15.0 * lever / STIFFNESS)
-    assert (
-        following.tripped.startswith(f"joint {robot.joint_names[j]} is pushed by") == trips == bool(following.tripped)
-    )
-
-
 def test_a_payload_that_is_told_is_no_push(robot):
     """The weight of 5 kg trips the loop of an arm that is not told; inertia and weight include a payload."""
     q, tip, centre = start_of(robot), default_tip(robot), [0.0, 0.0, 0.05]
