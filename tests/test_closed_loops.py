@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 import pytest
 from conftest import TIPS
@@ -59,24 +57,12 @@ def test_a_target_out_of_reach_ends_the_motion_quietly(name):
     assert "ok" not in [command.status for command in commands[-100:]]
 
 
-def singular_cases(name):
-    """Constraints that are exactly singular at an arm's straight posture, which null-space motion leaves.
-
-    With all six rows of a pose, the UR5 and the xArm7 leave only by motion along the rows, which `Hold` forbids.
-    """
-    robot, features = arm_of(name)
-    features = ml.FrameJacobian(robot, features.frame, "x y" if name == "planar3" else "pose")
-    p, cases = features.n_rows, []
-    q = np.array([0.0, -0.5, 0.0, -0.5, 0.0, 0.0]) * np.pi if name == "ur5" else np.zeros(robot.nv)
-    selections = [np.eye(p)[list(rows)] for s in range(1, 7) for rows in combinations(range(p), s)]
-    for selection in [oblique(features, np.random.default_rng(p), p).selection, *selections]:
-        constraint = ml.Constraint(selection, features)
-        _, sigma, Vt = np.linalg.svd(constraint(q))
-        if sigma[-1] < 1e-9 and len(selection) <= robot.nv:
-            free = Vt[np.count_nonzero(sigma > 1e-9) :]
-            beside = [np.linalg.svd(constraint(q + 1e-4 * z), compute_uv=False)[-1] for z in free]
-            cases += [(constraint, q)] if max(beside) > 1e-5 else []
-    return cases[:: max(1, len(cases) // 3)]
+LOST = {  # arm -> rows of its pose that lose a direction at its straight posture, which null-space motion brings back
+    "planar3": ([0], [0, 1]),
+    "ur5": ([1], [3, 4], [1, 3, 5], [1, 3, 4, 5]),
+    "xarm7": ([3], [0, 3, 5], [0, 1, 3, 5], [1, 2, 3, 4, 5]),
+    "sawyer": ([0, 1, 3, 4, 5], [0, 1, 2, 3, 4, 5]),
+}
 
 
 @pytest.mark.parametrize(
@@ -84,9 +70,12 @@ def singular_cases(name):
 )
 def test_exact_singularities_are_left(name, reaching):
     """From an exactly singular posture, one second leads to a smallest singular value of 0.01 or more."""
-    cases = singular_cases(name)
-    assert cases
-    for constraint, q in cases:
+    robot, features = arm_of(name)
+    features = ml.FrameJacobian(robot, features.frame, "x y" if name == "planar3" else "pose")
+    q = np.array([0.0, -0.5, 0.0, -0.5, 0.0, 0.0]) * np.pi if name == "ur5" else np.zeros(robot.nv)
+    for rows in LOST[name]:
+        constraint = ml.Constraint(np.eye(features.n_rows)[rows], features)
+        assert np.linalg.svd(constraint(q), compute_uv=False)[-1] < 1e-9
         goal = posture(constraint.robot, np.random.default_rng(8)) * 0.5
         reaches = reaching and constraint.features.n_rows <= 3
         task = ml.PointAttractor(constraint.features.coordinates(goal), gain=1.0) if reaches else None

@@ -54,6 +54,7 @@ CASES = {
     "reference slide": one('euler="1 0 0"', '<joint name="j" type="slide" ref="0.5"/>' + SECOND),
     "axis and angle": one('axisangle="1 2 0 0.7"'),
     "two axes": one('xyaxes="1 1 0 -1 2 0.3"'),
+    "z axis": one('zaxis="1 1 0.2"'),
     "quaternion not of length one": one('quat="0.5 0.1 0.2 0.9"'),
     "Euler mixed axes": one('euler="10 20 30"', head='<compiler eulerseq="xZy"/>'),
     "default classes": one('childclass="c"', '<joint name="j"/>' + OF_CLASS, DEFAULTS),
@@ -173,6 +174,8 @@ REFUSED = {
     "mjcf-compiler": mjcf("", head='<compiler angle="gon"/>'),
     "mjcf-orientation": one('quat="0 0 0 0"'),
     "mjcf-coupling": mjcf(body("a", "", JOINT + SECOND), tail=COUPLED.format("0 1 2")),
+    "joint-type": one("", '<joint type="ball"/>'),
+    "number": one('pos="x 0 0"'),
     "limit-order": one("", '<joint limited="true" range="1 -1"/>'),
 }
 
