@@ -169,6 +169,7 @@ def test_scenes_are_data(tmp_path):
     said = "Scene: floor at -0.02 m, 1 box (table), 1 sphere (ball), 2 cylinders (post, can), 1 mesh (lidless)"
     assert repr(SCENE) == said
     assert ml.Scene.load(SCENE.save(tmp_path / "a" / "scene.json")) == SCENE
+    assert hash(ml.Scene.load(tmp_path / "a" / "scene.json")) == hash(SCENE) and SCENE.handled == ("table",)
     said = "mesh 'lidless' has 4 open edges: where it is open it counts as a surface, and what is behind it as free"
     assert SCENE.notes == (said,)
     SOURCES["ell"].export(tmp_path / "ell.stl")

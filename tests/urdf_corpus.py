@@ -100,6 +100,7 @@ XML_ROWS = [
     ("version 1.1", "urdf-version", edited(('name="arm"', 'name="arm" version="1.1"'))),
     ("unknown element", "warn", edited(('<link name="base"/>', '<link name="base"/><wheel/>'))),
     ("element twice", "element-twice", edited((ORIGIN, ORIGIN + ORIGIN))),
+    ("unknown attribute", "warn", edited(('rpy="0 0 0.1"', 'rqy="0 0 0.1"'))),
     ("quaternion origin", "origin-attribute", edited(('rpy="0 0 0.1"', 'quat_xyzw="0 0 0 1"'))),
 ]
 
@@ -161,6 +162,7 @@ NUMBER_ROWS = [
     ("exponents and signs", "accept", edited((xyz, "+1e-1 -.5E0 3."))),
     ("nan position", "not-finite", edited((xyz, "0 0 nan"))),
     ("a light second away", "far-away", edited((xyz, "3e8 0 0"))),
+    ("overflow to inf", "not-finite", edited((xyz, "1e999 0 0"))),
     ("decimal comma", "number", edited((xyz, "0 0 0,3"))),
     ("commas between", "vector-size", edited((xyz, "0,0,0.3"))),
     ("Arabic digits", "number", edited((xyz, "0 0 \u0663"))),
