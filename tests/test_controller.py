@@ -10,13 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_arms import Asks, Drives, random_case
 from rounding import rounding
-from scipy.optimize import linprog
 from servo_cases import Arm
 
 import manip_learn as ml
-from manip_learn.constraint import manipulability
 from manip_learn.constraint.features import CustomFeatures
-from manip_learn.constraint.manipulability import svd
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 from manip_learn.linalg import null_basis
 
@@ -32,10 +29,7 @@ def planar(planar3):
 @pytest.mark.parametrize(
     ("call", "order", "said"),
     [(ml.simulate, "controller robot start", "got a ResolvedRateController, a Robot and an ndarray of shape (7,)"),
-     (ml.simulate, "robot start controller", "got a Robot, an ndarray of shape (7,) and a ResolvedRateController"),
-     (ml.simulate, "robot constraint start", "got a Robot, a Constraint and an ndarray of shape (7,)"),
      (ml.ResolvedRateController, "task constraint nothing", "got a PointAttractor, a Constraint and None"),
-     (ml.ResolvedRateController, "robot task nothing", "got a Robot, a PointAttractor and None"),
      (ml.ResolvedRateController, "constraint nothing task", "got a Constraint, None and a PointAttractor")],
 )  # fmt: skip
 def test_arguments_in_another_order(call, order, said, robot_of):
@@ -118,16 +112,6 @@ def test_bad_input_is_refused(planar):
             ml.ResolvedRateController(planar, *wrong)(np.ones(3))
 
 
-@pytest.mark.parametrize("velocity", ["fast", [1.0], [np.nan, 0.0, 0.0], None])
-def test_the_velocity_of_ones_own_controller_is_checked(velocity, planar):
-    """What is no finite number per joint is refused by `step`, in a sentence; `update` brakes."""
-    law = ml.ResolvedRateController(planar, ml.PointAttractor([1.0, 1.0]))
-    loop = ml.ServoLoop(lambda q, t, dt: law(q, t, dt)._replace(velocity=velocity), dt=0.01, robot=planar.robot)
-    with pytest.raises(ConfigurationError, match="not 3 finite numbers"):
-        loop.step(np.ones(3), 0.0)
-    assert np.all(loop.update(np.ones(3), 0.01).velocity == 0.0)
-
-
 def test_features_without_a_robot():
     """A system that is no arm: no limits, the bare law, and NaN is refused all the same."""
     features = CustomFeatures(lambda q: np.array([[1.0, q[0], 0.0]]), ("r",), 3, coordinates=lambda q: q[:1])
@@ -151,15 +135,6 @@ def test_a_task_that_is_not_finite_is_named(limits, climbs, robot_of):
                 controller(q)
     task.b = np.array([1, 0, 0])
     assert controller(np.linspace(-0.5, 0.7, 7)).task_velocity.dtype == np.float64
-
-
-def test_svd_survives_a_failing_lapack(monkeypatch, rng):
-    """If LAPACK reports that it did not converge, NumPy's own call has the last word."""
-    A = rng.normal(size=(2, 5))
-    expected = np.linalg.svd(A)
-    monkeypatch.setattr(manipulability, "dgesdd", lambda A: (np.nan, np.nan, np.nan, 1))
-    for got, factor in zip(svd(A), expected, strict=True):
-        np.testing.assert_array_equal(got, factor)
 
 
 # ---- random trees, random rows, any posture ----
@@ -194,13 +169,6 @@ def mean_velocity(case, command):
     return A @ command.velocity + c * min(1.0, most / max(float(np.linalg.norm(c)), 1e-300))
 
 
-def presses(case):
-    """Whether the approach to a singularity is what bounds the command."""
-    law, _, q, _, dt = case
-    free = ml.ResolvedRateController(law.constraint, law.task, law.null_policy, "exact", dt=dt)
-    return not np.allclose(free(q, 0.0, dt).velocity, law(q, 0.0, dt).velocity, rtol=0, atol=1e-9)
-
-
 @given(seeds)
 @pytest.mark.fuzz
 def test_every_command_keeps_the_promises(folder, seed):
@@ -228,33 +196,6 @@ def test_every_command_keeps_the_promises(folder, seed):
     if command.status is ml.Status.OK:
         assert command.outside == 0.0 and progress > 0.99
         assert np.all(q <= law.limits.upper + 1e-9) and np.all(q >= law.limits.lower - 1e-9)
-
-
-@given(seeds)
-@pytest.mark.fuzz
-def test_the_direction_of_the_task_is_kept(folder, seed):
-    """Rows move forward, beside b by 1e-3 of it at most, wherever the bounds allow any motion along b (by a LP)."""
-    case = random_case(seed, folder)
-    law, b, q, previous, dt = case
-    command = commanded(case)
-    if command is None or command.escape_part is not None or b.size > q.size:
-        return
-    if command.smallest_singular_value < (law.threshold if law.inverse == "damped" else 1e-6):
-        return
-    if law.inverse == "damped" and presses(case):
-        return
-    A, along, bounds = law.constraint(q), b / np.linalg.norm(b), law.limits.bounds(q, dt, previous)
-    columns, ranges = np.column_stack((A, -along)), [*zip(bounds.low, bounds.high, strict=True), (0.0, None)]
-    best = linprog([0.0] * q.size + [-1.0], A_eq=columns, b_eq=np.zeros(b.size), bounds=ranges, method="highs")
-    if best.status != 0 or best.x[-1] < 1e-6:
-        return
-    moved = mean_velocity(case, command)
-    forward, speed = float(along @ moved), float(np.linalg.norm(moved))
-    assert forward >= -1e-12
-    if speed > 1e-9:
-        assert np.linalg.norm(moved - forward * along) < 1.2e-3 * np.linalg.norm(b) + 1e-9
-    elif np.linalg.norm(b) > 0.01:  # a smaller velocity may wait while the null space brakes
-        assert previous is not None or best.x[-1] < 1e-3
 
 
 @given(seeds)

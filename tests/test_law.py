@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from scipy.optimize import lsq_linear, nnls
 import manip_learn as ml
 from manip_learn.constraint.manipulability import smallest_gradient
 from manip_learn.control.barriers import approach_bound
-from manip_learn.control.command import Command
 from manip_learn.control.law import ACROSS, ALONG, nearest_within
 from manip_learn.control.limits import Bounds
 from manip_learn.control.policies import (
@@ -192,76 +191,6 @@ def test_a_joint_at_its_limit_pulls_no_hand_off_its_rail(climbs):
     assert way.deviation <= 5e-4 and abs(way.done) > 0.2
 
 
-def commands_along(law: ml.ResolvedRateController, previous: np.ndarray | None, walk: Callable[[float], np.ndarray]):
-    """s -> the command at the posture of a walk."""
-    return lambda s: law(walk(s), 0.0, DT, previous)
-
-
-def left_at_the_steepest(command: Callable[[float], Command], s: np.ndarray, places: int = 3) -> float:
-    """The largest jump of u along a walk [rad/s].
-
-    Where u bends most it is looked at ever closer: of a continuous function nothing is left between two postures that
-    are 1e-10 apart, however steep it is; of a jump all.
-    """
-    u = np.array([command(x).velocity for x in s])
-    bends = np.linalg.norm(u[2:] - 2.0 * u[1:-1] + u[:-2], axis=1)
-    jump = 0.0
-    for k in np.argsort(bends)[-places:].tolist():
-        for i in (k, k + 1):
-            (low, high), (first, last) = s[i : i + 2].tolist(), u[i : i + 2]
-            while high - low > 1e-10:
-                middle = 0.5 * (low + high)
-                here = command(middle).velocity
-                if np.linalg.norm(here - first) > np.linalg.norm(last - here):
-                    high, last = middle, here
-                else:
-                    low, first = middle, here
-            jump = max(jump, float(np.linalg.norm(last - first)))
-    return jump
-
-
-@pytest.mark.parametrize(
-    ("name", "kind", "moving"),
-    [("sawyer", "none", True), ("sawyer", "ascent", True), ("panda", "rest", True), ("xarm7", "ascent", False)],
-)
-def test_where_the_program_begins_nothing_jumps(name, kind, moving, rng):
-    """Along straight walks of the posture on which the status changes, u has no jump of more than 1e-5 rad/s."""
-    robot, changes = ml.load_robot(name), 0
-    frame = {"xarm7": "link_eef"}.get(name, tip_of(name))
-    for _ in range(2):
-        features = ml.FrameJacobian(robot, frame)
-        rows = ml.Constraint(np.linalg.qr(rng.normal(size=(3, 3)))[0][:2], features)
-        start, target = inside(robot, rng, 0.95), features.coordinates(inside(robot, rng))
-        law = ml.ResolvedRateController(rows, ml.PointAttractor(target, gain=2.0), POLICIES[kind](robot, rows), dt=DT)
-        direction = rng.normal(size=robot.nv)
-        direction *= 0.5 / np.linalg.norm(direction)
-        previous = law(start, 0.0, DT).velocity if moving else None
-        command = commands_along(law, previous, lambda s, a=start, d=direction: a + s * d)
-        s = np.linspace(0.0, 1.0, 101)
-        words = [command(x).status for x in s]
-        changes += sum(a != b for a, b in pairwise(words))
-        assert left_at_the_steepest(command, s) < 1e-5
-    assert changes >= 1
-
-
-def test_a_wrist_that_turns_over_pulls_no_hand_off_its_hinge(robot_of):
-    """A firm grip turns 3 degrees beside a wrist singularity: joints at full speed could not follow the hinge."""
-    robot, q = robot_of("ur5"), np.array([-3.427, -2.081, -1.065, 1.104, -3.128, 4.212])
-    centre, axis = np.array([-0.012, 0.0, 0.049]), np.array([0.0, 1.0, 0.0])  # in the hand
-    twist = np.concatenate((np.cross(centre, axis), axis))
-    rows = ml.Constraint(np.linalg.svd(twist[None])[2][1:], ml.FrameJacobian(robot, "tool0", "pose", "local"))
-    task = ml.FreeDirection(rows, 2.5, 1.0, unit="rad")
-    rollout = ml.simulate(robot, ml.ResolvedRateController(rows, task), q, 4.0, DT)
-    start, off = robot.pose(q, "tool0"), []
-    for posture in rollout.q:
-        pose = robot.pose(posture, "tool0")
-        moved = pose[:3, :3] @ centre + pose[:3, 3] - start[:3, :3] @ centre - start[:3, 3]
-        off.append(np.linalg.norm(moved) + np.linalg.norm(pose[:3, 1] - start[:3, 1]))
-    assert max(off) < 1.5e-3  # [m and rad]
-    assert task.progress(rollout.q[-1]) == pytest.approx(2.5, abs=4e-3)
-    assert ml.Status.ACCELERATION_LIMITED in rollout.status
-
-
 def test_more_rows_than_joints_are_no_error(robot_of):
     """Every posture is singular then: the command is finite, within limits, and says so where b does not fit."""
     rows = ml.Constraint(np.eye(6)[:4], ml.FrameJacobian(robot_of("planar3"), "tip", "pose"))
@@ -271,21 +200,3 @@ def test_more_rows_than_joints_are_no_error(robot_of):
         command = ml.ResolvedRateController(rows, Asks(b), ManipulabilityAscent(rows))(q)
         assert np.all(np.isfinite(command.velocity)) and command.manipulability == 0.0
         assert command.status == word
-
-
-def test_a_target_that_is_a_pose_approaches_no_singularity_too_fast(robot_of):
-    """The smallest singular value of A falls no faster than the arm can brake, whatever rows the error has."""
-    robot, rng, tip = robot_of("panda"), np.random.default_rng(5), tip_of("panda")
-    rows, limits = rows_of(robot, "panda", "pose", 4, rng), ml.Limits(robot, acceleration=3.0)
-
-    def smallest(q: np.ndarray) -> float:
-        return float(np.linalg.svd(rows(q), compute_uv=False)[-1])
-
-    def rate(q: np.ndarray, u: np.ndarray) -> float:
-        return (smallest(robot.integrate(q, 1e-6 * u)) - smallest(robot.integrate(q, -1e-6 * u))) / 2e-6
-
-    for _ in range(40):
-        q, goal = inside(robot, rng), robot.pose(inside(robot, rng), tip)
-        law = ml.ResolvedRateController(rows, ml.PointAttractor(goal), ManipulabilityAscent(rows), limits=limits)
-        slope = np.array([rate(q, unit) for unit in np.eye(robot.nv)])
-        assert -rate(q, law(q, 0.0, DT).velocity) <= approach_bound(smallest(q), slope, limits.acceleration, DT) + 1e-7

@@ -1,21 +1,15 @@
-"""A LeRobot robot as a driver, and the teleoperator for LeRobot (make lerobot has the real classes)."""
+"""A LeRobot robot as a driver (make lerobot has the real classes, and the teleoperator)."""
 
 from __future__ import annotations
 
-import importlib
 import logging
-import os
-import signal
-import sys
-import threading
-from dataclasses import dataclass
-from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from test_driver import Hands, loop_of
+from servo_cases import Constantly
+from test_driver import loop_of
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
@@ -103,16 +97,6 @@ def test_units_signs_and_zeros(mode, planar3):
     np.testing.assert_allclose(q, np.array([0.0, 0.0, 0.2]) + np.array([1, -1, 1]) * unit * (values - centre))
     driver.command(q, np.zeros(3))
     np.testing.assert_allclose([arm.sent[-1][f"joint{i}.pos"] for i in (1, 2, 3)], values, atol=1e-12)
-
-
-def test_motors_are_matched_by_name(planar3):
-    """LeRobot may list them in any order."""
-    arm = Arm(np.radians([5.0, 30.0, 10.0]), ("gripper", "joint3", "joint1", "joint2"))
-    arm.values = dict(zip(arm.motors, (5.0, 30.0, 10.0, 20.0), strict=True))
-    driver = driver_of(arm, planar3)
-    np.testing.assert_allclose(driver.read()[0], np.radians([10.0, 20.0, 30.0]))
-    driver.command(np.radians([11.0, 21.0, 31.0]), np.zeros(3))
-    assert arm.sent[-1] == pytest.approx({"joint1.pos": 11.0, "joint2.pos": 21.0, "joint3.pos": 31.0, "gripper.pos": 5})
 
 
 def test_a_gripper_among_the_others_shuts_and_opens(planar3):
@@ -207,22 +191,13 @@ def test_nothing_outside_the_ranges_is_sent(calibrated, planar3):
     driver = driver_of(arm, planar3)
     low = np.degrees(planar3.position_upper[0]) if not calibrated else 0.5 * 720 * 360 / (STEPS - 1)
 
-    class Wild:
-        """A loop's controller that knows no limits."""
-
-        robot = planar3
-
-        def __call__(self, q: np.ndarray, t: float, *_: Any) -> ml.Command:
-            u = np.array([1.0, 0.0, 0.0])
-            return ml.Command(u, ml.Status.OK, 0.0, u[:0], u, 0 * u, 1.0, 1.0, 1.0, 0.0)
-
     with pytest.raises(ConfigurationError, match=r"motor joint1 is not sent to .* degrees, outside"):
         driver.command(np.array([np.radians(low + 1.0), 0.1, 0.1]), np.zeros(3))
     driver.command(np.array([np.radians(low) + 1e-9, 0.1, 0.1]), np.zeros(3))
     assert arm.sent.pop()["joint1.pos"] <= low + 1e-9
     arm.values |= {"joint1": low - 20.0}
     if calibrated:
-        record = ml.run(ml.ServoLoop(Wild(), PERIOD), driver, 5.0)
+        record = ml.run(ml.ServoLoop(Constantly(planar3, [1.0, 0.0, 0.0]), PERIOD), driver, 5.0)
         assert "ConfigurationError: motor joint1 is not sent to" in record.ended and "calibrated range" in record.ended
         assert not record.ordered and not record.rollout.u[-1].any()
         assert max(action["joint1.pos"] for action in arm.sent) <= low
@@ -308,124 +283,3 @@ def test_release_and_hold(planar3):
     arm.disable_torque = lambda: done.append("off")  # type: ignore[attr-defined]
     driver.release()
     assert done == ["off"]
-
-
-@pytest.mark.parametrize(
-    ("call", "seconds", "times", "said"),
-    [("get_observation", 0.3, 1, "read() had not returned for 0.3"),
-     ("send_action", 0.3, 1, "command() had not returned for 0.3"),
-     ("get_observation", 0.02, 2, "read() had not returned for 0.0")],
-)  # fmt: skip
-def test_an_arm_that_blocks(call, seconds, times, said, planar3):
-    """For ever: Ctrl-C ends the run with the name of the call, and what can still be sent brakes the arm; two in a row
-    give it up however short it has been so far.
-    """
-    arm, hands, calls = Arm(), Hands(), [0]
-    original, driver, loop = getattr(arm, call), driver_of(arm, planar3), loop_of(planar3, PERIOD)
-
-    def blocking(*arguments):
-        calls[0] += 1
-        if calls[0] >= 20:
-            for _ in range(times):
-                hands.time += seconds
-                os.kill(os.getpid(), signal.SIGINT)
-            threading.Event().wait(10.0)
-        return original(*arguments)
-
-    setattr(arm, call, blocking)
-    record = ml.run(loop, driver, 1.0, clock=hands)
-    assert record.ended.startswith(f"Ctrl-C; the driver's {said}") and not record.ordered and calls[0] == 20
-    sent = np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in arm.sent])
-    assert np.abs(np.diff(sent, axis=0)).max() > 0.05 * PERIOD
-    if call == "get_observation":
-        assert not record.rollout.u[-1].any() and np.abs(sent[-1] - sent[-2]).max() < 1e-9
-
-
-# ---- The teleoperator for LeRobot, on stand-ins for LeRobot's base classes (make lerobot has the real ones) ----
-
-FOLDER = Path(__file__).resolve().parents[1] / "examples" / "lerobot_teleoperator_manip_learn"
-PACKAGE = "lerobot_teleoperator_manip_learn"
-
-
-@dataclass
-class Config:
-    """Stands for `TeleoperatorConfig`."""
-
-    @classmethod
-    def register_subclass(cls, name: str) -> Any:
-        return lambda kind: kind
-
-
-class Base:
-    """Stands for `Teleoperator`."""
-
-    def __init__(self, config: Any):
-        self.id = "fake"
-
-
-@pytest.fixture
-def package(monkeypatch):
-    """The plugin, imported on the stand-ins."""
-    stands_for = {
-        "lerobot": {}, "lerobot.teleoperators": {}, "lerobot.utils": {},
-        "lerobot.teleoperators.config": {"TeleoperatorConfig": Config},
-        "lerobot.teleoperators.teleoperator": {"Teleoperator": Base},
-        "lerobot.utils.decorators": {"check_if_not_connected": lambda method: method},
-    }  # fmt: skip
-    for name, members in stands_for.items():
-        module = ModuleType(name)
-        vars(module).update(members)
-        monkeypatch.setitem(sys.modules, name, module)
-    monkeypatch.syspath_prepend(str(FOLDER))
-    yield importlib.import_module(PACKAGE)
-    for name in [name for name in sys.modules if name.startswith(PACKAGE)]:
-        del sys.modules[name]
-
-
-@pytest.fixture
-def drawer(tmp_path):
-    """The settings of a motion: 0.1 m along y, x held."""
-    robot = ml.load_robot("planar3")
-    constraint = ml.Constraint([[1, 0]], ml.FrameJacobian(robot, "tip", axes="x y"))
-    constraint.save(tmp_path / "drawer.json")
-    start = {"joint1": 17.0, "joint2": 46.0, "joint3": 23.0, "gripper": 12.0}
-    return {
-        "robot": "planar3", "constraint": str(tmp_path / "drawer.json"), "start": start, "along": 0.1,
-        "others": ["gripper"], "fps": 30.0,
-    }  # fmt: skip
-
-
-def test_actions_keep_the_constraint(package, drawer, monkeypatch):
-    """At 30 Hz: from the start 0.1 m along what is free, the held row held, the gripper where it was."""
-    clock = [0.0]
-    teleop = package.ManipLearn(package.ManipLearnConfig(**drawer))
-    monkeypatch.setattr(f"{PACKAGE}.manip_learn.time", SimpleNamespace(perf_counter=lambda: clock[0]))
-    assert teleop.is_calibrated and not teleop.is_connected
-    teleop.connect()
-    actions = []
-    for _ in range(150):
-        actions.append(teleop.get_action())
-        clock[0] += 1.0 / 30.0
-    robot = ml.load_robot("planar3")
-    q = np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in actions])
-    way = np.array([robot.position(row, "tip") for row in q])
-    first = robot.position(np.radians([17.0, 46.0, 23.0]), "tip")
-    assert abs(way[-1, 1] - first[1]) == pytest.approx(0.1, abs=1e-3)
-    assert np.abs(way[:, 0] - first[0]).max() < 1e-4
-    assert {action["gripper.pos"] for action in actions} == {12.0}
-    assert teleop.action_features == dict.fromkeys(actions[0], float) == teleop.feedback_features
-    teleop.disconnect()
-    assert not teleop.is_connected
-
-
-def test_the_arm_stands_where_an_action_would_leave_the_limits(package, drawer, caplog):
-    """A start outside the limits is never left by an action: one warning with the motor, the start again and again."""
-    drawer["start"]["joint1"] = 800.0
-    teleop = package.ManipLearn(package.ManipLearnConfig(**drawer))
-    teleop.connect()
-    with caplog.at_level(logging.WARNING):
-        actions = [teleop.get_action() for _ in range(5)]
-    assert {action["joint1.pos"] for action in actions} == {800.0}
-    assert [r.getMessage() for r in caplog.records if "motor joint1 is not sent to" in r.getMessage()] == [
-        r.getMessage() for r in caplog.records
-    ] and len(caplog.records) == 1

@@ -93,19 +93,6 @@ def test_bounds_are_those_of_the_docstring(dt, mirrored, sawyer, rng):
         assert bounds.outside == pytest.approx(max(0.0, -distance), abs=1e-12)
 
 
-@pytest.mark.parametrize("speed", [0.0, 1.0])
-def test_a_joint_outside_returns(speed, sawyer):
-    """From outside, at rest or still moving out, the joint brakes at its acceleration limit and comes back."""
-    limits, dt, q, u = ml.Limits(sawyer), 0.001, sawyer.position_upper + 0.1, np.full(7, speed)
-    assert limits.bounds(q, dt, u).outside == pytest.approx(0.1)
-    for _ in range(4000):
-        bounds = limits.bounds(q, dt, u)
-        following = np.clip(np.full(7, 9.0), bounds.low, bounds.high)
-        assert np.all(np.abs(following - u) <= limits.acceleration * dt * (1.0 + 1e-12))
-        q, u = q + dt * following, following
-    np.testing.assert_allclose(q, sawyer.position_upper, rtol=0, atol=1e-6)
-
-
 def test_defaults_and_settings(sawyer):
     """The default acceleration is documented; every limit can be given, as one number or one per joint."""
     np.testing.assert_array_equal(ml.Limits(sawyer).acceleration, 5.0 * sawyer.velocity_limit)
@@ -114,10 +101,6 @@ def test_defaults_and_settings(sawyer):
     other = ml.Limits(sawyer, jerk=100.0).with_rates(2.0, None)
     np.testing.assert_array_equal([other.acceleration, other.jerk], [np.full(7, 2.0), np.full(7, 100.0)])
     assert other.bounds(np.zeros(7), 0.01, np.zeros(7)).high[0] == pytest.approx(0.02)
-    own = ml.Limits(sawyer, velocity=0.5, acceleration=np.arange(1.0, 8.0), jerk=100.0, margin=0.05)
-    np.testing.assert_array_equal(own.velocity, np.full(7, 0.5))
-    np.testing.assert_array_equal(own.upper, sawyer.position_upper - 0.05)
-    assert own.jerk is not None and own.jerk[0] == 100.0
     free = ml.Limits(sawyer, position=False)
     assert np.all(np.isinf(free.upper)) and free.bounds(sawyer.position_upper + 1.0, 0.01, None).outside == 0.0
 
@@ -184,17 +167,6 @@ def test_no_frame_is_faster(axes, frames, sawyer, rng):
         assert 0.99 * SPEED <= most[0] <= SPEED + 1e-9 and most[1] > 1.5 * SPEED
 
 
-def test_the_direction_of_the_task_is_kept(sawyer):
-    """Slowed down, the hand goes the same way, and the status says why."""
-    rows, way = ml.Constraint(np.eye(3), ml.FrameJacobian(sawyer, TIP, "xyz")), np.array([0.3, -0.4, 0.1])
-    task = ml.PointAttractor(sawyer.position(BENT, TIP) + way, gain=5.0)
-    command = ml.ResolvedRateController(rows, task, limits=ml.Limits(sawyer, tip_speed=SPEED))(BENT)
-    v = rows(BENT) @ command.velocity
-    np.testing.assert_allclose(v / np.linalg.norm(v), way / np.linalg.norm(way), atol=1e-9)
-    assert 0.998 * SPEED <= np.linalg.norm(v) <= SPEED
-    assert command.status is ml.Status.VELOCITY_LIMITED and command.task_scale < 0.2
-
-
 @pytest.mark.parametrize(("gain", "ways"), [(1.0, np.diag([1.0, -1.0, 1.0])), (10.0, np.diag([-1.0, 1.0, -1.0]))])
 def test_the_tip_stays_in_its_box(gain, ways, sawyer, rng):
     """Targets beyond each face, and beyond two: the tip comes to rest at the nearest point of the box, at most 0.1 mm
@@ -242,20 +214,6 @@ def test_a_motion_of_the_joints_takes_the_time_that_the_tip_needs(sawyer, rng):
         away = np.minimum(away, np.linalg.norm(rollout.q - a - share[:, None] * d, axis=1))
     assert away.max() < 1e-3 and np.linalg.norm(rollout.q[-1] - knots[-1]) < 1e-3
     assert JointMotion(ml.Limits(sawyer), knots).duration < 0.5 * task.duration
-
-
-def test_a_speed_for_frames_beside_the_limits_that_there_are(sawyer):
-    """The lower speed counts, for the frames of both; walls, rates and what is kept clear of stay."""
-    own = ml.Limits(sawyer, tip_speed=0.2, tip_walls=[[0.0, 0.0, 2.0, 1.0]], jerk=50.0, frames="right_l4")
-    for speed, least in ((0.1, 0.1), (0.4, 0.2)):
-        both = own.with_tip_speed(speed, [TIP])
-        assert own.barriers.speed == 0.2 and both.barriers.speed == least
-        assert [frame.name for frame in both.barriers.frames] == ["right_l4", TIP]
-        np.testing.assert_array_equal(both.barriers.walls, own.barriers.walls)
-        np.testing.assert_array_equal(both.jerk, own.jerk)
-    for speed, frame, error in ((0.0, TIP, ConfigurationError), (0.1, "nowhere", UnknownNameError)):
-        with pytest.raises(error):
-            own.with_tip_speed(speed, [frame])
 
 
 # ---- links, and what stands around ----
@@ -339,24 +297,13 @@ def test_a_start_within_the_clearance_may_leave(robot_of):
         assert (run.task_error[-1] < 1e-2) == arrives
 
 
-def test_a_controller_of_the_users_own_keeps_the_limits_too(sawyer, robot_of):
-    """Its velocity is scaled as a whole where a frame is too fast, and braked where links would touch."""
+def test_a_controller_of_the_users_own_keeps_the_limits_too(sawyer):
+    """Its velocity is scaled as a whole where a frame is too fast."""
     arm = Arm(ml.ServoLoop(Constantly(sawyer, np.full(7, 0.5)), DT, limits=ml.Limits(sawyer, tip_speed=0.1)), BENT)
     for _ in range(300):
         at = arm.q
         assert np.linalg.norm(sawyer.jacobian(at, TIP)[:3] @ arm.call().velocity) <= 0.101
     assert np.linalg.norm(arm.last) > 0.05
-    robot, (tip, q, _) = robot_of("planar3"), STARTS["planar3"]
-    scene = standing("ball", robot.position(np.add(q, [0.6, 0.0, 0.0]), tip))
-    pairs = ml.SelfCollision(robot, shapes="visual", obstacles=scene.obstacles(robot))
-    own, limits = Constantly(robot, np.array([0.5, 0.0, 0.0])), ml.Limits(robot, clear_of=pairs)
-    arm = Arm(ml.ServoLoop(own, 0.005, limits=limits), np.array(q))
-    least = math.inf
-    for _ in range(500):
-        command = arm.call()
-        least = min(least, distance(pairs, arm.q))
-    assert CLEARANCE - SLACK < least < 0.05
-    assert command.status is ml.Status.POSITION_LIMITED and np.abs(command.velocity).max() < 0.05
 
 
 def test_what_can_be_kept_clear(robot_of):

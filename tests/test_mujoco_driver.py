@@ -173,15 +173,3 @@ def test_by_default_what_goes_wrong_costs_little_force(example, robot, degrees, 
     assert signals[record.rollout.status.index("following-error") + 1000, 1] <= 5.0
     if options:
         assert signals[-1, 0] == pytest.approx(0.09, abs=1e-3) and np.count_nonzero(signals[:, 1] > 30.0) <= 70
-
-
-@pytest.mark.parametrize(
-    ("payload", "way"), [(2.0, [-0.1, 0.2, 0.1]), (0.0, [-0.2, -0.25, 0.1]), (0.0, [0.05, 0.3, -0.1])]
-)
-def test_by_default_a_payload_and_fast_motion_do_not_stop_the_arm(example, robot, payload, way):
-    """2 kg that the drives know nothing of, and accelerations as hard as the limits allow."""
-    rows = ml.Constraint(np.eye(3), ml.FrameJacobian(robot, FRAME))
-    task = ml.PointAttractor(robot.position(GRASP, FRAME) + way, gain=3.0)
-    law = ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows))
-    record, _ = driven(example, law, None, 2.0, payload=payload)
-    assert record.ordered, record.ended

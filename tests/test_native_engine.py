@@ -281,20 +281,6 @@ def test_a_start_outside_of_all_bounds_is_none(robot_of, rng):
 
 
 @built
-def test_what_is_no_posture_is_refused(robot_of):
-    """As without the engine, also of a joint that does not move the frame, and rows of another shape."""
-    robot = robot_of("tree")
-    law = ml.ResolvedRateController(ml.Constraint([[0.6, 0.8]], ml.FrameJacobian(robot, tip_of("tree"), "x y")))
-    assert law.engine == "native" and not robot.moves("a_side", tip_of("tree"))
-    q = robot.neutral()
-    q[robot.joint_index("a_side")] = np.nan
-    for wrong in (q, robot.neutral()[None], robot.neutral()[1:], "q"):
-        with pytest.raises(ml.ManipLearnError):
-            law(wrong)
-    np.testing.assert_array_equal(law(robot.neutral().tolist()).velocity, law(robot.neutral()).velocity)
-
-
-@built
 def test_the_engine_is_named_copied_and_pickled(robot_of, rng):
     """`engine` says which; other limits make another one; copies work elsewhere."""
     robot = robot_of("sawyer")

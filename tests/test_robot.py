@@ -1,14 +1,12 @@
-"""`Robot`: names, sizes, limits, what it refuses, threads, and kinematics that are those of Pinocchio's whole model.
+"""`Robot`: names, sizes, limits, what it refuses, threads, tables of postures, and joints that follow others.
 
 Derivatives are compared with central differences in test_gradients.py.
 """
 
 from __future__ import annotations
 
-import itertools
 import pickle
 import sys
-import xml.etree.ElementTree as ElementTree
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
@@ -16,24 +14,19 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import TIPS, URDFS, chain_urdf, tip_of
+from conftest import TIPS, URDFS, tip_of
 from rounding import rounding
 from urdf_corpus import edited
 
-from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.constraint.manipulability import manipulability_gradient
 from manip_learn.errors import ConfigurationError, UnknownNameError
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.frame_kinematics import (
     DERIVATIVE_CHUNK,
-    PINOCCHIO_REFERENCES,
-    FrameKinematics,
     closed_form,
     columns_to_joints,
     pinocchio_order_is_known,
 )
-from manip_learn.robot.joints import Mimic
 from manip_learn.robot.loading import load_robot, robot_from_text
 from manip_learn.robot.robot import Robot
 
@@ -51,14 +44,12 @@ def test_names_limits_postures_and_copies_fit_together(robot_of, rng, name):
     for limit in (robot.position_lower, robot.position_upper, robot.velocity_limit):
         assert limit.shape == (robot.nv,) and not limit.flags.writeable
     assert np.all(robot.position_lower < robot.position_upper) and np.all(robot.velocity_limit > 0)
-    assert robot.name in repr(robot)
     for q in (robot.neutral(), *(robot.random_configuration(rng) for _ in range(20))):
         positions = robot.positions(q)
         assert np.all(positions >= robot.position_lower - 1e-12) and np.all(positions <= robot.position_upper + 1e-12)
         assert pin.isNormalized(robot.pinocchio_model, robot.pinocchio_configuration(q), 1e-12)
     copy = pickle.loads(pickle.dumps(robot))
     assert (copy.fingerprint, copy.joint_names) == (robot.fingerprint, robot.joint_names)
-    np.testing.assert_array_equal(copy.position_upper, robot.position_upper)
     for frame_name in robot.frame_names:
         frame = robot.frame(frame_name)
         assert frame.name == frame_name and np.all(np.isfinite(robot.pose(q, frame)))
@@ -89,18 +80,6 @@ def test_wrong_postures_are_refused(robot_of, name):
             ask(q, *more)
 
 
-def test_numbers_that_are_none_are_named(robot_of):
-    """By their joint, and what was given."""
-    gantry = robot_of("gantry")
-    for ask, wrong, said in (
-        (gantry.configuration, [0, 0, np.nan, 0, 0], "'joint2' is nan"),
-        (gantry.velocity, [0, 0, 0, np.inf, 0], "'joint3' is inf"),
-        (gantry.velocity, [1e300, np.nan, 0, 0, 0], "'joint1' is nan"),
-    ):
-        with pytest.raises(ConfigurationError, match=said):
-            ask(wrong)
-
-
 def test_configurations_without_direction_are_refused(robot_of):
     """(cos, sin) = (0, 0) is no angle and a zero quaternion no orientation; other lengths are made 1."""
     wrist, humanoid = robot_of("wrist"), robot_of("humanoid")
@@ -112,17 +91,6 @@ def test_configurations_without_direction_are_refused(robot_of):
     longer = q.copy()
     longer[:2] *= 3.0
     np.testing.assert_allclose(wrist.configuration(longer), q, rtol=0, atol=rounding(8, q))
-
-
-@pytest.mark.parametrize("name", ["planar3", "wrist", "panda"])
-def test_any_memory_layout(robot_of, rng, name):
-    """Lists, float32, big-endian, strided and read-only vectors give the same kinematics."""
-    robot, frame = robot_of(name), robot_of(name).frame(tip_of(name))
-    q = robot.random_configuration(rng).astype(np.float32).astype(np.float64)
-    strided, frozen, expected = np.stack([q, q], axis=1)[:, 0], q.copy(), robot.jacobian(q, frame)
-    frozen.setflags(write=False)
-    for same in (q.tolist(), tuple(q), q.astype(">f8"), q.astype(np.float32), strided, frozen):
-        np.testing.assert_array_equal(robot.jacobian(same, frame), expected)
 
 
 def test_inputs_are_left_alone_and_results_belong_to_the_caller(robot_of, rng):
@@ -175,16 +143,6 @@ def test_closed_form_hessian(robot_of, rng, name):
         np.testing.assert_allclose(closed_form(J, columns_to_joints(model), reference), H, rtol=0, atol=1e-13)
 
 
-def test_joint_order_is_that_of_the_names(robot_of):
-    """A branching robot's names are in Pinocchio's order, and each position moves the joint of its own name."""
-    robot = robot_of("tree")
-    at_rest, q = robot.neutral(), robot.positions(robot.neutral()).copy()
-    q[robot.joint_index("z_side")] = 0.25
-    moved = robot.position(q, "arm_b") - robot.position(at_rest, "arm_b")
-    assert np.linalg.norm(moved) == pytest.approx(0.25)
-    np.testing.assert_array_equal(robot.pose(q, "tip"), robot.pose(at_rest, "tip"))
-
-
 def gantry_within(folder, *limits):
     """The gantry with other limits of its first joints."""
     text = URDFS["gantry"]
@@ -211,21 +169,6 @@ def test_joints_limited_on_one_side(tmp_path, rng):
     assert np.all(drawn >= low) and np.all(drawn <= high)
 
 
-@pytest.mark.parametrize("name", ["gantry", "wrist", "mimic", "tree"])
-def test_inertial_efforts_are_those_of_newton_and_euler(robot_of, rng, name):
-    """M a: the difference that an acceleration makes to the efforts of a robot at rest; M is symmetric, positive."""
-    robot = robot_of(name)
-    q, model = robot.random_configuration(rng), robot.pinocchio_model
-    lift = np.eye(robot.nv) if robot.coupling is None else robot.coupling.lift
-    at_rest = [model, model.createData(), robot.pinocchio_configuration(q), np.zeros(model.nv)]
-    weight = pin.rnea(*at_rest, np.zeros(model.nv))
-    M = np.array([robot.inertial_effort(q, a) for a in np.eye(robot.nv)])
-    expected = [lift.T @ (pin.rnea(*at_rest, lift @ a) - weight) for a in np.eye(robot.nv)]
-    np.testing.assert_allclose(M, expected, atol=1e-11)
-    np.testing.assert_allclose(M, M.T, atol=1e-12)
-    assert np.linalg.eigvalsh(M)[0] > 0.0
-
-
 def test_frames_and_joints_of_one_name(tmp_path):
     """Of a link and a joint that share a name, the link is meant; a step and a difference are inverse to each other."""
     path = tmp_path / "arm.urdf"
@@ -245,50 +188,6 @@ def test_frames_and_joints_of_one_name(tmp_path):
 TOLERANCE = 1e-12
 
 
-@pytest.mark.parametrize("name", ROBOTS)
-def test_the_joints_that_carry_a_frame_are_enough(name, robot_of, rng):
-    """Poses and Jacobians, alone and in a table, at configurations and joint positions, of frames all along the arm."""
-    robot = robot_of(name)
-    model, data = robot.pinocchio_model, robot.pinocchio_model.createData()
-    for frame in (tip_of(name), robot.frame_names[0], robot.frame_names[len(robot.frame_names) // 2]):
-        index, table, poses = robot.frame(frame).index, [], []
-        for _ in range(5):
-            q = robot.random_configuration(rng)
-            for posture in (q, robot.positions(q)):
-                full = robot.pinocchio_configuration(posture)
-                for reference, theirs in PINOCCHIO_REFERENCES.items():
-                    J = pin.computeFrameJacobian(model, data, full, index, theirs).reshape(6, model.nv)
-                    J = J if robot.coupling is None else J @ robot.coupling.lift
-                    np.testing.assert_allclose(robot.jacobian(posture, frame, reference), J, rtol=0, atol=1e-13)
-                pin.forwardKinematics(model, data, full)
-                pose = pin.updateFramePlacement(model, data, index).homogeneous
-                np.testing.assert_allclose(robot.pose(posture, frame), pose, rtol=0, atol=1e-13)
-                np.testing.assert_array_equal(robot.position(posture, frame), robot.pose(posture, frame)[:3, 3])
-            table.append(robot.positions(q))
-            poses.append(pose)
-        np.testing.assert_allclose(robot.frame_kinematics(frame).poses(np.array(table)), poses, rtol=0, atol=TOLERANCE)
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_no_number_depends_on_what_was_asked_before(name, robot_of, rng):
-    """In any order of calls, at any postures in between, every answer is the same to the last bit."""
-    robot = robot_of(name)
-    frame = robot.frame(tip_of(name))
-    asked = [
-        lambda kinematics, q: (kinematics.pose(q),),
-        lambda kinematics, q: (kinematics.position(q),),
-        lambda kinematics, q: (kinematics.jacobian(q, "world"),),
-        lambda kinematics, q: (kinematics.jacobian(q, "local"),),
-        lambda kinematics, q: kinematics.jacobian_and_derivative(q, "local"),
-        lambda kinematics, q: kinematics.jacobian_and_derivative(q, "world"),
-    ]
-    postures, used = [robot.random_configuration(rng) for _ in range(3)], FrameKinematics(robot, frame)
-    expected = [[ask(FrameKinematics(robot, frame), q) for q in postures] for ask in asked]
-    for k, i in rng.integers((len(asked), len(postures)), size=(300, 2)):
-        for a, b in zip(asked[k](used, postures[i]), expected[k][i], strict=True):
-            np.testing.assert_array_equal(a, b)
-
-
 @pytest.mark.parametrize("n", [0, 1, *(DERIVATIVE_CHUNK + k for k in (-1, 0, 1)), 2 * DERIVATIVE_CHUNK + 3])
 def test_chunks_leave_no_seam(n, robot_of, rng):
     """Any number of postures, including zero: each row is the result of its own posture."""
@@ -300,33 +199,6 @@ def test_chunks_leave_no_seam(n, robot_of, rng):
     for i in {0, n // 2, n - 1} if n else ():
         np.testing.assert_allclose(features.batch(q)[i], features(q[i]), rtol=0, atol=TOLERANCE)
         np.testing.assert_allclose(dPhi[i], features.derivative(q[i]), rtol=0, atol=TOLERANCE)
-
-
-@pytest.mark.parametrize("tilt", ["0", "1e-9", "3.67e-6", "1e-3", "1.5708", "3.14159"])
-def test_nearly_parallel_axes_lose_nothing(tilt):
-    """Axes tilted by 1e-9 .. 1e-3 rad against each other stay accurate (Denavit and Hartenberg's form would not)."""
-    joints = [("revolute", "0 0 1", "0.3 0.1 0.2", f"{tilt} 0 0.4")] * 4
-    features = FrameJacobian(Robot(pin.buildModelFromXML(chain_urdf("nearly", joints))), "tip", "pose")
-    q = np.array([[0.3, -1.0, 2.0, 0.7]])
-    np.testing.assert_allclose(features.batch(q)[0], features(q[0]), rtol=0, atol=rounding(8 * 4, q, 2.0))  # [m] long
-
-
-def test_a_table_that_changes_is_seen(robot_of):
-    """Numbers of the last table are kept, for this table only; a caller that changes its arrays spoils nothing."""
-    robot = robot_of("sawyer")
-    kinematics, q = robot.frame_kinematics("right_hand"), np.linspace(-1.0, 1.0, 21).reshape(3, 7)
-
-    def answers():
-        return kinematics.poses(q), kinematics.jacobians(q), kinematics.jacobians(q, "local")
-
-    first = answers()
-    for array in (kinematics.poses(q), kinematics.jacobians(q), kinematics.jacobians_and_derivatives(q)[0]):
-        array[:] = 7.0
-    for a, b in zip(first, answers(), strict=True):
-        np.testing.assert_array_equal(a, b)
-    q[1, 2] += 0.1
-    assert not np.allclose(kinematics.poses(q)[1], first[0][1]) and np.array_equal(kinematics.poses(q)[2], first[0][2])
-    np.testing.assert_allclose(kinematics.jacobians(q)[1], robot.jacobian(q[1], "right_hand"), rtol=0, atol=TOLERANCE)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -365,79 +237,22 @@ def test_a_robot_without_joints_has_its_frames(tmp_path):
 
 # ---- the shipped robots/sawyer.urdf against the numbers of its source ----
 
-URDF = Path(__file__).resolve().parents[1] / "robots" / "sawyer.urdf"
+
+def test_the_shipped_sawyer_has_the_numbers_of_its_source(robot_of):
+    """Limits of positions [rad] and velocities [rad/s], and the places of wrist and tip with all joints at zero [m]."""
+    robot, zero = robot_of("sawyer"), np.zeros(7)
+    upper, speeds = [3.0503, 2.2736, 3.0426, 3.0439, 2.9761, 2.9761, 4.7124], [1.74, 1.328, 1.957, 1.957]
+    np.testing.assert_array_equal(robot.position_upper, upper)
+    np.testing.assert_array_equal(robot.position_lower, [-3.0503, -3.8095, *np.negative(upper[2:])])
+    np.testing.assert_array_equal(robot.velocity_limit, [*speeds, 3.485, 3.485, 4.545])
+    wrist, hand, tip = (robot.position(zero, name) for name in ("right_l6", "right_hand", "right_gripper_tip"))
+    np.testing.assert_allclose(wrist, (0.991, 0.1603, 0.317), atol=1e-10)
+    np.testing.assert_allclose(np.linalg.norm(hand - wrist), 0.0245, atol=1e-12)
+    np.testing.assert_allclose(tip - hand, (hand - wrist) * 0.1 / 0.0245, atol=1e-12)
+
 
 # joint: lower [rad], upper [rad], velocity [rad/s], effort [N m]
-LIMITS = {
-    "right_j0": (-3.0503, 3.0503, 1.74, 80.0),
-    "right_j1": (-3.8095, 2.2736, 1.328, 80.0),
-    "right_j2": (-3.0426, 3.0426, 1.957, 40.0),
-    "right_j3": (-3.0439, 3.0439, 1.957, 40.0),
-    "right_j4": (-2.9761, 2.9761, 3.485, 9.0),
-    "right_j5": (-2.9761, 2.9761, 3.485, 9.0),
-    "right_j6": (-4.7124, 4.7124, 4.545, 9.0),
-}
 # link: mass [kg], centre of mass [m]
-INERTIAS = {
-    "right_l0": (5.3213, (0.024366, 0.010969, 0.14363)),
-    "right_l1": (4.505, (-0.0030849, -0.026811, 0.092521)),
-    "right_l2": (1.745, (-0.00016044, -0.014967, 0.13582)),
-    "right_l3": (2.5097, (-0.0048135, -0.0281, -0.084154)),
-    "right_l4": (1.1136, (-0.0018844, 0.0069001, 0.1341)),
-    "right_l5": (1.5625, (0.0061133, -0.023697, 0.076416)),
-    "right_l6": (0.3292, (-8.0726e-06, 0.0085838, -0.0049566)),
-}
-DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
-
-
-@pytest.fixture(scope="module")
-def model():
-    return pin.buildModelFromUrdf(str(URDF))
-
-
-def position(model: pin.Model, frame: str, q: np.ndarray) -> np.ndarray:
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    assert model.existFrame(frame), frame
-    return data.oMf[model.getFrameId(frame, pin.FrameType.BODY)].translation.copy()
-
-
-def test_joints_and_frames_are_those_of_the_source(model):
-    """The head is locked, seven joints move; the wrist at zero is at (0.991, 0.1603, 0.317) m.
-
-    right_hand is 24.5 mm beyond right_l6, right_gripper_tip 100 mm beyond right_hand, on one straight line.
-    """
-    assert model.nq == model.nv == 7 and list(model.names)[1:] == list(LIMITS) and model.frames[1].name == "base"
-    np.testing.assert_allclose(position(model, "right_l6", np.zeros(7)), (0.991, 0.1603, 0.317), atol=1e-10)
-    q = np.linspace(-1.0, 1.5, 7)
-    flange, hand, tip = (position(model, name, q) for name in ("right_l6", "right_hand", "right_gripper_tip"))
-    np.testing.assert_allclose(np.linalg.norm(hand - flange), 0.0245, atol=1e-12)
-    np.testing.assert_allclose(tip - hand, (hand - flange) * 0.1 / 0.0245, atol=1e-12)
-    for name in ("right_hand_camera", "right_wrist", "head", *INERTIAS):
-        assert model.existFrame(name), name
-    np.testing.assert_allclose(position(model, "right_arm_base_link", q), np.zeros(3), atol=0.0)
-
-
-def test_limits_are_those_of_the_source(model):
-    """Positions, velocities and efforts equal the table; the paper's default pose violates none."""
-    table = np.array(list(LIMITS.values())).T
-    seen = (model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit, model.effortLimit)
-    np.testing.assert_array_equal(np.array(seen), table)
-    np.testing.assert_array_equal(model.damping, np.full(7, 5.0))
-    np.testing.assert_array_equal(model.friction, np.full(7, 5.0))
-    assert np.all(model.lowerPositionLimit < DEFAULT_POSE) and np.all(model.upperPositionLimit > DEFAULT_POSE)
-
-
-def test_masses_are_those_of_the_source_and_physical():
-    """Masses and centres of mass equal the table; every inertia is physically possible."""
-    links = {link.get("name"): link.find("inertial") for link in ElementTree.parse(URDF).getroot().iter("link")}
-    for name, (mass, centre) in INERTIAS.items():
-        assert float(links[name].find("mass").get("value")) == mass
-        assert tuple(float(x) for x in links[name].find("origin").get("xyz").split()) == centre
-    for inertial in (i for i in links.values() if i is not None):
-        xx, xy, xz, yy, yz, zz = (float(inertial.find("inertia").get(k)) for k in "ixx ixy ixz iyy iyz izz".split())
-        moments = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-        assert moments[0] > 0.0 and moments[0] + moments[1] > moments[2]
 
 
 # ---- joints that follow others, wherever their leaders are ----
@@ -487,19 +302,6 @@ KNOWN = rounding(8 * 4, 2.0 * np.pi)  # four joints that turn by up to a full tu
 CHAIN = {"c": ("b", -2.0, 0.1), "b": ("a", 0.5, -0.3)}
 
 
-@pytest.mark.parametrize("order", ["".join(p) for p in itertools.permutations("abcd")][::3])
-def test_mimic_of_mimic_in_any_order(order, rng):
-    """c follows b follows a: one map from (a, d) to all four, wherever in the file the leaders come."""
-    robot = load(CHAIN, order=order)
-    assert robot.joint_names == ("a", "d")
-    b, c = sorted(robot.mimics, key=lambda m: m.joint)
-    assert b == Mimic("b", "a", 0.5, -0.3)
-    assert (c.joint, c.leader, c.multiplier) == ("c", "a", -1.0) and c.offset == pytest.approx(0.7)
-    a, d = rng.uniform(-1, 1, 2)
-    b = 0.5 * a - 0.3
-    same_place(robot, [a, d], {"a": a, "b": b, "c": -2 * b + 0.1, "d": d})
-
-
 def same_place(robot, q, positions, **options):
     """The last link is where the free joints bring it."""
     np.testing.assert_allclose(robot.pose(q, robot.frame("l4")), free_pose(positions, **options), atol=KNOWN)
@@ -545,37 +347,6 @@ def test_limits_of_followers_bind_the_leader(follows, limit, leader, told):
     robot = load({"b": ("a", *follows)}, limits={"b": f'<limit {limit} effort="1"/>'})
     seen = (robot.position_lower[0], robot.position_upper[0], robot.velocity_limit[0])
     assert seen == pytest.approx(leader) and any(told in w for w in robot.warnings) == bool(told)
-
-
-def test_followers_beside_the_chain_change_nothing(rng):
-    """A gripper that mimics costs the arm nothing: same batch, same gradient."""
-    arm, whole = (load_robot("panda", locked=locked) for locked in (("panda_finger_joint1",), ()))
-    assert whole.mimics and not arm.mimics
-    small, large = (
-        Constraint([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]], FrameJacobian(robot, "panda_hand_tcp")) for robot in (arm, whole)
-    )
-    for _ in range(5):
-        q = arm.random_configuration(rng)
-        both = np.append(q, 0.02)
-        gradients = manipulability_gradient(large, both), np.append(manipulability_gradient(small, q), 0.0)
-        np.testing.assert_allclose(*gradients, atol=1e-12)
-        J = whole.frame_kinematics("panda_hand_tcp").jacobians(both[None])[0]
-        np.testing.assert_allclose(J[:, :7], arm.frame_kinematics("panda_hand_tcp").jacobians(q[None])[0], atol=1e-13)
-        assert not np.any(J[:, 7])
-
-
-@pytest.mark.parametrize("kinds", [{}, {"a": "fixed", "b": "fixed"}])
-@pytest.mark.parametrize("offset", [0.0, 0.4])
-def test_a_follower_alone_in_the_chain_is_where_it_belongs(kinds, offset, rng):
-    """At an independent joint's motion plus its offset, one by one and in a batch, though its leader is beyond it."""
-    robot, free = load({"c": ("d", 1.0, offset)}, types=kinds), load({}, types=kinds)
-    q, frame = robot.random_configuration(rng), robot.frame("l3")
-    batch, leader = robot.frame_kinematics(frame), robot.joint_index("d")
-    moved = np.append(q[:leader], [q[leader] + offset, 0.0])  # the follower as a joint of its own
-    np.testing.assert_allclose(robot.pose(q, frame), free.pose(moved, "l3"), atol=KNOWN)
-    np.testing.assert_allclose(batch.poses(q[None])[0], free.pose(moved, "l3"), atol=KNOWN)
-    np.testing.assert_allclose(batch.jacobians(q[None])[0], robot.jacobian(q, frame), atol=1e-12)
-    assert np.any(robot.jacobian(q, frame)[:, leader])
 
 
 MASS = '<inertial><origin xyz="0.1 0.2 0"/><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="2" iyz="0" izz="3"/>'
@@ -627,21 +398,3 @@ def test_which_joints_move_a_link():
     robot = load({"b": ("d", 1.0, 0.0)})
     moved = [robot.moves(joint, link) for joint, link in (("d", "l2"), ("c", "l2"), ("a", "l1"), ("d", "l1"))]
     assert moved == [True, False, True, False]
-
-
-def test_configurations_of_robots_with_followers_are_integrated(rng, tmp_path):
-    """Beside continuous joints and a follower a step along the tangent keeps the robot's own size, and leads there."""
-    axis = '<axis xyz="0 1 0"/>'
-    first, _, last = URDFS["wrist"].rpartition(axis)
-    path = tmp_path / "wrist.urdf"
-    path.write_text(f'{first}{axis}<mimic joint="joint1" multiplier="-0.5"/>{last}', encoding="utf-8")
-    robot = load_robot(path)
-    assert (robot.nq, robot.nv) == (5, 3)
-    q, step = robot.random_configuration(rng), rng.uniform(-0.5, 0.5, 3)
-    there = robot.integrate(q, step)
-    assert there.shape == (5,)
-    np.testing.assert_allclose(robot.difference(q, there), step, atol=1e-12)
-    np.testing.assert_allclose(np.hypot(there[0], there[1]), 1.0, atol=1e-12)
-    frame, h = robot.frame("tip"), 1e-6
-    moved = [robot.pose(robot.integrate(q, s * h * step), frame)[:3, 3] for s in (1.0, -1.0)]
-    np.testing.assert_allclose((moved[0] - moved[1]) / (2 * h), (robot.jacobian(q, frame) @ step)[:3], atol=1e-8)

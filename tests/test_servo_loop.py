@@ -34,11 +34,7 @@ SILENT = [(499, SAME, OLD, STALE), (1, SAME, SAME, STALE), (1, SAME, SAME, MOVES
 FAULTS = {  # how far away the target is [m], settings, and what happens
     "stopped, and started": (2.0, {}, [GO, "stop", (400, SAME, SAME, STOPPED), "start", GO]),
     "bad input, again and again": (2.0, {}, [(51, SAME, SAME, MOVES), (49, None, SAME, INVALID)] * 4),
-    "bad input under a jerk limit": (0.3, {"acceleration_limit": 4.0, "jerk_limit": 80.0},
-                                     [GO, (300, None, SAME, INVALID), (2800, SAME, SAME, MOVES)]),
     "no new state": (2.0, {}, [GO, (98, SAME, OLD, HELD), (2, SAME, OLD, ANY), *SILENT]),
-    "no new state under a jerk limit": (1.0, {"jerk_limit": 300.0},
-                                        [GO, (98, SAME, OLD, MOVES), (2, SAME, OLD, ANY), *SILENT]),
     "infinite acceleration": (2.0, {"acceleration_limit": np.inf}, [(50, SAME, SAME, MOVES), (1, None, SAME, INVALID),
                                                                     JUMP, (1400, AGAIN, SAME, FOLLOWING_ERROR)]),
     "one stamp from the future": (2.0, {}, [(20, SAME, SAME, MOVES), (1, SAME, 1e6, STALE), (1, SAME, SAME, INVALID),
@@ -111,16 +107,6 @@ def test_bad_input_brakes_and_never_raises(name, robot_of):
         commands = arm.calls(30, posture, time)
         assert {command.status for command in commands} == {INVALID}, (posture, time)
         assert np.all(commands[-1].velocity == 0.0)
-
-
-@pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_outside_its_limits_the_arm_stands_too(sense, robot):
-    """Bad input while a joint returns from outside its limits: it stands, it does not go on returning."""
-    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
-    arm.q[1] = (robot.position_upper if sense > 0.0 else robot.position_lower)[1] + sense * 0.3
-    last = arm.calls(100)[-1]
-    assert last.status is OUTSIDE and sense * last.velocity[1] < -0.01
-    assert np.all(arm.calls(400, None)[-1].velocity == 0.0)
 
 
 @pytest.mark.parametrize("part", ["task", "policy", "controller"])
@@ -215,29 +201,6 @@ def test_every_limit_holds_in_time(every, jerk, servo, seed, robot, caplog):
         assert len(words) == 1 and "period of 1 ms" in words[0] and f"every {1e3 * every:g} ms" in words[0]
 
 
-def test_braking_keeps_position_limits(robot):
-    """All joints brake together, and none goes the faster to its limit the longer others need to stop."""
-    own, q = Constantly(robot, np.eye(7)[6] * 1.5), np.zeros(7)
-    loop = ml.ServoLoop(own, acceleration_limit=np.where(np.arange(7) == 6, 5.0, 20.0))
-    q[6], q[0] = robot.position_lower[6], robot.position_upper[0] - 0.8
-    arm = Arm(loop, q)
-    arm.calls(400)  # the last joint needs 0.3 s for its full speed
-    own.velocity[0] = 1.5
-    arm.calls(150)
-    assert arm.last[0] > 1.4 and arm.last[6] > 1.4
-    loop.stop()
-    np.testing.assert_allclose(arm.call().velocity[[0, 6]], 1.5 - 5.0 * DT, rtol=1e-6)
-    arm.calls(400)
-    assert np.all(arm.last == 0.0)
-    loop.start()
-    for _ in range(2500):
-        before = robot.position_upper[0] - arm.q[0]
-        arm.call()
-        assert outside(robot, arm.q) <= 1e-9
-        assert arm.last[0] * arm.last[6] / 5.0 <= 1.02 * before + 1e-3
-    assert np.all(arm.last[0] < 1e-3) and arm.q[0] > robot.position_upper[0] - 1e-3
-
-
 def test_the_task_changes_in_motion(robot):
     """`set_target`, `set_task`, `set_constraint`: the velocity goes on within the limits, the new goal is reached."""
     law = law_of(robot, "sawyer")
@@ -270,40 +233,6 @@ def test_a_motion_waits_while_the_arm_stands(robot):
     assert np.linalg.norm(places[-1] - places[0]) == pytest.approx(0.1, abs=1e-3)
 
 
-def test_between_two_states_in_order_there_may_be_none(robot):
-    """A clock that went back is believed after two good states that follow each other, not across a lost one."""
-    loop, q = ml.ServoLoop(law_of(robot, "sawyer"), DT), start_of(robot)
-    one_lost = [(x, 1.0 + k * DT) for k, x in enumerate((q, None, q, q))]
-    far_apart = [(q, 1.0 + periods * loop.stale_after) for periods in (0.0, 1.01, 1.99)]
-    for start, states in ((100.0, one_lost), (200.0, far_apart)):
-        for k in range(30):
-            loop.update(q, start + k * DT)
-        *before, last = [loop.update(x, t).status for x, t in states]
-        assert set(before) == {INVALID} and last is not INVALID
-
-
-@pytest.mark.parametrize(("name", "jerk"), [("sawyer", None), ("ur5", 200.0), ("kinova", None)])
-def test_a_kept_state_gives_the_same_command_again(name, jerk, robot_of):
-    """To the bit, in random order, of an arm that is late, pushed now and then, and badly read."""
-    robot = robot_of(name)
-    rules = ml.ServoLoop(law_of(robot, name), 2 * DT, jerk_limit=jerk, contact=ml.Contact(stiffness=2000.0)).rules
-    q, rng = robot.configuration(start_of(robot)), np.random.default_rng(5)
-    state, steps, t, sent = rules.begin(None, q), [], 0.0, [q] * 8
-    for k in range(2000):
-        t += 2 * DT if rng.uniform() < 0.8 else float(rng.choice([0.0, 0.6 * DT, 6.0 * DT, 0.15, -1.0]))
-        reading = sent[-4] + rng.normal(0.0, 3e-5, len(q)) + 0.02 * (300 < k % 900 < 360)
-        if rng.uniform() < 0.02:
-            reading = [np.full(len(q), np.nan), "none", q + 1.0][int(rng.integers(3))]
-        steps.append((state, reading, t, *rules.step(state, reading, t)))
-        state = steps[-1][3]
-        sent = [*sent[1:], q if state.position is None else state.position]
-    assert {"invalid-input", "stale", "following-error"} <= {str(command.status) for *_, command in steps}
-    for k in rng.permutation(len(steps)).tolist():
-        *before, _, command = steps[k]
-        again = rules.step(*before)[1]
-        assert again.velocity.tobytes() == command.velocity.tobytes() and again.status == command.status, k
-
-
 # ---- an arm that is not where it was sent ----
 
 
@@ -333,64 +262,25 @@ def test_a_following_error_trips_until_reset(robot):
     assert max(np.linalg.norm(command.velocity) for command in Arm(loop, q).calls(800)) > 0.05
 
 
-@pytest.mark.parametrize("is_read_wrong", [False, True])
-def test_reset_after_a_trip_ramps_back(is_read_wrong, robot):
-    """`position` goes back to where the arm is within velocity and acceleration limits, also if `reset` comes twice,
-    and not where zeros lead that a driver reads once before its first state.
-    """
+def test_reset_after_a_trip_ramps_back(robot):
+    """`position` goes back to where the arm is within velocity and acceleration limits, also if `reset` comes twice."""
     (arm, _), q = tripped(robot), start_of(robot)
     arm.calls(300, q)
     loop, places, q = arm.loop, [arm.loop.position], q + 0.02  # somebody has pushed the arm away
-    assert np.max(np.abs(robot.difference(places[0], q))) > 0.01
     loop.reset()
-    arm, command = Arm(loop, q), None
+    arm = Arm(loop, q)
     for i in range(600):
-        if i == 20 and not is_read_wrong:
+        if i == 20:
             loop.reset()
-        command = arm.call(np.zeros(7) if is_read_wrong and i == 0 else q)
+        command = arm.call(q)
         places.append(loop.position)
-        if command.status not in (FOLLOWING_ERROR, INVALID):
+        if command.status is not FOLLOWING_ERROR:
             break
         assert np.all(command.velocity == 0.0)
     np.testing.assert_allclose(places[-2], q, rtol=0, atol=1e-5)
-    if is_read_wrong:
-        assert np.max(np.abs(np.array(places[1:]) - q)) < 0.05
-    else:
-        speeds = np.diff([places[0], *places[:-1]], axis=0) / DT
-        assert i < 590 and np.all(np.abs(speeds) <= robot.velocity_limit * ROUNDING)
-        assert np.all(np.abs(np.diff(speeds, axis=0)) <= loop.acceleration_limit * DT * (1.0 + 1e-6))
-
-
-@pytest.mark.parametrize("first", [0.0, 1.0])
-def test_a_first_reading_that_is_wrong_moves_nothing(first, robot):
-    """Zeros, or an old posture, once before the first state: `position` is where the arm is from the second reading on,
-    the arm stands until two readings agree, and then it moves; a loop that was stopped stays stopped.
-    """
-    loop, q = ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot)
-    loop.update(np.full(7, first), 0.0)
-    loop.stop()
-    command = loop.update(q, DT)
-    assert command.status is INVALID and not command.velocity.any()
-    np.testing.assert_array_equal(loop.position, q)
-    assert loop.stopped_by is not None and "was read" in loop.stopped_by
-    assert loop.update(q, 2 * DT).status is STOPPED
-    loop.start()
-    for k in range(3, 500):
-        command = loop.update(loop.position, k * DT)
-        assert np.max(np.abs(loop.position - q)) < 1.0 and command.status is not FOLLOWING_ERROR
-    assert np.linalg.norm(command.velocity) > 0.05
-
-
-def test_a_posture_that_no_arm_can_have_is_none(robot):
-    """Finite numbers turns beyond all limits start no motion; a turn too much, as encoders count, is a posture."""
-    farthest = np.maximum(-robot.position_lower, robot.position_upper) + 2.0 * np.pi
-    for far in (1e200, 1e7, 30.0, 1.001 * farthest):
-        loop = ml.ServoLoop(law_of(robot, "sawyer"))
-        for k in range(20):
-            command = loop.update(np.full(robot.nv, far), k * DT)
-            assert command.status is INVALID and not command.velocity.any()
-        assert loop.stopped_by is not None and "no posture" in loop.stopped_by
-    assert ml.ServoLoop(law_of(robot, "sawyer")).update(0.999 * farthest, 0.0).status is OUTSIDE
+    speeds = np.diff([places[0], *places[:-1]], axis=0) / DT
+    assert 20 < i < 590 and np.all(np.abs(speeds) <= robot.velocity_limit * ROUNDING)
+    assert np.all(np.abs(np.diff(speeds, axis=0)) <= loop.acceleration_limit * DT * (1.0 + 1e-6))
 
 
 @pytest.mark.parametrize(("jump", "is_refused"), [(0.045, False), (-0.045, False), (0.06, True), (-0.06, True)])
@@ -444,22 +334,6 @@ def test_distances_mean_forces(force, trips, robot):
     np.testing.assert_allclose(following.distance, away, atol=1e-12)
 
 
-@pytest.mark.parametrize(("share", "trips"), [(0.85, False), (1.15, True)])
-def test_a_push_beside_the_hand_is_found_by_its_joint(share, trips, robot):
-    """What moves no hand counts by joints: as much as 15 N at the longest lever that the hand has on any of them."""
-    q, tip, rng = start_of(robot), default_tip(robot), np.random.default_rng(7)
-    postures = [robot.random_configuration(rng) for _ in range(2000)]
-    lever = np.max([np.linalg.norm(robot.jacobian(x, tip)[:3], axis=0) for x in postures])
-    beside = np.linalg.svd(robot.jacobian(q, tip)[:3])[2][3]
-    following = FollowingError(robot, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), tip)
-    j = int(np.argmax(np.abs(beside)))
-    for _ in range(40):
-        following.compare(q, q + share * beside / abs(beside[j]) * 15.0 * lever / STIFFNESS)
-    assert (
-        following.tripped.startswith(f"joint {robot.joint_names[j]} is pushed by") == trips == bool(following.tripped)
-    )
-
-
 def test_a_payload_that_is_told_is_no_push(robot):
     """The weight of 5 kg trips the loop of an arm that is not told; inertia and weight include a payload."""
     q, tip, centre = start_of(robot), default_tip(robot), [0.0, 0.0, 0.05]
@@ -485,10 +359,9 @@ def test_a_payload_that_is_told_is_no_push(robot):
 # ---- the caller ----
 
 
-@pytest.mark.parametrize("own", [False, True])
-def test_commands_belong_to_the_caller(own, robot):
+def test_commands_belong_to_the_caller(robot):
     """Writing into a command, a posture or a position changes no later one, and later updates change no command."""
-    law = Constantly(robot, np.linspace(-1.0, 1.0, 7)) if own else law_of(robot, "sawyer")
+    law = law_of(robot, "sawyer")
     clean, spoiled, q = ml.ServoLoop(law), ml.ServoLoop(law), start_of(robot)
     kept = []
     for k in range(300):
@@ -496,14 +369,13 @@ def test_commands_belong_to_the_caller(own, robot):
         posture = q.copy()
         expected, command = clean.update(q, t), spoiled.update(posture, t)
         np.testing.assert_array_equal(command.velocity, expected.velocity)
-        kept.append((expected, expected.velocity.copy(), expected.task_part.copy()))
+        kept.append((expected, expected.velocity.copy()))
         for array in (posture, command.velocity, command.task_velocity, command.task_part, command.null_part):
             array[:] = 1e6
         spoiled.position[:] = np.nan
         q = robot.integrate(q, DT * expected.velocity)
-    for command, velocity, task_part in kept:
+    for command, velocity in kept:
         np.testing.assert_array_equal(command.velocity, velocity)
-        np.testing.assert_array_equal(command.task_part, task_part)
 
 
 REFUSED = [  # what is made, its argument, values that are refused, and words of the sentence

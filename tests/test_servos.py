@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -107,50 +105,12 @@ def test_what_servos_do_is_no_force(servos, late):
     assert notes == ([] if late is None else [pytest.approx(late, abs=8.0)])
 
 
-def test_a_latency_that_is_told_is_the_most():
-    """An arm that starts fast and is less late than was told goes its way."""
-    loop = to_a_point([0.0, 0.2, 0.1], gain=5.0, latency=0.15)
-    loop.reset(START)
-    arm = Servos(loop, late=0.05)
-    assert BLOCKED not in arm.go(3.0), arm.said
-    assert np.linalg.norm(hand(arm.q) - hand(START) - [0.0, 0.2, 0.1]) < 1e-3
-
-
 @pytest.mark.parametrize(("told", "said"), [({}, ["max_lateral_force=15 N cannot be kept"]), ({"resolution": 0.0}, [])])
 def test_friction_hides_forces_and_says_which(told, said):
     """With 6 N m of friction in each joint the loop says that it cannot keep its 15 N, unless it is told otherwise."""
     arm = Servos(way(**told), width=0.003)
     arm.go(1.5)
     assert [n[:37] for n in arm.loop.notes if "cannot be kept" in n] == said
-
-
-def test_a_rail_that_sticks_is_learnt_rightly():
-    """A drawer that moves at 50 N only is pulled out: its rail is pressed aside by an arm that is not equally stiff in
-    all directions, and the hand is on its way for all that.
-    """
-    arm, rail, place, most, aside = Servos(), np.array([0.0, 1.0, 0.0]), hand(START), 50.0, 0.0
-    for _ in range(round(3.0 / DT)):
-        yields = rows_of(arm.sent[-1]) @ rows_of(arm.sent[-1]).T / STIFFNESS
-        force = np.linalg.solve(yields, place - hand(arm.sent[-1]))
-        if abs(force @ rail) > most:  # it slides until less is left
-            slid = np.linalg.solve(yields, rail) @ rail
-            place = place + (np.sign(force @ rail) * most - force @ rail) / slid * rail
-            force = np.linalg.solve(yields, place - hand(arm.sent[-1]))
-        aside = max(aside, float(np.linalg.norm(force - force @ rail * rail)))
-        assert arm.call(arm.read(force)) != BLOCKED, arm.said
-    assert aside > 15.0  # more than is allowed across a way
-    assert (place - hand(START)) @ rail > 0.18
-
-
-def test_a_blocked_arm_lets_go():
-    """An arm that is held fast in motion is stopped with less than 60 N, and is then not pressed on."""
-    arm = Servos(late=0.004)
-    arm.go(1.0)
-    held = arm.q
-    words = arm.stuck(600, held)
-    assert BLOCKED in words and words.index(BLOCKED) < 60
-    left = np.linalg.lstsq(rows_of(held).T / STIFFNESS, arm.sent[-1] - held)[0]
-    assert np.linalg.norm(left) < 3.0 and not arm.loop.state.lets_go
 
 
 @pytest.mark.parametrize("mass", [4.0, 6.0])
@@ -185,22 +145,6 @@ def test_a_push_is_no_payload(push, kilograms):
     # held fast against the push, so that letting go makes the force less
     words = arm.stuck(300, arm.q + rows_of(arm.q).T @ np.array(push) / STIFFNESS)
     assert words[-1] == BLOCKED and "payload" not in arm.loop.stopped_by
-
-
-@pytest.mark.parametrize(("dt", "noise"), [(0.0005, 1e-4), (0.001, 1e-4), (0.002, 1e-3), (0.02, 1e-4)])
-def test_reset_ends_whatever_the_noise(dt, noise):
-    """After a following error the arm moves again within 2 s, at every period and with every encoder."""
-    arm, q, status = Servos(to_a_point(0.2, dt), noise=noise, seed=5), START, ""
-    for k in range(round(3.0 / dt)):
-        if k == round(1.0 / dt):
-            assert status == BLOCKED
-            arm.loop.reset()
-        status = arm.call(arm.noisy(q))
-        if not 0.2 < k * dt < 0.6:  # the arm is held fast meanwhile
-            q = arm.sent[-1]
-        if k * dt > 1.1 and status != BLOCKED:
-            break
-    assert k * dt < 2.9
 
 
 @pytest.mark.parametrize(
@@ -249,17 +193,6 @@ def test_readings_that_are_slower_than_the_loop_are_said(every):
         assert arm.call(arm.noisy(q)) != BLOCKED, arm.said
     assert f"readings change every {1e3 * every:.0f} ms, the loop runs at 2 ms" in arm.said
     assert "friction" not in arm.said
-
-
-def test_an_arm_that_stands_remembers_no_more_and_more():
-    """After a start of 40 ms, too short to tell what its servos do, it stands for 2 s or 4 s and remembers as much."""
-    arm, sizes = Servos(), []
-    arm.go(0.04)
-    arm.loop.stop()
-    for _ in range(2):
-        arm.go(2.0)
-        sizes.append(len(pickle.dumps(arm.loop.state.following.servos)))
-    assert arm.loop.state.following.servos.late is None and sizes[0] == sizes[1]
 
 
 def test_a_stiffness_that_is_not_told_is_said():

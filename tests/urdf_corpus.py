@@ -28,7 +28,7 @@ LIMIT = '<limit lower="-2" upper="2.5" velocity="1" effort="10"/>'
 ORIGIN = '<origin xyz="0 0 0.3" rpy="0 0 0.1"/>'
 AXIS = '<axis xyz="0 0 1"/>'
 SHOULDER = '<joint name="shoulder" type="revolute">'
-PARENT, CHILD = '<parent link="base"/>', '<child link="upper"/>'
+PARENT = '<parent link="base"/>'
 
 
 class Case(NamedTuple):
@@ -91,23 +91,17 @@ def mimic_chain(order: tuple[int, ...]) -> bytes:
 arm = ARM.encode()
 XML_ROWS = [
     ("plain", "accept", arm),
-    ("no declaration", "accept", arm.partition(b"?>\n")[2]),
     ("single quotes", "accept", arm.replace(b'"', b"'")),
     ("empty file", "empty", b""),
     ("cut in the middle", "not-xml", arm[: len(arm) // 2]),
-    ("mismatched tags", "not-xml", arm.replace(b"</joint>", b"</jiont>")),
-    ("zero byte inside", "not-xml", arm.replace(b"elbow", b"el\0ow")),
     ("sdf", "not-urdf", b'<sdf version="1.6"><model name="m"/></sdf>'),
     ("xacro macro", "xacro", edited(('<link name="base"/>', '<link name="base"/><xacro:arm/>'))),
-    ("xacro include", "xacro", edited(('<link name="base"/>', '<include filename="x"/>'))),
     ("xacro expression", "xacro-expression", edited(("0 0 0.3", "0 0 ${pi/2}"))),
     ("version 1.1", "urdf-version", edited(('name="arm"', 'name="arm" version="1.1"'))),
     ("unknown element", "warn", edited(('<link name="base"/>', '<link name="base"/><wheel/>'))),
-    ("element in wrong case", "warn", edited(("<axis", "<Axis"), ("</robot>", "</robot>"))),
-    ("misspelt origin", "warn", edited(("<origin xyz", "<orgin xyz"))),
     ("element twice", "element-twice", edited((ORIGIN, ORIGIN + ORIGIN))),
-    ("quaternion origin", "origin-attribute", edited(('rpy="0 0 0.1"', 'quat_xyzw="0 0 0 1"'))),
     ("unknown attribute", "warn", edited(('rpy="0 0 0.1"', 'rqy="0 0 0.1"'))),
+    ("quaternion origin", "origin-attribute", edited(('rpy="0 0 0.1"', 'quat_xyzw="0 0 0 1"'))),
 ]
 
 
@@ -123,11 +117,8 @@ laughs = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 10))
 ENTITY_ROWS = [
     ("billion laughs", "doctype", with_dtd(f'[<!ENTITY l0 "ha">{laughs}]', "&l9;")),
     ("external entity", "doctype", with_dtd('[<!ENTITY f SYSTEM "file:///etc/passwd">]', "&f;")),
-    ("external subset", "doctype", with_dtd('SYSTEM "file:///dev/zero"')),
     ("undefined entity", "entity", arm.replace("elbow", "&elbow;").encode()),
-    ("built-in entities", "accept", arm.replace("elbow", "a&amp;b&lt;c&gt;").encode()),
     ("character reference", "accept", arm.replace("elbow", "el&#98;ow").encode()),
-    ("reference to zero", "not-xml", arm.replace("elbow", "&#0;").encode()),
 ]
 
 
@@ -144,9 +135,7 @@ ENCODING_ROWS = [
     ("utf-8 with mark", "accept", b"\xef\xbb\xbf" + declared("utf-8")),
     ("utf-16 with mark", "accept", declared("utf-16")),
     ("latin-1", "accept", declared("iso-8859-1")),
-    ("ascii with references", "accept", declared("ascii", "utf-8").replace("ö".encode(), b"&#246;")),
     ("latin-1 undeclared", "not-xml", text.encode("latin-1")),
-    ("utf-8 declared as utf-16", "encoding", declared("utf-16", "utf-8")),
     ("codec that is no text encoding", "encoding", declared("rot13", "utf-8")),
 ]
 
@@ -156,19 +145,14 @@ line = [("1", "a", "b"), ("2", "b", "c"), ("3", "c", "d"), ("4", "d", "e")]
 TOPOLOGY_ROWS = [
     ("one link", "warn", b'<robot name="r"><link name="a"/></robot>'),
     ("branches", "warn", tree([("1", "a", "b"), ("2", "a", "c"), ("3", "a", "d"), ("4", "d", "e")])),
-    ("joints before links", "warn", tree(line, "", "".join(f'<link name="{c}"/>' for c in "abcde"))),
     ("no links", "no-links", b'<robot name="r"/>'),
-    ("joints only", "no-links", tree(line, "")),
     ("two roots", "many-roots", tree(line[:3])),
     ("circle of five", "no-root", tree([*line, ("5", "e", "a")])),
     ("root and a circle", "detached", tree([("1", "a", "b"), ("2", "c", "d"), ("3", "d", "c")], "abcd")),
     ("closed chain", "two-parents", tree([*line, ("5", "a", "e")])),
     ("link joined to itself", "self-loop", tree([*line, ("5", "e", "e")])),
     ("unknown parent", "unknown-link", tree([*line[:3], ("4", "x", "e")])),
-    ("unknown child", "unknown-link", tree([*line, ("5", "e", "f")])),
     ("no parent element", "joint-link", edited((PARENT, ""))),
-    ("parent without attribute", "joint-link", edited((PARENT, "<parent>base</parent>"))),
-    ("two parents in a joint", "element-twice", edited((PARENT, PARENT + '<parent link="tip"/>'))),
 ]
 
 
@@ -176,25 +160,19 @@ TOPOLOGY_ROWS = [
 xyz = "0 0 0.3"
 NUMBER_ROWS = [
     ("exponents and signs", "accept", edited((xyz, "+1e-1 -.5E0 3."))),
-    ("spaces and line breaks", "accept", edited((xyz, "  0\n 0\t0.3  "))),
-    ("tiny number", "accept", edited((xyz, "0 0 1e-320"))),
     ("nan position", "not-finite", edited((xyz, "0 0 nan"))),
-    ("overflow to inf", "not-finite", edited((xyz, "1e999 0 0"))),
     ("a light second away", "far-away", edited((xyz, "3e8 0 0"))),
+    ("overflow to inf", "not-finite", edited((xyz, "1e999 0 0"))),
     ("decimal comma", "number", edited((xyz, "0 0 0,3"))),
     ("commas between", "vector-size", edited((xyz, "0,0,0.3"))),
-    ("empty vector", "vector-size", edited((xyz, ""))),
     ("Arabic digits", "number", edited((xyz, "0 0 \u0663"))),
     ("rotation in degrees", "warn", edited(("0 0 0.1", "0 0 90"))),
     ("zero axis", "axis-zero", edited((AXIS, '<axis xyz="0 0 0"/>'))),
-    ("tiny axis", "axis-norm", edited((AXIS, '<axis xyz="0 0 1e-9"/>'))),
     ("axis of length 2", "warn", edited((AXIS, '<axis xyz="0 0 2"/>'))),
-    ("rounded axis", "accept", edited((AXIS, '<axis xyz="0.7071 0 0.7071"/>'))),
     ("no axis", "warn", edited((AXIS, ""))),
     ("negative mass", "mass", edited(('<mass value="2"/>', '<mass value="-2"/>'))),
     ("no mass", "warn", edited(('<mass value="2"/>', ""))),
     ("negative inertia", "warn", edited(('ixx="0.1"', 'ixx="-0.1"'))),
-    ("empty velocity", "number", edited(('velocity="1"', 'velocity=""'))),
 ]
 
 
@@ -207,22 +185,15 @@ prismatic = SHOULDER.replace("revolute", "prismatic")
 continuous = SHOULDER.replace("revolute", "continuous")
 LIMIT_ROWS = [
     ("two full turns each way", "accept", limited(str(-4 * math.pi), str(4 * math.pi))),
-    ("above zero only", "accept", limited("1", "2")),
     ("inverted", "limit-order", limited("1", "-1")),
-    ("equal", "limit-order", limited("0", "0")),
     ("degrees", "limit-degrees", limited("-180", "180")),
     ("unlimited by a large number", "warn", limited("-1e16", "1e16")),
     ("infinite", "not-finite", limited("-inf", "inf")),
     ("no lower", "warn", edited(('lower="-2" ', ""))),
     ("no limit", "warn", edited((LIMIT, ""))),
-    ("limit twice", "element-twice", edited((LIMIT, LIMIT + LIMIT))),
     ("velocity zero", "warn", limited("-1", "1", "0")),
-    ("velocity negative", "warn", limited("-1", "1", "-3")),
     ("no velocity", "warn", edited(('velocity="1" ', ""))),
-    ("slide without limits", "warn", edited((SHOULDER, prismatic), (LIMIT, ""))),
-    ("continuous with limits", "accept", edited((SHOULDER, continuous))),
     ("continuous without", "accept", edited((SHOULDER, continuous), (LIMIT, ""))),
-    ("continuous, inverted", "accept", edited((SHOULDER, continuous), ("-2", "3"))),
     ("inverted but locked", "accept", limited("1", "-1"), {"locked": ("shoulder",)}),
 ]
 
@@ -233,17 +204,12 @@ def typed(kind: str, *more: tuple[str, str]) -> bytes:
 
 
 TYPE_ROWS = [
-    ("prismatic", "accept", typed("prismatic")),
-    ("continuous", "accept", typed("continuous")),
     ("fixed", "accept", typed("fixed")),
     ("planar", "accept", typed("planar")),
-    ("planar about x", "planar-axis", typed("planar", (AXIS, '<axis xyz="1 0 0"/>'))),
     ("planar without axis", "planar-axis", typed("planar", (AXIS, ""))),
     ("floating with zero axis", "accept", typed("floating", (AXIS, '<axis xyz="0 0 0"/>'))),
-    ("fixed with limits of nonsense", "accept", typed("fixed", ("-2", "9"))),
     ("fixed with nan limit", "not-finite", typed("fixed", ("-2", "nan"))),
     ("ball", "joint-type", typed("ball")),
-    ("misspelt", "joint-type", typed("revolut")),
     ("no type", "joint-type", edited((SHOULDER, '<joint name="shoulder">'))),
     ("joint of that name, fixed base", "accept", edited(("elbow", "root_joint"))),
 ]
@@ -261,17 +227,14 @@ def following(elbow: str, shoulder: str = "", *more: tuple[str, str]) -> bytes:
 plain = '<mimic joint="shoulder"/>'
 MIMIC_ROWS = [
     ("plain", "warn", following(plain)),  # the follower's narrower limits bind its leader
-    ("parent that comes later", "warn", following("", '<mimic joint="elbow" multiplier="2"/>')),
     ("factor and offset", "accept", following('<mimic joint="shoulder" multiplier="-0.3" offset="0.2"/>')),
     ("never within the limits", "warn", following('<mimic joint="shoulder" multiplier="0.1" offset="9"/>')),
     ("factor zero", "warn", following('<mimic joint="shoulder" multiplier="0"/>')),
     ("huge factor", "mimic-multiplier", following('<mimic joint="shoulder" multiplier="1e9"/>')),
-    ("itself", "mimic-cycle", following('<mimic joint="elbow"/>')),
     ("each other", "mimic-cycle", following(plain, '<mimic joint="elbow"/>')),
     ("a huge factor in two steps", "mimic-multiplier", mimic_chain((0, 1, 2)).replace(b"-0.5", b"1e5")),
     ("unknown joint", "mimic-unknown", following('<mimic joint="sholder"/>')),
     ("no joint named", "mimic-leader", following("<mimic/>")),
-    ("two mimics", "element-twice", following(plain + plain)),
     ("fixed leader", "warn", following(plain, "", (SHOULDER, fixed))),
     ("fixed follower", "warn", following("", '<mimic joint="elbow"/>', (SHOULDER, fixed))),
     ("floating leader", "mimic-type", following(plain, "", (SHOULDER, fixed.replace("fixed", "floating")))),
@@ -279,8 +242,6 @@ MIMIC_ROWS = [
     ("continuous leader", "warn", following(plain.replace("/>", ' multiplier="0.5"/>'), "", turning)),
     ("leader locked", "accept", following(plain), {"locked": ("shoulder",)}),
     ("follower locked", "locked-follower", following(plain), {"locked": ("elbow",)}),
-    ("unknown leader, follower locked", "accept", following('<mimic joint="gone"/>'), {"locked": ("elbow",)}),
-    ("mimic of mimic, backwards", "accept", mimic_chain((2, 1, 0))),
     ("mimic of mimic of fixed", "warn", mimic_chain((0, 1, 2)).replace(b"revolute", b"fixed", 1)),
 ]
 
@@ -317,15 +278,12 @@ NAME_ROWS = [
     ("link and joint share a name", "accept", edited(("elbow", "tip"))),
     ("link without name", "name-missing", edited(('<link name="tip"/>', "<link/>"))),
     ("spaces around", "warn", edited(("elbow", " elbow "))),
-    ("line break", "name-unprintable", edited(("elbow", "el&#10;bow"))),
     ("right-to-left override", "name-unprintable", edited(("elbow", "el\u202ebow"))),
-    ("script", "accept", edited(("elbow", "&lt;script&gt;alert(1)&lt;/script&gt;"))),
     ("universe as joint", "name-reserved", edited(("elbow", "universe"))),
     ("world as link", "accept", edited(('<link name="base"/>', '<link name="world"/>'), ('"base"', '"world"'))),
     ("200 letters", "accept", edited(("elbow", "e" * 200))),
     ("201 letters", "name-long", edited(("elbow", "e" * 201))),
     ("robot without name", "warn", edited((' name="arm"', ""))),
-    ("robot with line break", "warn", edited(('name="arm"', 'name="a&#10;b"'))),
     ("locked joint unknown", "unknown-joint", ARM.encode(), {"locked": ("elbwo",)}),
 ]
 
@@ -335,15 +293,12 @@ limit = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
 SIZE_ROWS = [
     ("500 deep", "warn", chain(500)),
     ("501 deep", "too-deep", chain(501)),
-    ("999 links in a star", "warn", star(998)),
     ("1001 links in a star", "too-many-links", star(1000)),
     ("150 degrees of freedom", "accept", chain(150, "revolute", limit)),
     ("151 degrees of freedom", "too-many-dof", chain(151, "revolute", limit)),
-    ("26 floating joints", "too-many-dof", chain(26, "floating")),
     ("many elements", "xml-too-large", b'<robot name="r">' + b"<a/>" * 300_000 + b"</robot>"),
     ("deep nesting", "xml-too-deep", b'<robot name="r">' + b"<a>" * 100_000),
     ("long attribute", "xml-too-large", edited(("0 0 0.3", "0 " * 200_000))),
-    ("long number", "accept", edited(("0 0 0.3", "0 0 0." + "3" * 40_000))),
     ("long number with a slip", "number", edited(("0 0 0.3", f"0 0 {'3' * 90_000}x"))),
 ]
 
