@@ -126,6 +126,31 @@ def test_a_short_arc_is_known_badly_and_says_so(robot_of):
     assert sigmas[5.0] > 20.0 * sigmas[40.0]
 
 
+def test_too_short_an_arc_is_not_called_straight_without_a_word(robot_of):
+    """Three degrees of a door with bad encoders: a line, or a hinge whose place is known badly and is warned of."""
+    point = place(robot_of("panda"), "panda")
+    path = about(AXIS, point, np.radians(3.0), firm=False)
+    demos = record(robot_of, "panda", path, n=3, noise=5e-4)
+    features = ml.FrameJacobian(robot_of("panda"), TIP["panda"], "pose")
+    report = ml.ConstraintLearner(features, joint_offset_std=0.0).fit(demos).report_
+    if report.mechanism is not None and report.mechanism.type == "line":
+        assert any("hinge would fit as well" in w for w in report.warnings)
+    elif report.mechanism is not None:
+        assert report.mechanism.uncertainty["radius"] > 0.005
+
+
+def test_a_hand_that_turns_alike_each_time_is_no_screw(robot_of):
+    """A drawer drawn three times along one path, the hand turning with the way: a line, not a helix near it."""
+
+    def path(pose, rng):
+        p, _ = along(AXIS[None], 0.25, False)(pose, rng)
+        turn = Rotation.from_rotvec(0.8 * np.outer((p - pose[:3, 3]) @ AXIS, across(AXIS)[0]))  # 11 degrees
+        return p, turn.as_matrix() @ pose[:3, :3]
+
+    m = find(robot_of, "panda", record(robot_of, "panda", path, n=3, grip=0.02))
+    assert m.type == "line" and degrees_between(m.axis, AXIS) < 0.25
+
+
 def test_what_is_no_mechanism(robot_of):
     """Arms that wander freely, or that go the same curved way again and again, are held by nothing; of doors in
     different places no common place is invented.

@@ -336,10 +336,10 @@ def whole_fit(
             most = min(GIVES_WAY if gap < CLEAR_GAP else np.inf, apart / CLEAR_GAP)
             # where the place tells as much, it tells it better: a grip that gives way turns more than it slides, and a
             # hand that is free to turn may turn alike each time
-            held, as_well = 3 - int(np.median(moves)), fit.variance <= OVER_NOISE * place.variance
+            held, named = 3 - int(np.median(moves)), kind_of(fit) is not None
+            as_well = fit.variance <= OVER_NOISE * place.variance and named >= (kind_of(place) is not None)
             if away > most or held < len(place.rows) + (not as_well):
                 continue
-            named = kind_of(fit) is not None
             if (named, gap) <= largest or not (named or gap > CLEAR_GAP):
                 continue
             if named or gate.evidence(view, spans).verdict(s) == "clear":
