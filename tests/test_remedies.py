@@ -159,7 +159,7 @@ TO_DO: dict[str, tuple[str, Build, tuple[str, ...], str]] = {
     "velocities only": ("no-positions", table("time" + VELOCITIES, TABLE), (), "record positions too"),
     "no overlap": (
         "no-overlap",
-        bag(some("/joint_states", (0, 1)), some("/joint_states", (2,), stamps=STEPS + 60_000_000_000)),
+        bag(some("/joint_states", (0, 1)), some("/joint_states", (2,), late=60_000_000_000)),
         (),
         "record them together",
     ),
