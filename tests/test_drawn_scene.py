@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mechanism_motions import about, along, demonstrate
 from scipy.spatial.transform import Rotation
+from test_mechanism import MIDDLE, TIP
 from test_playback import data_in, unpacked, waving
 
 import manip_learn as ml
@@ -26,6 +29,14 @@ SHIPPED = {  # folder -> robot, tip, and how many recordings are enough
     "panda_drawer_whole": ("panda", "panda_hand_tcp", 3),
     "ur5_loose_door": ("ur5", "tool0", 4),
     "xarm7_drawer_then_table": ("xarm7", "link_eef", 3),
+}
+ARMS = {  # of generated tasks -> tip, and a posture about which the hand takes hold
+    **{name: (TIP[name], MIDDLE[name]) for name in ("panda", "ur5")},
+    "sawyer": ("right_gripper_tip", [0.2, -0.5, 0.1, 1.4, 0.1, 0.6, 0.3]),
+    "xarm7": ("link_eef", [0.2, -0.3, 0.1, 1.2, 0.1, 1.4, 0.2]),
+    "kinova": ("j2s6s200_end_effector", [3.1, 3.4, 1.9, 1.5, 2.0, 1.6]),
+    "arms/six_joints.urdf": ("tool", [0.2, 0.5, 0.1, 0.2, -0.6, 0.1]),
+    "arms/seven_endless.urdf": ("tool", [0.2, 0.6, 0.1, 1.5, 0.1, -0.5, 0.1]),
 }
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 AROUND = np.array([[0.35, -0.8, 0.15], [0.35, 0.8, 0.15]])  # [m] where boxes are stated beside the arms
@@ -108,6 +119,29 @@ def test_no_arm_is_inside_what_is_drawn(folder: str, tmp_path: Path):
     assert [moments_inside(page) for page in pages] == [0] * len(pages)
     drawn = {body["name"] for page in pages[1:] for rollout in page["rollouts"] for body in rollout["around"]}
     assert drawn in (set(), {"floor", "box 0", "box 1", "post"})  # as stated, and all of it
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(21))
+def test_no_arm_is_inside_what_is_drawn_of_generated_tasks(number: int, tmp_path: Path):
+    """The same of drawers and doors at random places, firmly and loosely grasped, with seven arms."""
+    name, firm = sorted(ARMS)[number % 7], number % 2 == 0
+    file = str(Path(__file__).parent / name) if "/" in name else name
+    robot, (tip, posture) = ml.load_robot(file, locked=FINGERS if name == "panda" else ()), ARMS[name]
+    hand, demos = robot.position(posture, robot.frame(tip)), None
+    for attempt in range(9):  # until the arm can do what was drawn
+        rng = np.random.default_rng([66, number, attempt])
+        axis, other = rng.normal(size=(2, 3))
+        axis /= np.linalg.norm(axis)
+        across = np.cross(axis, other)
+        way = about(axis, hand + 0.35 * across / np.linalg.norm(across), 0.35, firm=firm)
+        with suppress(RuntimeError):
+            way = way if number % 3 else along(axis[None], 0.12, firm)
+            demos = ml.Demonstrations(demonstrate(robot, tip, np.array(posture), way, rng, grip=0.1))
+            break
+    assert demos is not None
+    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "pose")).fit(demos)
+    assert sum(map(moments_inside, pages_of(learner.skill_, demos, tmp_path))) == 0
 
 
 def test_a_body_around_the_arm_is_found_and_an_assumed_floor_is_neither_drawn_nor_framed(robot_of, tmp_path: Path):
