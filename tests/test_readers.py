@@ -489,6 +489,14 @@ def packed(kind: str, spoil: Any, **options: Any) -> Unfit:
 
 POSITIONLESS = [(t, r, (s, n, (), u)) for t, r, (s, n, _, u) in all_in_one()]
 GUI = [(t, r + 8_000_000, (s + 8_000_000, n, Q[0] + 0.4)) for t, r, (s, n, *_) in all_in_one()]
+
+
+def _first_names(path: Path) -> Path:
+    """An archive whose names of joints come before arrays that could be positions."""
+    np.savez(path, joint_names=np.array(JOINTS), t=TIME, alpha=Q, beta=Q)
+    return path
+
+
 REFUSED = {
     "a column of text": unfit("not-a-number", "phase", table(HEADER + ",phase", TABLE, ["reach out"] * 60)),
     **{f"a remark {r!r}": unfit("no-header", ":2:", table(f"# {r}\n{TABLE[0, 0]},0,2,0", TABLE[1:])) for r in REMARKS},
@@ -536,6 +544,10 @@ REFUSED = {
         lerobot(frames({0: motion(0)}, timestamp=pa.array(STAMPS / 30.0))), units="radians",
     ),
     **{f"robomimic rate {args!r:.30}": unfit("no-time", "", demo(env_args=args), **GIVEN) for args in NO_RATE},
+    "names of joints are no positions": unfit(
+        "missing-array", r"rename=\{'NAME': 'q'\}",
+        lambda folder: _first_names(folder / "a.npz"),
+    ),
     "robomimic, two arms": unfit(
         "missing-array", "rename={'robot1_joint_pos': 'q'}", demo(robot1_joint_pos=Q + 0.1), **GIVEN
     ),
