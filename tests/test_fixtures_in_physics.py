@@ -22,7 +22,7 @@ FEW = [("six joints", "skew"), ("six joints", "door"), ("without ends", "drawer_
 ALL = [(arm, task, seed) for arm in ARMS for task in physics.TASKS for seed in (91, 92)]
 
 
-def done(arm: str, task: str, seed: int) -> None:
+def assert_done(arm: str, task: str, seed: int) -> None:
     """Record, learn, repeat, and look at the fixture."""
     one = physics.run(ARMS[arm], physics.TASKS[task], seed, TESTS)
     assert one.off < physics.TOO_FAR, "the hand closed beside the handle"
@@ -37,11 +37,11 @@ def done(arm: str, task: str, seed: int) -> None:
 @pytest.mark.parametrize(("arm", "task"), FEW)
 def test_the_arm_does_what_was_shown(arm, task):
     """A bar that is held anywhere along it, a firm door, a drawer with a straight wrist, a knob."""
-    done(arm, task, 90)
+    assert_done(arm, task, 90)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("arm", "task", "seed"), ALL)
 def test_every_fixture(arm, task, seed):
     """Drawers, doors, lids, a knob, an oven, a table, a peg: on both arms, two seeds each."""
-    done(arm, task, seed)
+    assert_done(arm, task, seed)

@@ -319,7 +319,7 @@ def whole_fit(
         gate: Test of the evidence.
     """
     best, largest, apart = None, (False, WEAK_GAP), turned_by_joints(place.motion)
-    J, few = place.motion.J, evenly(len(place.motion.x), 50)
+    J, few, has_name = place.motion.J, evenly(len(place.motion.x), 50), kind_of(place) is not None
     for view in views:
         motion = Motion.of(view, spans, settings)
         levels = np.append(motion.levels.sizes, 1.0)
@@ -337,7 +337,7 @@ def whole_fit(
             # where the place tells as much, it tells it better: a grip that gives way turns more than it slides, and a
             # hand that is free to turn may turn alike each time
             held, named = 3 - int(np.median(moves)), kind_of(fit) is not None
-            as_well = fit.variance <= OVER_NOISE * place.variance and named >= (kind_of(place) is not None)
+            as_well = fit.variance <= OVER_NOISE * place.variance and named >= has_name
             if away > most or held < len(place.rows) + (not as_well):
                 continue
             if (named, gap) <= largest or not (named or gap > CLEAR_GAP):
