@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,15 @@ def test_the_scene_is_the_arm_and_what_was_learnt(door):
     assert {path[1] for path in viewer.kept} == {"arm"}  # what an earlier call has drawn is gone
     with pytest.raises(ConfigurationError, match=r"meshcat\.Visualizer"):
         ml.show(robot, object())
+
+
+def test_a_hand_that_stays_in_its_place_is_drawn(door):
+    """As at a knob, which the hand turns where it is."""
+    robot, _, constraint = door
+    viewer, shown = Notebook(), constraint.shown
+    ml.show(robot, viewer, constraint.showing(replace(shown, path=0.0 * shown.path)))
+    near = viewer.kept["manip_learn", "path"].vertices.reshape(-1)
+    assert np.all(np.isfinite(near)) and viewer.kept["manip_learn", "target", "0", "pose"].shape == (4, 4)
 
 
 @pytest.mark.browser

@@ -371,10 +371,10 @@ def _put(
 
 
 def _tube(points: Float[np.ndarray, "n 3"], radius: float) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Return vertices and faces of a round tube along a polyline."""
+    """Return vertices and faces of a round tube along a polyline; a stub where a hand stays in its place."""
     from trimesh.creation import cylinder
     from trimesh.util import concatenate
 
-    pieces = [pair for pair in pairwise(points) if np.linalg.norm(pair[1] - pair[0]) > 1e-3 * radius]
+    pieces = [pair for pair in pairwise(points) if np.any(pair[0] != pair[1])] or [(points[0], points[0] + radius)]
     tube: Any = concatenate([cylinder(radius, segment=pair, sections=8) for pair in pieces])
     return np.array(tube.vertices), np.array(tube.faces)
