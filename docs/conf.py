@@ -4,6 +4,12 @@ import importlib.metadata
 import re
 from pathlib import Path
 
+import typer
+from typer.cli import get_docs_for_click
+
+import manip_learn as ml
+from manip_learn.commands.program import program
+
 project = "manip_learn"
 author = "manip_learn developers"
 project_copyright = "2026, manip_learn developers"
@@ -25,6 +31,9 @@ myst_heading_anchors = 3
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+python_maximum_signature_line_length = 90  # longer ones have a line for each argument
+smartquotes = False  # --flags keep both hyphens
 autodoc_type_aliases = {"ArrayLike": "ArrayLike"}
 autodoc_default_options = {"members": True, "show-inheritance": True}
 napoleon_google_docstring = True
@@ -72,6 +81,28 @@ def escape_formulas(app, what, name, obj, options, lines):
     lines[:] = out
 
 
+def name_aliases(app, what, name, obj, options, signature, returns):
+    """Print the name of a type alias, not the object by which Sphinx remembers it."""
+    return tuple(part and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", part) for part in (signature, returns))
+
+
+def name_public_bases(app, name, obj, options, bases):
+    """Leave out base classes that no user can import; a class without any is an `object`, as ever."""
+    bases[:] = [base for base in bases if getattr(base, "__name__", "") in ml.__all__] or [object]
+
+
+def append_commands(app, docname, source):
+    """Append the help of all commands to the page of the command line, as the program has it."""
+    if docname == "command_line":
+        context = typer.Context(program, info_name="manip-learn")
+        source[0] += "\n" + get_docs_for_click(
+            obj=program, ctx=context, indent=1, name="manip-learn", title="All commands"
+        )
+
+
 def setup(app):
-    """Before Napoleon, which reads the sections."""
+    """Connect these; formulas are escaped before Napoleon reads the sections."""
+    app.connect("source-read", append_commands)
+    app.connect("autodoc-process-bases", name_public_bases)
+    app.connect("autodoc-process-signature", name_aliases)
     app.connect("autodoc-process-docstring", escape_formulas, priority=400)
