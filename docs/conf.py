@@ -7,7 +7,6 @@ from pathlib import Path
 import typer
 from typer.cli import get_docs_for_click
 
-import manip_learn as ml
 from manip_learn.commands.program import program
 
 project = "manip_learn"
@@ -35,7 +34,7 @@ autodoc_typehints_format = "short"
 python_maximum_signature_line_length = 90  # longer ones have a line for each argument
 smartquotes = False  # --flags keep both hyphens
 autodoc_type_aliases = {"ArrayLike": "ArrayLike"}
-autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_default_options = {"members": True}
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
@@ -86,11 +85,6 @@ def name_aliases(app, what, name, obj, options, signature, returns):
     return tuple(part and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", part) for part in (signature, returns))
 
 
-def name_public_bases(app, name, obj, options, bases):
-    """Leave out base classes that no user can import; a class without any is an `object`, as ever."""
-    bases[:] = [base for base in bases if getattr(base, "__name__", "") in ml.__all__] or [object]
-
-
 def append_commands(app, docname, source):
     """Append the help of all commands to the page of the command line, as the program has it."""
     if docname == "command_line":
@@ -103,6 +97,5 @@ def append_commands(app, docname, source):
 def setup(app):
     """Connect these; formulas are escaped before Napoleon reads the sections."""
     app.connect("source-read", append_commands)
-    app.connect("autodoc-process-bases", name_public_bases)
     app.connect("autodoc-process-signature", name_aliases)
     app.connect("autodoc-process-docstring", escape_formulas, priority=400)
