@@ -52,11 +52,17 @@ $(VENV)/made:
 	$(PYTHON) -m venv $(VENV)
 	@touch $@
 
+# the linters alone: they read the code and need none of its dependencies
+$(VENV)/lint: pyproject.toml $(VENV)/made
+	$(BIN)/python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['lint'], sep='\n')" > $@.txt
+	$(PIP) install --quiet --requirement $@.txt
+	@touch $@
+
 $(VENV)/runtime: pyproject.toml $(VENV)/made
 	$(PIP) install --quiet --editable '.[plan]'
 	@touch $@
 
-# lint, and the tests that need no other extra: 1.5 GB where dev has 3.4
+# the tests that need no other extra: 1.5 GB where dev has 3.4
 $(VENV)/first: pyproject.toml $(VENV)/made
 	$(PIP) install --quiet --editable '.[lint,robots,plan,test]'
 	@touch $@ $(VENV)/runtime
@@ -98,7 +104,7 @@ test: lint types check
 # the law in C++ in the place of the one in Python, wherever it is known
 fast: $(VENV)/fast
 
-lint: $(VENV)/first
+lint: $(VENV)/lint
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
@@ -121,7 +127,7 @@ kernels: $(VENV)/dev $(VENV)/fast
 		$(PYTEST) -n 2 --dist worksteal --benchmark-disable -q $(NUMERICAL) $(ARGS) || failed="$$failed $$kernel"; done; \
 		test -z "$$failed" || { echo "NOT GREEN WITH$$failed" >&2; exit 1; }
 
-format: $(VENV)/first
+format: $(VENV)/lint
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 

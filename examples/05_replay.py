@@ -18,21 +18,21 @@ def main() -> None:
     arguments = parser.parse_args()
 
     robot = ml.load_robot("sawyer")  # or your URDF
-    demos = ml.load_demonstrations("sawyer_drawer", robot)  # or your CSV files, ROS bags, LeRobot data
+    demos = ml.load_demonstrations("sawyer_drawer", robot)  # or CSV files, ROS bags, LeRobot data
     features = ml.FrameJacobian(robot, frame="right_gripper_tip")
     learner = ml.ConstraintLearner(features).fit(demos)
     print(learner.report_)
 
     start = [1.2, -1.57, 0, 0, 0, 0, 0]
-    again = ml.repeat(learner.skill_, start)  # takes hold where the recordings did, and goes as far
-    print(again)
+    repetition = ml.repeat(learner.skill_, start)  # plans and simulates
+    print(repetition)
 
     # the same way without a plan: the hand goes straight to the handle, in whatever posture that gives
     task = ml.motion(learner.constraint_)
     controller = ml.ResolvedRateController(learner.constraint_, task, task.ascent())
     climbing = ml.simulate(robot, controller, start, duration=task.duration_from(start), dt=0.01)
 
-    shown = {"repeat": again.rollout, "climbing": climbing}
+    shown = {"repeat": repetition.rollout, "climbing": climbing}
     page = ml.replay(robot, shown, html="replay.html", open_browser=not arguments.headless)
     print(f"{page.html}: {page.bytes / 1e6:.1f} MB")
 

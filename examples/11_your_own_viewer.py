@@ -23,14 +23,14 @@ def main() -> None:
     robot = ml.load_robot("sawyer")  # or your URDF
     demos = ml.load_demonstrations("sawyer_drawer", robot)
     learner = ml.ConstraintLearner(ml.FrameJacobian(robot, frame="right_gripper_tip")).fit(demos)
-    again = ml.repeat(learner.skill_, [1.2, -1.57, 0, 0, 0, 0, 0])
+    repetition = ml.repeat(learner.skill_, [1.2, -1.57, 0, 0, 0, 0, 0])
 
     viewer = meshcat.Visualizer()  # or Pinocchio's MeshcatVisualizer of robot.pinocchio_model
     print(f"look at {viewer.url()}")
     if not arguments.headless:
         viewer.open()
-    show = ml.show(robot, viewer, learner.constraint_, again.rollout.q[0])
-    for q, step in zip(again.rollout.q, again.rollout.time[1:] - again.rollout.time[:-1], strict=False):
+    show = ml.show(robot, viewer, learner.constraint_, repetition.rollout.q[0])
+    for q, step in zip(repetition.rollout.q, repetition.rollout.time[1:] - repetition.rollout.time[:-1], strict=False):
         show(q)
         if not arguments.headless:
             time.sleep(step)
