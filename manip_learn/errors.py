@@ -399,6 +399,15 @@ class OutputError(ManipLearnError):
 
 
 @final
+def install_hint(extra: str) -> str:
+    """Return the commands that install an optional extra.
+
+    Args:
+        extra: Name of the extra in `pyproject.toml`, e.g. `"ros"`.
+    """
+    return f"pip install '.[{extra}]' in a checkout, elsewhere pip install 'manip_learn[{extra}]'"
+
+
 class MissingExtraError(ManipLearnError):
     """An optional dependency is not installed.
 
@@ -410,4 +419,4 @@ class MissingExtraError(ManipLearnError):
 
     def __init__(self, what: str, extra: str):
         self.extra = extra
-        super().__init__(f"{what} needs the optional extra {extra!r}: pip install 'manip_learn[{extra}]'")
+        super().__init__(f"{what} needs the optional extra {extra!r}: {install_hint(extra)}")

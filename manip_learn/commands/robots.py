@@ -9,17 +9,17 @@ from typing import Any
 
 from manip_learn.commands.options import InspectOptions, RobotsOptions
 from manip_learn.commands.output import Answer, Progress, cells
-from manip_learn.errors import ManipLearnError, few
+from manip_learn.errors import ManipLearnError, few, install_hint
 from manip_learn.robot.description.catalogue import SHIPPED, example_robots, fetched_names, find_robot
 from manip_learn.robot.description.text import parse_xml, read_description
 from manip_learn.robot.description.urdf import validate_urdf
 from manip_learn.robot.robot_summary import inspect_robot
 
-# origin of a robot -> what is said of it, and how more of them come
+# origin of a robot -> title, the extra that adds more of them, examples of these
 _ORIGINS = {
-    "package": ("with the package (and how many joints they have)", ""),
-    "extra": ("with the extra robots, without a net", "manip_learn[robots]' (panda, xarm7, so101, ur5 and 60 more)"),
-    "net": ("with the extra descriptions, fetched when first named", "manip_learn[descriptions]' (xarm6 and more)"),
+    "package": ("with the package (and their number of joints)", "", ""),
+    "extra": ("with the extra robots, without a net", "robots", "panda, xarm7, so101, ur5 and 60 more"),
+    "net": ("with the extra descriptions, fetched when first named", "descriptions", "xarm6 and more"),
 }
 
 
@@ -29,15 +29,15 @@ def known_robots(options: RobotsOptions, progress: Progress) -> Answer:
     In the document, `origin` is `package`, `extra` (of the extra `robots`) or `net` (of the extra `descriptions`);
     `joints` move on their own, and there are none where a description is refused, or not fetched to be listed.
     """
-    extra, robots, sentences = example_robots(), [], []
-    known = {"package": SHIPPED, "extra": extra, "net": fetched_names().difference(SHIPPED, extra)}
-    for origin, (title, more) in _ORIGINS.items():
+    packaged, robots, sentences = example_robots(), [], []
+    known = {"package": SHIPPED, "extra": packaged, "net": fetched_names().difference(SHIPPED, packaged)}
+    for origin, (title, extra, examples) in _ORIGINS.items():
         described = [_described(name, origin) for name in sorted(known[origin])]
         robots += described
         sizes = ("" if origin == "net" else f" ({'refused' if r['refused'] else len(r['joints'])})" for r in described)
         names = ", ".join(robot["name"] + size for robot, size in zip(described, sizes, strict=True))
-        sentences.append(f"{title}: {names}" if names else f"more with: pip install '{more}")
-    return Answer({"robots": robots, "extra_installed": bool(extra)}, sentences=sentences)
+        sentences.append(f"{title}: {names}" if names else f"more ({examples}): {install_hint(extra)}")
+    return Answer({"robots": robots, "extra_installed": bool(packaged)}, sentences=sentences)
 
 
 def _described(name: str, origin: str) -> dict[str, Any]:
