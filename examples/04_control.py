@@ -2,10 +2,10 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""Do the learnt task while staying away from its singularities: open the drawer.
+"""Open the drawer while keeping the arm away from the singularities of this task.
 
-The arm stands upright, where the tip can move neither up nor down. It takes hold of the handle and pulls, with each of
-three null-space policies: none, a rest posture, and the ascent of the manipulability of what the task holds and drives.
+The arm starts upright, where the tip can move neither up nor down. It grasps the handle and pulls, with each of three
+null-space policies: none, an attractor to a rest posture, and the ascent of the task's manipulability.
 """
 
 import argparse

@@ -2,7 +2,7 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""From recordings to an arm that does the task again, and a replay in the browser.
+"""Learn a task from recordings, reproduce it, and write a replay for the browser.
 
 The replay is one HTML file that needs no server and no network.
 """
@@ -27,7 +27,7 @@ def main() -> None:
     repetition = ml.repeat(learner.skill_, start)  # plans and simulates
     print(repetition)
 
-    # the same way without a plan: the hand goes straight to the handle, in whatever posture that gives
+    # the same motion without a plan: the hand moves straight to the handle, in any configuration
     task = ml.motion(learner.constraint_)
     controller = ml.ResolvedRateController(learner.constraint_, task, task.ascent())
     climbing = ml.simulate(robot, controller, start, duration=task.duration_from(start), dt=0.01)

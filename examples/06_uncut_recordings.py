@@ -2,10 +2,10 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn[robots]"]
 # ///
-"""Learn from recordings as people make them: uncut, of two tasks at once, loosely held, with odd ones among them.
+"""Learn from uncut recordings: two tasks in one recording, loose grasps, and outliers.
 
-Nothing is cut, sorted or marked by hand. The learner finds when a constraint holds, what mechanism holds the hand, and
-which recordings do not agree with the others. Each replay in the browser shows the recordings with their phases.
+Nothing is cut, sorted or labelled by hand. The learner finds when a constraint is active, which mechanism constrains
+the hand, and which recordings do not agree with the others. Each replay shows the recordings with their phases.
 """
 
 import argparse
@@ -16,7 +16,7 @@ import manip_learn as ml
 RECORDINGS = Path(__file__).parent / "data"
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 TASKS = [
-    # what it is, folder, robot, joints that were not recorded, frame that was guided
+    # title, folder, robot, joints without recordings, guided frame
     ("whole recordings of a drawer", "panda_drawer_whole", "panda", FINGERS, "panda_hand_tcp"),
     ("a drawer, then a table, in each recording", "xarm7_drawer_then_table", "xarm7", (), "link_eef"),
     ("a door whose handle turns in the hand", "ur5_loose_door", "ur5", (), "tool0"),
@@ -56,7 +56,7 @@ def main() -> None:
 
 
 def print_phases(phases: tuple[tuple[str, float, float, int | None, str], ...], name: str) -> None:
-    """When which constraint held in one recording."""
+    """Return the phases of one recording in words: times and active constraint."""
     for trajectory, start, end, constraint, reason in phases:
         if trajectory == name:
             nothing = f"not learnt ({reason})" if reason else "free motion"

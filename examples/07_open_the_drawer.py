@@ -2,10 +2,10 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn[robots,physics,experiments]"]
 # ///
-"""Open the drawer that was taught, with a simulated arm that is used: friction, play, encoder steps and noise, a delay.
+"""Open the learnt drawer with a simulated worn arm: friction, backlash, encoder steps and noise, latency.
 
-Once with the learnt axis, and once with an axis 5 degrees beside it: the drawer does not yield, the servos give way,
-and the loop stops the arm before the side force is large. The physics is in drawer_physics.py (MuJoCo).
+First with the learnt axis, then with an axis that is 5 degrees off: the drawer does not move, the position error grows,
+and the loop stops the arm before the lateral force is large. The physics is in drawer_physics.py (MuJoCo).
 """
 
 import argparse
@@ -23,13 +23,13 @@ WAY, SPEED = 0.18, 0.06  # [m], [m/s]
 
 
 def open_drawer(constraint: ml.Constraint, grasp: np.ndarray, stiffness: float) -> tuple[ml.RunRecord, np.ndarray]:
-    """What the arm did, and per period: way [m], side force [N], following error [rad], whether it was stopped."""
+    """Return the run's record and, per period: opening [m], lateral force [N], following error [rad], stopped."""
     task, climb = ml.FreeDirection(constraint, WAY, SPEED), ml.ManipulabilityAscent(constraint, gain=1.0)
     controller = ml.ResolvedRateController(constraint, task=task, null_policy=climb)
     robot = constraint.robot
     assert robot is not None  # rows of a frame have one
     loop = ml.ServoLoop(controller, PERIOD, contact=ml.Contact(stiffness=stiffness))
-    loop.reset(grasp)  # where the servos hold the arm, not where a noisy encoder sees it
+    loop.reset(grasp)  # the commanded position, not the noisy reading
     chest = drawer(robot.position(grasp, FRAME), true_axis(RECORDINGS))
     physics = ArmPhysics("panda", grasp, chest, stiffness, np.random.default_rng(7), **USED)
     record = ml.run(loop, physics, task.duration + 0.5)

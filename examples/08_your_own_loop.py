@@ -2,9 +2,9 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""Your own arm at 500 Hz: a driver of three members, and `ml.run` does the rest.
+"""Run your own arm at 500 Hz: write a driver with three members and call `ml.run`.
 
-`Arm` stands for the library of your arm: put its calls into `read` and `command`; the rest stays as it is.
+`Arm` stands for your arm's library: put its calls into `read` and `command` and keep the rest.
 """
 
 import argparse
@@ -22,7 +22,7 @@ LATE, FRICTION, STEP, NOISE = 10, 5e-4, 1e-4, 1e-5  # [periods], [rad] by which 
 
 
 class Arm:
-    """An arm that goes to the positions it is sent as real ones do: late, with friction, read in steps with noise."""
+    """Simulated position-controlled arm with latency, friction, encoder steps and noise."""
 
     period = 0.002  # [s]
 

@@ -2,10 +2,10 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""Learn while the person still shows the task: samples come from a driver; `fit` learns from all motions so far.
+"""Learn during the demonstration: samples come from a driver, and `fit` learns from all motions so far.
 
-The driver calls `Recorder.sample` for every message it gets; a button on the wrist says where a motion begins and ends.
-Recording stops when the uncertainty is small enough, so nobody shows the task more often than it takes.
+The driver calls `Recorder.sample` for every message; a button on the wrist marks the beginning and end of a motion.
+Recording stops as soon as the uncertainty is small enough.
 """
 
 import argparse
@@ -18,11 +18,11 @@ import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
 
 RECORDINGS = Path(__file__).parent / "data" / "sawyer_drawer"
-ENOUGH = 0.002  # noise of the row space [deg]: what more motions can lower, unlike errors of the arm itself
+ENOUGH = 0.002  # [deg] noise of the row space: more motions reduce it, unlike calibration errors of the arm
 
 
 class Recorder:
-    """Samples of the motion that is being shown, until the button is released."""
+    """Samples of the current motion, until the button is released."""
 
     def __init__(self, robot: ml.Robot) -> None:
         self._robot, self._number = robot, 0
@@ -30,7 +30,7 @@ class Recorder:
 
     def sample(self, stamp: float, positions: dict[str, float], pressed: bool) -> ml.Trajectory | None:
         """One message of the driver: joint name -> position [rad]. The whole motion when the button is released."""
-        if pressed:  # by name, because drivers and URDFs seldom have the same order
+        if pressed:  # by name: drivers and URDFs often differ in joint order
             self._rows.append((stamp, np.array([positions[name] for name in self._robot.joint_names])))
             return None
         if len(self._rows) < 2:

@@ -2,11 +2,11 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""Learn a constraint that is no row of a Jacobian: A(q) = Lambda Phi(q) with features of your own.
+"""Learn a constraint that is not built from Jacobian rows: A(q) = Lambda Phi(q) with your own features.
 
-A puck on a table is pushed about at random while a groove holds it, a conic a x + b y + c x^2 + d x y + e y^2 = const.
-Whatever the conic, its gradient is Lambda Phi(q), where Phi has the gradients of the five monomials: the rows of A turn
-with the state, and Lambda stays. The learner is told neither the shape nor how many rows are held.
+A puck in a groove is pushed at random. The groove is a conic, a x + b y + c x^2 + d x y + e y^2 = const. Its gradient
+is Lambda Phi(q), where Phi contains the gradients of the five monomials: the rows of A change with the state and Lambda
+is constant. The learner knows neither the shape nor the number of rows.
 """
 
 import argparse

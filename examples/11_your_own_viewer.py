@@ -2,9 +2,9 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""What was learnt, in a meshcat viewer of your own: the arm, the line of the drawer, the grasps of the recordings.
+"""Show a learnt task in your own meshcat viewer: the arm, the line of the drawer, and the recorded grasps.
 
-The viewer may hold your own objects, too: `show` draws below its path `manip_learn` and leaves the rest alone.
+Your own objects stay in the viewer: `show` draws below the path `manip_learn` only.
 """
 
 import argparse
