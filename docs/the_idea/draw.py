@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/the_idea.md: `python docs/the_idea/draw.py`.
+"""Draw the pictures of docs/overview.md: `python docs/the_idea/draw.py`.
 
 The arm is the shipped `planar3`, and the library's manipulability chooses its postures. The pictures stand in the page
 itself, so that lines and letters take the colour of its text, in light and dark.

@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/uncut_recordings.md from the shipped recordings: `python docs/uncut_recordings/draw.py`.
+"""Draw the pictures of uncut recordings from the shipped recordings: `python docs/uncut_recordings/draw.py`.
 
 Needs the extras `robots` and `experiments`, and for the picture of the replay Playwright and a Chromium.
 """
