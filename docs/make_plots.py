@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
-PAGES = ("plots", "your_own_null_space_policy")
+PAGES = ("plots", "control")
 
 
 def main(folder: Path = DOCS / "images") -> None:

@@ -179,8 +179,8 @@ def _steepest(
 ) -> tuple[float, Float[np.ndarray, " nv"]]:
     """Rate and direction of the steepest ascent of |M step|, M_rk = u_i^T (dA / dq_k) v_j for r = (i, j).
 
-    They are the leading singular value and the right singular vector of M (docs/method.md, the gradient of mu); of two
-    opposite directions the one whose largest entry is positive.
+    They are the leading singular value and the right singular vector of M (docs/mathematics.md, the gradient of mu); of
+    two opposite directions the one whose largest entry is positive.
     """
     M = np.stack([vjp(np.outer(u, v)) for u in lost for v in null])
     _, rate, Wt = np.linalg.svd(M, full_matrices=False)
