@@ -16,7 +16,7 @@ BLOCK = re.compile(r"^(?P<skipped><!-- not run: .*\n)?```python\n(?P<code>.*?)^`
 
 
 def main(folder: Path = DOCS / "images") -> None:
-    """Run each page's Python, but for blocks marked as not run, in the folder of the pictures; keep only the pictures."""
+    """Run the Python of each page in the folder of the pictures, except blocks marked as not run; keep the pictures."""
     import matplotlib
 
     matplotlib.use("Agg")

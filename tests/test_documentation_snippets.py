@@ -29,16 +29,17 @@ def is_runnable(block: Block) -> bool:
 WITH_SNIPPETS = [page for page in PAGES if any(map(is_runnable, blocks(page)))]
 
 
-# pages that learn many times
-LONG = ("learning_options", "record_demonstrations", "interpret_the_result")
+# pages that learn many times, and a tab whose arm has large meshes
+LONG = ("learning_options", "record_demonstrations", "interpret_the_result", "arms-lerobot")
 
 
 @pytest.mark.parametrize(
     ("page", "tab"),
     [
-        pytest.param(p, tab, marks=[pytest.mark.slow] * (p.stem in LONG), id=f"{p.stem}-{tab}".rstrip("-"))
-        for p in WITH_SNIPPETS
-        for tab in tabs(p)
+        pytest.param(page, tab, marks=[pytest.mark.slow] * (name in LONG), id=name)
+        for page in WITH_SNIPPETS
+        for tab in tabs(page)
+        for name in [f"{page.stem}-{tab}".rstrip("-")]
     ],
 )
 @pytest.mark.timeout(300)
@@ -109,3 +110,15 @@ def test_an_output_is_compared_in_words_and_numbers():
         ("learnt from 16361 samples\n...\ngap 308", False),
     ):
         assert (not differences(shown, printed)) is same, shown
+
+
+def test_a_tab_has_its_blocks(tmp_path):
+    """A block between the colons of a tab with a key belongs to it; a tab without a key counts as the page."""
+    fence = "```python\npass\n```\n"
+    keyed = "".join(f":::{{tab-item}} {key}\n:sync: {key}\n\n{fence}:::\n\n" for key in ("ur", "franka"))
+    page = tmp_path / "page.md"
+    page.write_text(
+        f"{fence}::::{{tab-set}}\n\n{keyed}:::{{tab-item}} any\n{fence}:::\n::::\n{fence}", encoding="utf-8"
+    )
+    assert [block.tab for block in blocks(page)] == ["", "ur", "franka", "", ""]
+    assert tabs(page) == ["ur", "franka"]
