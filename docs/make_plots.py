@@ -12,7 +12,7 @@ from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
 PAGES = ("interop", "control")
-BLOCK = re.compile(r"^(?P<skipped><!-- not run: .*\n)?```python\n(?P<code>.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^(?P<skipped><!-- not run: [^\n]*\n)?```python\n(?P<code>.*?)^```", re.MULTILINE | re.DOTALL)
 
 
 def main(folder: Path = DOCS / "images") -> None:
