@@ -10,6 +10,9 @@ from pathlib import Path
 # <!-- not run: why --> on the line before a block
 SKIPPED = re.compile(r"<!-- not run: (.+?) -->\s*$")
 FENCE = re.compile(r"^```(\S*)")
+# a tab with a key (`:sync: ur`), as MyST writes it between colons
+TAB = re.compile(r"^(:{3,})\{tab-item\}")
+SYNC = re.compile(r"^:sync: (\S+)$")
 NUMBER = re.compile(r"[-+−]?\d+(?:,\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?")
 LEFT_OUT = re.compile(r"(?:(?<=\s)|^)\.\.\.(?=\s|$)")
 BOX = re.compile(r"^[─│┌┐└┘├┤┬┴┼━╇╪]+$")
@@ -28,6 +31,7 @@ class Block:
         language: What its fence says; `"shell"` for command lines.
         text: The lines between the fences.
         skipped: Why it is not run; empty if it is.
+        tab: Key of the tab that holds it; empty outside of tabs.
     """
 
     page: Path
@@ -35,6 +39,7 @@ class Block:
     language: str
     text: str
     skipped: str
+    tab: str = ""
 
     @property
     def commands(self) -> list[str]:
@@ -45,24 +50,34 @@ class Block:
 
 
 def blocks(page: Path) -> Iterator[Block]:
-    """All fenced blocks of a page, and indented lines that are commands of this program."""
+    """Yield all fenced blocks of a page, and indented lines that are commands of this program."""
     lines = page.read_text(encoding="utf-8").splitlines()
-    number, previous = 0, ""
+    number, previous, tab, colons = 0, "", "", ""
     while number < len(lines):
+        if opening := TAB.match(lines[number]):
+            key = next((found for line in lines[number + 1 : number + 4] if (found := SYNC.match(line))), None)
+            tab, colons = (key[1], opening[1]) if key else ("", "")
+        elif tab and lines[number].strip() == colons:
+            tab = ""
         skipped = SKIPPED.search(previous)
         reason = skipped[1] if skipped else ""
         fence = FENCE.match(lines[number])
         if fence:
             end = next((i for i in range(number + 1, len(lines)) if lines[i].strip() == "```"), -1)
             assert end > 0, f"{page}:{number + 1}: a block without an end"
-            yield Block(page, number + 2, fence[1], "\n".join(lines[number + 1 : end]) + "\n", reason)
+            yield Block(page, number + 2, fence[1], "\n".join(lines[number + 1 : end]) + "\n", reason, tab)
             number = end
         elif lines[number].startswith("    manip-learn "):
-            yield Block(page, number + 1, "", lines[number] + "\n", reason)
+            yield Block(page, number + 1, "", lines[number] + "\n", reason, tab)
             number += 1
             continue
         previous = lines[number]
         number += 1
+
+
+def tabs(page: Path) -> list[str]:
+    """Return the keys of a page's tabs in their order; one empty key for a page without tabs."""
+    return list(dict.fromkeys(block.tab for block in blocks(page) if block.tab)) or [""]
 
 
 def differences(shown: str, printed: str) -> list[str]:

@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from documentation_blocks import Block, blocks, differences
-from documentation_scene import furnish, names, vendors
+from documentation_blocks import Block, blocks, differences, tabs
+from documentation_scene import furnish, vendors
 from vendor_fakes import Clock
 
 from manip_learn.cli import main
@@ -29,42 +29,51 @@ def is_runnable(block: Block) -> bool:
 WITH_SNIPPETS = [page for page in PAGES if any(map(is_runnable, blocks(page)))]
 
 
-# pages that learn many times
-LONG = ("how_to_choose", "uncut_recordings")
+# pages that learn many times, and a tab whose arm has large meshes
+LONG = ("learning_options", "record_demonstrations", "interpret_the_result", "arms-lerobot")
 
 
 @pytest.mark.parametrize(
-    "page", [pytest.param(p, marks=[pytest.mark.slow] * (p.stem in LONG), id=p.stem) for p in WITH_SNIPPETS]
+    ("page", "tab"),
+    [
+        pytest.param(page, tab, marks=[pytest.mark.slow] * (name in LONG), id=name)
+        for page in WITH_SNIPPETS
+        for tab in tabs(page)
+        for name in [f"{page.stem}-{tab}".rstrip("-")]
+    ],
 )
 @pytest.mark.timeout(300)
-def test_snippets_run(page, tmp_path, monkeypatch, capsys):
-    """The blocks of a page run in their order, share their names and files, and print what the page shows."""
-    furnish(tmp_path, page.stem)
+def test_snippets_run(page, tab, tmp_path, monkeypatch, capsys):
+    """The blocks of a page run in their order, share their names and files, and print what the page shows.
+
+    They find no other names. Of a page with tabs each tab runs by itself, with the blocks outside of tabs.
+    """
+    furnish(tmp_path, page.stem, tab)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
-    if fakes := vendors(page.stem):
+    if fakes := vendors(page.stem, tab):
         monkeypatch.setattr("manip_learn.control.driver.time", Clock())  # 500 Hz is too much for a busy machine
         for name, module in fakes.items():
             monkeypatch.setitem(sys.modules, name, module)
-    found = names()
+    names: dict[str, object] = {"__name__": "page"}
     printed = ""
-    for block in blocks(page):
+    for block in (b for b in blocks(page) if b.tab in ("", tab)):
         if block.skipped:
             printed = ""
         elif is_runnable(block):
             capsys.readouterr()
-            run(block, found)
+            run(block, names)
             printed = capsys.readouterr().out
         elif block.language == "text" and printed:
             missing = differences(block.text, printed)
             assert not missing, f"{page.name}:{block.line} shows what is not printed:\n{missing}\nprinted:\n{printed}"
 
 
-def run(block: Block, found: dict[str, object]) -> None:
-    """Python in the page's names; command lines in this process, with file patterns replaced by the files."""
+def run(block: Block, names: dict[str, object]) -> None:
+    """Run Python in the page's names; command lines in this process, with file patterns replaced by the files."""
     where = f"{block.page.name}:{block.line}"
     if block.language == "python":
-        exec(compile(block.text, where, "exec"), found)
+        exec(compile(block.text, where, "exec"), names)
         return
     for line in block.commands:
         words = shlex.split(line, comments=True)[1:]
@@ -101,3 +110,15 @@ def test_an_output_is_compared_in_words_and_numbers():
         ("learnt from 16361 samples\n...\ngap 308", False),
     ):
         assert (not differences(shown, printed)) is same, shown
+
+
+def test_a_tab_has_its_blocks(tmp_path):
+    """A block between the colons of a tab with a key belongs to it; a tab without a key counts as the page."""
+    fence = "```python\npass\n```\n"
+    keyed = "".join(f":::{{tab-item}} {key}\n:sync: {key}\n\n{fence}:::\n\n" for key in ("ur", "franka"))
+    page = tmp_path / "page.md"
+    page.write_text(
+        f"{fence}::::{{tab-set}}\n\n{keyed}:::{{tab-item}} any\n{fence}:::\n::::\n{fence}", encoding="utf-8"
+    )
+    assert [block.tab for block in blocks(page)] == ["", "ur", "franka", "", ""]
+    assert tabs(page) == ["ur", "franka"]

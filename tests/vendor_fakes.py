@@ -179,10 +179,43 @@ def _ros(arm: Joints) -> dict[str, ModuleType]:
     return out
 
 
-# page -> the packages that it imports, by their names, around an arm
+def _lerobot(arm: Joints) -> dict[str, ModuleType]:
+    motors = [f"{name}.pos" for name in arm.names]  # in degrees, those of the so101 description by the same names
+
+    class Follower:
+        name = "so_follower"
+
+        def __init__(self, config: SimpleNamespace) -> None:
+            self.config, self.is_connected = config, False
+            self.action_features = self.observation_features = dict.fromkeys(motors, float)
+            self.bus = SimpleNamespace(enable_torque=lambda _: None, disable_torque=lambda _: None)
+
+        def connect(self) -> None:
+            self.is_connected = True
+
+        def disconnect(self) -> None:
+            self.is_connected = False
+
+        def get_observation(self) -> dict[str, float]:
+            return dict(zip(motors, np.degrees(arm.q).tolist(), strict=True))
+
+        def send_action(self, action: dict[str, float]) -> dict[str, float]:
+            assert self.is_connected and set(action) == set(motors)
+            arm.go(np.radians([action[motor] for motor in motors]))
+            return action
+
+    def config(port: str, id: str) -> SimpleNamespace:
+        return SimpleNamespace(port=port, id=id, use_degrees=True)
+
+    packages = _module("lerobot") | _module("lerobot.robots")
+    return packages | _module("lerobot.robots.so_follower", SO101Follower=Follower, SO101FollowerConfig=config)
+
+
+# tab of the page of the arms -> the packages that it imports, by their names, around an arm
 FAKES: dict[str, Callable[[Joints], dict[str, ModuleType]]] = {
     "ur": _ur,
     "franka": _franka,
     "xarm": _xarm,
     "ros2_control": _ros,
+    "lerobot": _lerobot,
 }

@@ -1,4 +1,4 @@
-"""Draw one picture for each page of figures from its table: `python docs/figures/plot.py`.
+"""Draw the pictures of docs/benchmarks.md and docs/mathematics.md from their tables: `python docs/figures/plot.py`.
 
 The tables (`*.csv`) are what the scripts in `benchmarks/` have measured; nothing is measured here. Needs the extra
 `experiments`. Grounds are transparent, and all colours have a contrast of 3 and more on white and on black.
