@@ -291,3 +291,16 @@ def test_the_hand_takes_hold_where_a_contact_began(prefer, tmp_path):
         recorded = np.concatenate([robot.positions(q)[None] for demo in demos for q in demo.q[::5]])
         closes = again.rollout.q[np.searchsorted(again.rollout.time, again.rollout.phases[0][2])]
         assert np.min(np.max(np.abs(recorded - closes), axis=1)) < 0.1
+
+
+def test_recordings_cut_to_the_contact_that_begin_at_rest_are_repeated(tmp_path):
+    """The arm stands still for the first samples of the contact and has no approach: `repeat` comes from elsewhere and
+    opens the drawer as far as demonstrated, with the skill in memory and from its file.
+    """
+    robot, start = ml.load_robot("sawyer"), [1.2, -1.57, 0, 0, 0, 0, 0]
+    cut = [np.vstack([demo.q[:1].repeat(30, 0), demo.q]) for demo in ml.load_demonstrations("sawyer_drawer", robot)[:6]]
+    demos = ml.Demonstrations([ml.Trajectory(0.01 * np.arange(len(q)), q) for q in cut])
+    skill = ml.ConstraintLearner(ml.FrameJacobian(robot, frame="right_gripper_tip")).fit(demos).skill_
+    for one in (skill, ml.Skill.load(skill.save(tmp_path / "task.json"), robot)):
+        repetition = ml.repeat(one, start)
+        assert repetition.is_done and repetition.steps[1].done == pytest.approx(skill.steps[1].shown.extent, rel=1e-3)

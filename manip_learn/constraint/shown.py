@@ -427,6 +427,7 @@ class Take:
             ways = np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
             even = np.linspace(0.0, ways[-1], min(len(samples), most))
             thin.append(np.column_stack([np.interp(even, ways, x) for x in samples.T]) if ways[-1] else samples[:1])
+            thin[-1][0] = samples[0]  # interpolation begins where the arm, which may stand at first, sets off
         knots = np.concatenate([thin[0][:-1], thin[1], thin[2][1:]])
         return Take(whole.name, knots[:, 0], knots[:, 1:], end - begin)
 

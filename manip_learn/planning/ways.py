@@ -96,7 +96,7 @@ def grasps_of(takes: Sequence[Take], shown: Shown, features: Any) -> list[Float[
 def nearest_turn(robot: Robot, q: Float[np.ndarray, "n nv"], near: Float[np.ndarray, " nv"]) -> np.ndarray:
     """Return the same postures by whole turns of joints, the first next to another, as far as the limits let them."""
     angles = np.array(robot.joint_units) == "rad"
-    moved = q - np.where(angles, 2.0 * np.pi * np.round((q[0] - near) / (2.0 * np.pi)), 0.0)
+    moved = q - np.where(angles, 2.0 * np.pi * np.round((q[:1] - near) / (2.0 * np.pi)), 0.0)
     beyond = np.any((moved < robot.position_lower) | (moved > robot.position_upper), axis=0)
     return np.where(beyond, q, moved)
 
