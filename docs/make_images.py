@@ -31,7 +31,6 @@ SLOWEST = 240_000.0  # [ms] for a page on a machine that has more to do
 ARM_WINDOW, ARM_SIZE = (640, 520), (320, 260)  # [px] of the page, which is made smaller to smooth its edges
 UR, FRANKA = (40, -85, 95, -100, -90, 0), (25, -30, 0, -125, 0, 105, 45)
 ARMS = {  # [deg] a posture in which the arm can be told
-    "sawyer": (-25, -35, 5, 85, 5, 30, 100),
     "panda": FRANKA,
     "ur5e": UR,
     "xarm7": (25, -20, 0, 70, 0, 90, 0),
