@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, GRID = "#2b2f36", "#d9dde3"
+INK = "#2b2f36"
 # sizes in points
 STYLE: dict[Any, Any] = {"font.size": 9.0, "axes.edgecolor": INK, "figure.constrained_layout.use": True}
-STYLE |= {"grid.color": GRID, "grid.linewidth": 0.6, "svg.hashsalt": "manip_learn"}  # salt: same bytes every time
+STYLE |= {"grid.color": "#d9dde3", "grid.linewidth": 0.6, "svg.hashsalt": "manip_learn"}  # salt: same bytes every time
 STYLE |= {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True}
 
 

@@ -24,8 +24,6 @@ from manip_learn.robot.robot import Robot
 
 STEP = 0.02  # [s]
 REST = np.deg2rad([10.0, -10.0, 10.0])  # psi*, the goal of the null-space policy [rad]
-_START_LOW, _START_HIGH = np.deg2rad([0.0, 90.0, 0.0]), np.deg2rad([10.0, 100.0, 10.0])
-TARGET_LOW, TARGET_HIGH = np.array([-1.0, 0.0, 0.0]), np.array([1.0, 2.0, np.pi])  # x, y [m], theta [rad]
 AXES = "x y rz"
 SELECTIONS = ("x y", "x rz", "y rz")
 
@@ -99,7 +97,7 @@ def draw_starts(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
     Returns:
         Joint positions (n, 3) [rad].
     """
-    return rng.uniform(_START_LOW, _START_HIGH, size=(n, 3))
+    return rng.uniform(np.deg2rad([0.0, 90.0, 0.0]), np.deg2rad([10.0, 100.0, 10.0]), size=(n, 3))
 
 
 def draw_targets(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
@@ -112,9 +110,9 @@ def draw_targets(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
     Returns:
         x, y [m] and theta [rad] of each target (n, 3).
     """
-    out = np.empty((0, 3))
+    out, low, high = np.empty((0, 3)), np.array([-1.0, 0.0, 0.0]), np.array([1.0, 2.0, np.pi])
     while len(out) < n:
-        tries = rng.uniform(TARGET_LOW, TARGET_HIGH, size=(2 * n, 3))
+        tries = rng.uniform(low, high, size=(2 * n, 3))
         wrist = tries[:, :2] - np.column_stack([np.cos(tries[:, 2]), np.sin(tries[:, 2])])
         out = np.concatenate([out, tries[np.linalg.norm(wrist, axis=1) <= 2.0]])
     return out[:n]

@@ -36,9 +36,6 @@ from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 
-# the paper's numbers: the goal of the null-space policy [rad], and the range of the starts
-DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
-_START_LOW, _START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # [rad]
 _STEP, _POINTS = 0.01, 10  # [s] time step; samples of a demonstration
 FRAME = "right_gripper_tip"
 # source -> recordings
@@ -141,7 +138,8 @@ def motions(
     """
     axes = ["xyz".index(axis) for axis in true.features.row_names]
     kinematics = sawyer_arm().frame_kinematics(FRAME)
-    starts = rng.uniform(_START_LOW, _START_HIGH, size=(n, 7))
+    low, high = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # the paper's range
+    starts = rng.uniform(low, high, size=(n, 7))
     targets = rng.uniform(-1.0, 1.0, size=(n, len(axes)))
     return paper.reach(true, policy, lambda q: kinematics.poses(q)[:, axes, 3], starts, targets, points, _STEP, damping)
 
@@ -155,7 +153,10 @@ def draw_demonstrations(case: SawyerCase, rng: Generator) -> tuple[Demonstration
     """
     n = 50
     if case.source == "model":
-        settings = case.constraint, lambda q: DEFAULT_POSE - q, n, _POINTS, rng
+        rest = np.deg2rad(
+            [-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0]
+        )  # the paper's goal of the null-space policy
+        settings = case.constraint, lambda q: rest - q, n, _POINTS, rng
         train, test = (paper.to_demonstrations(sawyer_arm(), _STEP, motions(*settings)) for _ in range(2))
         return train, test
     opens_along_x = (case.direction == "x") == (case.reading == "free direction")
