@@ -516,7 +516,7 @@ REFUSED = {
         archive(q=TABLE[:, [1, 2, 3, 3]], u=None, joint_names=[*JOINTS, "copy"]),
     ),
     "a joint that is ignored": unfit(
-        "missing-joint", "nothing is recorded for joint 'joint1'", archive(u=None), ignore_columns=["joint1"]
+        "missing-joint", "joint 'joint1' of robot .* is not recorded", archive(u=None), ignore_columns=["joint1"]
     ),
     **{
         f"LeRobot units like {units}": unfit("units", f"'{units}'", scaled(factor))
@@ -540,7 +540,7 @@ REFUSED = {
         for name, (feature, said) in FEATURES.items()
     },
     "LeRobot stamps against fps": unfit(
-        "fps", "say 30 frames per second, fps says 50",
+        "fps", "give 30 frames per second, its fps is 50",
         lerobot(frames({0: motion(0)}, timestamp=pa.array(STAMPS / 30.0))), units="radians",
     ),
     **{f"robomimic rate {args!r:.30}": unfit("no-time", "", demo(env_args=args), **GIVEN) for args in NO_RATE},

@@ -103,7 +103,7 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
         `angle_deg`, `rows`, `rows_true`, `rmse` of 20 rollouts; or `refused`.
     """
     true = case.constraint
-    train, test = draw_demonstrations(case, rng)
+    train, test = drawn(case, rng)
     out: dict[str, Any] = {"rows_true": true.n_constraints}
     try:
         learner = ConstraintLearner(true.features, velocities="recorded", seed=int(rng.integers(2**31))).fit(train)
@@ -144,7 +144,7 @@ def motions(
     return paper.reach(true, policy, lambda q: kinematics.poses(q)[:, axes, 3], starts, targets, points, _STEP, damping)
 
 
-def draw_demonstrations(case: SawyerCase, rng: Generator) -> tuple[Demonstrations, Demonstrations]:
+def drawn(case: SawyerCase, rng: Generator) -> tuple[Demonstrations, Demonstrations]:
     """Return demonstrations to learn from, and others to test on: none is in both.
 
     Args:
