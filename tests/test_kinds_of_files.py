@@ -112,7 +112,7 @@ KINDS: dict[str, Kind] = {
     "seconds and microseconds": kind(table(["tv_sec", "tv_usec", *N], SEC, np.round(PART * 1e6), Q)),
     "times that contradict each other": kind(
         table(["time", "stamp", *N], T, 2 * T, Q),
-        "count 2.98 and 5.96: leave the wrong one out, ignore_columns=['stamp']",
+        "span 2.98 and 5.96: leave the wrong one out, ignore_columns=['stamp']",
         {"ignore_columns": ["stamp"]},
     ),
     "frames without a rate": kind(table(["frame_index", *N], np.arange(150.0), Q), "rate="),
