@@ -85,10 +85,8 @@ class SawyerCase:
 
 
 _SOURCES: list[tuple[str, int | None]] = [("model", _POINTS), *product(FOLDERS, (_POINTS, None))]
-_ALL_CASES = [
-    SawyerCase(*source, reading, direction) for source in _SOURCES for reading in READINGS for direction in "xy"
-]
-CASES = {case.name: case for case in _ALL_CASES}
+_ALL = [SawyerCase(*source, reading, axis) for source in _SOURCES for reading in READINGS for axis in "xy"]
+CASES = {case.name: case for case in _ALL}
 
 
 def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:

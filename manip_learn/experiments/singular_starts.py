@@ -142,7 +142,7 @@ def singular_claims(rollouts: dict[str, Rollout], _rounding: object) -> list[Cla
 
     Args:
         rollouts: Law -> rollout, see `law_name`.
-        _rounding: Not used: this comparison is not chaotic.
+        _rounding: Not used.
     """
     zero, attractor, climb = ([key_numbers(rollouts[law_name(p, dt)]) for dt in STEPS] for p in POLICIES)
 
@@ -154,10 +154,8 @@ def singular_claims(rollouts: dict[str, Rollout], _rounding: object) -> list[Cla
     threshold = f"{matlab_tolerance(sigma, A.shape):.3e}"
     is_below = bool(sigma[-1] < float(threshold))
     measured = f"max(size(A)) eps(norm(A)) = {threshold}; the smaller singular value is {sigma[-1]:.1e}"
-    dips, near_70 = (
-        describe("lowest at step {lowest_step}", attractor),
-        [60 <= n["lowest_step"] <= 80 for n in attractor],
-    )
+    dips = describe("lowest at step {lowest_step}", attractor)
+    near_70 = [60 <= n["lowest_step"] <= 80 for n in attractor]
     verdict = "**no** at the paper's 50 Hz, yes at 100 Hz" if near_70 == [False, True] else ""
     stays = describe("error stays {final_error:.3g} m", zero), zero[0]["final_error"] > 2.9
     arrives = describe("final error {final_error:.2g} m", attractor), attractor[0]["final_error"] < REACHED
