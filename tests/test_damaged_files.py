@@ -462,6 +462,6 @@ def test_too_little_memory_is_said(planar3: Robot, rollout: Rollout, tmp_path: P
         raise MemoryError("Unable to allocate 3.2 GiB")
 
     monkeypatch.setattr(np.lib.format, "read_magic", full)
-    with pytest.raises(RecordingError, match="too little memory .*3.2 GiB.*divide the recording") as refused:
+    with pytest.raises(RecordingError, match="too little memory .*3.2 GiB.*split the recording") as refused:
         Rollout.load(run)
     assert refused.value.code == "too-large"

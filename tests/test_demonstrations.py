@@ -148,7 +148,7 @@ def test_arrays_are_read_like_files(demos: Demonstrations, features: ml.FrameJac
 @pytest.mark.parametrize(
     ("spoil", "code", "words"),
     [
-        (lambda t: t.q, "type", "times are not known"),
+        (lambda t: t.q, "type", "has no times"),
         (lambda t: (t.time, t.q[:, :6]), "shape", "q has 6 columns, robot 'sawyer' has 7 joints"),
         (lambda t: (t.time, np.degrees(t.q)), "degrees", "look like degrees"),
         (lambda t: (t.time[::-1], t.q), "time-order", "time goes back in 338 of 338 steps"),

@@ -112,12 +112,12 @@ KINDS: dict[str, Kind] = {
     "seconds and microseconds": kind(table(["tv_sec", "tv_usec", *N], SEC, np.round(PART * 1e6), Q)),
     "times that contradict each other": kind(
         table(["time", "stamp", *N], T, 2 * T, Q),
-        "count 2.98 and 5.96: leave the wrong one out, ignore_columns=['stamp']",
+        "span 2.98 and 5.96: leave the wrong one out, ignore_columns=['stamp']",
         {"ignore_columns": ["stamp"]},
     ),
     "frames without a rate": kind(table(["frame_index", *N], np.arange(150.0), Q), "rate="),
     "stamps (T, 2) in HDF5": kind(hdf5(joint_positions=Q, timestamps=np.column_stack([SEC, NS])), **GIVEN),
-    "two arrays of times": kind(npz(t=T, stamp=2 * T, q=Q), "could be the time: say which: rename={'t'", **GIVEN),
+    "two arrays of times": kind(npz(t=T, stamp=2 * T, q=Q), "could be the time; choose one with rename={'t'", **GIVEN),
     "a line of units": kind(table(["time", *N], ["s", *T], *(["rad", *q] for q in Q.T))),
     "units in names": kind(table(["time [s]", *(n + " [rad]" for n in N)], T, Q)),
     "a preamble of text": kind(table(["time", *N], T, Q, before="Log v1\nDate: today\n\n")),
@@ -134,7 +134,7 @@ KINDS: dict[str, Kind] = {
     "HDF5, two arms": kind(hdf5(left__joint_pos=Q, right__joint_pos=OTHER, time=T), "several arms", **GIVEN),
     "HDF5, two states": kind(
         hdf5(obs__arm__joint_pos=Q, obs__robot__joint_pos=OTHER, time=T),
-        "of one recording: say which: rename={'obs/arm/joint_pos': 'q'}",
+        "of one recording; choose one with rename={'obs/arm/joint_pos': 'q'}",
         {"rename": {"obs/arm/joint_pos": "q"}},
         **GIVEN,
     ),

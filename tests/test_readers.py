@@ -232,7 +232,7 @@ LEROBOT = {
         )
         for name, stamps, options, *note in (
             ("of zero", 0.0 * STAMPS, {}, "the stamps do not increase: frame_index / 50 is the time"),
-            ("overruled", STAMPS / 30.0, {"rate": 50.0}, "stamps are overruled"),
+            ("overruled", STAMPS / 30.0, {"rate": 50.0}, "stamps are overridden"),
         )
     },
 }  # fmt: skip
@@ -330,7 +330,7 @@ BAGS = {
         "51 s apart", q=[Q, Q], effort=7.0 * Q, names=["bag sender 1", "bag sender 2"],
     ),
     "joints of two hosts": read(
-        bag("mcap", some("/arm", (0, 1)), some("/wrist", (2,), late=1, ahead=AHEAD)), "a clock 51 s ahead",
+        bag("mcap", some("/arm", (0, 1)), some("/wrist", (2,), late=1, ahead=AHEAD)), "its clock, 51 s ahead",
         q=Q[1:], effort=7.0 * Q[1:], time=TIME[:-1], atol=1e-5,
     ),
 }  # fmt: skip
@@ -516,7 +516,7 @@ REFUSED = {
         archive(q=TABLE[:, [1, 2, 3, 3]], u=None, joint_names=[*JOINTS, "copy"]),
     ),
     "a joint that is ignored": unfit(
-        "missing-joint", "nothing is recorded for joint 'joint1'", archive(u=None), ignore_columns=["joint1"]
+        "missing-joint", "joint 'joint1' of robot .* is not recorded", archive(u=None), ignore_columns=["joint1"]
     ),
     **{
         f"LeRobot units like {units}": unfit("units", f"'{units}'", scaled(factor))
@@ -540,7 +540,7 @@ REFUSED = {
         for name, (feature, said) in FEATURES.items()
     },
     "LeRobot stamps against fps": unfit(
-        "fps", "say 30 frames per second, fps says 50",
+        "fps", "give 30 frames per second, its fps is 50",
         lerobot(frames({0: motion(0)}, timestamp=pa.array(STAMPS / 30.0))), units="radians",
     ),
     **{f"robomimic rate {args!r:.30}": unfit("no-time", "", demo(env_args=args), **GIVEN) for args in NO_RATE},
@@ -554,7 +554,7 @@ REFUSED = {
     **{f"robomimic, link to {name}": unfit("link", "", linked(make), **GIVEN) for name, make in LINKS.items()},
     **{f"robomimic, {name}": unfit(code, "", linked(make), **GIVEN) for name, (code, make) in HDF5.items()},
     "velocities alone": unfit(
-        "no-positions", "velocities of 3 joints are recorded in 60 samples and no positions", bag("ros1", POSITIONLESS)
+        "no-positions", "velocities of 3 joints are recorded in 60 samples, but no positions", bag("ros1", POSITIONLESS)
     ),
     "two topics": unfit(
         "ambiguous-topic", r"topics=\['/real'\]",
@@ -580,7 +580,7 @@ UNMATCHED = {
     "a column ignored": ({"ignore_columns": ["ti"]}, "nothing in the recordings is called 'ti'.*'time'"),
     "a topic of a table": ({"topics": ["/joint_states"]}, "none of the recordings is one"),
     "names beside a header": ({"joint_names": ["a", "b", "c"]}, "name their columns or joints themselves"),
-    "a feature of a table": ({"feature": "qpos"}, "features are those of LeRobot data sets"),
+    "a feature of a table": ({"feature": "qpos"}, "features exist only in LeRobot data sets"),
 }
 UNKNOWN = {
     "no option": ({"unit": "degrees"}, "there is no option 'unit'"),

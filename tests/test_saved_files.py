@@ -403,8 +403,8 @@ NO_ARM_DID: dict[str, tuple[Callable[[Rollout], Rollout], str]] = {
     "a posture of 1e9 rad": (moved(10, 2, 1e9), r"sample 10, column 'right_j2': 1e\+09 .*limits \[-3.04"),
     "so at last": (moved(-1, 2, 1e9), r"sample 300, column 'right_j2': 1e\+09 is outside the limits"),
     "a jump": (moved(20, 1, 0.5), "sample 20, column 'right_j1': the joint jumps .* its limit is 1.33"),
-    "two joints exchanged": (lambda r: replace(r, q=r.q[:, [2, 1, 0, 3, 4, 5, 6]]), "has moved by .* velocities say"),
-    "velocities of a tenth": (lambda r: replace(r, u=0.1 * r.u), "has moved by .* its velocities say"),
+    "two joints exchanged": (lambda r: replace(r, q=r.q[:, [2, 1, 0, 3, 4, 5, 6]]), "has moved by .* velocities give"),
+    "velocities of a tenth": (lambda r: replace(r, u=0.1 * r.u), "has moved by .* its velocities give"),
 }
 
 

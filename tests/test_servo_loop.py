@@ -295,7 +295,7 @@ def test_wrong_units_are_named(robot):
     """Degrees and milliseconds stop the arm, with what was read and what it is to be; so does a full turn too much."""
     arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
     assert arm.loop.update(np.degrees(arm.q), 0.0).status is INVALID
-    assert "in degrees? It is to be in radians" in arm.loop.stopped_by
+    assert "in degrees? It must be in radians" in arm.loop.stopped_by
     arm.loop.reset(arm.q)
     assert [arm.loop.update(arm.q, 1.0 * k).status for k in range(5)][1:] == [STALE] * 4
     assert "went on by 1, in milliseconds? It is to be in seconds" in arm.loop.stopped_by

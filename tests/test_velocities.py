@@ -225,7 +225,7 @@ def test_times_that_contradict_the_positions_are_spread(fault: str) -> None:
     rng = np.random.default_rng(SEED)
     read = recordings_given([(TIMES[fault](t.time, rng), t.q) for t in exact], features.robot, features.nv)
     assert isinstance(read, ml.Demonstrations) and len(read) == len(exact)
-    told = ("spread", "read as m", "set back", "came late", "out of order")
+    told = ("spread", "spaced evenly", "read as m", "set back", "came late", "out of order")
     assert fault == "grains of 0.001 s" or all(any(word in note for word in told) for note in read.notes) and read.notes
     for one, true in zip(read, exact, strict=True):
         np.testing.assert_array_equal(one.q, true.q)

@@ -66,7 +66,7 @@ AWAY = "the driver reads other joints, units or senses than it commands"
 @pytest.mark.parametrize(
     ("servo", "way", "change", "said"),
     [
-        ("position", "read", np.degrees, "right_j3 was read at 80.21, its limits are [-3.044, 3.044] rad: in degrees?"),
+        ("position", "read", np.degrees, "right_j3 reads 80.21, its limits are [-3.044, 3.044] rad: in degrees?"),
         ("velocity", "command", np.radians, "0.0175 times as far as it is sent, as if in degrees"),
         ("velocity", "read", turned, "right_j2 moves as right_j1 is sent"),
         ("position", "command", turned, AWAY),

@@ -1,4 +1,4 @@
-"""One file for each table and figure of the paper; `reproduce` runs them."""
+"""Experiments of the paper: one file for each table and figure; `reproduce` runs them."""
 
 from manip_learn.experiments.reproduce import EXPERIMENTS, reproduce
 

@@ -1,4 +1,4 @@
-"""Figures of the experiments in one style, made with matplotlib (extra `experiments`)."""
+"""Charts of the experiments in one style, made with matplotlib (extra `experiments`)."""
 
 from __future__ import annotations
 
@@ -17,18 +17,25 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, GRID = "#2b2f36", "#d9dde3"
+INK = "#2b2f36"
 # sizes in points
 STYLE: dict[Any, Any] = {"font.size": 9.0, "axes.edgecolor": INK, "figure.constrained_layout.use": True}
-STYLE |= {"grid.color": GRID, "grid.linewidth": 0.6, "svg.hashsalt": "manip_learn"}  # the same bytes every time
+STYLE |= {"grid.color": "#d9dde3", "grid.linewidth": 0.6, "svg.hashsalt": "manip_learn"}  # salt: same bytes every time
 STYLE |= {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True}
 
 
-Figures = dict[str, "Figure"]  # by their names
+Figures = dict[str, "Figure"]  # name -> figure
 
 
 def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: object):
-    """Return a figure of a size [inch] and its grid of axes, without a display.
+    """Return a figure and its grid of axes, without a display.
+
+    Args:
+        width: Width [inch].
+        height: Height [inch].
+        rows: Number of rows of axes.
+        columns: Number of columns of axes.
+        **options: Keywords of `Figure.subplots`.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -44,7 +51,19 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **o
 
 
 def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write PNG and SVG, whole or not at all (OutputError); the same figure gives the same bytes."""
+    """Write a figure as PNG and SVG, completely or not at all; the same figure gives the same bytes.
+
+    Args:
+        figure: Figure of `new_figure`.
+        folder: Folder for the files.
+        name: Name of the files without extension.
+
+    Returns:
+        Paths of the files: PNG, SVG.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
     import matplotlib
 
     # no dates or versions, so that the bytes are the same
@@ -63,9 +82,9 @@ class Panel(NamedTuple):
 
     Attributes:
         values: Label of a column -> its values.
-        label: Of the vertical axis, with its unit.
-        title: Above the panel.
-        paper: The paper's mean, drawn as a line.
+        label: Label of the vertical axis, with its unit.
+        title: Title above the panel.
+        paper: The paper's mean, drawn as a line; None: no line.
     """
 
     values: Mapping[str, Sequence[float]]
@@ -80,10 +99,13 @@ def strips(panels: Sequence[Sequence[Panel]], label: str, width: float = 11.0, h
     Values of exactly zero are triangles on the edge of the axis.
 
     Args:
-        panels: Lines of panels, all of one length and with the same columns; those of a line share their axis.
+        panels: Rows of panels, all of one length and with the same columns; the panels of a row share their axis.
         label: Label of the horizontal axis: the meaning of a column and of a dot.
-        width: Of the figure [inch].
-        height: Of the figure [inch].
+        width: Width of the figure [inch].
+        height: Height of the figure [inch].
+
+    Returns:
+        The figure, not yet saved.
     """
     figure, axes = new_figure(width, height, len(panels), len(panels[0]), sharex="col", sharey="row")
     for line, row in zip(axes, panels, strict=True):

@@ -23,9 +23,7 @@ from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 
 STEP = 0.02  # [s]
-REST = np.deg2rad([10.0, -10.0, 10.0])  # psi*, where the null-space policy leads [rad]
-_START_LOW, _START_HIGH = np.deg2rad([0.0, 90.0, 0.0]), np.deg2rad([10.0, 100.0, 10.0])
-TARGET_LOW, TARGET_HIGH = np.array([-1.0, 0.0, 0.0]), np.array([1.0, 2.0, np.pi])  # x, y [m], theta [rad]
+REST = np.deg2rad([10.0, -10.0, 10.0])  # psi*, the goal of the null-space policy [rad]
 AXES = "x y rz"
 SELECTIONS = ("x y", "x rz", "y rz")
 
@@ -36,23 +34,23 @@ PAPER_NMIE = {rows: {"mean": mean, "sd": sd} for rows, (mean, sd) in zip(SELECTI
 PAPER_RMSE: dict[str, float] = {"mean": 2.069e-4, "sd": 1.001e-4}
 # a real Sawyer that opens a drawer; its data were not published
 PAPER_SAWYER_MIE = 0.002
-PAPER_SAWYER_RMSE: dict[str, float] = {"mean": 0.220, "sd": 0.094}  # of the policy
+PAPER_SAWYER_RMSE: dict[str, float] = {"mean": 0.220, "sd": 0.094}  # error of the policy
 
-Law = Callable[[Float[np.ndarray, "g n"]], Float[np.ndarray, "g k"]]  # g postures -> velocities, or places
-Motions = tuple[Float[np.ndarray, "g T n"], Float[np.ndarray, "g T nv"]]  # postures [rad], velocities [rad/s]
+Law = Callable[[Float[np.ndarray, "g n"]], Float[np.ndarray, "g k"]]  # positions -> velocities or task coordinates
+Motions = tuple[Float[np.ndarray, "g T n"], Float[np.ndarray, "g T nv"]]  # positions [rad], velocities [rad/s]
 
 
 @dataclass(frozen=True)
 class Setup:
-    """A kind of demonstrations.
+    """Settings of simulated demonstrations.
 
     Attributes:
         rows: Constrained rows, words of `"x y rz"`.
         trajectories: Number of demonstrations.
-        points: Consecutive samples of each.
+        points: Number of consecutive samples of each demonstration.
         noise: Standard deviation of the noise on the action, relative to the root mean square of each joint's action.
-        policy: Null-space policy: the paper's attractor; a sinusoid of the posture; none; or an attractor to each
-            demonstrator's own rest posture.
+        policy: Null-space policy: the paper's attractor; a sinusoid of the configuration; none; or an attractor to a
+            rest posture of its own for each demonstrator.
     """
 
     rows: str = "x y"
@@ -80,21 +78,41 @@ def planar_features() -> FrameJacobian:
 
 
 def tip(q: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Return x, y [m] and heading theta [rad] of the tip; theta counts turns."""
+    """Return x, y [m] and heading theta [rad] of the tip (n, 3); theta counts full turns.
+
+    Args:
+        q: Joint positions (n, 3) [rad].
+    """
     angles = np.cumsum(q, axis=1)
     return np.column_stack([np.cos(angles).sum(1), np.sin(angles).sum(1), angles[:, -1]])
 
 
 def draw_starts(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Draw start postures [rad]."""
-    return rng.uniform(_START_LOW, _START_HIGH, size=(n, 3))
+    """Draw start configurations.
+
+    Args:
+        n: Number of starts.
+        rng: Random generator.
+
+    Returns:
+        Joint positions (n, 3) [rad].
+    """
+    return rng.uniform(np.deg2rad([0.0, 90.0, 0.0]), np.deg2rad([10.0, 100.0, 10.0]), size=(n, 3))
 
 
 def draw_targets(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Draw targets r* that the tip can reach with their heading: the wrist within two links (3 % are drawn again)."""
-    out = np.empty((0, 3))
+    """Draw targets r* that the tip can reach with their heading: the wrist lies within two links (3 % are drawn again).
+
+    Args:
+        n: Number of targets.
+        rng: Random generator.
+
+    Returns:
+        x, y [m] and theta [rad] of each target (n, 3).
+    """
+    out, low, high = np.empty((0, 3)), np.array([-1.0, 0.0, 0.0]), np.array([1.0, 2.0, np.pi])
     while len(out) < n:
-        tries = rng.uniform(TARGET_LOW, TARGET_HIGH, size=(2 * n, 3))
+        tries = rng.uniform(low, high, size=(2 * n, 3))
         wrist = tries[:, :2] - np.column_stack([np.cos(tries[:, 2]), np.sin(tries[:, 2])])
         out = np.concatenate([out, tries[np.linalg.norm(wrist, axis=1) <= 2.0]])
     return out[:n]
@@ -110,42 +128,57 @@ def reach(
     step: float = STEP,
     damping: float = 0.0,
 ) -> Motions:
-    """Return explicit Euler steps of u = A^+ b + N pi, equation (2), b = Lambda (r* - r), of g motions at once.
+    """Return explicit Euler steps of u = A^+ b + N pi, equation (2), b = Lambda (r* - r), for g motions at once.
 
     Args:
         constraint: Lambda and Phi.
-        policy: Postures -> pi [rad/s].
-        places: Postures -> r, whose rates are the rows of Phi.
-        q: Starts [rad].
-        targets: r* of each motion.
-        points: Samples of each motion.
-        step: Time between them [s].
-        damping: d of the inverse A^T (A A^T + d^2 I)^-1, in the unit of A.
+        policy: Joint positions (g, n) -> null-space policy pi (g, n) [rad/s].
+        places: Joint positions (g, n) -> task coordinates r (g, p), whose rates are the rows of Phi.
+        q: Starts (g, n) [rad].
+        targets: Target r* of each motion (g, p).
+        points: Number of samples of each motion.
+        step: Time between samples [s].
+        damping: d of the damped inverse A^T (A A^T + d^2 I)^-1, in the unit of A; 0: pseudo-inverse.
+
+    Returns:
+        Joint positions (g, T, n) [rad] and velocities (g, T, nv) [rad/s].
     """
     postures, velocities = [], []
     for _ in range(points):
         A, pi = constraint.selection @ constraint.features.batch(q), policy(q)
-        left = (targets - places(q)) @ constraint.selection.T - np.einsum("nsv,nv->ns", A, pi)
+        residual = (targets - places(q)) @ constraint.selection.T - np.einsum("nsv,nv->ns", A, pi)
         if damping:
             gram = A @ A.transpose(0, 2, 1) + damping**2 * np.eye(A.shape[1])
-            u = pi + np.einsum("nsv,ns->nv", A, np.linalg.solve(gram, left[:, :, None])[:, :, 0])
+            u = pi + np.einsum("nsv,ns->nv", A, np.linalg.solve(gram, residual[:, :, None])[:, :, 0])
         else:
-            u = pi + np.einsum("nvs,ns->nv", np.linalg.pinv(A), left)
+            u = pi + np.einsum("nvs,ns->nv", np.linalg.pinv(A), residual)
         postures.append(q)
         velocities.append(u)
         q = q + step * u
     return np.stack(postures, axis=1), np.stack(velocities, axis=1)
 
 
-def recorded(robot: Robot, step: float, motions: Motions) -> Demonstrations:
-    """Return motions as demonstrations with a sample every `step` [s]."""
+def to_demonstrations(robot: Robot, step: float, motions: Motions) -> Demonstrations:
+    """Return motions as demonstrations with equal time steps; their velocities are exact.
+
+    Args:
+        robot: Robot with the names of the joints.
+        step: Time between samples [s].
+        motions: Positions (g, T, n) [rad] and velocities (g, T, nv) [rad/s].
+    """
     time = step * np.arange(motions[0].shape[1])
     pairs = enumerate(zip(*motions, strict=True))
     return Demonstrations(Trajectory(time, *one, robot.joint_names, f"trajectory {i}", exact=True) for i, one in pairs)
 
 
 def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.Generator) -> Demonstrations:
-    """Return reaching demonstrations with u = A^+ b + N pi."""
+    """Return reaching demonstrations with u = A^+ b + N pi, equation (2).
+
+    Args:
+        setup: Settings of the demonstrations.
+        Lambda: True selection (s, 3) of the rows x, y, theta.
+        rng: Random generator for starts, targets and noise.
+    """
     n = setup.trajectories
     starts, targets = draw_starts(n, rng), draw_targets(n, rng)
     rest = REST if setup.policy != "own" else REST + rng.uniform(-0.5, 0.5, size=(n, 3))
@@ -157,34 +190,58 @@ def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.G
         return np.zeros_like(q) if setup.policy == "zero" else rest - q
 
     motions = reach(Constraint(Lambda, planar_features()), policy, tip, starts, targets, setup.points)
-    return with_noise(recorded(planar_arm(), STEP, motions), setup.noise, rng)
+    return add_noise(to_demonstrations(planar_arm(), STEP, motions), setup.noise, rng)
 
 
-def null_parts(features: FeatureMap, given: Demonstrations, Lambda: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    """Return the true null-space part of every sample, w = N u, of a Lambda (s, 3)."""
-    q = np.concatenate([t.q for t in given])
-    u = np.concatenate([t.u for t in given if t.u is not None])
+def null_parts(features: FeatureMap, demonstrations: Demonstrations, Lambda: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    """Return the true null-space part of every sample, w = N u (n, 3) [rad/s].
+
+    Args:
+        features: Phi.
+        demonstrations: Demonstrations with velocities, n samples together.
+        Lambda: True selection (s, 3).
+    """
+    q = np.concatenate([t.q for t in demonstrations])
+    u = np.concatenate([t.u for t in demonstrations if t.u is not None])
     A = Lambda @ features.batch(q)
     return u - np.einsum("nvs,nsw,nw->nv", np.linalg.pinv(A), A, u)
 
 
 def true_constraint(rows: str = "x y") -> Constraint:
-    """Return the constraint of unit rows, links 1 m."""
+    """Return the constraint of unit rows of the arm with links of 1 m.
+
+    Args:
+        rows: Constrained rows, words of `"x y rz"`.
+    """
     return Constraint(Setup(rows).selection, planar_features())
 
 
 def noise_deviations(demonstrations: Demonstrations, share: float) -> Float[np.ndarray, " 3"]:
-    """Return the standard deviation of the noise: a share of each joint's root mean square action [rad/s]."""
+    """Return the standard deviation of the noise of each joint (3,) [rad/s]: a share of its root mean square action.
+
+    Args:
+        demonstrations: Demonstrations with velocities.
+        share: Standard deviation over root mean square.
+    """
     u = np.concatenate([t.u for t in demonstrations if t.u is not None])
     return share * np.sqrt(np.mean(u**2, axis=0))
 
 
-def with_noise(demonstrations: Demonstrations, share: float, rng: np.random.Generator) -> Demonstrations:
-    """Add Gaussian noise to the action, relative to the root mean square of each joint's action."""
+def add_noise(demonstrations: Demonstrations, share: float, rng: np.random.Generator) -> Demonstrations:
+    """Add Gaussian noise to the action, relative to the root mean square of each joint's action.
+
+    Args:
+        demonstrations: Demonstrations with velocities.
+        share: Standard deviation over root mean square; 0: nothing is changed or drawn.
+        rng: Random generator.
+
+    Returns:
+        Demonstrations with noisy velocities; positions are unchanged.
+    """
     if share == 0.0:
         return demonstrations
     u = np.array([t.u for t in demonstrations])
-    # the draws of one sample of all trajectories come together, as the trajectories are stepped
+    # draw the noise of one sample for all trajectories together, in the order of the simulation
     e = rng.standard_normal(u.transpose(1, 0, 2).shape).transpose(1, 0, 2)
     noisy = u + noise_deviations(demonstrations, share) * e
     return Demonstrations(replace(t, u=one) for t, one in zip(demonstrations, noisy, strict=True))

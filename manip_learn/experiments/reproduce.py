@@ -1,4 +1,4 @@
-"""The paper's experiments by name: run, write numbers and figures."""
+"""Experiments of the paper by name: run them, write numbers and figures."""
 
 from __future__ import annotations
 
@@ -25,9 +25,8 @@ from manip_learn.experiments.trials import Trials
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.load import Progress
 
-MAX_TRIALS = 100_000  # more would run for months: a slip of the keyboard
 PARTS: dict[str, Trials | BadStart] = {one.name: one for one in (TABLE, RMSE, SINGULAR, NEAR_SINGULAR, SAWYER)}
-# name that a user gives -> parts
+# name from the user -> parts
 EXPERIMENTS: dict[str, tuple[str, ...]] = {**{name: (name,) for name in PARTS}, "all": tuple(PARTS)}
 
 
@@ -41,53 +40,53 @@ def reproduce(
     workers: int | None = None,
     on_result: Callable[[str, Any], None] | None = None,
 ) -> dict[str, Any]:
-    """Run one experiment of the paper, or all, and set our numbers beside the printed ones.
+    """Run one experiment of the paper, or all, and compare our numbers with the printed ones.
 
     The same seed gives the same numbers, whatever the number of workers. With an output folder, each experiment is
-    written there as it is finished.
+    written as soon as it is finished.
 
     Args:
         name: `"table"`, `"rmse"`, `"singular-start"`, `"near-singular-start"`, `"sawyer"` or `"all"`.
         trials: Number of trials; 50 in the paper.
         seed: Root of all random numbers.
         out: Folder for JSON, CSV, PNG, SVG and Markdown; None writes nothing.
-        progress: Called with the name of a part and the completed fraction of all trials, 0 to 1.
+        progress: Called with the name of a part and the completed fraction of all trials (0 to 1).
         workers: Number of processes; all cores by default.
-        on_result: Called with each part's name and result as it comes.
+        on_result: Called with the name and the result of each part when it is finished.
 
     Returns:
         Part -> `ours` and `paper` (`table`: of each constraint), ready for JSON.
 
     Raises:
-        UnknownNameError: No such experiment; lists those that exist.
+        UnknownNameError: No such experiment; the text lists the existing ones.
         ExperimentError: Trials, seed or workers out of range.
         OutputError: The folder cannot be made or written.
         MissingExtraError: joblib or matplotlib is not installed.
     """
     if name not in EXPERIMENTS:
         raise UnknownNameError("experiment", name, EXPERIMENTS)
-    for what, given, least, most, remedy in (
-        ("number of trials", trials, 1, MAX_TRIALS, "the paper has 50"),
+    for what, value, least, most, remedy in (
+        ("number of trials", trials, 1, 100_000, "the paper has 50"),  # more would run for months
         ("seed", seed, 0, np.inf, "0 is the usual one"),
         ("number of workers", 1 if workers is None else workers, 1, np.inf, "leave it out for all cores"),
     ):
-        if isinstance(given, bool) or not isinstance(given, int) or not least <= given <= most:
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
             end = f"to {most:.0f}" if np.isfinite(most) else "up"
-            raise ExperimentError(f"the {what} must be a whole number from {least} {end}, got {given!r}; {remedy}")
+            raise ExperimentError(f"the {what} must be a whole number from {least} {end}, got {value!r}; {remedy}")
     folder = None if out is None else Path(out).expanduser().resolve()
     if folder is not None:
         try:
-            folder.mkdir(parents=True, exist_ok=True)  # before the work, which takes minutes
+            folder.mkdir(parents=True, exist_ok=True)  # fail before the work, which takes minutes
         except OSError as error:
             raise OutputError(f"{folder} cannot be a folder for the results: {error.strerror}; name another") from error
     parts = [PARTS[part] for part in EXPERIMENTS[name]]
-    total, done = sum(part.size(trials) for part in parts), itertools.count(1)
+    total, counter = sum(part.size(trials) for part in parts), itertools.count(1)
     results: dict[str, Any] = {}
     for part in parts:
 
         def on_trial(name: str = part.name) -> None:
             if progress is not None:
-                progress(name, next(done) / total)
+                progress(name, next(counter) / total)
 
         with one_thread():
             rng = np.random.default_rng([seed, zlib.crc32(part.name.encode())])
@@ -101,7 +100,21 @@ def reproduce(
 
 
 def write_result(part: str, result: Any, folder: Path, settings: dict[str, Any]) -> list[Path]:
-    """Write JSON, CSV, Markdown and figures of one part; OutputError if they cannot be written."""
+    """Write JSON, CSV, Markdown and figures of one part.
+
+    Args:
+        part: Name of the part and of its files.
+        result: Its result, with `to_dict`, `rows`, `markdown` and `figures`.
+        folder: Folder for the files.
+        settings: Settings of the run, stored in the JSON file.
+
+    Returns:
+        Paths of the files.
+
+    Raises:
+        OutputError: A file cannot be written.
+        MissingExtraError: matplotlib is not installed.
+    """
     content = {"experiment": part, "settings": settings, "result": result.to_dict()}
     table, rows = io.StringIO(), result.rows()
     writer = csv.DictWriter(table, list(dict.fromkeys(name for row in rows for name in row)), "", lineterminator="\n")

@@ -22,8 +22,8 @@ class TrialsResult:
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one line per trial: its case, and every number under its key; nested keys are joined by dots."""
-        named = [(case, i, trial) for case, trials in self.outcomes.items() for i, trial in enumerate(trials)]
-        return [{"case": case, "trial": i} | dict(_flat(trial)) for case, i, trial in named]
+        entries = [(case, i, trial) for case, trials in self.outcomes.items() for i, trial in enumerate(trials)]
+        return [{"case": case, "trial": i} | dict(_flat(trial)) for case, i, trial in entries]
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -35,7 +35,10 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 
 def summary(values: Iterable[float | None]) -> dict[str, Any]:
-    """Return statistics of some numbers; None, a refused answer, is left out.
+    """Return statistics of some numbers.
+
+    Args:
+        values: Numbers; None, which marks a refused answer, is left out.
 
     Returns:
         `mean`, `sd` (of the sample; 0 for a single number), `median`, `worst` (largest) and `n`; None without numbers.
@@ -47,13 +50,22 @@ def summary(values: Iterable[float | None]) -> dict[str, Any]:
 
 
 def share(flags: Iterable[bool]) -> float | None:
-    """Return the share of the flags that are true; None without any."""
+    """Return the share of true flags; None without any flag.
+
+    Args:
+        flags: Flags of all trials.
+    """
     flags = list(flags)
     return sum(flags) / len(flags) if flags else None
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """Return a number for a table: 1.2e-07, 0.31, 12, or a dash for None."""
+    """Return a number for a table: 1.2e-07, 0.31, 12, or a dash for None.
+
+    Args:
+        value: Number; None: there is none.
+        digits: Significant digits of numbers below 10 in size, and of numbers with an exponent.
+    """
     if not value:
         return "-" if value is None else "0"
     plain = f"{value:.{max(digits, 1)}g}" if abs(value) < 10 else f"{value:.0f}"
@@ -61,16 +73,29 @@ def number(value: float | None, digits: int = 2) -> str:
 
 
 def mean_and_sd(statistics: Mapping[str, Any]) -> str:
-    """Return `mean +- s.d.` of a summary."""
+    """Return `mean +- s.d.` of a summary.
+
+    Args:
+        statistics: Result of `summary`.
+    """
     return f"{number(statistics['mean'])} +- {number(statistics['sd'])}"
 
 
 def row_words(rows: str) -> str:
-    """Return constrained rows in words: `x, theta` for `"x rz"`."""
+    """Return constrained rows in words: `x, theta` for `"x rz"`.
+
+    Args:
+        rows: Words of `"x y rz"`.
+    """
     return rows.replace("rz", "theta").replace(" ", ", ")
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table in Markdown."""
+    """Return a table in Markdown.
+
+    Args:
+        header: Titles of the columns.
+        rows: Cells of each row.
+    """
     lines = ["| " + " | ".join(map(str, cells)) + " |" for cells in (header, *rows)]
     return "\n".join([lines[0], "|" + "---|" * len(header), *lines[1:]])

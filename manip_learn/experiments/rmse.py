@@ -1,7 +1,7 @@
-"""Root mean square difference of the learnt policy that climbs the manipulability and the true one.
+"""Root mean square difference between the true and the learnt policy that climbs the manipulability.
 
-The paper produces two trajectories, with the true policy and with the learnt one, and compares them; that is here, and
-also the two policies at the postures of one trajectory, where differences do not add up.
+The paper compares two trajectories, one with the true policy and one with the learnt one. This comparison is made here,
+and also a comparison of the two policies along one trajectory, where differences do not accumulate.
 """
 
 from __future__ import annotations
@@ -23,39 +23,46 @@ from manip_learn.experiments.table import LABELS, learn
 from manip_learn.experiments.trials import Trials
 
 ESTIMATORS = ("joint-affine", "joint-rbf", "separate")
-# comparison -> words for tables; all with the root mean square over 100 points of the length of the difference
+# comparison -> words for tables; each is the root mean square length of the difference over 100 points
 _KINDS = {
     "two_policies": "policies of two trajectories [rad/s]",
     "two_postures": "postures of two trajectories [rad]",
     "one_trajectory": "policies along one trajectory [rad/s]",
 }
 PRINTED_FOR = "x y"  # the constraint that the paper tested
-_ROLLOUTS, _POINTS = 20, 100
 
 
 @dataclass(frozen=True)
 class RmseCase:
-    """The constrained rows of the paper's demonstrations, which are to be learnt."""
+    """Constrained rows of the paper's demonstrations, which are to be learnt."""
 
     rows: str
 
 
 def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
-    """Return estimator -> each of `_KINDS` -> RMSE of each of 20 rollouts of 100 points; `size` of the true policy.
+    """Return the errors of the learnt policies of one trial.
 
-    pi_mu = grad mu, equation (13), with the true Lambda and with the learnt one; the task part has the true Lambda in
-    both, so that the policies alone make the difference.
+    pi_mu = grad mu, equation (13), with the true Lambda and with the learnt one; the task part uses the true Lambda in
+    both, so that only the policies differ.
+
+    Args:
+        case: Constrained rows.
+        rng: Random generator of the trial.
+
+    Returns:
+        Estimator -> each of `_KINDS` -> RMSE of each of 20 rollouts of 100 points; and `size`, the root mean square of
+        the true policy.
     """
     true = paper.true_constraint(case.rows)
     demos = paper.demonstrate(paper.Setup(case.rows), true.selection, rng)
-    reaches = paper.draw_starts(_ROLLOUTS, rng), paper.draw_targets(_ROLLOUTS, rng)
+    reaches = paper.draw_starts(20, rng), paper.draw_targets(20, rng)
     q, pi = climbing(true, *reaches)
     out: dict[str, Any] = {}
     for name in ESTIMATORS:
         seed = int(rng.integers(2**63))
-        learnt = Constraint(learn(name, true.features, demos, true.selection, seed)[0], true.features)
-        own_q, own_pi = climbing(true, *reaches, learnt)
-        errors = (policy_rmse(pi, own_pi), policy_rmse(q, own_q), policy_rmse(pi, climb(learnt, q)))
+        estimate = Constraint(learn(name, true.features, demos, true.selection, seed)[0], true.features)
+        own_q, own_pi = climbing(true, *reaches, estimate)
+        errors = (policy_rmse(pi, own_pi), policy_rmse(q, own_q), policy_rmse(pi, climb(estimate, q)))
         out[name] = {kind: error.tolist() for kind, error in zip(_KINDS, errors, strict=True)}
     out["size"] = float(np.sqrt(np.mean(np.sum(pi**2, axis=-1))))
     return out
@@ -64,21 +71,26 @@ def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
 def climbing(
     constraint: Constraint, q: np.ndarray, targets: np.ndarray, climbed: Constraint | None = None
 ) -> paper.Motions:
-    """Return postures and pi_mu under u = A^+ b + N pi_mu, equations (2) and (13).
+    """Return joint positions [rad] and pi_mu [rad/s] under u = A^+ b + N pi_mu, equations (2) and (13).
 
     Args:
-        constraint: Of the task, b = Lambda (r* - r(q)).
-        q: Starts [rad].
-        targets: r* of each rollout.
-        climbed: Constraint whose mu is climbed; that of the task by default.
+        constraint: Constraint of the task, b = Lambda (r* - r(q)).
+        q: Starts (g, 3) [rad].
+        targets: r* of each rollout (g, 3) [m, m, rad].
+        climbed: Constraint whose mu is climbed; default: the task's constraint.
     """
     climbed = climbed or constraint
-    postures, _ = paper.reach(constraint, partial(climb, climbed), paper.tip, q, targets, _POINTS)
+    postures, _ = paper.reach(constraint, partial(climb, climbed), paper.tip, q, targets, points=100)
     return postures, climb(climbed, postures)
 
 
 def climb(constraint: Constraint, q: Float[np.ndarray, "*n nq"]) -> Float[np.ndarray, "*n nv"]:
-    """Return pi_mu = grad mu, equation (13), at postures, or along trajectories."""
+    """Return pi_mu = grad mu, equation (13), at configurations, or along trajectories.
+
+    Args:
+        constraint: Constraint with the manipulability mu.
+        q: Joint positions (..., nq) [rad].
+    """
     return manipulability_batch(constraint, q.reshape(-1, q.shape[-1])).gradient.reshape(q.shape)
 
 
@@ -109,7 +121,11 @@ class RmseResult(TrialsResult):
         return markdown_table(["rows", "estimator", first, "... worst", *others], lines)
 
     def figures(self) -> Figures:
-        """Draw every rollout as a dot, the comparison of the paper above."""
+        """Draw every rollout as a dot, with the paper's comparison in the upper row.
+
+        Returns:
+            The figure, by its name.
+        """
 
         def panel(rows: str, kind: str) -> Panel:
             values = {LABELS[name]: self._values(rows, name, kind) for name in ESTIMATORS}

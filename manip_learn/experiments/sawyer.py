@@ -2,9 +2,10 @@
 
 The paper's arm is a real one and its data were not published. Its text says that Lambda selects x, and also that the
 null space lies along x; both readings are here: one row (x) is commanded, or x is the free direction and y, z are
-commanded. The physics recordings, turned so that the drawer opens along x or along y, come in two kinds: one kinder
-than any real arm, and one with play, stick-slip, coarse encoders and late velocities. Each trial draws 50 of the 50
-recordings with replacement (a bootstrap resample), and those that were not drawn are what the answer is tested on.
+commanded. The physics recordings, turned so that the drawer opens along x or along y, come in two kinds: one easier
+than any real arm, and one with backlash, stick-slip, coarse encoders and delayed velocities. Each trial
+draws 50 of the 50 recordings with replacement (a bootstrap resample); the answer is tested on the recordings that were
+not drawn.
 """
 
 from __future__ import annotations
@@ -35,17 +36,12 @@ from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 
-# the paper's numbers: the pose that the null-space policy leads to [rad], and the starts
-DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
-_START_LOW, _START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # [rad]
-_STEP, DEMONSTRATIONS, _POINTS = 0.01, 50, 10  # [s]
-_ROLLOUTS, ROLLOUT_POINTS = 20, 100  # that the RMSE is taken over, samples of each
-_DAMPING = 0.05  # [m] of the inverse in the rollouts: targets may be out of reach
+_STEP, _POINTS = 0.01, 10  # [s] time step; samples of a demonstration
 FRAME = "right_gripper_tip"
 # source -> recordings
 FOLDERS = {"kind physics": "sawyer_drawer", "hard physics": "sawyer_drawer_hard"}
 READINGS = ("constrained row", "free direction")
-BETWEEN = " | "  # the words of a case
+BETWEEN = " | "  # separator of the words of a case
 
 
 @cache
@@ -56,13 +52,13 @@ def sawyer_arm() -> Robot:
 
 @dataclass(frozen=True)
 class SawyerCase:
-    """One way to read the paper's drawer.
+    """One reading of the paper's drawer, with a source of demonstrations.
 
     Attributes:
         source: Origin of the demonstrations, `"model"` or a key of `FOLDERS`: a motion of the model; a grip within a
-            micrometre, noise of 1e-4 rad, 100 Hz, velocities derived from the positions; 2 mm of play in the grip,
-            stick and slip, 1e-3 rad, 20 Hz, velocities as recorded, 60 ms old.
-        points: Samples of each demonstration; None for all.
+            micrometre, noise of 1e-4 rad, 100 Hz, velocities derived from the positions; 2 mm of backlash in the grip,
+            stick-slip, 1e-3 rad, 20 Hz, velocities as recorded, 60 ms old.
+        points: Number of samples of each demonstration; None for all.
         reading: Meaning of the direction of Lambda_x or Lambda_y, one of `READINGS`.
         direction: `"x"` or `"y"`.
     """
@@ -82,22 +78,26 @@ class SawyerCase:
     def constraint(self) -> Constraint:
         """True constraint of unit rows of the grip [m]."""
         is_row = self.reading == "constrained row"
-        # a drawer always holds two rows; seen in the horizontal plane alone it holds one
+        # a drawer always constrains two rows; in the horizontal plane alone it constrains one
         axes = ["x", "y"] if is_row and self.source != "model" else ["x", "y", "z"]
         rows = [i for i, axis in enumerate(axes) if (axis == self.direction) == is_row]
         return Constraint(np.eye(len(axes))[rows], FrameJacobian(sawyer_arm(), FRAME, " ".join(axes)))
 
 
-_GIVEN: list[tuple[str, int | None]] = [("model", _POINTS), *product(FOLDERS, (_POINTS, None))]
-_EVERY = [SawyerCase(*given, reading, direction) for given in _GIVEN for reading in READINGS for direction in "xy"]
-CASES = {case.name: case for case in _EVERY}
+_SOURCES: list[tuple[str, int | None]] = [("model", _POINTS), *product(FOLDERS, (_POINTS, None))]
+_ALL = [SawyerCase(*source, reading, axis) for source in _SOURCES for reading in READINGS for axis in "xy"]
+CASES = {case.name: case for case in _ALL}
 
 
 def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
-    """Learn from 50 demonstrations, test on others.
+    """Learn from 50 demonstrations, and test on others.
+
+    Args:
+        case: Source of the demonstrations and reading of the paper.
+        rng: Random generator of the trial.
 
     Returns:
-        `mie` and `nmie` at the postures of the training set, `mie_held` and `nmie_held` at those held out,
+        `mie` and `nmie` at the configurations of the training set, `mie_held` and `nmie_held` at held-out ones,
         `angle_deg`, `rows`, `rows_true`, `rmse` of 20 rollouts; or `refused`.
     """
     true = case.constraint
@@ -107,51 +107,71 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
         learner = ConstraintLearner(true.features, velocities="recorded", seed=int(rng.integers(2**31))).fit(train)
     except NotIdentifiableError as error:
         return out | {"refused": error.code}
-    learnt, report = learner.constraint_, learner.report_
-    out |= {"rows": learnt.n_constraints, "estimator": report.estimator, "gap": report.gap}
-    out["angle_deg"] = float(np.degrees(row_space_angle(true.selection, learnt.selection)))
+    estimate, report = learner.constraint_, learner.report_
+    out |= {"rows": estimate.n_constraints, "estimator": report.estimator, "gap": report.gap}
+    out["angle_deg"] = float(np.degrees(row_space_angle(true.selection, estimate.selection)))
     out["stated_deg"] = report.uncertainty_deg
-    for held, demonstrations in (("", train), ("_held", test)):
+    for suffix, demonstrations in (("", train), ("_held", test)):
         q = np.concatenate([t.q for t in demonstrations])
-        mu, other = manipulability_batch(true, q).mu, manipulability_batch(learnt, q).mu
-        out |= {f"mie{held}": mie(mu, other), f"nmie{held}": nmie(mu, other)}
-    # of pi_mu = grad mu, equation (13), against pi_mu~ on 20 rollouts of 100 points under pi_mu
-    climbed, _ = motions(true, partial(climb, true), _ROLLOUTS, ROLLOUT_POINTS, rng, _DAMPING)
-    return out | {"rmse": policy_rmse(climb(true, climbed), climb(learnt, climbed)).tolist()}
+        mu, other = manipulability_batch(true, q).mu, manipulability_batch(estimate, q).mu
+        out |= {f"mie{suffix}": mie(mu, other), f"nmie{suffix}": nmie(mu, other)}
+    # compare pi_mu = grad mu, equation (13), with pi_mu~ on 20 rollouts of 100 points under pi_mu
+    damping = 0.05  # [m] targets may be out of reach
+    postures, _ = motions(true, partial(climb, true), 20, 100, rng, damping)
+    return out | {"rmse": policy_rmse(climb(true, postures), climb(estimate, postures)).tolist()}
 
 
 def motions(
     true: Constraint, policy: paper.Law, n: int, points: int, rng: Generator, damping: float = 0.0
 ) -> paper.Motions:
-    """Return postures and velocities of n motions at 100 Hz, from random starts to random targets of the grip."""
+    """Return joint positions and velocities of motions at 100 Hz, from random starts to random targets of the grip.
+
+    Args:
+        true: True constraint of the task.
+        policy: Null-space policy: joint positions (n, 7) -> velocities [rad/s].
+        n: Number of motions.
+        points: Number of samples of each motion.
+        rng: Random generator.
+        damping: Damping of the inverse [m], see `paper_setup.reach`.
+    """
     axes = ["xyz".index(axis) for axis in true.features.row_names]
     kinematics = sawyer_arm().frame_kinematics(FRAME)
-    starts = rng.uniform(_START_LOW, _START_HIGH, size=(n, 7))
+    low, high = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # the paper's range
+    starts = rng.uniform(low, high, size=(n, 7))
     targets = rng.uniform(-1.0, 1.0, size=(n, len(axes)))
     return paper.reach(true, policy, lambda q: kinematics.poses(q)[:, axes, 3], starts, targets, points, _STEP, damping)
 
 
 def drawn(case: SawyerCase, rng: Generator) -> tuple[Demonstrations, Demonstrations]:
-    """Return demonstrations to learn from, and others to test on: none is in both."""
+    """Return demonstrations to learn from, and others to test on: none is in both.
+
+    Args:
+        case: Source of the demonstrations and reading of the paper.
+        rng: Random generator of the trial.
+    """
+    n = 50
     if case.source == "model":
-        settings = case.constraint, lambda q: DEFAULT_POSE - q, DEMONSTRATIONS, _POINTS, rng
-        train, test = (paper.recorded(sawyer_arm(), _STEP, motions(*settings)) for _ in range(2))
+        rest = np.deg2rad(
+            [-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0]
+        )  # the paper's goal of the null-space policy
+        settings = case.constraint, lambda q: rest - q, n, _POINTS, rng
+        train, test = (paper.to_demonstrations(sawyer_arm(), _STEP, motions(*settings)) for _ in range(2))
         return train, test
     opens_along_x = (case.direction == "x") == (case.reading == "free direction")
     every = turned_recordings(FOLDERS[case.source], opens_along_x, case.points)
-    chosen = rng.integers(len(every), size=DEMONSTRATIONS)
-    others = np.setdiff1d(np.arange(len(every)), chosen)
-    return Demonstrations(every[int(i)] for i in chosen), Demonstrations(every[int(i)] for i in others)
+    indices = rng.integers(len(every), size=n)
+    others = np.setdiff1d(np.arange(len(every)), indices)
+    return Demonstrations(every[int(i)] for i in indices), Demonstrations(every[int(i)] for i in others)
 
 
 def turned_recordings(folder: str, along_x: bool, points: int | None) -> Demonstrations:
     """Return all demonstrations, as from an arm whose base is turned.
 
-    The first joint turns about the vertical through the base: turning the base is an offset of that joint, exactly.
+    The first joint turns about the vertical through the base: turning the base is exactly an offset of that joint.
 
     Args:
         folder: Name of the shipped recordings.
-        along_x: The drawer opens along x; else along y.
+        along_x: True if the drawer opens along x; else it opens along y.
         points: Number of samples of each demonstration; None for all.
     """
     offset = -np.deg2rad(25.0) + (0.0 if along_x else np.pi / 2)  # the recorded drawer opens at 25 degrees from x
@@ -188,19 +208,23 @@ class SawyerResult(TrialsResult):
         for case, block in self.to_dict()["ours"].items():
             errors = [number(block[error]["median"]) for error in ("mie", "mie_held", "nmie_held", "angle_deg")]
             errors[-1] += f" ({number(block['angle_deg']['worst'])})"
-            found = f"{100.0 * block['rows_right']:.0f} %"
-            lines.append([*case.split(BETWEEN), *errors, mean_and_sd(block["rmse"]), found])
+            rows_right = f"{100.0 * block['rows_right']:.0f} %"
+            lines.append([*case.split(BETWEEN), *errors, mean_and_sd(block["rmse"]), rows_right])
         header = ["demonstrations", "reading", "Lambda", "MIE, training", "MIE, held out", "NMIE, held out"]
         return markdown_table([*header, "angle [deg], median (worst)", "RMSE, mean +- s.d.", "rows found"], lines)
 
     def figures(self) -> Figures:
-        """Draw MIE on held-out recordings and RMSE of every trial."""
-        learnt: dict[str, list[dict[str, Any]]] = {}
+        """Draw MIE on held-out recordings and RMSE of every trial.
+
+        Returns:
+            The figure, by its name.
+        """
+        completed: dict[str, list[dict[str, Any]]] = {}
         for case, trials in self.outcomes.items():
             source, reading, direction = case.split(BETWEEN)
-            learnt[f"{source}: {reading.split()[0]} {direction}"] = [t for t in trials if "rmse" in t]
-        errors = {label: [t["mie_held"] for t in trials] for label, trials in learnt.items()}
-        means = {label: [float(np.mean(t["rmse"])) for t in trials] for label, trials in learnt.items()}
+            completed[f"{source}: {reading.split()[0]} {direction}"] = [t for t in trials if "rmse" in t]
+        errors = {label: [t["mie_held"] for t in trials] for label, trials in completed.items()}
+        means = {label: [float(np.mean(t["rmse"])) for t in trials] for label, trials in completed.items()}
         mie_label = "MIE on held-out recordings\n[m$^2$ for one row, m$^4$ for two]"
         rmse_label = "RMSE of the policy, mean of 20 rollouts\n[m/rad for one row, m$^2$/rad for two]"
         first = Panel(errors, mie_label, paper=paper.PAPER_SAWYER_MIE)

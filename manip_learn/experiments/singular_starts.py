@@ -1,6 +1,6 @@
 """The paper's two comparisons of three null-space policies from bad starts: at a singularity, and next to one.
 
-Our product controller is compared with them. The figure has the postures above, the manipulability below.
+Our product controller is compared with them. The figure shows the arm above and the manipulability below.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ from manip_learn.experiments.table import LABELS, learn
 from manip_learn.linalg import matlab_tolerance
 from manip_learn.playback.palette import COLOURS
 
-Numbers = dict[str, Any]  # of one rollout, see `numbers_of`
-DURATION = 5.0  # [s]
-STEPS = (0.02, 0.01)  # the paper's 50 Hz, and half of it [s]
-REACHED = 0.05  # [m]
+Numbers = dict[str, Any]  # key numbers of one rollout, see `key_numbers`
+STEPS = (0.02, 0.01)  # the paper's time step (50 Hz), and half of it [s]
+REACHED = 0.05  # [m] largest final error of a rollout that arrives
 POLICIES = ("zero", "attractor", "manipulability")
-_LEARNT = "joint-affine"  # how Lambda is learnt, from 100 of the paper's demonstrations
-_SETTLED = 100.0  # joint speed after the first second above which the arm still leaps [rad/s]
+_ESTIMATOR = "joint-affine"  # method to learn Lambda, from 100 of the paper's demonstrations
+_SETTLED = 100.0  # [rad/s] above this joint speed after the first second, the arm is not at rest
 
 
 class Claim(NamedTuple):
@@ -57,8 +56,9 @@ class StartResult:
         setting: The start.
         rollouts: Law -> rollout, see `law_name`.
         claims: Claims of the paper.
-        rounding: Policy -> outcomes of the paper's law, step 0.02 s, from starts that differ by rounding: how many of
-            `n` end `at_rest` on the target, and the `least_late_speed` of them all; empty where no rollout is chaotic.
+        rounding: Policy -> outcomes of the paper's law, step 0.02 s, from `n` starts that differ by rounding: the
+            number `at_rest` on the target in the end, and the `least_late_speed` of them all; empty if no rollout is
+            chaotic.
     """
 
     setting: BadStart
@@ -67,8 +67,8 @@ class StartResult:
     rounding: dict[str, Numbers]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return claims and key numbers; after a leap of 1e10 rad the digits that are rounding noise are None."""
-        ours = {law: numbers_of(r) for law, r in self.rollouts.items()}
+        """Return claims and key numbers; after a leap of 1e10 rad, numbers without a significant digit are None."""
+        ours = {law: key_numbers(r) for law, r in self.rollouts.items()}
         for numbers in ours.values():
             if numbers["chaotic"]:
                 numbers |= dict.fromkeys(("final_error", "min_manipulability", "lowest_step", "late_speed"))
@@ -90,13 +90,17 @@ class StartResult:
         for law, n in self.to_dict()["ours"].items():
             cells = ["chaotic" if n["chaotic"] else number(n[key]) for key in ("final_error", "min_manipulability")]
             lines.append([law, *cells, number(n["max_velocity"])])
-        learnt = f"Lambda of the manipulability policy: learnt by *{LABELS[_LEARNT]}* from 100 demonstrations"
+        origin = f"Lambda of the manipulability policy: learnt by *{LABELS[_ESTIMATOR]}* from 100 demonstrations"
         header = ["law", "final error [m]", "smallest mu after step 3", "largest joint speed [rad/s]"]
         judged = markdown_table(["claim of the paper", "measured here", "holds as printed"], claims)
-        return f"{judged}\n\n{learnt}; the task part uses the true one.\n\n{markdown_table(header, lines)}"
+        return f"{judged}\n\n{origin}; the task part uses the true one.\n\n{markdown_table(header, lines)}"
 
     def figures(self) -> Figures:
-        """Draw the arm over time above, the manipulability over time below; the last column is our controller."""
+        """Draw the arm over time above and the manipulability over time below; the last column is our controller.
+
+        Returns:
+            The figure, by the name of the comparison.
+        """
         leap = "\n(chaotic after the first step)" if self.rounding else ""
         columns = {f"paper's law, {p} policy{leap}": [self.rollouts[law_name(p, dt)] for dt in STEPS] for p in POLICIES}
         columns["our controller, manipulability"] = [self.rollouts[law_name("manipulability")]]
@@ -104,27 +108,45 @@ class StartResult:
 
 
 def law_name(policy: str, dt: float | None = None) -> str:
-    """Return the name of the paper's law with a policy and a step [s], or of our controller."""
+    """Return the name of the paper's law with a policy and a step, or of our controller.
+
+    Args:
+        policy: One of `POLICIES`.
+        dt: Time step of the paper's law [s]; None: our controller.
+    """
     return f"{policy}, our controller" if dt is None else f"{policy}, dt {dt:g} s"
 
 
-def numbers_of(rollout: Rollout) -> Numbers:
-    """Return key numbers: the least manipulability from step 3 on, the speed in the last four fifths, and others."""
+def key_numbers(rollout: Rollout) -> Numbers:
+    """Return key numbers: the least manipulability from step 3 on, the speed in the last four fifths, and others.
+
+    Args:
+        rollout: Rollout with at least four samples.
+
+    Returns:
+        `final_error` [m], `lowest_step`, `min_manipulability`, `max_velocity` and `late_speed` [rad/s], `largest_step`
+        [rad], `chaotic`.
+    """
     speed = np.max(np.abs(rollout.u), axis=1)
     lowest = 3 + int(np.argmin(rollout.manipulability[3:]))
-    found: Numbers = {"final_error": float(rollout.task_error[-1]), "lowest_step": lowest}
-    found["min_manipulability"], found["max_velocity"] = float(rollout.manipulability[lowest]), float(np.max(speed))
-    found["largest_step"] = float(np.max(speed) * rollout.time[1])
-    found["late_speed"] = float(np.max(speed[len(rollout) // 5 :]))
-    found["chaotic"] = bool(np.max(np.abs(rollout.q)) > 1e6)  # [rad]: no digit is left below 1e-10 of a turn
-    return found
+    numbers: Numbers = {"final_error": float(rollout.task_error[-1]), "lowest_step": lowest}
+    numbers["min_manipulability"], numbers["max_velocity"] = float(rollout.manipulability[lowest]), float(np.max(speed))
+    numbers["largest_step"] = float(np.max(speed) * rollout.time[1])
+    numbers["late_speed"] = float(np.max(speed[len(rollout) // 5 :]))
+    numbers["chaotic"] = bool(np.max(np.abs(rollout.q)) > 1e6)  # [rad] angles have no digits below 1e-10 of a turn
+    return numbers
 
 
 def singular_claims(rollouts: dict[str, Rollout], _rounding: object) -> list[Claim]:
-    """Return the claims of the first comparison, judged at the paper's 50 Hz, measured at 100 Hz too."""
-    zero, attractor, climb = ([numbers_of(rollouts[law_name(p, dt)]) for dt in STEPS] for p in POLICIES)
+    """Return the claims of the first comparison, judged at the paper's 50 Hz, measured at 100 Hz too.
 
-    def seen(template: str, numbers: list[Numbers]) -> str:
+    Args:
+        rollouts: Law -> rollout, see `law_name`.
+        _rounding: Not used.
+    """
+    zero, attractor, climb = ([key_numbers(rollouts[law_name(p, dt)]) for dt in STEPS] for p in POLICIES)
+
+    def describe(template: str, numbers: list[Numbers]) -> str:
         return "; ".join(f"{template.format(**n)} at {1.0 / dt:.0f} Hz" for dt, n in zip(STEPS, numbers, strict=True))
 
     A = true_constraint("x y")(rollouts[law_name("zero", STEPS[0])].q[0])
@@ -132,12 +154,13 @@ def singular_claims(rollouts: dict[str, Rollout], _rounding: object) -> list[Cla
     threshold = f"{matlab_tolerance(sigma, A.shape):.3e}"
     is_below = bool(sigma[-1] < float(threshold))
     measured = f"max(size(A)) eps(norm(A)) = {threshold}; the smaller singular value is {sigma[-1]:.1e}"
-    dips, near_70 = seen("lowest at step {lowest_step}", attractor), [60 <= n["lowest_step"] <= 80 for n in attractor]
+    dips = describe("lowest at step {lowest_step}", attractor)
+    near_70 = [60 <= n["lowest_step"] <= 80 for n in attractor]
     verdict = "**no** at the paper's 50 Hz, yes at 100 Hz" if near_70 == [False, True] else ""
-    stays = seen("error stays {final_error:.3g} m", zero), zero[0]["final_error"] > 2.9
-    arrives = seen("final error {final_error:.2g} m", attractor), attractor[0]["final_error"] < REACHED
-    nears = seen("mu {min_manipulability:.2g}, up to {max_velocity:.0f} rad/s", attractor)
-    climbs = seen("final error {final_error:.2g} m, mu >= {min_manipulability:.3f} from step 3", climb)
+    stays = describe("error stays {final_error:.3g} m", zero), zero[0]["final_error"] > 2.9
+    arrives = describe("final error {final_error:.2g} m", attractor), attractor[0]["final_error"] < REACHED
+    nears = describe("mu {min_manipulability:.2g}, up to {max_velocity:.0f} rad/s", attractor)
+    climbs = describe("final error {final_error:.2g} m, mu >= {min_manipulability:.3f} from step 3", climb)
     is_away = climb[0]["final_error"] < REACHED and climb[0]["min_manipulability"] > 0.5
     drops, lowest = "The pseudo-inverse drops singular values below 1.332e-15", attractor[0]["min_manipulability"]
     return [
@@ -153,7 +176,11 @@ def singular_claims(rollouts: dict[str, Rollout], _rounding: object) -> list[Cla
 def near_singular_claims(rollouts: dict[str, Rollout], rounding: dict[str, Numbers]) -> list[Claim]:
     """Return the claims of the second comparison.
 
-    What Figure 2 shows is judged over starts that differ by rounding: a single one is chance after such a leap.
+    Figure 2 is judged over starts that differ by rounding: the outcome of a single one is random after such a leap.
+
+    Args:
+        rollouts: Law -> rollout, see `law_name`.
+        rounding: Policy -> outcomes from starts that differ by rounding, see `StartResult`.
     """
     after = np.abs(rollouts[law_name("zero", STEPS[0])].q[1])
     others = 10.0 ** np.ceil(np.log10(after[[0, 2]].max()) + 1)
@@ -176,11 +203,14 @@ def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, 
 
     Args:
         columns: Title -> rollout at 0.02 s, and at 0.01 s for the paper's law.
-        target: r* [m].
+        target: r* (x, y) [m].
+
+    Returns:
+        The figure.
     """
     from matplotlib import colormaps
 
-    moments = (0, 1, 2, 3, 6, 12, 25, 37, 50, 100, 250)  # of 251 samples
+    moments = (0, 1, 2, 3, 6, 12, 25, 37, 50, 100, 250)  # indices of 251 samples
     shades = colormaps["viridis_r"](np.linspace(0.04, 1.0, len(moments)))
     reach = (-3.15, 3.15)  # [m]; the arm is 3 m long
     figure, axes = new_figure(12.0, 6.6, 2, len(columns), sharey="row", height_ratios=[1.5, 1.0])
@@ -200,7 +230,7 @@ def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, 
     highest = max(float(np.max(r.manipulability)) for rollouts in columns.values() for r in rollouts)
     axes[0, 0].set_ylabel("y of the links [m]")
     axes[0, -1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7)
-    axes[1, 0].set(ylabel="manipulability of x, y [m$^2$]", ylim=(0.0, 1.3 * highest))  # room for the key
+    axes[1, 0].set(ylabel="manipulability of x, y [m$^2$]", ylim=(0.0, 1.3 * highest))  # leave space for the legend
     return figure
 
 
@@ -209,12 +239,12 @@ class BadStart:
     """Settings of a comparison.
 
     Attributes:
-        name: For files and figures.
-        start: Posture [rad].
+        name: Name of files and figures.
+        start: Joint positions at the start [rad].
         rest: psi* of the attractor [rad].
-        inverse: How A is inverted.
+        inverse: Inversion of A in the paper's law.
         judge: (rollouts, outcomes from starts that differ by rounding) -> claims.
-        target: r* [m], rows x, y. The paper does not state that of the second comparison.
+        target: r* [m], rows x, y. The paper does not state the target of the second comparison.
     """
 
     name: str
@@ -224,43 +254,65 @@ class BadStart:
     judge: Callable[[dict[str, Rollout], dict[str, Numbers]], list[Claim]]
     target: tuple[float, float] = (0.0, 0.0)
 
-    def law(self, policy: str, learnt: Constraint, *, product: bool = False) -> ResolvedRateController:
+    def law(self, policy: str, estimate: Constraint, *, product: bool = False) -> ResolvedRateController:
         """Return the paper's bare law with one policy, or our controller with its limits.
 
-        Truncation fires only if the row space is right to 1e-16: the task uses the true A, the policy the learnt one.
+        Truncation occurs only if the row space is right to 1e-16: the task uses the true A, the policy the learnt one.
+
+        Args:
+            policy: One of `POLICIES`.
+            estimate: Learnt constraint, for the manipulability policy.
+            product: True for our controller.
         """
         null: dict[str, NullSpacePolicy] = {"zero": ZeroPolicy(3), "attractor": JointAttractor(self.rest)}
-        null["manipulability"] = ManipulabilityAscent(learnt, logarithmic=product)
+        null["manipulability"] = ManipulabilityAscent(estimate, logarithmic=product)
         bare: dict[str, Any] = {} if product else {"inverse": self.inverse, "limits": False}
         task = PointAttractor([*self.target, 0.0], gain=1.0)
         return ResolvedRateController(true_constraint("x y"), task, null[policy], **bare)
 
-    def rollout(self, policy: str, learnt: Constraint, dt: float, q: Any = None, *, product: bool = False) -> Rollout:
-        """Return five seconds from the start, or from another posture."""
-        law = self.law(policy, learnt, product=product)
-        return simulate(planar_arm(), law, self.start if q is None else q, DURATION, dt)
+    def rollout(self, policy: str, estimate: Constraint, dt: float, q: Any = None, *, product: bool = False) -> Rollout:
+        """Return five seconds from the start, or from another configuration.
+
+        Args:
+            policy: One of `POLICIES`.
+            estimate: Learnt constraint, for the manipulability policy.
+            dt: Time step [s].
+            q: Joint positions (3,) to start from [rad]; None: the start of this comparison.
+            product: True for our controller.
+        """
+        law = self.law(policy, estimate, product=product)
+        return simulate(planar_arm(), law, self.start if q is None else q, 5.0, dt)
 
     def size(self, _trials: int) -> int:
-        """Return 0: nothing is repeated."""
+        """Return 0: nothing is repeated.
+
+        Args:
+            _trials: Not used.
+        """
         return 0
 
     def run(self, _trials: int, rng: np.random.Generator, *_options: object) -> StartResult:
         """Compare three policies at 50 and 100 Hz, and our controller.
 
         Args:
+            _trials: Not used.
             rng: For the demonstrations that Lambda is learnt from, and for starts that differ by rounding.
+            *_options: Not used.
+
+        Returns:
+            Rollouts and claims.
         """
         true = true_constraint("x y")
         demos = demonstrate(Setup("x y"), true.selection, rng)
-        selection, _ = learn(_LEARNT, true.features, demos, true.selection, 0)
-        learnt = Constraint(selection, true.features)
-        rollouts = {law_name(p, dt): self.rollout(p, learnt, dt) for dt in STEPS for p in POLICIES}
-        rollouts |= {law_name(p): self.rollout(p, learnt, STEPS[0], product=True) for p in POLICIES}
+        selection, _ = learn(_ESTIMATOR, true.features, demos, true.selection, 0)
+        estimate = Constraint(selection, true.features)
+        rollouts = {law_name(p, dt): self.rollout(p, estimate, dt) for dt in STEPS for p in POLICIES}
+        rollouts |= {law_name(p): self.rollout(p, estimate, STEPS[0], product=True) for p in POLICIES}
         rounding: dict[str, Numbers] = {}
-        if numbers_of(rollouts[law_name("attractor", STEPS[0])])["chaotic"]:
+        if key_numbers(rollouts[law_name("attractor", STEPS[0])])["chaotic"]:
             starts = np.array(self.start) * (1.0 + np.finfo(np.float64).eps * rng.standard_normal((20, 3)))
             for policy in POLICIES:
-                runs = [numbers_of(self.rollout(policy, learnt, STEPS[0], q)) for q in starts]
+                runs = [key_numbers(self.rollout(policy, estimate, STEPS[0], q)) for q in starts]
                 at_rest = sum(n["final_error"] < REACHED and n["late_speed"] < _SETTLED for n in runs)
                 slowest = min(n["late_speed"] for n in runs)
                 rounding[policy] = {"n": len(runs), "at_rest": at_rest, "least_late_speed": slowest}

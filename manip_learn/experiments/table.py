@@ -1,9 +1,9 @@
 """The paper's table: error of the learnt manipulability for three constraints, 50 trials each, learnt in eight ways.
 
-The paper's own route is `separate-row-by-row`: the null-space part of the motion by Towell, Howard and Vijayakumar
+The paper's own method is `separate-row-by-row`: the null-space part of the motion by Towell, Howard and Vijayakumar
 (2010), then `fit_row_by_row`, as Lin, Howard and Vijayakumar (2015) describe it: each new row is the unit vector,
 orthogonal to the rows before, that lowers equation (10) of the rows so far most; its spherical angles are found by
-Levenberg-Marquardt from several starts. All but `auto` are given the number of rows.
+Levenberg-Marquardt from several starts. All but `auto` are told the number of rows.
 """
 
 from __future__ import annotations
@@ -39,24 +39,28 @@ Matrix = Float[np.ndarray, "s p"]
 
 
 def fit_row_by_row(Phi: Float[np.ndarray, "n p nv"], w: Float[np.ndarray, "n nv"], n_rows: int) -> Matrix:
-    """Return Lambda, fitted one row after the other.
+    """Return Lambda (n_rows, p), fitted one row after the other.
 
     Args:
-        Phi: Features of each sample.
-        w: Null-space motion of each sample [rad/s].
+        Phi: Features of each sample (n, p, nv).
+        w: Null-space motion of each sample (n, nv) [rad/s].
         n_rows: Number of rows s.
     """
     Lambda = np.zeros((0, Phi.shape[1]))
     for _ in range(n_rows):
         A = Lambda @ Phi
         rest = Phi - Phi @ np.linalg.pinv(A) @ A  # Phi N
-        # the new row lives in the complement of the others: a unit vector there is a point on a smaller sphere
+        # search the new row in the complement of the others, where a unit vector is a point on a smaller sphere
         Lambda = np.concatenate([Lambda, _best_row(rest, w, complement_rows(Lambda))[None]])
     return Lambda
 
 
 def unit_vector(angles: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k+1"]:
-    """Return the point of the unit sphere with these spherical angles [rad]."""
+    """Return the point of the unit sphere (k+1,) with the given spherical angles.
+
+    Args:
+        angles: Spherical angles (k,) [rad].
+    """
     sines = np.concatenate([[1.0], np.cumprod(np.sin(angles))])
     return sines * np.append(np.cos(angles), 1.0)
 
@@ -65,25 +69,27 @@ def _best_row(Phi: np.ndarray, w: np.ndarray, frame: np.ndarray) -> Float[np.nda
     rows = frame @ Phi
 
     def residuals(angles: np.ndarray) -> np.ndarray:
-        # what the new row adds to |A^+ A w|^2: the part of w along the row, beside the rows before
+        # contribution of the new row to |A^+ A w|^2: the part of w along the row, without the rows before
         a = np.einsum("k,nkv->nv", unit_vector(angles), rows)
         return np.einsum("nv,nv->n", a, w) / np.linalg.norm(a, axis=1)
 
-    # the search has local minima; more than three starts an angle found no lower ones on the paper's reaches
+    # the search has local minima; more than three starts per angle found no lower ones on the paper's reaches
     starts = itertools.product(np.pi * (np.arange(3) + 0.5) / 3, repeat=len(frame) - 1)
     fits = [least_squares(residuals, x, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15) for x in starts]
     return unit_vector(min(fits, key=lambda fit: fit.cost).x) @ frame
 
 
-def learn(estimator: str, features: FeatureMap, given: Demonstrations, true: Matrix, seed: int) -> tuple[Matrix, bool]:
-    """Learn Lambda from demonstrations in one of the compared ways.
+def learn(
+    estimator: str, features: FeatureMap, demonstrations: Demonstrations, true: Matrix, seed: int
+) -> tuple[Matrix, bool]:
+    """Learn Lambda from demonstrations with one of the compared methods.
 
     Args:
         estimator: A key of `LABELS`.
         features: Phi.
-        given: Demonstrations with velocities.
-        true: True Lambda: `true-w` is given its null-space motion, and all but `auto` its number of rows.
-        seed: Of k-means and random starts.
+        demonstrations: Demonstrations with velocities.
+        true: True Lambda (s, p): `true-w` uses its null-space motion, and all but `auto` its number of rows.
+        seed: Seed of k-means and random starts.
 
     Returns:
         Lambda, and True if the learner warned.
@@ -93,8 +99,8 @@ def learn(estimator: str, features: FeatureMap, given: Demonstrations, true: Mat
     """
     s, (kind, _, policy) = len(true), estimator.partition("-")
     if estimator in ("true-w", "separate-row-by-row"):
-        view = View(features, Table(list(given)))
-        w = null_parts(features, given, true) if estimator == "true-w" else separated(view, seed)
+        view = View(features, Table(list(demonstrations)))
+        w = null_parts(features, demonstrations, true) if estimator == "true-w" else separated(view, seed)
         if isinstance(w, NotIdentifiableError):
             raise w
         if estimator == "separate-row-by-row":
@@ -104,24 +110,28 @@ def learn(estimator: str, features: FeatureMap, given: Demonstrations, true: Mat
         return view.selection(levels_on(View(features, view.table), every)[1][:s]), False
     settings: dict[str, Any] = {} if kind == "auto" else {"estimator": kind, "n_constraints": s}
     settings |= {"policy_model": policy} if policy else {}
-    learner = ConstraintLearner(features, velocities="recorded", seed=seed, **settings).fit(given)
+    learner = ConstraintLearner(features, velocities="recorded", seed=seed, **settings).fit(demonstrations)
     return learner.constraint_.selection, bool(learner.report_.warnings)
 
 
 @dataclass(frozen=True)
 class LearningCase:
-    """Demonstrations, and the ways to learn from them, keys of `LABELS`."""
+    """Demonstrations, and the methods to learn from them, keys of `LABELS`."""
 
     setup: Setup
     estimators: tuple[str, ...]
 
 
 def learning_trial(case: LearningCase, rng: np.random.Generator) -> dict[str, Any]:
-    """Train on one set of demonstrations, judge on it and on another one.
+    """Train on one set of demonstrations, and evaluate on it and on another one.
+
+    Args:
+        case: Settings of the demonstrations, and the methods.
+        rng: Random generator of the trial.
 
     Returns:
         Estimator -> `train` and `test` NMIE, `scale_free` NMIE on the test set, `angle_deg` between the row spaces,
-        `rows` found, `seconds` and `warned`; or `refused`, the reason.
+        number of `rows`, `seconds` and `warned`; or `refused`, the reason.
     """
     features, Lambda = planar_features(), case.setup.selection
     train, test = demonstrate(case.setup, Lambda, rng), demonstrate(replace(case.setup, noise=0.0), Lambda, rng)
@@ -129,22 +139,28 @@ def learning_trial(case: LearningCase, rng: np.random.Generator) -> dict[str, An
     for estimator in case.estimators:
         seed, started = int(rng.integers(2**63)), time.perf_counter()
         try:
-            learnt, warned = learn(estimator, features, train, Lambda, seed)
+            estimate, warned = learn(estimator, features, train, Lambda, seed)
         except NotIdentifiableError as error:
             out[estimator] = {"refused": error.code}
             continue
-        answer = {"seconds": time.perf_counter() - started, "rows": len(learnt), "warned": warned}
-        answer["angle_deg"] = float(np.degrees(row_space_angle(Lambda, learnt)))
+        answer = {"seconds": time.perf_counter() - started, "rows": len(estimate), "warned": warned}
+        answer["angle_deg"] = float(np.degrees(row_space_angle(Lambda, estimate)))
         for name, demonstrations in (("train", train), ("test", test)):
             q = np.concatenate([t.q for t in demonstrations])
-            mu, other = manipulability_along(features, Lambda, q), manipulability_along(features, learnt, q)
+            mu, other = manipulability_along(features, Lambda, q), manipulability_along(features, estimate, q)
             answer[name], answer["scale_free"] = nmie(mu, other), scale_free_nmie(mu, other)
         out[estimator] = answer
     return out
 
 
 def statistics(trials: list[dict[str, Any]], estimator: str, rows: str) -> dict[str, Any]:
-    """Return the statistics of one estimator: first its NMIE on the test set, last shares of the trials."""
+    """Return the statistics of one estimator: first its NMIE on the test set, last shares of the trials.
+
+    Args:
+        trials: Results of `learning_trial`.
+        estimator: A key of `LABELS`.
+        rows: True constrained rows, words of `"x y rz"`.
+    """
     outcomes = [t[estimator] for t in trials]
     numbers = {key: summary(o.get(key) for o in outcomes) for key in ("test", "train", "scale_free", "angle_deg")}
     out = numbers.pop("test") | numbers | {"seconds_per_fit": summary(o.get("seconds") for o in outcomes)["median"]}
@@ -175,7 +191,11 @@ class TableResult(TrialsResult):
         return "\n\n".join(parts)
 
     def figures(self) -> Figures:
-        """Draw every trial as a dot."""
+        """Draw every trial as a dot.
+
+        Returns:
+            The figure, by its name.
+        """
         panels, label = list[Panel](), "NMIE on the test set (no unit)"
         for rows, trials in self.outcomes.items():
             values = {LABELS[name]: [t[name]["test"] for t in trials if "test" in t[name]] for name in LABELS}

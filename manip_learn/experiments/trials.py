@@ -1,4 +1,4 @@
-"""Independent trials, spread over the cores, each with a seed of its own."""
+"""Independent trials, distributed over the cores, each with its own seed."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from manip_learn.linalg import one_thread
 
 @dataclass(frozen=True)
 class Trials:
-    """An experiment that runs each of its cases in independent trials.
+    """Experiment that runs each of its cases in independent trials.
 
     Attributes:
         name: Part of the seeds.
         trial: (case, rng) -> plain numbers, strings, lists and dictionaries; a function at the top of a module.
         cases: Name of a case -> frozen dataclass.
         result: Made from the outcomes: name of a case -> one dictionary per trial.
-        share: Trials of each case over those that the user asks for; at least one is run.
+        share: Trials of each case per trial that the user requests; at least one is run.
     """
 
     name: str
@@ -34,7 +34,11 @@ class Trials:
     share: float = 1.0
 
     def size(self, trials: int) -> int:
-        """Return the number of trials of all cases."""
+        """Return the number of trials of all cases.
+
+        Args:
+            trials: Number of trials that the user requests.
+        """
         return max(1, round(self.share * trials)) * len(self.cases)
 
     def run(
@@ -43,10 +47,13 @@ class Trials:
         """Run all trials; their numbers do not depend on the number of workers.
 
         Args:
-            trials: Number of trials that the user asks for.
+            trials: Number of trials that the user requests.
             rng: Root of all seeds.
             workers: Number of processes; all cores by default. 1 runs in this process.
             on_trial: Called after each trial.
+
+        Returns:
+            The outcomes of all cases.
 
         Raises:
             MissingExtraError: joblib is not installed.
@@ -62,7 +69,7 @@ class Trials:
                 raise MissingExtraError("spreading trials over the cores", "experiments") from error
             running = joblib.Parallel(workers, return_as="generator")(joblib.delayed(_outcome)(*one) for one in work)
         outcomes = []
-        with one_thread():  # here too: threads of this process share the setting
+        with one_thread():  # needed here too: threads of this process share the setting
             for outcome in running:
                 outcomes.append(outcome)
                 on_trial()
@@ -70,7 +77,7 @@ class Trials:
 
 
 def _outcome(experiment: str, trial: Callable[..., Any], case: Any, number: int, seed: int) -> dict[str, Any]:
-    """Return the outcome of a trial; it depends on the seed, the case and the trial's number alone."""
+    """Return the outcome of a trial; it depends only on the seed, the case and the trial's number."""
     label = zlib.crc32(f"{experiment} {sorted(asdict(case).items())}".encode())
     with one_thread():
         return trial(case, default_rng([seed, label, number]))
