@@ -270,8 +270,8 @@ def test_a_hand_that_cannot_hold_it_there_is_refused():
     beside[:3, 3] = POINT + [0.0, 0.1, 0.0]
     door = ml.Mechanism("hinge", (0, 0, 1), POINT, radius=0.4)
     for mechanism, pose, words in (
-        (ml.Mechanism("line"), np.eye(4), "not known where the mechanism is"),
-        (ml.Mechanism("ball"), np.eye(4), "not known where the mechanism is"),
+        (ml.Mechanism("line"), np.eye(4), "the place of the mechanism is not known"),
+        (ml.Mechanism("ball"), np.eye(4), "the place of the mechanism is not known"),
         (ml.Mechanism("plane", (0, 1, 0), POINT), beside, "100 mm off the mechanism .*50 mm are allowed"),
         (door, beside, "300 mm off the mechanism"),
         (door, np.eye(3), "a pose"),
