@@ -274,8 +274,8 @@ def test_a_hand_that_cannot_hold_it_there_is_refused():
         (ml.Mechanism("ball"), np.eye(4), "the place of the mechanism is not known"),
         (ml.Mechanism("plane", (0, 1, 0), POINT), beside, "100 mm off the mechanism .*50 mm are allowed"),
         (door, beside, "300 mm off the mechanism"),
-        (door, np.eye(3), "a pose"),
-        (door, np.full((4, 4), np.nan), "a pose"),
+        (door, np.eye(3), "a grasp pose"),
+        (door, np.full((4, 4), np.nan), "a grasp pose"),
     ):
         with pytest.raises(ConstraintError, match=words):
             mechanism.at(pose)
