@@ -51,7 +51,7 @@ def test_what_is_refused(robot_of, panda):
     refused = [
         (lambda: ml.FrameJacobian(panda, "panda_hand_tpc"), UnknownNameError, "'panda_hand_tcp'"),
         (lambda: ml.FrameJacobian(panda, TCP, reference="base"), FeatureError, "'world' or 'local'"),
-        (lambda: ml.CentreOfMass(panda, "planar"), FeatureError, "x y z only"),
+        (lambda: ml.CentreOfMass(panda, "planar"), FeatureError, "must be x, y or z"),
         (lambda: ml.Stacked([]), FeatureError, "one robot"),
         (lambda: ml.Stacked([ml.FrameJacobian(robot_of("planar3"), "tip"), hand]), FeatureError, "one robot"),
         (lambda: ml.Stacked([other, hand]), FeatureError, "share one robot"),
