@@ -361,7 +361,7 @@ def parse_axes(axes: str | Sequence[str], known: Collection[str] = AXES, what: s
     names = sets.get(axes.strip(), words) if isinstance(axes, str) else words
     unknown = [f"unknown {what} {name!r}" for name in names if name not in known]
     if unknown or not names or len(set(names)) != len(names):
-        reason = unknown[0] if unknown else f"repeated {what}" if names else f"no {what}"
+        reason = unknown[0] if unknown else f"one {what} is named twice" if names else f"no {what}"
         either = "".join(f"{name!r}, " for name in sets) + "or " * bool(sets)
         raise FeatureError(f"{axes!r}: {reason}; use {either}any of {' '.join(known)}, each at most once")
     return names
