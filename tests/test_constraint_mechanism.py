@@ -351,7 +351,7 @@ def test_axes_in_words():
     assert frame(np.eye(6)[[3, 4]], "pose").axes == ("free", "free", "free", "held", "held", "free")
     described = json.loads(json.dumps(frame([[0, 0, 1]], "xyz").to_dict(), allow_nan=False))
     assert described["axes"]["z"] == "held" and described["mechanism"]["type"] == "plane"
-    with pytest.raises(ConstraintError, match="no rows of one frame's twist"):
+    with pytest.raises(ConstraintError, match="not rows of one frame's twist"):
         ml.Constraint([[0, 0, 1]], ml.CentreOfMass(robot)).task_frame(q)
 
 

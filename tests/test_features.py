@@ -61,7 +61,7 @@ def test_what_is_refused(robot_of, panda):
         (lambda: rows("radia"), FeatureError, "unknown row"),
         (lambda: rows("radial radial"), FeatureError, "twice"),
         (lambda: rows(""), FeatureError, "no row"),
-        (lambda: rows("axial", axis=(0, 0, 0)), FeatureError, "no direction"),
+        (lambda: rows("axial", axis=(0, 0, 0)), FeatureError, "axis must not be zero"),
         (lambda: rows("axial", point=(0, NAN, 0)), FeatureError, "finite"),
         (lambda: rows("axial", pitch=np.inf), FeatureError, "pitch"),
         *((lambda r=r: rows("radial", radius=r), FeatureError, "radius") for r in (0.0, NAN, np.inf)),
