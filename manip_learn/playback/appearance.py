@@ -376,7 +376,9 @@ def shell(bodies: Sequence[Body]) -> Mesh:
     for k in range(5):  # Newton steps onto the surface; vertices are spread evenly before the last two
         vertices = vertices if k < 3 else _spread(vertices, triangles)
         slope = _slope(distance, vertices, 0.05 * cell)
-        step = distance(vertices) / np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)  # squared slope: 1, less at an edge
+        step = distance(vertices) / np.maximum(
+            np.einsum("ij,ij->i", slope, slope), 0.25
+        )  # squared slope: 1, less at an edge
         vertices = vertices - np.clip(step[:, None] * slope, -0.5 * cell, 0.5 * cell)
     normals = _slope(distance, vertices, 0.05 * cell)
     return Mesh(vertices, triangles, normals=normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))

@@ -22,7 +22,7 @@ from manip_learn.linalg import finite, null_basis, row_basis
 from manip_learn.playback.appearance import Appearance, Shape, kinematic_tree
 from manip_learn.playback.page_writer import packed
 from manip_learn.playback.palette import PhaseKind
-from manip_learn.playback.recorded_motion import MOST_OF_A_CURVE, GuidedMotion, RecordedMotion, track_data
+from manip_learn.playback.recorded_motion import MAX_CURVE_POINTS, GuidedMotion, RecordedMotion, track_data
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
@@ -65,7 +65,7 @@ def scene_data(
     low, high, near = cloud.min(axis=0), cloud.max(axis=0), 0.25 * _extent(cloud)
     rollouts, n_curves = list[dict[str, Any]](), sum(len(track["curves"]) for m in motions for track in m.measures)
     # points of a curve: all curves of a page have 100,000 of 8 bytes
-    most = int(np.clip(100_000 // max(n_curves, 1), 60, MOST_OF_A_CURVE))
+    most = int(np.clip(100_000 // max(n_curves, 1), 60, MAX_CURVE_POINTS))
     places = max(60, 12_000 // len(motions))  # of the ellipsoids of one motion; all of a page are 12,000
     for m in motions:
         stated = getattr(m.motion.recording, "around", ())
