@@ -407,9 +407,7 @@ class Constraint:
             raise ConstraintMismatchError(f"{source}: {error}") from error
         if content.get(SIGNATURE, digest) != digest:
             changed = f"{source} was changed after it was saved: its contents do not match its SHA-256"
-            remedy = (
-                f'Learn it again or fetch the original; if you changed it on purpose, delete the entry "{SIGNATURE}"'
-            )
+            remedy = f'Learn it again or fetch the original; if the change is intended, delete the entry "{SIGNATURE}"'
             raise ConstraintMismatchError(f"{changed}. {remedy}")
         if SIGNATURE not in content:
             unsigned = f"{source} states no SHA-256 (a file of 0.1 or edited by hand); saving it again adds one"
@@ -559,9 +557,8 @@ def _check_rows(content: Mapping[str, Any], constraint: Constraint) -> None:
         raise ConstraintError("the rows of Lambda are not orthonormal, as in every saved constraint")
     for what in ("row_names", "row_units", "n_constraints"):
         if (value := content.get(what, expected[what])) != expected[what]:
-            raise ConstraintError(
-                f"it states {what} {value}, but its rows and features give {expected[what]}: it is damaged"
-            )
+            problem = f"it states {what} {value}, but its rows and features give {expected[what]}"
+            raise ConstraintError(f"{problem}: it is damaged")
     robot = constraint.robot
     if robot is not None and any(len(row) not in (robot.nq, robot.nv) for row in postures):
         raise ConstraintError(f"its recorded postures are not rows of {robot.nv} numbers: it is damaged")
@@ -623,10 +620,8 @@ def describe(
         place = {"axis": axis, "point": point, "axle": f"the axis {axis} through {point}", "radius": radius}
         freedom = f"can {SHAPES[mechanism.kind][1].format(**place)}"
     elif features.own_axes is None:
-        directions = "" if not len(ways) else f"free along {listed(in_words(row, names) for row in ways)} in "
-        freedom = (
-            f"is {directions}({', '.join(names)}) and {blocked} in every other way" if directions else f"is {blocked}"
-        )
+        lead = "" if not len(ways) else f"free along {listed(in_words(row, names) for row in ways)} in "
+        freedom = f"is {lead}({', '.join(names)}) and {blocked} in every other way" if lead else f"is {blocked}"
     else:
         twists = on_twist(names, np.where(np.abs(ways) < NEGLIGIBLE_ENTRY, 0.0, ways))
         moves, turns = np.split(twists, 2, axis=1)
@@ -634,9 +629,8 @@ def describe(
             freedom = f"can {listed(map(_way, moves, turns))}, and is {blocked} in every other way"
         else:
             present = np.split(np.isin(AXES, names), 2)
-            freedom = "; it ".join(
-                filter(None, map(_clause, (_MOVE, _TURN), (moves, turns), present, (blocked, blocked)))
-            )
+            clauses = map(_clause, (_MOVE, _TURN), (moves, turns), present, (blocked, blocked))
+            freedom = "; it ".join(filter(None, clauses))
     sentences, reference = [f"{subject} {freedom}."], getattr(features, "reference", None)
     is_stated = said_by_rows(mechanism, features.row_names, reference, free)
     if mechanism is not None:

@@ -315,9 +315,8 @@ def shown_by(
     # starts within 3 mm of their median count as one place: people return to a handle within one or two millimetres,
     # but not to a spot on a table
     hold = middle if scatter <= 3e-3 else None
-    off = np.abs(extents - np.median(extents)) + np.where(
-        signed > 0.0, 0.0, np.inf
-    )  # only contacts in the common direction
+    # only contacts in the common direction
+    off = np.abs(extents - np.median(extents)) + np.where(signed > 0.0, 0.0, np.inf)
     # for an even number, two are equally near to the median up to rounding: take the first
     typical = int(np.argmin(np.round(off, 9))) if is_way else _typical(times, ways)
     begin = grasps[typical].copy()

@@ -91,9 +91,7 @@ def joint_tracks(robot: Robot, postures: Float[np.ndarray, "K n"]) -> Float[np.n
             for k, q in enumerate(full):
                 joint.calc(data, q)
                 poses[k] = pin.SE3ToXYZQUAT(data.M)
-                if (
-                    k and poses[k, 3:] @ poses[k - 1, 3:] < 0.0
-                ):  # q and -q are the same rotation: keep the signs continuous
+                if k and poses[k, 3:] @ poses[k - 1, 3:] < 0.0:  # q and -q are one rotation: keep the signs continuous
                     poses[k, 3:] *= -1.0
             columns.append(poses)
         else:
@@ -300,9 +298,7 @@ def rod(ends: Float[np.ndarray, "2 3"], radii: tuple[float, float]) -> Body:
     along, thick = end - start, np.array([[first], [last]])
 
     def distance(points: Points) -> Float[np.ndarray, " P"]:
-        share = np.clip(
-            (points - start) @ along / max(float(along @ along), 1e-18), 0.0, 1.0
-        )  # 1e-18: a ball has no length
+        share = np.clip((points - start) @ along / max(float(along @ along), 1e-18), 0.0, 1.0)  # a ball has no length
         return np.linalg.norm(points - start - share[:, None] * along, axis=1) - (first + share * (last - first))
 
     return Body(distance, (ends - thick).min(axis=0), (ends + thick).max(axis=0), min(radii))
@@ -376,9 +372,8 @@ def shell(bodies: Sequence[Body]) -> Mesh:
     for k in range(5):  # Newton steps onto the surface; vertices are spread evenly before the last two
         vertices = vertices if k < 3 else _spread(vertices, triangles)
         slope = _slope(distance, vertices, 0.05 * cell)
-        step = distance(vertices) / np.maximum(
-            np.einsum("ij,ij->i", slope, slope), 0.25
-        )  # squared slope: 1, less at an edge
+        # the squared slope is 1, and less at an edge
+        step = distance(vertices) / np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)
         vertices = vertices - np.clip(step[:, None] * slope, -0.5 * cell, 0.5 * cell)
     normals = _slope(distance, vertices, 0.05 * cell)
     return Mesh(vertices, triangles, normals=normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
@@ -455,9 +450,8 @@ def _split_at_edges(mesh: Mesh) -> Mesh:
     from trimesh.graph import connected_component_labels
 
     solid = Trimesh(mesh.vertices, mesh.faces, process=False)
-    smooth = solid.face_adjacency_angles < np.deg2rad(
-        38.0
-    )  # above 30 degrees, so that twelve-sided cylinders look round
+    # above 30 degrees, so that twelve-sided cylinders look round; sharper edges stay sharp
+    smooth = solid.face_adjacency_angles < np.deg2rad(38.0)
     pairs, ends = solid.face_adjacency[smooth], solid.face_adjacency_edges[smooth]
     # each end of an edge as a corner of both adjacent triangles
     corners = 3 * pairs[:, None] + np.argmax(mesh.faces[pairs][:, None] == ends[:, :, None, None], axis=-1)

@@ -29,7 +29,7 @@ COLOURS: dict[str, str] = {
 # trajectory, start [s], end [s], index of the constraint or None for free motion; optionally why nothing was learnt
 Phase = tuple[str, float, float, int | None] | tuple[str, float, float, int | None, str]
 WAY = "way"  # the phase of a rollout in which the hand moves along its mechanism
-PHASE_STRENGTHS = {"approach": 0.18, "hold": 0.4, "retreat": 0.18}  # other phase -> share of its rollout's colour
+STRENGTHS = {"approach": 0.18, "hold": 0.4, "retreat": 0.18}  # other phase -> share of its rollout's colour
 _CONSTRAINT_COLOURS = tuple(value for name, value in COLOURS.items() if name != "grey")
 
 
@@ -158,9 +158,7 @@ def own_kinds(bands: Sequence[PhaseBand], colour: str) -> tuple[PhaseKind, ...]:
         The kinds; empty if the rollout has no own phases.
     """
     by_name = {band.name: band for band in bands if band.name is not None}
-    return tuple(
-        _kind(name, name, colour, PHASE_STRENGTHS.get(b.part, 1.0), b.constraint) for name, b in by_name.items()
-    )
+    return tuple(_kind(name, name, colour, STRENGTHS.get(b.part, 1.0), b.constraint) for name, b in by_name.items())
 
 
 def phases_from_json(value: object) -> tuple[Phase, ...]:

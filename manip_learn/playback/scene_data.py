@@ -111,9 +111,8 @@ def _is_flat(robot: Robot) -> bool:
     """Return True if the arm moves in the horizontal plane only, so that it is viewed from above."""
     model = robot.pinocchio_model
     J = pin.computeJointJacobians(model, model.createData(), pin.neutral(model))  # velocities at the base's origin
-    return model.nv > 0 and bool(
-        np.all(np.abs(J[2:5]) < 1e-6)
-    )  # no vertical velocity, no rotation about a horizontal axis
+    # no vertical velocity, no rotation about a horizontal axis
+    return model.nv > 0 and bool(np.all(np.abs(J[2:5]) < 1e-6))
 
 
 def _robot(robot: Robot, looks: Appearance, tip: str) -> dict[str, Any]:

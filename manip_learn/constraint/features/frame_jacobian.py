@@ -148,13 +148,10 @@ class PoseRows(FeatureMap):
             # directions in the axes of a turning hand define no line or plane
             if not set(AXES[:3]) <= set(self.row_names) or (self.own_axes and kind.orientation != "fixed"):
                 return None
-        attributes: dict[str, Any] = {"point": None, **self.seen_from, **({"axis": None} if self.own_axes else {})}
+        extra: dict[str, Any] = {"point": None, **self.seen_from, **({"axis": None} if self.own_axes else {})}
         if is_firm:
-            attributes |= {
-                "grip": "firm",
-                "radius": None if kind.kind == "line" else float(np.linalg.norm(place.point)),
-            }
-        return mechanism_of(kind, place.as_told(), **{"radius": None} | attributes)
+            extra |= {"grip": "firm", "radius": None if kind.kind == "line" else float(np.linalg.norm(place.point))}
+        return mechanism_of(kind, place.as_told(), **{"radius": None} | extra)
 
     @cached_property
     def twist(self) -> PoseRows:  # type: ignore[override]
