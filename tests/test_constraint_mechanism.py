@@ -20,7 +20,7 @@ from task_sets import arm
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import MECHANISM_KINDS
-from manip_learn.constraint.place import AT_A_DISTANCE, Curve, Place, PlaceWeights, mechanism_weights
+from manip_learn.constraint.place import DISTANCE_ROWS, Curve, Place, PlaceWeights, mechanism_weights
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_basis, row_space_angle
 
@@ -192,7 +192,7 @@ def test_every_mechanism_is_a_constant_lambda(robot_of, rng, tmp_path) -> None:
             elif "point-across" in kind.unknowns:
                 assert_allclose(np.cross(read.point - place.point, AXIS), 0.0, atol=1e-9)
             assert read.pitch == (pytest.approx(pitch, rel=1e-8) if kind.type == "screw" else None)
-            assert read.radius == (pytest.approx(radius, abs=1e-9) if set(kind.rows) & set(AT_A_DISTANCE) else None)
+            assert read.radius == (pytest.approx(radius, abs=1e-9) if set(kind.rows) & set(DISTANCE_ROWS) else None)
             back = ml.Constraint.load(constraint.save(tmp_path / "c.json"), robot)
             assert_array_equal(back(q), constraint(q))
             assert back.mechanism == read

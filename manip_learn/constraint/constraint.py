@@ -21,10 +21,10 @@ from manip_learn.constraint.mechanism import (
     NEGLIGIBLE_ENTRY,
     SHAPES,
     Mechanism,
-    as_learnt,
-    in_words,
+    embed_rows,
+    fitted_mechanism,
+    format_vector,
     known_to,
-    on_twist,
 )
 from manip_learn.constraint.place import AXES
 from manip_learn.constraint.shown import Intention, Shown
@@ -121,7 +121,7 @@ class Constraint:
         if self.provenance.get("kind") == "self-imposed":
             return None
         mechanism = self.features.mechanism(self.selection, self.provenance)
-        return None if mechanism is None else as_learnt(mechanism, self.provenance)
+        return None if mechanism is None else fitted_mechanism(mechanism, self.provenance)
 
     @property
     def shown(self) -> Shown | None:
@@ -324,7 +324,7 @@ class Constraint:
             "selection": self.selection.tolist(),
             "provenance": self.provenance,
         }
-        return signed(content)
+        return with_checksum(content)
 
     def save(self, path: str | Path) -> Path:
         """Write the constraint to a JSON file, completely or not at all.
@@ -396,13 +396,13 @@ class Constraint:
             if other and (same_urdf or not same_joints):
                 either = spoken(", or say same_urdf=False for another description with the same joints", "")
                 raise ConstraintMismatchError(other + either * same_joints)
-            normal(content)
+            normalised_json(content)
             features = described_features(content["features"], robot)
             constraint = Constraint(content["selection"], features, content.get("provenance"))
             _check_rows(content, constraint)
-            digest = signed(content)[SIGNATURE]
+            digest = with_checksum(content)[SIGNATURE]
         except DAMAGE as error:
-            raise damaged(source, error) from error
+            raise damage_error(source, error) from error
         except ManipLearnError as error:
             raise ConstraintMismatchError(f"{source}: {error}") from error
         if content.get(SIGNATURE, digest) != digest:
@@ -427,7 +427,7 @@ class Constraint:
         """Return the held rows as text, rotated towards single axes: `"(-0.42, 0.91, 0.00); z"`; they span the rows of
         Lambda.
         """
-        return "; ".join(in_words(row, self.features.row_names) for row in along_axes(self.selection))
+        return "; ".join(format_vector(row, self.features.row_names) for row in along_axes(self.selection))
 
     def _repr_html_(self) -> str:
         rows = [[str(i + 1), *(f"{entry:.4f}" for entry in row)] for i, row in enumerate(self.selection)]
@@ -439,7 +439,7 @@ class Constraint:
         )
 
 
-def signed(content: Mapping[str, Any]) -> dict[str, Any]:
+def with_checksum(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of a constraint file with the SHA-256 of its rows, its demonstrated motion and a skill's
     steps.
 
@@ -454,11 +454,11 @@ def signed(content: Mapping[str, Any]) -> dict[str, Any]:
     """
     motion = (content.get("provenance") or {}).get("shown")
     entries = (content.get("features"), content.get("selection"), motion, content.get("skill"))
-    text = _text_of_02(entries) if content["schema"] == 1 else json.dumps(normal(entries), sort_keys=True)
+    text = _text_of_02(entries) if content["schema"] == 1 else json.dumps(normalised_json(entries), sort_keys=True)
     return {**content, SIGNATURE: hashlib.sha256(text.encode()).hexdigest()}
 
 
-def normal(value: Any) -> Any:
+def normalised_json(value: Any) -> Any:
     """Return a JSON value with every number as a float of twelve digits, so that rewriting by another program changes
     nothing.
 
@@ -473,9 +473,9 @@ def normal(value: Any) -> Any:
     """
     match value:
         case Mapping():
-            return {key: normal(inner) for key, inner in value.items()}
+            return {key: normalised_json(inner) for key, inner in value.items()}
         case list() | tuple():
-            return [normal(inner) for inner in value]
+            return [normalised_json(inner) for inner in value]
         case int() | float() if not isinstance(value, bool):
             if not math.isfinite(value):
                 raise ValueError(f"expected a finite number, got {value}")
@@ -495,7 +495,7 @@ def _text_of_02(value: Any) -> str:
     return repr(value)
 
 
-def damaged(source: str, error: BaseException) -> ConstraintMismatchError:
+def damage_error(source: str, error: BaseException) -> ConstraintMismatchError:
     """Return the error for a damaged file.
 
     Args:
@@ -612,18 +612,18 @@ def describe(
     else:
         subject = "In its own axes, the tip" if features.own_axes else "The tip"
     if features.curve is not None:
-        ends = " to ".join(in_words(end) for end in features.curve.points[[0, -1]])
+        ends = " to ".join(format_vector(end) for end in features.curve.points[[0, -1]])
         freedom = f"can move along a curve of {features.curve.length:.2f} m from {ends} and cannot leave it"
     elif features.geometry is not None and mechanism is not None:
-        axis, point = in_words(mechanism.axis), in_words(mechanism.point)
+        axis, point = format_vector(mechanism.axis), format_vector(mechanism.point)
         radius = "" if mechanism.radius is None else f" of radius {mechanism.radius:.3f} m"
         place = {"axis": axis, "point": point, "axle": f"the axis {axis} through {point}", "radius": radius}
         freedom = f"can {SHAPES[mechanism.kind][1].format(**place)}"
     elif features.own_axes is None:
-        lead = "" if not len(ways) else f"free along {listed(in_words(row, names) for row in ways)} in "
+        lead = "" if not len(ways) else f"free along {listed(format_vector(row, names) for row in ways)} in "
         freedom = f"is {lead}({', '.join(names)}) and {blocked} in every other way" if lead else f"is {blocked}"
     else:
-        twists = on_twist(names, np.where(np.abs(ways) < NEGLIGIBLE_ENTRY, 0.0, ways))
+        twists = embed_rows(names, np.where(np.abs(ways) < NEGLIGIBLE_ENTRY, 0.0, ways))
         moves, turns = np.split(twists, 2, axis=1)
         if np.any(np.any(moves, axis=1) & np.any(turns, axis=1)):
             freedom = f"can {listed(map(_way, moves, turns))}, and is {blocked} in every other way"
@@ -648,8 +648,9 @@ def describe(
 def _way(move: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"]) -> str:
     """Return a free direction as text, with the proportion if it both moves and turns."""
     if np.any(move) and np.any(turn):
-        return f"move along {in_words(move)} while turning about {in_words(turn)}"
-    return f"move along {in_words(move, AXES[:3])}" if np.any(move) else f"turn about {in_words(turn, AXES[:3])}"
+        return f"move along {format_vector(move)} while turning about {format_vector(turn)}"
+    verb, axis = ("move along", move) if np.any(move) else ("turn about", turn)
+    return f"{verb} {format_vector(axis, AXES[:3])}"
 
 
 def said_by_rows(
@@ -668,7 +669,7 @@ def said_by_rows(
     """
     if mechanism is None or reference is None:
         return mechanism is not None
-    moves = np.count_nonzero(np.any(on_twist(names, free)[:, :3], axis=1))
+    moves = np.count_nonzero(np.any(embed_rows(names, free)[:, :3], axis=1))
     return reference == "world" and set(AXES[:3]) <= set(names) and moves == {"line": 1, "plane": 2}.get(mechanism.type)
 
 
@@ -676,13 +677,13 @@ def _clause(words: tuple[str, ...], rows: Float[np.ndarray, "k 3"], known: Bool[
     """Return the free and the held motions among the `known` rows as text; empty if none is known."""
     verb, preposition, everywhere, elsewhere = words
     free, n = [row for row in rows if np.any(row)], int(np.count_nonzero(known))
-    ways = f"can {verb} {preposition} {listed(in_words(v, AXES[:3]) for v in free)}" if free else ""
+    ways = f"can {verb} {preposition} {listed(format_vector(v, AXES[:3]) for v in free)}" if free else ""
     if len(free) == n:
         return f"can {verb} freely" if n == 3 else ways
     where = {0: everywhere, 1: elsewhere}.get(len(free)) if n == 3 else None
     if where is None:
         rest = along_axes(null_basis(np.array([*free, *np.eye(3)[~known]])).T)
-        where = f"{preposition} {listed(in_words(v, AXES[:3]) for v in rest)}"
+        where = f"{preposition} {listed(format_vector(v, AXES[:3]) for v in rest)}"
     if free:
         return f"{ways} and is {held} {where}"
     cannot = f"cannot {verb}" if n == 3 else f"cannot {verb} {where}"

@@ -48,10 +48,10 @@ def manipulability(constraint: Constraint, q: ArrayLike) -> float:
         >>> round(ml.manipulability(constraint, [0.0, 0.0, 0.0]), 2)  # stretched along x: the task is singular
         0.0
     """
-    return constraint_first(constraint, q).manipulability(q)
+    return require_constraint(constraint, q).manipulability(q)
 
 
-def constraint_first(constraint: Constraint, q: ArrayLike) -> Constraint:
+def require_constraint(constraint: Constraint, q: ArrayLike) -> Constraint:
     """Return the first argument if it is a constraint, and refuse anything else.
 
     Args:
@@ -89,7 +89,7 @@ def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.nd
         ConfigurationError: q has the wrong size or is not finite.
         ConstraintError: The arguments are in another order.
     """
-    A, vjp = constraint_first(constraint, q).value_and_vjp(q)
+    A, vjp = require_constraint(constraint, q).value_and_vjp(q)
     return gradient_from(A.shape, svd(A), vjp)[1]
 
 
@@ -110,7 +110,7 @@ def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[n
         ConfigurationError: q has the wrong size or is not finite.
         ConstraintError: The arguments are in another order.
     """
-    A, vjp = constraint_first(constraint, q).value_and_vjp(q)
+    A, vjp = require_constraint(constraint, q).value_and_vjp(q)
     mu, gradient, floor = gradient_from(A.shape, svd(A), vjp)
     return gradient / max(mu, floor, np.finfo(np.float64).tiny)
 
@@ -150,7 +150,7 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
         ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         ConstraintError: The arguments are in another order.
     """
-    selection, features = constraint_first(constraint, q).selection, constraint.features
+    selection, features = require_constraint(constraint, q).selection, constraint.features
     postures, nv = np.asarray(q, dtype=np.float64), constraint.nv
     if constraint.robot is not None:
         constraint.robot.checked_postures(postures)  # before slicing, so that errors name the caller's row

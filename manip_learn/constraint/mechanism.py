@@ -143,7 +143,7 @@ KINDS = {(kind, orientation): _kind(kind, orientation) for kind in _KINDS for or
 # kinds that the learner distinguishes
 MECHANISM_KINDS = tuple(kind for kind in KINDS.values() if kind.orientation in _KINDS[kind.kind].learnable.split())
 KIND_BY_NAME = {kind.name: kind for kind in MECHANISM_KINDS}
-Read = tuple[MechanismKind, Place]
+Match = tuple[MechanismKind, Place]  # kind and place of a mechanism that fits some rows
 Rows = Float[np.ndarray, "_ k"]
 
 
@@ -181,7 +181,7 @@ def plain(record: Any, digits: int | None = None) -> dict[str, Any]:
     return values
 
 
-def saved(make: Any, content: Mapping[str, Any]) -> Any:
+def from_plain(make: Any, content: Mapping[str, Any]) -> Any:
     """Build a dataclass from the output of `plain`; entries that are not fields are ignored.
 
     Args:
@@ -196,7 +196,7 @@ def saved(make: Any, content: Mapping[str, Any]) -> Any:
         if isinstance(value, list):
             values[name] = Curve(value) if name == "curve" else np.array(value, dtype=np.float64)
         elif name == "mechanism":
-            values[name] = saved(Mechanism, value)
+            values[name] = from_plain(Mechanism, value)
     return make(**values)
 
 
@@ -300,7 +300,7 @@ class Mechanism:
         """Its axis, centre, pitch and distance in words, in the robot's base frame; empty for an orientation."""
         if self.axis is None and self.grip == "firm" and self.type in ("line", "hinge", "screw"):
             return "fixed to the hand" + ("" if self.radius is None else f", {self.radius:.3f} m from its origin")
-        axis, point = in_words(self.axis), in_words(self.point)
+        axis, point = format_vector(self.axis), format_vector(self.point)
         words = {"line": f"along {axis}", "plane": f"across {axis}", "ball": f"centre {point}", "space": "", CURVE: ""}
         text = words.get(self.kind, f"axis {axis} through {point}")
         text += f" in {self.relative_to!r}" if text and self.relative_to else ""
@@ -312,7 +312,7 @@ class Mechanism:
         """Freedom of the hand's orientation, in words."""
         if self.grip == "kept" and self.orientation_rms is not None:
             return f"the hand kept its orientation to {self.orientation_rms:.1f} degrees, by habit"
-        around = {"plane": "its normal", "space": in_words(self.axis)}.get(self.kind, "the axis")
+        around = {"plane": "its normal", "space": format_vector(self.axis)}.get(self.kind, "the axis")
         slides = " and may slide along it" if self.name.startswith("sleeve") else ""
         return _TURNS[self.orientation][1].format(axis=around) + slides
 
@@ -473,13 +473,13 @@ class Mechanism:
         Returns:
             The mechanism.
         """
-        return saved(Mechanism, described)
+        return from_plain(Mechanism, described)
 
     def __str__(self) -> str:
         return self.sentence
 
 
-def in_words(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
+def format_vector(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
     """Return a vector as text with two decimals, or `"unknown"` for None.
 
     Args:
@@ -544,7 +544,7 @@ def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **know
     return Mechanism(kind.type, radius=radius, orientation=kind.orientation, name=kind.name, **attributes | known)
 
 
-def on_twist(names: Sequence[str], rows: np.ndarray, *, distance: bool = False) -> Rows:
+def embed_rows(names: Sequence[str], rows: np.ndarray, *, distance: bool = False) -> Rows:
     """Expand rows of some of (v, w) to rows of all six.
 
     Args:
@@ -560,9 +560,9 @@ def on_twist(names: Sequence[str], rows: np.ndarray, *, distance: bool = False) 
     return out
 
 
-def of_point_rows(
+def read_point_rows(
     selection: Rows, immovable: Rows, middle: Float[np.ndarray, " 3"], *, aligned: bool = True
-) -> Read | None:
+) -> Match | None:
     """Read the mechanism of a point, and the freedom of the hand's orientation, from rows of [v; (p - m).v; w].
 
     Rows that the arm cannot move also constrain the point; they say nothing about the grip.
@@ -601,7 +601,7 @@ def of_point_rows(
     return None if kind not in MECHANISM_KINDS or is_tilted else (kind, place)
 
 
-def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -> Read | None:
+def read_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -> Match | None:
     """Read the mechanism that leaves some twists (v, w) free; every displacement is a screw motion (G. Chasles).
 
     Args:
@@ -639,7 +639,7 @@ def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -
     return None
 
 
-def of_surface(selection: Rows, middle: Float[np.ndarray, " 3"], p: Float[np.ndarray, "N 3"]) -> Read | None:
+def read_surface_rows(selection: Rows, middle: Float[np.ndarray, " 3"], p: Float[np.ndarray, "N 3"]) -> Match | None:
     """Read the mechanism of rows n.v + sum B_ij (p - m)_i v_j: a cylinder, B = I - a a^T, or a helix, B = [a].
 
     Args:
@@ -673,7 +673,7 @@ def of_surface(selection: Rows, middle: Float[np.ndarray, " 3"], p: Float[np.nda
     return KINDS["screw", "free"], Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis))
 
 
-def hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], learnt: Mapping[str, Any]) -> Read:
+def hinge_or_screw(read: Match, hand: Float[np.ndarray, " 3"], learnt: Mapping[str, Any]) -> Match:
     """Replace the screw of a firm grip by a hinge unless its travel exceeds three standard deviations of the row angle.
 
     Args:
@@ -691,7 +691,7 @@ def hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], learnt: Mapping[st
     return read if travels or kind != KINDS["screw", "carried"] else (KINDS["hinge", "carried"], place)
 
 
-def as_learnt(read: Mechanism, learnt: Mapping[str, Any]) -> Mechanism:
+def fitted_mechanism(read: Mechanism, learnt: Mapping[str, Any]) -> Mechanism:
     """Return the mechanism that was fitted to positions, with place and uncertainty, if it agrees with Lambda.
 
     Args:

@@ -34,10 +34,10 @@ from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation
 AXIS_UNITS = {**dict.fromkeys(("x", "y", "z"), "m/s"), **dict.fromkeys(("rx", "ry", "rz"), "rad/s")}
 AXES = tuple(AXIS_UNITS)  # rows of a twist (v, w)
 ON_AXIS = 1e-5  # [m] closer to the axis (or the centre) a direction fades to zero instead of flipping
-TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
+ROTATION_ROWS = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
 _VELOCITIES = "radial tangential axial helical spherical across-1 across-2 {} {} {} slide-1 slide-2 slide screw"
-ROW_UNITS = {x: "rad/s" if x in TURNING else "m/s" for x in _VELOCITIES.format(*TURNING).split()}
-AT_A_DISTANCE = ("radial", "tangential", "helical", "spherical")  # rows that depend on the distance of the hand
+ROW_UNITS = {x: "rad/s" if x in ROTATION_ROWS else "m/s" for x in _VELOCITIES.format(*ROTATION_ROWS).split()}
+DISTANCE_ROWS = ("radial", "tangential", "helical", "spherical")  # rows that depend on the distance of the hand
 
 
 @final

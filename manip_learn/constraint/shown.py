@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.interpolate import UnivariateSpline
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Selection
-from manip_learn.constraint.mechanism import CURVE, Mechanism, plain, saved
+from manip_learn.constraint.mechanism import CURVE, Mechanism, from_plain, plain
 from manip_learn.constraint.place import Chart, Curve, across
 from manip_learn.errors import FeatureError, counted
 from manip_learn.linalg import complement_rows, row_basis
@@ -239,7 +239,7 @@ class Shown:
             The record; None if the content is anything else.
         """
         try:
-            return saved(Shown, content if "mechanism" in content else {**content, **_of_02(content)})
+            return from_plain(Shown, content if "mechanism" in content else {**content, **_of_02(content)})
         except (KeyError, TypeError, ValueError):
             return None
 
@@ -566,7 +566,7 @@ class Intention:
             The record; None if the content is anything else.
         """
         try:
-            return saved(Intention, content)
+            return from_plain(Intention, content)
         except (KeyError, TypeError, ValueError):
             return None
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.constraint.constraint import Constraint, damaged, read_constraint_file, signed
+from manip_learn.constraint.constraint import Constraint, damage_error, read_constraint_file, with_checksum
 from manip_learn.constraint.shown import Shown, Take
 from manip_learn.errors import DAMAGE, counted
 from manip_learn.robot.robot import Robot
@@ -126,7 +126,7 @@ class Skill:
         ]
         others = [c.to_dict() for c in self.constraints[1:]]
         skill = {"others": others, "steps": steps, "notes": list(self.notes)}
-        return signed(self.constraints[0].to_dict() | {"skill": skill})
+        return with_checksum(self.constraints[0].to_dict() | {"skill": skill})
 
     def save(self, path: str | Path) -> Path:
         """Write the skill to a JSON file, completely or not at all; `Constraint.load` reads its first constraint.
@@ -162,14 +162,14 @@ class Skill:
         first = Constraint.from_dict(content, robot, source=source, same_urdf=same_urdf)
         saved = content.get("skill")
         if saved is None:
-            return one_way(first)
+            return single_constraint_skill(first)
         try:
             others = [Constraint.from_dict(c, robot, source=source, same_urdf=same_urdf) for c in saved["others"]]
             constraints = (first, *others)
             steps = tuple(_step(entry, constraints) for entry in saved["steps"])
             return Skill(constraints, steps, tuple(map(str, saved.get("notes", ()))))
         except DAMAGE as error:
-            raise damaged(source, error) from error
+            raise damage_error(source, error) from error
 
 
 def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step:
@@ -188,7 +188,7 @@ def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step
     return Step(kind, constraint, Shown.from_dict(entry["shown"]), gripper, position, fingers, takes)
 
 
-def one_way(constraint: Constraint) -> Skill:
+def single_constraint_skill(constraint: Constraint) -> Skill:
     """Return the skill of a single constraint: a reach and a way.
 
     Args:

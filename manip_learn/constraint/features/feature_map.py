@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.mechanism import Mechanism, Read
+from manip_learn.constraint.mechanism import Match, Mechanism
 from manip_learn.constraint.place import AXES
 from manip_learn.errors import ConstraintError, FeatureError, TargetError
 
@@ -219,7 +219,7 @@ class FeatureMap(ABC):
         """
         return None
 
-    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
+    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Match | None:
         """Return kind and place of the mechanism that makes these rows zero.
 
         Args:

@@ -24,8 +24,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import ErrorAndRate, FeatureMap, Read, Selected, Selection, parse_axes
-from manip_learn.constraint.mechanism import Mechanism, hinge_or_screw, mechanism_of, of_point_rows, of_twists, on_twist
+from manip_learn.constraint.features.feature_map import ErrorAndRate, FeatureMap, Match, Selected, Selection, parse_axes
+from manip_learn.constraint.mechanism import (
+    Mechanism,
+    embed_rows,
+    hinge_or_screw,
+    mechanism_of,
+    read_point_rows,
+    read_twists,
+)
 from manip_learn.constraint.place import AXES, AXIS_UNITS
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.linalg import null_basis, orthonormal_rows
@@ -112,7 +119,7 @@ class PoseRows(FeatureMap):
     def _with_turns(self) -> PoseRows:
         return self.changed(axes=AXES)
 
-    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
+    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Match | None:
         """Return kind and place of a mechanism whose rows are the same everywhere.
 
         Args:
@@ -123,8 +130,8 @@ class PoseRows(FeatureMap):
         Returns:
             Kind and place; None if the rows are no known mechanism, or are along the frame's own axes.
         """
-        zero, blind = (on_twist(self.row_names, rows, distance=True) for rows in (selection, immovable))
-        return None if self.own_axes else of_point_rows(zero, blind, places.mean(axis=0))
+        zero, blind = (embed_rows(self.row_names, rows, distance=True) for rows in (selection, immovable))
+        return None if self.own_axes else read_point_rows(zero, blind, places.mean(axis=0))
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
         """Return the mechanism of constant rows of the frame's origin; it has a direction but no place.
@@ -136,11 +143,11 @@ class PoseRows(FeatureMap):
         Returns:
             The mechanism; None if the rows are no known mechanism.
         """
-        hand, rows = np.zeros(3), on_twist(self.row_names, selection, distance=True)
+        hand, rows = np.zeros(3), embed_rows(self.row_names, selection, distance=True)
         if is_firm := self.own_axes and len(selection) == 5 and self.n_rows == len(AXES):
-            match = of_twists(null_basis(np.delete(rows, 3, axis=1)).T, hand)
+            match = read_twists(null_basis(np.delete(rows, 3, axis=1)).T, hand)
         else:
-            match = of_point_rows(rows, rows[:0], hand, aligned=False)
+            match = read_point_rows(rows, rows[:0], hand, aligned=False)
         if match is None:
             return None
         kind, place = hinge_or_screw(match, hand, learnt)
@@ -385,7 +392,7 @@ class FrameJacobian(PoseRows):
         """
         if self.own_axes:
             return self, selection
-        rotated = on_twist(self.row_names, selection).reshape(-1, 2, 3) @ transform[:3, :3].T
+        rotated = embed_rows(self.row_names, selection).reshape(-1, 2, 3) @ transform[:3, :3].T
         axes = AXES if "rad/s" in self.row_units else AXES[:3]
         return self.changed(axes=axes), rotated.reshape(-1, 6)[:, : len(axes)]
 

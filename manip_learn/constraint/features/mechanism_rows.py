@@ -16,23 +16,23 @@ from manip_learn.constraint.mechanism import (
     CLEAR_SHARE,
     CURVE,
     KIND_BY_NAME,
+    Match,
     Mechanism,
     MechanismKind,
-    Read,
     hinge_or_screw,
     kind_of_rows,
     mechanism_of,
-    of_point_rows,
-    of_surface,
-    of_twists,
+    read_point_rows,
+    read_surface_rows,
+    read_twists,
 )
 from manip_learn.constraint.place import (
-    AT_A_DISTANCE,
     AXES,
     AXIS_UNITS,
     CURVE_ROWS,
+    DISTANCE_ROWS,
+    ROTATION_ROWS,
     ROW_UNITS,
-    TURNING,
     Curve,
     CurveWeights,
     Place,
@@ -249,7 +249,7 @@ class MechanismRows(WeighedVelocity):
         return self.changed(axis=R @ g.axis, point=R @ g.point + transform[:3, 3]), selection
 
     def _with_turns(self) -> MechanismRows:
-        return self.with_rows(tuple(dict.fromkeys((*self.row_names, *TURNING))), self.radius)
+        return self.with_rows(tuple(dict.fromkeys((*self.row_names, *ROTATION_ROWS))), self.radius)
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
         """Return the mechanism that constrains whole rows of these.
@@ -297,7 +297,7 @@ class MechanismRows(WeighedVelocity):
         Returns:
             shape (p, nv); None if it is Phi(q): without a radius, or without rows that depend on the distance.
         """
-        if self.radius is None or not set(self.row_names) & set(AT_A_DISTANCE):
+        if self.radius is None or not set(self.row_names) & set(DISTANCE_ROWS):
             return None
         return self._at_any_distance(q)
 
@@ -321,7 +321,7 @@ def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: Pose
         Phi and Lambda.
     """
     if kind.kind not in ("line", "plane", "space"):
-        at = radius if set(kind.rows) & set(AT_A_DISTANCE) and kind.type != "screw" else None
+        at = radius if set(kind.rows) & set(DISTANCE_ROWS) and kind.type != "screw" else None
         where = {"axis": place.axis, "point": place.point, "pitch": place.pitch, "radius": at}
         rows = MechanismRows(twist.robot, twist.frame.name, kind.rows, **where, **twist.seen_from)
         return rows, np.eye(len(kind.rows))
@@ -386,7 +386,7 @@ class PlaceRows(WeighedVelocity):
             by_place[3, :3] = np.eye(3)
         self.place_weights = PlaceWeights(constant - by_place @ m, by_place)
 
-    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
+    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Match | None:
         """Return kind and place of the mechanism that makes these rows zero.
 
         Args:
@@ -398,10 +398,10 @@ class PlaceRows(WeighedVelocity):
             Kind and place; None if the rows are no known mechanism.
         """
         if self.form == "twist":
-            return of_twists(null_basis(np.concatenate([selection, immovable])).T, self.middle)
+            return read_twists(null_basis(np.concatenate([selection, immovable])).T, self.middle)
         if self.form == "surface":
-            return of_surface(selection, self.middle, places)
-        return of_point_rows(selection, immovable, self.middle)
+            return read_surface_rows(selection, self.middle, places)
+        return read_point_rows(selection, immovable, self.middle)
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
         """Return the mechanism of these rows; its radius, or a helix, needs the recorded postures.
@@ -419,7 +419,7 @@ class PlaceRows(WeighedVelocity):
         if match is None or (match[0].name == "screw" and not postures):
             return None
         (kind, place), radius = hinge_or_screw(match, positions[0], learnt), None
-        if postures and set(kind.rows) & set(AT_A_DISTANCE):
+        if postures and set(kind.rows) & set(DISTANCE_ROWS):
             out = positions - place.point
             out -= 0.0 if kind.type == "ball" else np.outer(out @ place.axis, place.axis)
             radius = float(np.linalg.norm(out, axis=1).mean())
