@@ -21,10 +21,10 @@ from manip_learn.constraint.mechanism import (
     NEGLIGIBLE_ENTRY,
     SHAPES,
     Mechanism,
+    describe_uncertainty,
     embed_rows,
     fitted_mechanism,
     format_vector,
-    known_to,
 )
 from manip_learn.constraint.place import AXES
 from manip_learn.constraint.shown import Intention, Shown
@@ -632,7 +632,7 @@ def describe(
             clauses = map(_clause, (_MOVE, _TURN), (moves, turns), present, (blocked, blocked))
             freedom = "; it ".join(filter(None, clauses))
     sentences, reference = [f"{subject} {freedom}."], getattr(features, "reference", None)
-    is_stated = said_by_rows(mechanism, features.row_names, reference, free)
+    is_stated = rows_state_place(mechanism, features.row_names, reference, free)
     if mechanism is not None:
         place = f", {mechanism.place}" if mechanism.place and not is_stated else ""
         turn = mechanism.grip == "kept" or (mechanism.orientation != "free" and not set(AXES[3:]) & set(names))
@@ -640,7 +640,7 @@ def describe(
         it = "The path alone looks" if other and set(AXES[:3]) <= set(names) else "It looks"
         looks = SHAPES[mechanism.kind][0]
         sentences.append(f"{it} like {looks}{place}{f'; {mechanism.turns}' if turn else ''}.")
-    if known_words := known_to(uncertainty_deg, mechanism, is_stated):
+    if known_words := describe_uncertainty(uncertainty_deg, mechanism, is_stated):
         sentences.append(f"{known_words[0].upper()}{known_words[1:]}.")
     return " ".join(sentences)
 
@@ -653,7 +653,7 @@ def _way(move: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"]) -> str:
     return f"{verb} {format_vector(axis, AXES[:3])}"
 
 
-def said_by_rows(
+def rows_state_place(
     mechanism: Mechanism | None, names: Sequence[str], reference: str | None, free: Float[np.ndarray, "k p"]
 ) -> bool:
     """Return whether the free directions alone already state the place of the mechanism.

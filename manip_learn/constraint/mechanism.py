@@ -497,19 +497,21 @@ def format_vector(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
     return "(" + ", ".join(f"{x + 0.0:.2f}" for x in np.round(vector, 2)) + ")"
 
 
-def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None, told: bool = False) -> str:
+def describe_uncertainty(
+    uncertainty_deg: float | None, mechanism: Mechanism | None = None, is_stated: bool = False
+) -> str:
     """Return the uncertainties as text, each once: `"direction known to 0.001 degrees"`.
 
     Args:
         uncertainty_deg: Uncertainty of the rows [deg]; None if unknown.
         mechanism: Mechanism with the uncertainties of its parameters; None for rows alone.
-        told: True if the rows state the direction of the mechanism: its axis is then called direction.
+        is_stated: True if the rows state the direction of the mechanism: its axis is then called direction.
 
     Returns:
         The text; empty if no uncertainty is known.
     """
     errors = {"direction": uncertainty_deg} | ({} if mechanism is None else dict(mechanism.uncertainty))
-    if told and mechanism is not None and mechanism.type in ("line", "plane"):  # the axis is the rows' direction
+    if is_stated and mechanism is not None and mechanism.type in ("line", "plane"):  # the axis is the rows' direction
         axis = errors.pop("axis", None)
         errors["direction"] = axis if uncertainty_deg is None else uncertainty_deg
     determined, undetermined = list[str](), list[str]()

@@ -55,7 +55,7 @@ class Place:
     point: Float[np.ndarray, " 3"]
     pitch: float = 0.0
 
-    def as_told(self) -> Place:
+    def canonical(self) -> Place:
         """Return this place with its axis in the reported direction: its largest component is positive.
 
         The pitch does not change: with a reversed axis both rotation and travel change sign.

@@ -269,7 +269,7 @@ def _ways(mechanism: Mechanism, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.n
     return chart.coordinates(poses)[:, : chart.n_ways] * chart.sizes
 
 
-def shown_by(
+def demonstrated_motion(
     features: FeatureMap, selection: Selection, mechanism: Mechanism | None, contacts: Sequence[Trajectory]
 ) -> Shown | None:
     """Return the demonstrated motion along the free directions of a constraint.
@@ -571,7 +571,7 @@ class Intention:
             return None
 
 
-def intention_of(
+def fit_intention(
     features: FeatureMap, selection: Selection, recordings: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> Intention | None:
     """Fit the attractor that explains the motion of the rows.

@@ -158,7 +158,7 @@ class PoseRows(FeatureMap):
         extra: dict[str, Any] = {"point": None, **self.seen_from, **({"axis": None} if self.own_axes else {})}
         if is_firm:
             extra |= {"grip": "firm", "radius": None if kind.kind == "line" else float(np.linalg.norm(place.point))}
-        return mechanism_of(kind, place.as_told(), **{"radius": None} | extra)
+        return mechanism_of(kind, place.canonical(), **{"radius": None} | extra)
 
     @cached_property
     def twist(self) -> PoseRows:  # type: ignore[override]
