@@ -250,7 +250,7 @@ def _own_shapes(visuals: Sequence[Visual], max_triangles: int) -> tuple[list[Sha
     whole = {id(v.shape): v.shape for v in visuals if isinstance(v.shape, Mesh)}  # a finger's mesh is often used twice
     # split by colour first: where two simplified surfaces coincide, one must not hide the other
     parts = [(key, colour, part) for key, mesh in whole.items() for colour, part in by_colour(mesh)]
-    small, before, after = decimated([part for *_, part in parts], max_triangles)
+    small, before, after = decimate([part for *_, part in parts], max_triangles)
     drawn = [(key, colour, mesh) for (key, colour, _), mesh in zip(parts, small, strict=True) if len(mesh.faces)]
     for v in visuals:
         match v.shape:
@@ -399,8 +399,8 @@ def _means(groups: Int[np.ndarray, " P"], points: Points) -> Float[np.ndarray, "
 # ---- mesh simplification for a page, and smooth shading of smooth surfaces ----------------------------------------
 
 
-def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]:
-    """Simplify meshes until they have at most a number of triangles together.
+def decimate(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]:
+    """Reduce meshes until they have at most a number of triangles together.
 
     Large meshes lose more triangles than small ones, and no mesh becomes unrecognisable while the budget allows it.
 

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance, joint_tracks
-from manip_learn.playback.palette import COLOURS, rgb_of
+from manip_learn.playback.palette import COLOURS, hex_to_rgb
 from manip_learn.playback.replay_page import live_page
 from manip_learn.playback.scene_data import mechanism_drawing
 from manip_learn.robot.description.catalogue import known_as
@@ -344,7 +344,7 @@ def _draw_constraint(scene: Any, robot: Robot, constraint: Constraint, q: ArrayL
     tip = default_tip(robot) if twist is None else twist.frame
     path = robot.position(q, tip)[None] if motion is None else motion.points
     width = 0.004  # [m] radius of the tubes drawn for lines, because WebGL lines are one pixel wide
-    blue, vermilion = (tuple(x / 255.0 for x in rgb_of(COLOURS[name])) for name in ("blue", "vermilion"))
+    blue, vermilion = (tuple(x / 255.0 for x in hex_to_rgb(COLOURS[name])) for name in ("blue", "vermilion"))
     if constraint.mechanism is not None:
         drawing = mechanism_drawing(constraint.mechanism, path)
         for k, line in enumerate(drawing.lines):

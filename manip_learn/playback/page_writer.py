@@ -21,12 +21,12 @@ from manip_learn.errors import OutputError
 _FOLDER = Path(__file__).with_name("page")
 
 
-def packed(array: np.ndarray, dtype: str) -> str:
+def to_base64(array: np.ndarray, dtype: str) -> str:
     """Return the array's numbers in base64, row by row.
 
     Args:
         array: Any numbers, including NaN.
-        dtype: Little-endian NumPy type: `"<f8"`, `"<f4"`, `"<u4"` or `"<u2"`.
+        dtype: Little-endian NumPy type: `"<f8"`, `"<f4"`, `"<u4"`, `"<u2"` or `"i1"`.
     """
     return base64.b64encode(np.ascontiguousarray(array, dtype=dtype).tobytes()).decode("ascii")
 
@@ -59,7 +59,7 @@ REPLAY = PageKind(
 LIVE = replace(REPLAY, mode="live")
 
 
-def page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = REPLAY) -> str:
+def render_page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = REPLAY) -> str:
     """Return the HTML of a replay, of a live view, or of another kind of page.
 
     Names are escaped; and even a name that was not escaped could not run, because only scripts with a listed hash run.
@@ -181,11 +181,11 @@ _ANSWER = """<script>(() => {
 _cell: Any = False  # cell that contains the viewer; False: no cell
 
 
-def in_cell(page: str) -> str:
+def notebook_output(page: str) -> str:
     """Return a page as the output of a notebook cell.
 
     Args:
-        page: Output of `page`.
+        page: Output of `render_page`.
 
     Returns:
         HTML with the page in a frame.

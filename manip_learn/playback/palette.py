@@ -129,7 +129,7 @@ def phase_bands(phases: Sequence[Phase], names: Sequence[str]) -> dict[str, tupl
     return {name: tuple(sorted(some, key=lambda b: b.start)) for name, some in bands.items()}
 
 
-def own_bands(rollout: str, phases: Sequence[tuple[str, float, float]]) -> tuple[PhaseBand, ...]:
+def rollout_bands(rollout: str, phases: Sequence[tuple[str, float, float]]) -> tuple[PhaseBand, ...]:
     """Return a rollout's own phases in order of time.
 
     Args:
@@ -147,7 +147,7 @@ def own_bands(rollout: str, phases: Sequence[tuple[str, float, float]]) -> tuple
     return tuple(sorted((band._replace(name=name) for name, band in bands), key=lambda b: b.start))
 
 
-def own_kinds(bands: Sequence[PhaseBand], colour: str) -> tuple[PhaseKind, ...]:
+def rollout_kinds(bands: Sequence[PhaseBand], colour: str) -> tuple[PhaseKind, ...]:
     """Return the kinds of a rollout's own phases, by their names.
 
     Args:
@@ -206,7 +206,7 @@ def _refusal(sentence: str) -> RecordingError:
 
 def _kind(label: str, mark: str, colour: str, strength: float = 1.0, constraint: int | None = None) -> PhaseKind:
     """Return a kind whose ink, black or white, has more contrast (relative luminance as in WCAG 2.2)."""
-    channels = np.array(rgb_of(colour)) / 255.0
+    channels = np.array(hex_to_rgb(colour)) / 255.0
     linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
     is_light = (linear @ [0.2126, 0.7152, 0.0722] + 0.05) ** 2 > 1.05 * 0.05
     return PhaseKind(label, mark, colour, "#000000" if is_light else "#ffffff", strength, constraint)
@@ -238,7 +238,7 @@ def rollout_colours(names: Sequence[str], chosen: Mapping[str, str], neutral: bo
     return [(picked[n], COLOURS[picked[n]]) for n in names]
 
 
-def rgb_of(colour: str) -> list[int]:
+def hex_to_rgb(colour: str) -> list[int]:
     """Return red, green and blue of a hexadecimal colour.
 
     Args:

@@ -19,8 +19,8 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, RecordingError, TargetError, listed
 from manip_learn.linalg import finite
 from manip_learn.playback.appearance import joint_tracks
-from manip_learn.playback.page_writer import packed
-from manip_learn.playback.palette import WAY, PhaseBand, own_bands, own_kinds
+from manip_learn.playback.page_writer import to_base64
+from manip_learn.playback.palette import WAY, PhaseBand, rollout_bands, rollout_kinds
 from manip_learn.recordings.trajectory import Trajectory, evenly
 from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.robot.joints import Frame
@@ -169,7 +169,7 @@ def _track(kind: str, curves: Sequence[Curve], unit: str = "", without: Sequence
     return {"kind": kind, "unit": unit, "without": list(without), "curves": curves}
 
 
-def tracks_of(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
+def motion_tracks(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
     """Return the tracks of a motion over time, except manipulability and status.
 
     Args:
@@ -252,10 +252,10 @@ def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]
 
     def curve_data(name: str, times: np.ndarray, values: np.ndarray) -> dict[str, Any]:
         samples = extremes(values, most)
-        described: dict[str, Any] = {"name": name, "values": packed(values[samples], "<f4")}
+        described: dict[str, Any] = {"name": name, "values": to_base64(values[samples], "<f4")}
         if samples.size < values.size:
-            return described | {"times": packed(times[samples], "<f4")}
-        return described | {"clock": clocks.setdefault(packed(times, "<f8"), len(clocks))}
+            return described | {"times": to_base64(times[samples], "<f4")}
+        return described | {"clock": clocks.setdefault(to_base64(times, "<f8"), len(clocks))}
 
     described = [{**track, "curves": [curve_data(*curve) for curve in track["curves"]]} for track in tracks]
     return {"clocks": list(clocks), "tracks": described}
@@ -289,7 +289,7 @@ class RecordedMotion(NamedTuple):
         postures: shape (K, n), joint positions of the key frames [rad or m].
         path_times: shape (P,), times along the tip path [s].
         path: shape (P, 3), positions of the tip in the base frame [m].
-        measures: Curves over time, see `tracks_of`.
+        measures: Curves over time, see `motion_tracks`.
         content: Further data for the page; `handles` has, for each fixture that a rollout moves, start and end of the
             times at which the hand holds its handle [s].
     """
@@ -340,7 +340,7 @@ def recorded_motion(
         samples = extremes(curve, MAX_CURVE_POINTS)
         curve_times, curve, around = time[samples], curve[samples], recording.around
         status = status_changes(name, time, recording.status)
-        bands = own_bands(name, recording.phases)
+        bands = rollout_bands(name, recording.phases)
         if len(recording.ways) > 1:
             ways = {way.get("name"): k for k, way in reversed(list(enumerate(recording.ways)))}  # by the name of a step
             bands = [band._replace(constraint=ways.get((band.name or "").rpartition(": ")[0])) for band in bands]
@@ -356,8 +356,8 @@ def recorded_motion(
             way = _fixture_travel(fixture, path_times, poses, spans)
             travels["m" if fixture.type == "line" else "rad"].append(("", path_times, way))
     opening, turning = _track("opening", travels["m"], "m"), _track("turning", travels["rad"], "rad")
-    measures = [opening, turning, *tracks_of(robot, motion)]
-    kinds = own_kinds(motion.phases, colour)
+    measures = [opening, turning, *motion_tracks(robot, motion)]
+    kinds = rollout_kinds(motion.phases, colour)
     numbers = {kind.label: k for k, kind in enumerate(kinds)}
     # angles in float64: even after many turns they must be accurate to a nanoradian
     exact = {"keyTimes": time[keys], "tracks": tracks, "curveTimes": curve_times, "curve": curve}
@@ -365,9 +365,9 @@ def recorded_motion(
         "name": name,
         "colour": colour,
         "duration": float(time[-1]),
-        **{key: packed(array, "<f8") for key, array in exact.items()},
-        "pathTimes": packed(path_times, "<f4"),
-        "path": packed(poses[:, :3, 3], "<f4"),
+        **{key: to_base64(array, "<f8") for key, array in exact.items()},
+        "pathTimes": to_base64(path_times, "<f4"),
+        "path": to_base64(poses[:, :3, 3], "<f4"),
         "status": status,
         "handles": list(grips.values()),
         # start, end, index of the kind; -1 for free motion

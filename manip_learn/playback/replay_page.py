@@ -23,7 +23,7 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError
 from manip_learn.linalg import finite
 from manip_learn.playback.appearance import appearance
-from manip_learn.playback.page_writer import LIVE, PageKind, in_cell, page
+from manip_learn.playback.page_writer import LIVE, PageKind, notebook_output, render_page
 from manip_learn.playback.palette import WAY, Phase, phase_bands, phase_kinds, phases_from_json, rollout_colours
 from manip_learn.playback.recorded_motion import GuidedMotion, RecordedMotion, guided_motion, recorded_motion
 from manip_learn.playback.scene_data import MechanismDrawing, mechanism_drawing, scene_data
@@ -116,7 +116,7 @@ class ReplayResult:
 
     def _repr_html_(self) -> str:
         """Return the page in a frame, as text, because notebooks do not serve every file."""
-        return in_cell(self.html.read_text(encoding="utf-8"))
+        return notebook_output(self.html.read_text(encoding="utf-8"))
 
 
 def replay(
@@ -220,7 +220,7 @@ def replay(
         "panes": [_outcome(m) for m in guided] if side_by_side else [],
         "odd": {name: why for name, why in evidence["odd"] if name in recordings},
     }
-    text = page(data, robot=known_as(robot.source) or robot.name or "robot", subtitle=title).encode("utf-8")
+    text = render_page(data, robot=known_as(robot.source) or robot.name or "robot", subtitle=title).encode("utf-8")
     path = write_atomically(_temporary_file(robot) if html is None else html, text)
     if open_browser or (open_browser is None and html is None):
         webbrowser.open(path.as_uri())
@@ -266,7 +266,7 @@ def live_page(
     looks = appearance(robot)
     data = scene_data(robot, looks, tip.name, [still], looks.notes, mechanisms=drawings)
     data["events"], data["floor"] = f"/{token}/events", 0.0  # random postures reach below the base, real arms do not
-    return page(data, robot=name, subtitle="", kind=kind)
+    return render_page(data, robot=name, subtitle="", kind=kind)
 
 
 def _notes(evidence: Mapping[str, Any], n_arms: int) -> list[str]:

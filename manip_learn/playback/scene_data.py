@@ -20,7 +20,7 @@ from manip_learn.constraint.shown import Intention, Shown
 from manip_learn.errors import RecordingError
 from manip_learn.linalg import finite, null_basis, row_basis
 from manip_learn.playback.appearance import Appearance, Shape, kinematic_tree
-from manip_learn.playback.page_writer import packed
+from manip_learn.playback.page_writer import to_base64
 from manip_learn.playback.palette import PhaseKind
 from manip_learn.playback.recorded_motion import MAX_CURVE_POINTS, GuidedMotion, RecordedMotion, track_data
 from manip_learn.recordings.trajectory import evenly
@@ -165,10 +165,10 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
     return {
         "origin": origin.tolist(),
         "step": step.tolist(),
-        "positions": packed(np.rint((mesh.vertices - origin) / step), "<u2"),
-        "triangles": packed(mesh.faces, "<u4" if wide else "<u2"),
+        "positions": to_base64(np.rint((mesh.vertices - origin) / step), "<u2"),
+        "triangles": to_base64(mesh.faces, "<u4" if wide else "<u2"),
         "wide": wide,
-        "normals": None if mesh.normals is None else packed(np.rint(127.0 * mesh.normals), "i1"),
+        "normals": None if mesh.normals is None else to_base64(np.rint(127.0 * mesh.normals), "i1"),
     }
 
 
@@ -313,9 +313,9 @@ def constraint_marks(robot: Robot, motion: GuidedMotion, constraint: Constraint,
     return {
         "tip": _place(robot, twist.frame),
         "axes": directions.axes and _place(robot, directions.axes),
-        "times": packed(motion.samples.time[samples], "<f8"),
-        **{key: packed(part[..., *UPPER_TRIANGLE], "<f4") for key, part in parts},
-        "ellipsoid": packed(ellipsoid[:, *UPPER_TRIANGLE], "<f4"),
+        "times": to_base64(motion.samples.time[samples], "<f8"),
+        **{key: to_base64(part[..., *UPPER_TRIANGLE], "<f4") for key, part in parts},
+        "ellipsoid": to_base64(ellipsoid[:, *UPPER_TRIANGLE], "<f4"),
         "longest": float(np.sqrt(np.maximum(np.linalg.eigvalsh(ellipsoid), 0.0).max(initial=0.0))),  # semi-axis [m/s]
         "driven": constraint.n_constraints > base.n_constraints,  # also along free directions
         "target": _target_place(robot, constraint, motion),
@@ -389,8 +389,8 @@ class MechanismDrawing(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the drawing for the page, arrays in base64."""
-        arrays = {name: [packed(x, "<f4") for x in getattr(self, name)] for name in ("lines", "patches")}
-        return self._asdict() | arrays | {"way": packed(self.way, "<f4")}
+        arrays = {name: [to_base64(x, "<f4") for x in getattr(self, name)] for name in ("lines", "patches")}
+        return self._asdict() | arrays | {"way": to_base64(self.way, "<f4")}
 
 
 def mechanism_drawing(
