@@ -427,16 +427,15 @@ def _geometry(
     kind: str, described: Mapping[str, Any], held: Float[np.ndarray, "n 3"]
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
     """Return the lines and the patches of a mechanism; none if it lacks an axis or a point."""
-    values = dict[str, Any]()
+    parts = dict[str, Any]()
     for name, shape in {"axis": (3,), "point": (3,), "radius": (), "pitch": ()}.items():
         entry = described.get(name)
-        values[name] = None if entry is None else finite(entry, *shape)
+        parts[name] = None if entry is None else finite(entry, *shape)
         # [m] distances above 1e9 cannot be drawn
-        if entry is not None and (values[name] is None or not np.all(np.abs(values[name]) < 1e9)):
+        if entry is not None and (parts[name] is None or not np.all(np.abs(parts[name]) < 1e9)):
             rule = f"{'three finite numbers' if shape else 'a finite number'} below 1e+09"
             raise RecordingError(f"the mechanism's {name} must be {rule}, got {entry!r:.80}", code="mechanism")
-    axis, point = values["axis"], values["point"]
-    radius, pitch = (float(values[name] or 0) for name in ("radius", "pitch"))
+    axis, point, radius, pitch = parts["axis"], parts["point"], float(parts["radius"] or 0), float(parts["pitch"] or 0)
     if kind == "ball" and point is not None and radius:
         return tuple(_helix(a, point, radius) for a in np.eye(3)), ()
     if kind == "ball" or axis is None or point is None or not np.any(axis):
