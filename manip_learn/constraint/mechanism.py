@@ -402,17 +402,17 @@ class Mechanism:
         if (grasp := finite(pose, 4, 4)) is None:
             raise ConstraintError(f"expected a grasp pose (4, 4) of finite numbers, got {pose!r:.80}")
         g, p, spec, is_carried = self.located(), grasp[:3, 3], _KINDS[self.kind], self.orientation == "carried"
-        lever, off = p - g.point, 0.0
-        out = lever - (lever @ g.axis) * g.axis
+        lever, deviation = p - g.point, 0.0
+        radial = lever - (lever @ g.axis) * g.axis
         if self.curve is not None:
-            off = float(np.linalg.norm(p - self.curve.at(self.curve.nearest(p[None]))[0]))
+            deviation = float(np.linalg.norm(p - self.curve.at(self.curve.nearest(p[None]))[0]))
         elif self.kind == "plane" and self.point is not None:
-            off = float(np.linalg.norm(lever - out))
+            deviation = float(np.linalg.norm(lever - radial))
         elif self.radius is not None and not is_carried:
-            off = abs(float(np.linalg.norm(lever if self.kind == "ball" else out)) - self.radius)
-        if off > within:
-            distance = f"the hand is {1e3 * off:.3g} mm off the mechanism ({self.sentence})"
-            raise ConstraintError(f"{distance}, {1e3 * within:.3g} mm are allowed: start at a pose on the mechanism")
+            deviation = abs(float(np.linalg.norm(lever if self.kind == "ball" else radial)) - self.radius)
+        if deviation > within:
+            problem = f"the hand is {1e3 * deviation:.3g} mm off the mechanism ({self.sentence})"
+            raise ConstraintError(f"{problem}, {1e3 * within:.3g} mm are allowed: start at a pose on the mechanism")
         axis = g.axis[None] if self.curve is None else self.curve.tangents_at(self.curve.nearest(p[None]))
         directions = {"": np.zeros((0, 3)), "axis": axis, "across": across(g.axis), "all": np.eye(3)}
         turn, travel = directions[spec.turns], directions[spec.travels]
@@ -429,8 +429,8 @@ class Mechanism:
         )
         sizes = (half_hand if self.in_fingers else self.radius or 1.0, 1.0) if self.kind == "cylinder" else (1.0,)
         screws = np.vstack([moves, rest]), np.vstack([turns, rest]), np.vstack([still, spin])
-        more: dict[str, Any] = {"centre": g.point, "curve": self.curve, "rows": self._weights, "sizes": sizes}
-        return Chart(grasp, *screws, is_carried=is_carried, **more)
+        options: dict[str, Any] = {"centre": g.point, "curve": self.curve, "rows": self._weights, "sizes": sizes}
+        return Chart(grasp, *screws, is_carried=is_carried, **options)
 
     def places(self, begin: Float[np.ndarray, " 3"], s: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
         """Return positions along the mechanism, e.g. as a line to draw.
@@ -516,12 +516,12 @@ def describe_uncertainty(
         errors["direction"] = axis if uncertainty_deg is None else uncertainty_deg
     determined, undetermined = list[str](), list[str]()
     for name, error in errors.items():
-        what, unit = "place" if name == "point" else name, _PARAMETERS[name]
+        label, unit = "place" if name == "point" else name, _PARAMETERS[name]
         if error is not None and unit == "degrees" and error > 45.0:  # an undetermined direction
-            undetermined.append(f"{what} not determined")
+            undetermined.append(f"{label} not determined")
         elif error is not None:
             size = error_in_words(error if unit == "degrees" else 1e3 * error, unit)
-            determined.append(f"{what} {'to' if determined else 'known to'} {size}")
+            determined.append(f"{label} {'to' if determined else 'known to'} {size}")
     return listed([*determined, *undetermined]) if determined or undetermined else ""
 
 
@@ -591,13 +591,13 @@ def read_point_rows(
     rows = np.linalg.svd(position)[2][:n_held]
     normals, distances = rows[:, :3], rows[:, 3]
     # an axis or a centre beyond 5 m counts as infinitely far here: the fit to positions determines its distance
-    far = float(np.linalg.norm(distances)) < 1.0 / 5.0
+    is_far = float(np.linalg.norm(distances)) < 1.0 / 5.0
     axis = free if n_held == 0 else normals[0]
     if n_held == 2:
-        axis = np.cross(*normals) if far else distances[1] * normals[0] - distances[0] * normals[1]
-    point = middle if far else middle - distances @ normals / float(distances @ distances)
+        axis = np.cross(*normals) if is_far else distances[1] * normals[0] - distances[0] * normals[1]
+    point = middle if is_far else middle - distances @ normals / float(distances @ distances)
     place = Place(axis / np.linalg.norm(axis), point)
-    name = ("space", "plane" if far else "ball", "line" if far else "hinge")[n_held]
+    name = ("space", "plane" if is_far else "ball", "line" if is_far else "hinge")[n_held]
     kind = KINDS[name, {0: "free", 2: "about-axis", 3: "fixed"}[turns]]
     is_tilted = aligned and turns == 2 and abs(float(free @ place.axis)) < 1.0 - MIXED
     return None if kind not in MECHANISM_KINDS or is_tilted else (kind, place)
@@ -636,8 +636,8 @@ def read_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"])
             return KINDS["space", "about-axis"], Place(axis, middle)
         case 3, 3:  # v_i = w_i x (m - c) for all three
             levers = np.concatenate([skew(x) for x in spun[:, 3:]])
-            away = np.linalg.lstsq(levers, spun[:, :3].reshape(-1), rcond=None)[0]
-            return KINDS["ball", "carried"], Place(Z, middle - away)
+            offset = np.linalg.lstsq(levers, spun[:, :3].reshape(-1), rcond=None)[0]
+            return KINDS["ball", "carried"], Place(Z, middle - offset)
     return None
 
 
@@ -653,8 +653,8 @@ def read_surface_rows(selection: Rows, middle: Float[np.ndarray, " 3"], p: Float
         Kind and place; None if the rows are neither.
     """
     n, B = selection[:, :3], selection[:, 3:].reshape(-1, 3, 3)
-    odd = 0.5 * (B - B.transpose(0, 2, 1)).reshape(len(B), -1)
-    U, sizes, _ = np.linalg.svd(odd)
+    antisymmetric = 0.5 * (B - B.transpose(0, 2, 1)).reshape(len(B), -1)
+    U, sizes, _ = np.linalg.svd(antisymmetric)
     side = U[:, -1]
     C, foot = np.tensordot(side, B, axes=1), side @ n
     values, vectors = np.linalg.eigh(0.5 * (C + C.T))

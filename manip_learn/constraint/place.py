@@ -227,14 +227,14 @@ class Curve:
         if not np.all(np.isfinite(self.points)) or not np.all(chords > 0.0):
             raise FeatureError("the points of a curve must be finite, and consecutive points must differ")
         self.points.setflags(write=False)
-        at = np.concatenate([[0.0], np.cumsum(chords)])
+        lengths = np.concatenate([[0.0], np.cumsum(chords)])
         for _ in range(2):  # first over the chord length, then over the curve length, from 4 midpoints per segment
-            spline = CubicSpline(at, self.points, bc_type="natural")
-            inside = at[:-1, None] + np.diff(at)[:, None] * (np.arange(4) + 0.5) / 4
+            spline = CubicSpline(lengths, self.points, bc_type="natural")
+            inside = lengths[:-1, None] + np.diff(lengths)[:, None] * (np.arange(4) + 0.5) / 4
             speed = np.linalg.norm(spline(inside, 1), axis=2).mean(axis=1)
-            at = np.concatenate([[0.0], np.cumsum(speed * np.diff(at))])
-        self._spline = CubicSpline(at, self.points, bc_type="natural")
-        self.length = float(at[-1])
+            lengths = np.concatenate([[0.0], np.cumsum(speed * np.diff(lengths))])
+        self._spline = CubicSpline(lengths, self.points, bc_type="natural")
+        self.length = float(lengths[-1])
 
     def at(self, s: Float[np.ndarray, " n"], order: int = 0) -> Float[np.ndarray, "n 3"]:
         """Return positions or their derivatives at lengths along the curve.
@@ -321,9 +321,9 @@ class Curve:
         places, step = self.at(samples), samples[1]
         s = samples[np.argmin(np.sum(places**2, axis=1) - 2.0 * p @ places.T, axis=1)]
         for _ in range(6):  # Newton steps, each doubles the number of correct digits
-            away, c1, c2 = p - self.at(s), self.at(s, 1), self.at(s, 2)
-            slope = np.maximum(np.sum(c1 * c1, axis=1) - np.sum(c2 * away, axis=1), 1.0 - LARGEST_OFFSET)
-            move = np.sum(c1 * away, axis=1) / slope
+            offset, c1, c2 = p - self.at(s), self.at(s, 1), self.at(s, 2)
+            slope = np.maximum(np.sum(c1 * c1, axis=1) - np.sum(c2 * offset, axis=1), 1.0 - LARGEST_OFFSET)
+            move = np.sum(c1 * offset, axis=1) / slope
             outside = (s <= 0.0) & (move < 0.0) | (s >= self.length) & (move > 0.0)
             s = s + np.where(outside, move, np.clip(move, -step, step))
         return s
@@ -338,12 +338,12 @@ class Curve:
             W (n, 6, 6) and dW/dp (n, 6, 6, 3).
         """
         s = self.nearest(p)
-        away, c1, c2, c3 = p - self.at(s), *(self.at(s, k) for k in (1, 2, 3))
-        bend = np.sum(c2 * away, axis=1)
+        offset, c1, c2, c3 = p - self.at(s), *(self.at(s, k) for k in (1, 2, 3))
+        bend = np.sum(c2 * offset, axis=1)
         far = bend > LARGEST_OFFSET  # near the centre of curvature the length would diverge
         D = np.sum(c1 * c1, axis=1) - np.minimum(bend, LARGEST_OFFSET)
         along = c1 / D[:, None]
-        by_length = 3.0 * np.sum(c1 * c2, axis=1) - np.sum(c3 * away, axis=1)
+        by_length = 3.0 * np.sum(c1 * c2, axis=1) - np.sum(c3 * offset, axis=1)
         dD = np.where(far, 2.0 * np.sum(c1 * c2, axis=1), by_length)[:, None] * along - np.where(far[:, None], 0.0, c2)
         W, dW = np.zeros((len(p), len(CURVE_ROWS), 6)), np.zeros((len(p), len(CURVE_ROWS), 6, 3))
         W[:, 3:, 3:] = np.eye(3)
@@ -454,9 +454,9 @@ class Chart:
         if centre is None:  # the point of the axis nearest to the origin
             centre = skew(self._axis).dot(travel[0]) / self._size if self._turns == 1 else np.zeros(3)
         self._centre, self._slide = centre, travel - np.cross(centre, turn)
-        out = self._p - centre
-        self._held = -self._R.T @ out  # the point of a carried hand at the centre, in the hand's axes
-        self._out = out - (out @ self._axis) * self._axis if self._turns == 1 else out
+        lever = self._p - centre
+        self._held = -self._R.T @ lever  # the point of a carried hand at the centre, in the hand's axes
+        self._out = lever - (lever @ self._axis) * self._axis if self._turns == 1 else lever
         self._around = skew(self._axis).dot(self._out)
 
     def coordinates(self, pose: Float[np.ndarray, "*n 4 4"], near: float = 0.0) -> Float[np.ndarray, "*n k"]:

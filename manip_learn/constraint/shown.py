@@ -199,13 +199,13 @@ class Shown:
         at = "at the same place" if self.hold is not None else f"at places up to {100 * self.scatter:.2g} cm apart"
         where = f"In {counted(self.n, 'contact')} the hand took hold {at}"
         size, unit, digits = (1.0, "m", 2) if self.unit == "m" else (math.degrees(1.0), "degrees", 0)
-        far, low, high = (f"{size * x:.{digits}f}" for x in (self.extent, self.least, self.most))
-        far += f" {unit}" if low == high else f" {unit} ({low} to {high})"
-        took = "" if self.force is None else f" It took up to {self.force:.2g} N."
+        distance, low, high = (f"{size * x:.{digits}f}" for x in (self.extent, self.least, self.most))
+        distance += f" {unit}" if low == high else f" {unit} ({low} to {high})"
+        force = "" if self.force is None else f" It took up to {self.force:.2g} N."
         if not self.is_way:
-            return f"{where}, and went up to {far} from there on a path of {self.time[-1]:.1f} s.{took}"
+            return f"{where}, and went up to {distance} from there on a path of {self.time[-1]:.1f} s.{force}"
         back = (", and back" if self.back else "") + ("" if self.one_way else "; not all went the same way")
-        return f"{where}, moved {far} at about {size * self.speed:.2g} {unit}/s{back}.{took}"
+        return f"{where}, moved {distance} at about {size * self.speed:.2g} {unit}/s{back}.{force}"
 
     def __repr__(self) -> str:
         return f"Shown({self.sentence})"
@@ -316,15 +316,15 @@ def demonstrated_motion(
     # but not to a spot on a table
     hold = middle if scatter <= 3e-3 else None
     # only contacts in the common direction
-    off = np.abs(extents - np.median(extents)) + np.where(signed > 0.0, 0.0, np.inf)
+    deviation = np.abs(extents - np.median(extents)) + np.where(signed > 0.0, 0.0, np.inf)
     # for an even number, two are equally near to the median up to rounding: take the first
-    typical = int(np.argmin(np.round(off, 9))) if is_way else _typical(times, ways)
+    typical = int(np.argmin(np.round(deviation, 9))) if is_way else _typical(times, ways)
     begin = grasps[typical].copy()
     if hold is not None:
         begin[:3, 3] = hold
     sizes: dict[str, Any] = {"extent": np.median, "spread": np.std, "least": np.min, "most": np.max}
-    far: dict[str, Any] = {name: float(size(extents)) for name, size in sizes.items()}
-    span = far["most"]
+    statistics: dict[str, Any] = {name: float(size(extents)) for name, size in sizes.items()}
+    span = statistics["most"]
     if is_way:  # grips differ, so the angles of a carried hand cannot be compared between contacts
         carried = free.orientation == "carried"
         begins = np.zeros(len(ways)) if carried else _ways(free, grasps)[:, 0]
@@ -332,7 +332,7 @@ def demonstrated_motion(
         span = float(np.max(high - low) if carried else np.max(high) - np.min(low))
     return Shown(
         unit="rad" if free.kind in ("hinge", "screw", "ball") else "m",
-        **far,
+        **statistics,
         span=span,
         speed=float(np.median(lengths / np.maximum(seconds, 1e-9))),
         seconds=float(np.median(seconds)),
@@ -601,6 +601,6 @@ def fit_intention(
         return None
     targets = np.array([r.mean(axis=0) + b.mean(axis=0) / gain for r, b in zip(places, rates, strict=True)])
     spread = float(np.sqrt(np.mean(np.sum((targets - targets.mean(axis=0)) ** 2, axis=1))))
-    far = float(np.mean([np.linalg.norm(r[0] - r[-1]) for r in places]))
+    distance = float(np.mean([np.linalg.norm(r[0] - r[-1]) for r in places]))
     # one target if the spread is at most a tenth of the mean distance covered by the recordings
-    return Intention(targets.mean(axis=0), gain, targets, spread, spread <= 0.1 * far, residual)
+    return Intention(targets.mean(axis=0), gain, targets, spread, spread <= 0.1 * distance, residual)

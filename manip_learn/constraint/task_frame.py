@@ -153,10 +153,10 @@ def task_frame(constraint: Any, q: ArrayLike) -> TaskFrame:
     if np.any(lever):
         stated[:2] = np.hypot(stated[:2], math.atan(errors.get("point", 0.0) / float(np.linalg.norm(lever))))
     right_angle = 0.5 * math.pi  # [rad] error of an unknown axis
-    off = np.minimum(np.where(coverage < 0.5, right_angle, np.hypot(stated, mixed)), right_angle)
-    for array in (pose, off, rows, hand, point):
+    uncertainty = np.minimum(np.where(coverage < 0.5, right_angle, np.hypot(stated, mixed)), right_angle)
+    for array in (pose, uncertainty, rows, hand, point):
         array.setflags(write=False)
-    return TaskFrame(pose, tuple(states.tolist()), off, rows, hand, point, turns, f.frame.name, fitted)  # type: ignore[arg-type]
+    return TaskFrame(pose, tuple(states.tolist()), uncertainty, rows, hand, point, turns, f.frame.name, fitted)  # type: ignore[arg-type]
 
 
 def _central(held: Float[np.ndarray, "s 6"]) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, " 3"]]:

@@ -326,15 +326,15 @@ def _way_in_words(way: Mapping[str, Any]) -> tuple[str, str]:
     """Return the distance of a way and the reason for its stop, as text."""
     distance, goal, stopped = finite(way.get("done")), finite(way.get("wanted")), _text(way.get("stopped_by"))
     unit = "m" if way.get("unit") == "m" else "degrees"
-    far = "" if distance is None or goal is None else f"{abs(distance):.3g} of {abs(goal):.3g} {unit}"
-    return far, f", stopped by {stopped}" if stopped else ""
+    text = "" if distance is None or goal is None else f"{abs(distance):.3g} of {abs(goal):.3g} {unit}"
+    return text, f", stopped by {stopped}" if stopped else ""
 
 
 def _way_rows(recorded: RecordedMotion, several: bool) -> list[list[str]]:
     """Return a table row for each way of a rollout: its name, the grasp point, and its numbers, as text."""
     rows, motion = [], recorded.motion
     for way in getattr(motion.recording, "ways", ()):
-        whose = ": ".join(filter(None, (motion.name if several else "", _text(way.get("name"))))) or motion.name
+        name = ": ".join(filter(None, (motion.name if several else "", _text(way.get("name"))))) or motion.name
         begins, place = way["begins"], "not reached"
         if begins is not None:
             at = [np.interp(begins - motion.recording.time[0], recorded.path_times, axis) for axis in recorded.path.T]
@@ -343,8 +343,8 @@ def _way_rows(recorded: RecordedMotion, several: bool) -> list[list[str]]:
         joint = joint if isinstance(joint, Mapping) else {}
         fastest = _in_words("{:.0f} % of its limit", joint.get("share_of_limit"), 100.0)
         fastest = fastest and f"{fastest} ({_text(joint.get('name'))})"
-        off, margin = _in_words("{:.1f} mm", way.get("deviation"), 1e3), _in_words("{:.0f} %", way.get("margin"), 1e2)
-        rows.append([whose, place, "".join(_way_in_words(way)), off, fastest, margin])
+        error, margin = _in_words("{:.1f} mm", way.get("deviation"), 1e3), _in_words("{:.0f} %", way.get("margin"), 1e2)
+        rows.append([name, place, "".join(_way_in_words(way)), error, fastest, margin])
     return rows
 
 

@@ -65,10 +65,10 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     Raises:
         TargetError: The matrix is not a rotation.
     """
-    off = float(np.max(np.abs(R @ R.T - np.eye(3))))
-    if not off < 1e-3 or np.linalg.det(R) < 0.0:  # tolerate a matrix printed with few digits
+    error = float(np.max(np.abs(R @ R.T - np.eye(3))))
+    if not error < 1e-3 or np.linalg.det(R) < 0.0:  # tolerate a matrix printed with few digits
         raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
-    return R if off < 1e-12 else orthonormal_rows(R)
+    return R if error < 1e-12 else orthonormal_rows(R)
 
 
 def pose_error(

@@ -321,9 +321,9 @@ def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: Pose
         Phi and Lambda.
     """
     if kind.kind not in ("line", "plane", "space"):
-        at = radius if set(kind.rows) & set(DISTANCE_ROWS) and kind.type != "screw" else None
-        where = {"axis": place.axis, "point": place.point, "pitch": place.pitch, "radius": at}
-        rows = MechanismRows(twist.robot, twist.frame.name, kind.rows, **where, **twist.seen_from)
+        row_radius = radius if set(kind.rows) & set(DISTANCE_ROWS) and kind.type != "screw" else None
+        geometry = {"axis": place.axis, "point": place.point, "pitch": place.pitch, "radius": row_radius}
+        rows = MechanismRows(twist.robot, twist.frame.name, kind.rows, **geometry, **twist.seen_from)
         return rows, np.eye(len(kind.rows))
     # the constrained point of the hand is its origin, at any position
     rows = mechanism_weights(kind.rows, Place(place.axis, np.zeros(3)), None).values(np.zeros((1, 3)))[0]
