@@ -430,6 +430,7 @@ class Constraint:
         return "; ".join(format_vector(row, self.features.row_names) for row in along_axes(self.selection))
 
     def _repr_html_(self) -> str:
+        """Return Lambda as a table for notebooks."""
         rows = [[str(i + 1), *(f"{entry:.4f}" for entry in row)] for i, row in enumerate(self.selection)]
         return html_card.card(
             f"Constraint: {self.n_constraints} of {self.features.n_rows} rows",

@@ -128,6 +128,7 @@ class MechanismKind:
 
 
 def _kind(kind: Kind, orientation: Orientation) -> MechanismKind:
+    """Return the kind of mechanism with an orientation of the hand."""
     spec, (turning, _, suffix) = _KINDS[kind], _TURNS[orientation]
     names = (orientation == "carried" and spec.carried) or f"{spec.place} {turning}"
     turns = zip(_TURNS["fixed"][0].split(), CURVE_ROWS[3:], strict=True)  # for a curve, about the base's axes

@@ -203,7 +203,7 @@ def single_constraint_skill(constraint: Constraint) -> Skill:
 def _in_words(step: Step) -> str:
     """Return a step as text."""
     if step.kind == "reach":
-        return "go to where it begins" if step.place is None else "go to where the recordings ended"
+        return "move to the next grasp" if step.place is None else "move to the end of the recordings"
     mechanism = None if step.constraint is None else step.constraint.mechanism
-    what = "along what is free" if mechanism is None else f"along {mechanism.sentence}"
-    return what if step.shown is None else f"{what}: {step.shown.extent:.3g} {step.shown.unit}"
+    direction = "along its free directions" if mechanism is None else f"along {mechanism.sentence}"
+    return direction if step.shown is None else f"{direction}: {step.shown.extent:.3g} {step.shown.unit}"

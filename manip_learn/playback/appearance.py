@@ -298,6 +298,14 @@ def rod(ends: Float[np.ndarray, "2 3"], radii: tuple[float, float]) -> Body:
     along, thick = end - start, np.array([[first], [last]])
 
     def distance(points: Points) -> Float[np.ndarray, " P"]:
+        """Return the distance of points from the rod.
+
+        Args:
+            points: shape (P, 3) [m].
+
+        Returns:
+            shape (P,) [m], negative inside.
+        """
         share = np.clip((points - start) @ along / max(float(along @ along), 1e-18), 0.0, 1.0)  # a ball has no length
         return np.linalg.norm(points - start - share[:, None] * along, axis=1) - (first + share * (last - first))
 
@@ -316,6 +324,14 @@ def barrel(pose: Float[np.ndarray, "4 4"], radius: float, half: float) -> Body:
     reach = np.abs(pose[:3, :3]) @ np.array([radius, radius, half])
 
     def distance(points: Points) -> Float[np.ndarray, " P"]:
+        """Return the distance of points from the cylinder.
+
+        Args:
+            points: shape (P, 3) [m].
+
+        Returns:
+            shape (P,) [m], negative inside.
+        """
         x, y, z = ((points - pose[:3, 3]) @ pose[:3, :3]).T
         over = np.column_stack([np.hypot(x, y) - radius, np.abs(z) - half]) + edge
         return np.linalg.norm(np.maximum(over, 0.0), axis=1) + np.minimum(over.max(axis=1), 0.0) - edge

@@ -253,6 +253,7 @@ class LiveViewer(contextlib.AbstractContextManager["LiveViewer"]):
             raise ConfigurationError(f"manipulability and time must be finite, got {mu} at time {now}")
 
         def message() -> str:
+            """Return the picture as one line of JSON."""
             values = joint_tracks(robot, posture[None])[0]
             return json.dumps({"time": now, "values": values.tolist(), "mu": mu}, allow_nan=False)
 
@@ -313,6 +314,11 @@ def show(
         _draw_constraint(scene, robot, constraint, posture)
 
     def move(q: ArrayLike) -> None:
+        """Move the arm.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+        """
         full = robot.pinocchio_configuration(q)
         if meshcat_viewer is not viewer:
             return viewer.display(full)

@@ -251,6 +251,13 @@ def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]
     clocks = dict[str, int]()  # times -> index
 
     def curve_data(name: str, times: np.ndarray, values: np.ndarray) -> dict[str, Any]:
+        """Return one curve, thinned, with its own or a shared clock.
+
+        Args:
+            name: Name in the legend.
+            times: Times (T,) [s].
+            values: Values (T,); NaN for a gap.
+        """
         samples = extremes(values, most)
         described: dict[str, Any] = {"name": name, "values": to_base64(values[samples], "<f4")}
         if samples.size < values.size:

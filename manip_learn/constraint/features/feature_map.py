@@ -319,6 +319,8 @@ Selected = tuple[FeatureMap, Float[np.ndarray, "_ _"]]  # Phi and Lambda
 
 
 class _Short(Repr):
+    """Short text of constructor arguments, for `repr`."""
+
     def repr_list(self, x: list[Any], level: int) -> str:
         """Return a list as text: names in one string, or the first few numbers.
 

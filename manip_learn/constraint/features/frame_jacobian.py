@@ -117,6 +117,7 @@ class PoseRows(FeatureMap):
         self.own_axes, self.only_linear = own_axes, not own_axes and max(rows) < 3
 
     def _with_turns(self) -> PoseRows:
+        """Return all six rows of the frame."""
         return self.changed(axes=AXES)
 
     def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Match | None:

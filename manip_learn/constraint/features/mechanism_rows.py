@@ -249,6 +249,7 @@ class MechanismRows(WeighedVelocity):
         return self.changed(axis=R @ g.axis, point=R @ g.point + transform[:3, 3]), selection
 
     def _with_turns(self) -> MechanismRows:
+        """Return these rows and all angular velocities."""
         return self.with_rows(tuple(dict.fromkeys((*self.row_names, *ROTATION_ROWS))), self.radius)
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
@@ -303,6 +304,7 @@ class MechanismRows(WeighedVelocity):
 
     @cached_property
     def _at_any_distance(self) -> MechanismRows:
+        """The same rows without a radius."""
         return self.with_rows(self.row_names)
 
 
@@ -495,6 +497,7 @@ class CurveRows(WeighedVelocity):
         return self.changed(points=self.curve, rows=rows)
 
     def _with_turns(self) -> CurveRows:
+        """Return these rows and all angular velocities."""
         return self.with_rows((*(name for name in self.row_names if name not in AXES), *AXES[3:]))
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:

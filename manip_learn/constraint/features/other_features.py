@@ -164,6 +164,11 @@ class CustomFeatures(FeatureMap):
         return self._checked(self._coordinates(self._state(q)), (self.n_rows,), "coordinates")
 
     def _checked(self, value: ArrayLike, shape: tuple[int, ...], what: str) -> np.ndarray:
+        """Return a function's value as an array of a shape.
+
+        Raises:
+            FeatureError: Wrong shape or not finite.
+        """
         array = np.asarray(value, dtype=np.float64)
         if array.shape != shape:
             raise FeatureError(f"{what} of {self!r} must have shape {shape}, the function returned {array.shape}")
@@ -270,6 +275,7 @@ class Stacked(FeatureMap):
         return np.concatenate([e for e, _ in both]), self._stack([E for _, E in both], q)
 
     def _stack(self, blocks: list[Float[np.ndarray, "k nv"] | None], q: ArrayLike) -> np.ndarray | None:
+        """Return the parts' blocks in order, with Phi(q) for None; None if all are None."""
         if all(block is None for block in blocks):
             return None
         return np.concatenate([p(q) if b is None else b for p, b in zip(self.parts, blocks, strict=True)])
