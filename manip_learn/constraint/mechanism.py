@@ -87,8 +87,6 @@ SHAPES: dict[Kind, tuple[str, str]] = {
     "cylinder": ("a cylinder (a sleeve on a rod)", "move on a cylinder{radius} about {axle} and cannot leave it"),
     "curve": ("a rail that is bent", "move along it and cannot leave it"),
 }
-# error of the rows or of a parameter -> its unit in words
-_PARAMETERS = {"direction": "degrees", "axis": "degrees", "point": "mm", "radius": "mm", "pitch": "mm/rad"}
 Z = np.array([0.0, 0.0, 1.0])  # default axis
 CLEAR_SHARE = 0.1  # largest leakage of a row of `MechanismRows` that counts as held or free: see `MIXED`
 # [m] distance from an axis below which the hand's position does not determine its angle: an arm with 1 mm accuracy
@@ -515,9 +513,10 @@ def describe_uncertainty(
     if is_stated and mechanism is not None and mechanism.type in ("line", "plane"):  # the axis is the rows' direction
         axis = errors.pop("axis", None)
         errors["direction"] = axis if uncertainty_deg is None else uncertainty_deg
+    units = {"direction": "degrees", "axis": "degrees", "point": "mm", "radius": "mm", "pitch": "mm/rad"}
     determined, undetermined = list[str](), list[str]()
     for name, error in errors.items():
-        label, unit = "place" if name == "point" else name, _PARAMETERS[name]
+        label, unit = "place" if name == "point" else name, units[name]
         if error is not None and unit == "degrees" and error > 45.0:  # an undetermined direction
             undetermined.append(f"{label} not determined")
         elif error is not None:

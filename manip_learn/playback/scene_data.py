@@ -30,7 +30,6 @@ from manip_learn.robot.visuals.meshes import Mesh
 
 MAX_BOUND_POSTURES = 120  # postures of all motions that the camera frames
 COUPLING_TOLERANCE = 0.1  # largest rotational part of a learnt unit row that counts as pure translation, and vice versa
-UPPER_TRIANGLE = np.triu_indices(3)  # xx xy xz yy yz zz of a symmetric matrix
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # of a cube with sides of 1
 
 
@@ -309,13 +308,14 @@ def constraint_marks(robot: Robot, motion: GuidedMotion, constraint: Constraint,
         J = robot.frame_kinematics(task.axes).poses(q)[:, :3, :3].transpose(0, 2, 1) @ J
     driven = task.held @ J
     ellipsoid = driven @ driven.transpose(0, 2, 1)
+    upper = np.triu_indices(3)  # xx xy xz yy yz zz of a symmetric matrix
     parts = zip(("held", "free", "heldTurns", "freeTurns"), directions[1:], strict=True)
     return {
         "tip": _place(robot, twist.frame),
         "axes": directions.axes and _place(robot, directions.axes),
         "times": to_base64(motion.samples.time[samples], "<f8"),
-        **{key: to_base64(part[..., *UPPER_TRIANGLE], "<f4") for key, part in parts},
-        "ellipsoid": to_base64(ellipsoid[:, *UPPER_TRIANGLE], "<f4"),
+        **{key: to_base64(part[..., *upper], "<f4") for key, part in parts},
+        "ellipsoid": to_base64(ellipsoid[:, *upper], "<f4"),
         "longest": float(np.sqrt(np.maximum(np.linalg.eigvalsh(ellipsoid), 0.0).max(initial=0.0))),  # semi-axis [m/s]
         "driven": constraint.n_constraints > base.n_constraints,  # also along free directions
         "target": _target_place(robot, constraint, motion),
