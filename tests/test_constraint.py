@@ -51,7 +51,7 @@ def test_residual_is_a_share_of_speed(rng):
             across *= np.linalg.norm(t.u, axis=1, keepdims=True) / np.linalg.norm(across, axis=1, keepdims=True)
             tilted.append(ml.Trajectory(t.time, t.q, np.cos(angle) * t.u + np.sin(angle) * across, t.joint_names))
         assert truth.residual(tilted) == pytest.approx(np.sin(angle), rel=1e-9)
-    for u, words in ((lambda t: 0.0 * t.u, "nothing moves"), (lambda t: None, "no velocities")):
+    for u, words in ((lambda t: 0.0 * t.u, "no motion"), (lambda t: None, "no velocities")):
         with pytest.raises(ConstraintError, match=words):
             truth.residual([ml.Trajectory(t.time, t.q, u(t), t.joint_names) for t in demos])
 
@@ -122,17 +122,17 @@ CONTRADICTIONS = (
     ("selection", [[2.0 * x for x in ROWS[0]], *ROWS[1:]], "not orthonormal"),
     ("selection", [[ROWS[0][0] + 1e-6, *ROWS[0][1:]], *ROWS[1:]], "not orthonormal"),
     ("selection", [ROWS[0], [0.0] * 6, ROWS[2]], "not orthonormal"),
-    ("selection", ROWS[:2], "states n_constraints 3, its rows and features 2"),
-    ("n_constraints", 2, "states n_constraints 2, its rows and features 3"),
+    ("selection", ROWS[:2], "states n_constraints 3, but its rows and features give 2"),
+    ("n_constraints", 2, "states n_constraints 2, but its rows and features give 3"),
     ("selection", [ROWS[0][:5], *ROWS[1:]], "equal length"),
-    ("selection", [[True, 0, 0, 0, 0, 0], *ROWS[1:]], "in the place of a number"),
-    ("selection", [["1", "0", "0", "0", "0", "0"]], "in the place of a number"),
+    ("selection", [[True, 0, 0, 0, 0, 0], *ROWS[1:]], "an entry is not a number"),
+    ("selection", [["1", "0", "0", "0", "0", "0"]], "an entry is not a number"),
     ("features", {"units": [True] * 6}, CHANGED),
     ("features", {"units": ["m/s"] * 6}, CHANGED),
     ("features", {"axes": NAMES}, SAYS),
     ("row_names", NAMES, SAYS),
-    ("row_units", ["rad/s"] * 6, "states row_units .* its rows and features"),
-    ("provenance", {"postures": [[0.0] * 6]}, "postures in which it was shown"),
+    ("row_units", ["rad/s"] * 6, "states row_units .* but its rows and features"),
+    ("provenance", {"postures": [[0.0] * 6]}, "its recorded postures"),
     ("provenance", {"postures": [[0.0] * 6 + [True]]}, "postures|number"),
     ("provenance", {"postures": "x"}, "postures|damaged"),
     *(("robot", {"locked": wrong}, "damaged: .*locked") for wrong in (["right_j3"], {"right_j3": True}, "right_j3")),

@@ -20,7 +20,7 @@ from task_sets import arm
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import MECHANISM_KINDS
-from manip_learn.constraint.place import AT_A_DISTANCE, Curve, Place, PlaceWeights, mechanism_weights
+from manip_learn.constraint.place import DISTANCE_ROWS, Curve, Place, PlaceWeights, mechanism_weights
 from manip_learn.errors import ConstraintError
 from manip_learn.linalg import row_basis, row_space_angle
 
@@ -192,7 +192,7 @@ def test_every_mechanism_is_a_constant_lambda(robot_of, rng, tmp_path) -> None:
             elif "point-across" in kind.unknowns:
                 assert_allclose(np.cross(read.point - place.point, AXIS), 0.0, atol=1e-9)
             assert read.pitch == (pytest.approx(pitch, rel=1e-8) if kind.type == "screw" else None)
-            assert read.radius == (pytest.approx(radius, abs=1e-9) if set(kind.rows) & set(AT_A_DISTANCE) else None)
+            assert read.radius == (pytest.approx(radius, abs=1e-9) if set(kind.rows) & set(DISTANCE_ROWS) else None)
             back = ml.Constraint.load(constraint.save(tmp_path / "c.json"), robot)
             assert_array_equal(back(q), constraint(q))
             assert back.mechanism == read
@@ -270,12 +270,12 @@ def test_a_hand_that_cannot_hold_it_there_is_refused():
     beside[:3, 3] = POINT + [0.0, 0.1, 0.0]
     door = ml.Mechanism("hinge", (0, 0, 1), POINT, radius=0.4)
     for mechanism, pose, words in (
-        (ml.Mechanism("line"), np.eye(4), "not known where the mechanism is"),
-        (ml.Mechanism("ball"), np.eye(4), "not known where the mechanism is"),
+        (ml.Mechanism("line"), np.eye(4), "the place of the mechanism is not known"),
+        (ml.Mechanism("ball"), np.eye(4), "the place of the mechanism is not known"),
         (ml.Mechanism("plane", (0, 1, 0), POINT), beside, "100 mm off the mechanism .*50 mm are allowed"),
         (door, beside, "300 mm off the mechanism"),
-        (door, np.eye(3), "a pose"),
-        (door, np.full((4, 4), np.nan), "a pose"),
+        (door, np.eye(3), "a grasp pose"),
+        (door, np.full((4, 4), np.nan), "a grasp pose"),
     ):
         with pytest.raises(ConstraintError, match=words):
             mechanism.at(pose)
@@ -351,7 +351,7 @@ def test_axes_in_words():
     assert frame(np.eye(6)[[3, 4]], "pose").axes == ("free", "free", "free", "held", "held", "free")
     described = json.loads(json.dumps(frame([[0, 0, 1]], "xyz").to_dict(), allow_nan=False))
     assert described["axes"]["z"] == "held" and described["mechanism"]["type"] == "plane"
-    with pytest.raises(ConstraintError, match="no rows of one frame's twist"):
+    with pytest.raises(ConstraintError, match="not rows of one frame's twist"):
         ml.Constraint([[0, 0, 1]], ml.CentreOfMass(robot)).task_frame(q)
 
 

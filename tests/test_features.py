@@ -51,7 +51,7 @@ def test_what_is_refused(robot_of, panda):
     refused = [
         (lambda: ml.FrameJacobian(panda, "panda_hand_tpc"), UnknownNameError, "'panda_hand_tcp'"),
         (lambda: ml.FrameJacobian(panda, TCP, reference="base"), FeatureError, "'world' or 'local'"),
-        (lambda: ml.CentreOfMass(panda, "planar"), FeatureError, "x y z only"),
+        (lambda: ml.CentreOfMass(panda, "planar"), FeatureError, "must be x, y or z"),
         (lambda: ml.Stacked([]), FeatureError, "one robot"),
         (lambda: ml.Stacked([ml.FrameJacobian(robot_of("planar3"), "tip"), hand]), FeatureError, "one robot"),
         (lambda: ml.Stacked([other, hand]), FeatureError, "share one robot"),
@@ -61,7 +61,7 @@ def test_what_is_refused(robot_of, panda):
         (lambda: rows("radia"), FeatureError, "unknown row"),
         (lambda: rows("radial radial"), FeatureError, "twice"),
         (lambda: rows(""), FeatureError, "no row"),
-        (lambda: rows("axial", axis=(0, 0, 0)), FeatureError, "no direction"),
+        (lambda: rows("axial", axis=(0, 0, 0)), FeatureError, "axis must not be zero"),
         (lambda: rows("axial", point=(0, NAN, 0)), FeatureError, "finite"),
         (lambda: rows("axial", pitch=np.inf), FeatureError, "pitch"),
         *((lambda r=r: rows("radial", radius=r), FeatureError, "radius") for r in (0.0, NAN, np.inf)),

@@ -15,9 +15,9 @@ from manip_learn.errors import RecordingError
 from manip_learn.playback.appearance import Appearance, joint_tracks, kinematic_tree
 from manip_learn.playback.palette import PhaseBand, phase_bands, phases_from_json
 from manip_learn.playback.recorded_motion import (
+    MAX_CURVE_POINTS,
     MAX_KEY_FRAMES,
     MAX_PATH_POINTS,
-    MOST_OF_A_CURVE,
     guided_motion,
     key_frames,
     recorded_motion,
@@ -82,7 +82,7 @@ def test_thinned_curves_keep_every_dip(robot_of, tmp_path):
     long = ml.Rollout(rollout.time, rollout.q, rollout.u, mu, tuple(words), robot.joint_names, mu)
     (drawn,) = data_in(ml.replay(robot, {"a": long}, tmp_path / "a.html").html)["rollouts"]
     curve, path = unpacked(drawn["curve"]), unpacked(drawn["path"], "<f4")
-    assert curve.size <= MOST_OF_A_CURVE + 2 and path.size <= 3 * MAX_PATH_POINTS
+    assert curve.size <= MAX_CURVE_POINTS + 2 and path.size <= 3 * MAX_PATH_POINTS
     assert curve.min() == 1e-4 and unpacked(drawn["curveTimes"])[np.argmin(curve)] == rollout.time[33_333]
     assert [(t, word) for t, word, _ in drawn["status"]] == [(0.0, "ok"), (2.0, "damped"), (3.0, "singular")]
     assert drawn["duration"] == pytest.approx(500.0)

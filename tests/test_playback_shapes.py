@@ -9,7 +9,7 @@ from conftest import URDFS
 from test_meshes import BOUND, painted
 from test_playback import unpacked, waving
 
-from manip_learn.playback.appearance import appearance, decimated, kinematic_tree
+from manip_learn.playback.appearance import appearance, decimate, kinematic_tree
 from manip_learn.playback.recorded_motion import guided_motion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.robot.loading import load_robot
@@ -34,11 +34,11 @@ def test_budget_is_kept_and_shape_too():
     """Large meshes are simplified until all fit, small ones stay; size, volume and orientation hardly change. A cube's
     corners are split into three vertices, a smooth sphere's vertices are shared.
     """
-    (ball, cube), before, after = decimated([BALL, CUBE], 3000)
+    (ball, cube), before, after = decimate([BALL, CUBE], 3000)
     assert before > 10_000 and 1500 < after <= 3000 and len(cube.faces) == 12
     assert volume(ball) == pytest.approx(volume(BALL), rel=0.05)
     np.testing.assert_allclose(np.ptp(ball.vertices, axis=0), 0.2, rtol=0.06)
-    (cube, ball), before, after = decimated([CUBE, BALL], 10**6)
+    (cube, ball), before, after = decimate([CUBE, BALL], 10**6)
     assert before == after and volume(cube) == pytest.approx(1.0)
     assert len(cube.vertices) == 24 and len(ball.vertices) < 0.51 * len(ball.faces) + 10
 

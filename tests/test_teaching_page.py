@@ -14,7 +14,7 @@ from test_teaching_stranger import READY
 
 from manip_learn.playback.appearance import joint_tracks
 from manip_learn.playback.live_viewer import LiveProcess
-from manip_learn.playback.page_writer import packed
+from manip_learn.playback.page_writer import to_base64
 from manip_learn.teach.picture import teaching_page
 
 pytestmark = pytest.mark.browser
@@ -42,7 +42,7 @@ RECORDINGS = [
     {"name": HOSTILE, "seconds": 4.2, "samples": 420, "odd": "", "phases": [[0, 2, -1], [2, 4.2, 0]], "kept": True},
     {"name": "second", "seconds": 3.0, "samples": 300, "odd": "leaves the line", "phases": [], "kept": True},
 ]
-LINE = [packed(np.array([[0.4, 0.4, 0.0], [0.9, 0.4, 0.0]]), "<f4")]
+LINE = [to_base64(np.array([[0.4, 0.4, 0.0], [0.9, 0.4, 0.0]]), "<f4")]
 ANSWER = {
     "sentence": "The hand moves along a line.", "refused": False, "evidence": "They agree to 0.4 mm.",
     "facts": [["direction", "-x within 0.3 degrees"]], "rows": [["1", "held", "310", "1e-6"]],
@@ -403,7 +403,7 @@ def test_ghosts_are_played_beside_the_arm(program, page):
     times = np.linspace(0.0, 1.0, 5)
     ways = joint_tracks(program.robot, START + times[:, None] * [0.3, 0.0, 0.1])
     numbers = {"keyTimes": times, "tracks": ways, "curveTimes": times, "curve": 0.1 + times}
-    ghost = {"duration": 1.0, "colour": "#0072b2"} | {name: packed(x, "<f8") for name, x in numbers.items()}
+    ghost = {"duration": 1.0, "colour": "#0072b2"} | {name: to_base64(x, "<f8") for name, x in numbers.items()}
     said = {HOSTILE: "20.0 of 20.0 cm", "without": "9.3 of 20.0 cm"}
     ghosts = [ghost | {"name": name, "ended": ended, "colourName": "blue"} for name, ended in said.items()]
     program.say(**LEARNT)

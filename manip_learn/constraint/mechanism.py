@@ -1,9 +1,10 @@
-"""What holds the hand, in the terms of a machine: a line, a plane, a hinge, a ball, a screw, an orientation, a curve.
+"""Mechanisms that constrain the end effector: a line, a plane, a hinge, a ball, a screw, an orientation, a curve.
 
-Its kind, what the hand may do while it holds on, and where it is say all: the rows that are zero, the chart of a grasp
-(`Mechanism.at`), and with it every motion, what was shown, a drawing and a sentence.
+A mechanism is described by its kind, the remaining freedom of the hand's orientation, and its place. These determine
+the rows that are zero, the chart of a grasp (`Mechanism.at`), and from it every motion, the demonstrated path, a
+drawing and a sentence.
 
-The lower pairs of a machine are the subgroups of SE(3): the motions that one leaves free are a constant space of
+The lower pairs of a machine are the subgroups of SE(3): the motions that a pair leaves free form a constant space of
 twists. The kind, the axis and the pitch of a mechanism are therefore read from Lambda itself.
 """
 
@@ -34,23 +35,23 @@ _ABOUT, _FIRM, _AXLE = "turn-1 turn-2", "turn-1 turn-2 slide-1 slide-2", "axis p
 
 
 class _Kind(NamedTuple):
-    """What is the same for all mechanisms of a kind.
+    """Properties shared by all mechanisms of a kind.
 
     Attributes:
-        words: What it is called in a sentence.
-        unknowns: What is fitted.
-        place: Rows that hold the place of the hand.
-        carried: All rows, of a hand that turns with the mechanism; empty where that is no other case.
-        told: How a hand may turn on those that the learner tells apart.
-        turns, travels: Directions about which, then along which its free coordinates go: `"axis"`, the two `"across"`
-            it, or `"all"`.
+        words: Beginning of its sentence.
+        unknowns: Fitted parameters.
+        place: Rows that constrain the hand's position.
+        carried: All rows if the hand turns with the mechanism; empty if this is no separate case.
+        learnable: Orientations (of the hand) that the learner distinguishes.
+        turns, travels: Directions of the rotations, then of the translations among its free coordinates: `"axis"`, the
+            two `"across"` it, or `"all"`.
     """
 
     words: str
     unknowns: str
     place: str
     carried: str
-    told: str
+    learnable: str
     turns: str
     travels: str
 
@@ -65,8 +66,8 @@ _KINDS: dict[Kind, _Kind] = {
     "space": _Kind("a held orientation", "", "", "", "about-axis fixed", "", "all"),
     "curve": _Kind("a curve", "", "across-1 across-2", "", "", "", "axis"),
 }
-_NOUNS: dict[Kind, str] = {"space": "held-orientation", "cylinder": "other"}  # of kinds that reports call otherwise
-# rows that hold how the hand turns, in words, and what the kind is called then
+_NOUNS: dict[Kind, str] = {"space": "held-orientation", "cylinder": "other"}  # kinds with another name in reports
+# per orientation: rows that constrain the rotation of the hand, the words for it, and the suffix of the name
 _TURNS: dict[Orientation, tuple[str, str, str]] = {
     "free": ("", "the hand may turn", ""),
     "about-axis": (_ABOUT, "the hand may turn about {axis} only", ", turning"),
@@ -74,8 +75,8 @@ _TURNS: dict[Orientation, tuple[str, str, str]] = {
     "carried": (f"{_ABOUT} turn", "the hand turns with it", ", firm"),
 }
 _OTHER_NAMES = {"cylinder, firm": "sleeve, firm", "space, turning": "direction", "space, not turning": "orientation"}
-CURVE = "curve"  # name of what is no lower pair, and holds the hand to a line of any shape
-# kind -> what it looks like, and what it leaves free where its rows depend on the place
+CURVE = "curve"  # name of a guide of any shape, which is not a lower pair
+# kind -> its appearance, and its free motion for rows that depend on the position
 SHAPES: dict[Kind, tuple[str, str]] = {
     "line": ("a straight line (a drawer)", "move along {axis} and cannot leave that line"),
     "plane": ("a plane (a table)", "move in the plane across {axis} and cannot leave it"),
@@ -86,35 +87,33 @@ SHAPES: dict[Kind, tuple[str, str]] = {
     "cylinder": ("a cylinder (a sleeve on a rod)", "move on a cylinder{radius} about {axle} and cannot leave it"),
     "curve": ("a rail that is bent", "move along it and cannot leave it"),
 }
-# error of the rows or of a parameter -> its unit in words
-_PARAMETERS = {"direction": "degrees", "axis": "degrees", "point": "mm", "radius": "mm", "pitch": "mm/rad"}
-Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
-CLEAR_SHARE = 0.1  # a row of `MechanismRows` is held, or free, to this share: see `MIXED`
-# [m] distance from an axis below which the place of the hand does not tell the angle about it: an arm that places its
-# hand to a millimetre tells it to a fifth of a radian there, its orientation tells it better
+Z = np.array([0.0, 0.0, 1.0])  # default axis
+CLEAR_SHARE = 0.1  # largest leakage of a row of `MechanismRows` that counts as held or free: see `MIXED`
+# [m] distance from an axis below which the hand's position does not determine its angle: an arm with 1 mm accuracy
+# gives the angle to a fifth of a radian there, and the orientation gives it more precisely
 ON_THE_AXIS = 5e-3
-FINGERS = 0.1  # [m] from an axis in the hand: half the length of a hand, as that of the turns of a path
-GRIP = 0.02  # [m] a hand this near to a mechanism is on it: people take hold of a handle a finger's breadth further on
-# rows of translation and of rotation stand apart where each is of one kind to this share: a row of a learnt Lambda
-# leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
+GRIP = 0.02  # [m] largest distance of a hand on a mechanism: people grasp a handle up to a finger's breadth off
+# a row counts as pure translation or pure rotation if its other part is below this share: a row of a learnt Lambda
+# leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that really mixes the two does so by 0.3 or more
 MIXED = 0.2
-# [m/rad] a travel below this is that of a hinge: a tenth of the flattest thread in use (M6, 1 mm a turn, 0.16 mm/rad)
+# [m/rad] a screw with a smaller pitch counts as a hinge: a tenth of the finest common thread (M6, 1 mm per turn,
+# 0.16 mm/rad)
 LEAST_PITCH = 1.6e-5
-NEGLIGIBLE_ENTRY = 5e-3  # entries of a unit vector below it are printed as 0: half of the last of two digits
+NEGLIGIBLE_ENTRY = 5e-3  # entries of a unit vector below this are printed as 0: half of the second digit
 
 
 @final
 @dataclass(frozen=True)
 class MechanismKind:
-    """A mechanism that may hold the hand.
+    """Kind of mechanism that may constrain the end effector.
 
     Attributes:
         name: Unique name.
-        kind: What the place of the hand is held to.
-        orientation: What the hand may do: turn as it likes (`"free"`), turn about the mechanism's axis only
-            (`"about-axis"`), not turn at all (`"fixed"`), or it turns with the mechanism (`"carried"`).
-        type: What it is called in a report.
-        unknowns: Which of `"axis"`, `"point-across"` (two numbers), `"point"` (three) and `"pitch"` are fitted.
+        kind: Surface or curve that constrains the position of the hand.
+        orientation: Freedom of the hand's orientation: it turns freely (`"free"`), about the mechanism's axis only
+            (`"about-axis"`), not at all (`"fixed"`), or with the mechanism (`"carried"`).
+        type: Name in a report.
+        unknowns: Fitted parameters among `"axis"`, `"point-across"` (two numbers), `"point"` (three) and `"pitch"`.
         rows: Rows of `MechanismRows`, or of `CurveRows`, that are then zero.
     """
 
@@ -127,29 +126,37 @@ class MechanismKind:
 
 
 def _kind(kind: Kind, orientation: Orientation) -> MechanismKind:
-    known, (turning, _, suffix) = _KINDS[kind], _TURNS[orientation]
-    names = (orientation == "carried" and known.carried) or f"{known.place} {turning}"
-    turns = zip(_TURNS["fixed"][0].split(), CURVE_ROWS[3:], strict=True)  # of a curve they are about the base's axes
-    own = dict[str, str](turns) if kind == CURVE else {}
+    """Return the kind of mechanism with an orientation of the hand."""
+    spec, (turning, _, suffix) = _KINDS[kind], _TURNS[orientation]
+    names = (orientation == "carried" and spec.carried) or f"{spec.place} {turning}"
+    turns = zip(_TURNS["fixed"][0].split(), CURVE_ROWS[3:], strict=True)  # for a curve, about the base's axes
+    renamed = dict[str, str](turns) if kind == CURVE else {}
     name = _OTHER_NAMES.get(f"{kind}{suffix}", f"{kind}{suffix}")
-    unknowns = "axis" if name == "direction" else known.unknowns
-    rows = tuple(own.get(row, row) for row in names.split())
+    unknowns = "axis" if name == "direction" else spec.unknowns
+    rows = tuple(renamed.get(row, row) for row in names.split())
     noun: Any = "other" if kind == CURVE else _NOUNS.get(kind, kind)
     return MechanismKind(name, kind, orientation, noun, tuple(unknowns.split()), rows)
 
 
 KINDS = {(kind, orientation): _kind(kind, orientation) for kind in _KINDS for orientation in _TURNS}
-# those that the learner tells apart
-MECHANISM_KINDS = tuple(kind for kind in KINDS.values() if kind.orientation in _KINDS[kind.kind].told.split())
+# kinds that the learner distinguishes
+MECHANISM_KINDS = tuple(kind for kind in KINDS.values() if kind.orientation in _KINDS[kind.kind].learnable.split())
 KIND_BY_NAME = {kind.name: kind for kind in MECHANISM_KINDS}
-Read = tuple[MechanismKind, Place]
+Match = tuple[MechanismKind, Place]  # kind and place of a mechanism that fits some rows
 Rows = Float[np.ndarray, "_ k"]
 
 
 def kind_of_rows(names: Iterable[str]) -> MechanismKind | None:
-    """Return the kind that leaves just these rows of `MechanismRows` zero; None if there is none."""
-    held = set(names)
-    return next((kind for kind in MECHANISM_KINDS if set(kind.rows) == held), None)
+    """Return the kind that leaves exactly these rows zero.
+
+    Args:
+        names: Names of rows of `MechanismRows` or `CurveRows`, in any order.
+
+    Returns:
+        The kind; None if there is none.
+    """
+    zero_rows = set(names)
+    return next((kind for kind in MECHANISM_KINDS if set(kind.rows) == zero_rows), None)
 
 
 def plain(record: Any, digits: int | None = None) -> dict[str, Any]:
@@ -157,7 +164,10 @@ def plain(record: Any, digits: int | None = None) -> dict[str, Any]:
 
     Args:
         record: The dataclass.
-        digits: To which arrays are rounded; None for all.
+        digits: Decimals to which arrays are rounded; None for no rounding.
+
+    Returns:
+        Field name -> value.
     """
     values = {each.name: getattr(record, each.name) for each in dataclasses.fields(record) if each.init}
     for name, value in values.items():
@@ -170,50 +180,59 @@ def plain(record: Any, digits: int | None = None) -> dict[str, Any]:
     return values
 
 
-def saved(make: Any, content: Mapping[str, Any]) -> Any:
-    """Return the dataclass that `plain` wrote down, whatever else stands beside its fields."""
+def from_plain(make: Any, content: Mapping[str, Any]) -> Any:
+    """Build a dataclass from the output of `plain`; entries that are not fields are ignored.
+
+    Args:
+        make: The dataclass.
+        content: The output of `plain`.
+
+    Returns:
+        An instance of the dataclass.
+    """
     values = {each.name: content[each.name] for each in dataclasses.fields(make) if each.init and each.name in content}
     for name, value in values.items():
         if isinstance(value, list):
             values[name] = Curve(value) if name == "curve" else np.array(value, dtype=np.float64)
         elif name == "mechanism":
-            values[name] = saved(Mechanism, value)
+            values[name] = from_plain(Mechanism, value)
     return make(**values)
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Mechanism:
-    """A mechanism that holds the hand; places and directions in the robot's base frame.
+    """Mechanism that constrains the end effector; positions and directions in the robot's base frame.
 
     Attributes:
         type: `"line"`, `"plane"`, `"hinge"`, `"ball"`, `"screw"`, `"held-orientation"` or `"other"` (a cylinder, or a
             curve).
         axis: shape (3,), unit vector: along a line, normal to a plane, along the axis of a hinge, a screw or a
-            cylinder, the direction about which the hand may still turn. None for a ball, and where the hand does not
+            cylinder, or the direction about which the hand may still turn. None for a ball, and if the hand does not
             turn at all.
-        point: shape (3,) [m]: the centre of a ball, the point of an axis that is next to the hand, a point of a line
-            or a plane. None for an orientation.
-        radius: Distance of the hand from the axis or the centre, mean over the trajectories [m]; None where there is
-            no such thing.
-        pitch: Travel along the axis a radian of turning, right-handed screws positive [m/rad]; one full turn moves
-            2 pi times as far. None but for screws.
+        point: shape (3,) [m]: the centre of a ball, the point of an axis nearest to the hand, a point of a line or a
+            plane. None for an orientation.
+        radius: Distance of the hand from the axis or the centre, mean over the trajectories [m]; None if it does not
+            apply.
+        pitch: Travel along the axis per radian of rotation, right-handed screws positive [m/rad]; one full turn moves 2
+            pi times as far. None except for screws.
         grip: `"firm"` if rows constrain the orientation of the hand, `"kept"` if the demonstrator kept its orientation
             by habit, `"loose"` if the hand turned.
-        orientation: What the hand may do: `"free"`, `"about-axis"`, `"fixed"` or `"carried"` (it turns with the
-            mechanism).
-        uncertainty: What the error of each parameter stays below in 68 % of cases: `"axis"` [deg], `"point"` [m],
-            `"radius"` [m], `"pitch"` [m/rad]; one standard deviation of a single number, the length of the error of an
-            axis (two directions) or a point. It speaks of errors of the joints, those that differ from sample to sample
-            and constant ones, and of what the trajectories scatter beyond these.
-        arc: By how much the path turns about the axis or the centre [rad]; None where nothing turns.
-        name: Which of the candidates it is, e.g. `"hinge, firm"`; `"curve"` where none of them fits.
-        orientation_rms: RMS deviation of the orientation of the hand during contact, seen from the base or from what
-            turns with the mechanism, the smaller one [deg]; None if it was not determined.
-        relative_to: Name of the frame in which axis and point are given and the hand is seen; None for the base.
-        curve: Of a hand that goes along one; None for the others.
-        kind: What the place of the hand is held to; of a held orientation nothing, `"space"`.
-        in_fingers: Whether its axis is that of a sleeve in the hand, so that the fingers turn about it.
+        orientation: Freedom of the hand's orientation: `"free"`, `"about-axis"`, `"fixed"` or `"carried"` (it turns
+            with the mechanism).
+        uncertainty: 68 % bound of the error of each parameter: `"axis"` [deg], `"point"` [m], `"radius"` [m], `"pitch"`
+            [m/rad]; one standard deviation of a single number, the length of the error of an axis (two directions) or a
+            point. It covers joint errors, both varying from sample to sample and constant, and the remaining scatter of
+            the trajectories.
+        arc: Angle of the path about the axis or the centre [rad]; None if nothing turns.
+        name: Name of the candidate, e.g. `"hinge, firm"`; `"curve"` if none of them fits.
+        orientation_rms: RMS deviation of the hand's orientation during contact, relative to the base or to the part
+            that turns with the mechanism, the smaller one [deg]; None if it was not determined.
+        relative_to: Name of the frame of axis, point and the hand's poses; None for the base.
+        curve: The guide curve of kind `"curve"`; None for other kinds.
+        kind: Surface or curve that constrains the position of the hand; `"space"` for a held orientation, which leaves
+            the position free.
+        in_fingers: True if its axis is the axis of a sleeve in the hand, so that the fingers turn about it.
     """
 
     type: MechanismType
@@ -240,8 +259,8 @@ class Mechanism:
                 vector.setflags(write=False)
                 object.__setattr__(self, what, vector)
         object.__setattr__(self, "uncertainty", MappingProxyType(dict(self.uncertainty)))
-        own = {"held-orientation": "space", "other": CURVE if self.name == CURVE else "cylinder"}
-        kind = KIND_BY_NAME[self.name].kind if self.name in KIND_BY_NAME else own.get(self.type, self.type)
+        kinds = {"held-orientation": "space", "other": CURVE if self.name == CURVE else "cylinder"}
+        kind = KIND_BY_NAME[self.name].kind if self.name in KIND_BY_NAME else kinds.get(self.type, self.type)
         object.__setattr__(self, "kind", kind)
         is_sleeve = kind == "cylinder" and self.orientation == "carried"
         object.__setattr__(self, "in_fingers", is_sleeve and (self.radius or 1.0) < ON_THE_AXIS)
@@ -262,7 +281,7 @@ class Mechanism:
 
     @property
     def n_free(self) -> int:
-        """Number of free coordinates: along the mechanism, and of the hand's own turn."""
+        """Number of free coordinates: along the mechanism, and of the hand's own rotation."""
         return 6 - len(self.rows)
 
     @property
@@ -272,7 +291,7 @@ class Mechanism:
 
     @property
     def noun(self) -> str:
-        """Its type, or `"curve"`: in sentences."""
+        """Its type for sentences, or `"curve"`."""
         return _NOUNS.get(self.kind, self.kind)
 
     @property
@@ -280,24 +299,31 @@ class Mechanism:
         """Its axis, centre, pitch and distance in words, in the robot's base frame; empty for an orientation."""
         if self.axis is None and self.grip == "firm" and self.type in ("line", "hinge", "screw"):
             return "fixed to the hand" + ("" if self.radius is None else f", {self.radius:.3f} m from its origin")
-        axis, point = in_words(self.axis), in_words(self.point)
+        axis, point = format_vector(self.axis), format_vector(self.point)
         words = {"line": f"along {axis}", "plane": f"across {axis}", "ball": f"centre {point}", "space": "", CURVE: ""}
-        said = words.get(self.kind, f"axis {axis} through {point}")
-        said += f" in {self.relative_to!r}" if said and self.relative_to else ""
-        said += "" if self.pitch is None else f", {1e3 * self.pitch:.2f} mm a radian"
-        return said if self.radius is None else f"{said}, {self.radius:.3f} m from the hand"
+        text = words.get(self.kind, f"axis {axis} through {point}")
+        text += f" in {self.relative_to!r}" if text and self.relative_to else ""
+        text += "" if self.pitch is None else f", {1e3 * self.pitch:.2f} mm a radian"
+        return text if self.radius is None else f"{text}, {self.radius:.3f} m from the hand"
 
     @property
     def turns(self) -> str:
-        """How the hand may turn, in words."""
+        """Freedom of the hand's orientation, in words."""
         if self.grip == "kept" and self.orientation_rms is not None:
             return f"the hand kept its orientation to {self.orientation_rms:.1f} degrees, by habit"
-        around = {"plane": "its normal", "space": in_words(self.axis)}.get(self.kind, "the axis")
+        around = {"plane": "its normal", "space": format_vector(self.axis)}.get(self.kind, "the axis")
         slides = " and may slide along it" if self.name.startswith("sleeve") else ""
         return _TURNS[self.orientation][1].format(axis=around) + slides
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Mechanism:
-        """Return this mechanism where it stands elsewhere, p' = R p + t."""
+        """Return this mechanism after a rigid motion, p' = R p + t.
+
+        Args:
+            transform: Rigid motion (4, 4) in the mechanism's frame [m].
+
+        Returns:
+            The moved mechanism.
+        """
         R = transform[:3, :3]
         axis = None if self.axis is None else R @ self.axis
         point = None if self.point is None else R @ self.point + transform[:3, 3]
@@ -305,31 +331,34 @@ class Mechanism:
         return dataclasses.replace(self, axis=axis, point=point, curve=curve)
 
     def reversed(self) -> Mechanism:
-        """Return this mechanism with the other sense of its axis, or of its curve; a pitch stays as it is."""
+        """Return this mechanism with its axis, or its curve, in the opposite direction; the pitch does not change."""
         curve = None if self.curve is None else Curve(self.curve.points[::-1])
         return dataclasses.replace(self, axis=None if self.axis is None else -self.axis, curve=curve)
 
     def by_place(self) -> Mechanism:
-        """Return this mechanism for a hand that may turn: its place alone tells how far it is."""
+        """Return this mechanism for a hand that may turn: its position alone then gives the coordinates along it."""
         return dataclasses.replace(self, orientation="free")
 
     def features(self, robot: Any, frame: str) -> Any:
-        """Return the rows that are zero for a frame of a robot, Phi (6 - k, nv), of unit length at any distance.
+        """Return the rows that this mechanism makes zero for a frame of a robot, of unit length at any distance.
 
         Args:
             robot: The robot.
             frame: Name of the frame.
 
+        Returns:
+            Phi (6 - k, nv), with k free coordinates: `MechanismRows`, or `CurveRows` for a curve.
+
         Raises:
             ConstraintError: The place of the mechanism is not known.
         """
-        maps = import_module("manip_learn.constraint.features")  # which stand above, and say what they hold
-        g, seen = self.located(), self.relative_to
-        if self.curve is not None:  # a hand that turns with a curve turns at a rate that is no row's
+        maps = import_module("manip_learn.constraint.features")  # imports this module, so it is imported here
+        g, reference = self.located(), self.relative_to
+        if self.curve is not None:  # no row describes the rotation rate of a hand that turns with a curve
             rows = KINDS["curve", "free" if self.orientation == "carried" else self.orientation].rows
-            return maps.CurveRows(robot, frame, self.curve, rows, seen)
+            return maps.CurveRows(robot, frame, self.curve, rows, reference)
         place = {"axis": g.axis, "point": g.point, "pitch": g.pitch}
-        return maps.MechanismRows(robot, frame, self.rows, **place, relative_to=seen)
+        return maps.MechanismRows(robot, frame, self.rows, **place, relative_to=reference)
 
     def located(self) -> Place:
         """Return the axis, a point and the pitch.
@@ -339,26 +368,26 @@ class Mechanism:
         """
         needed = {name.removesuffix("-across") for name in _KINDS[self.kind].unknowns.split()} - {"pitch"}
         if any(getattr(self, name) is None for name in needed) or (self.kind == CURVE and self.curve is None):
-            unknown = f"it is not known where the mechanism is ({self.sentence})"
-            raise ConstraintError(f"{unknown}: learn it from rows along the base's axes")
+            problem = f"the place of the mechanism is not known ({self.sentence})"
+            raise ConstraintError(f"{problem}: learn it from rows along the base's axes")
         axis = Z if self.axis is None else self.axis / np.linalg.norm(self.axis)
         return Place(axis, np.zeros(3) if self.point is None else self.point, self.pitch or 0.0)
 
     def at(self, pose: ArrayLike, within: float = 0.05) -> Chart:
-        """Return the chart of a hand that took hold at a pose, where its free coordinates are 0.
+        """Return the chart of a grasp; its free coordinates are 0 at the grasp pose.
 
-        The coordinates are ways and angles along the mechanism, then the hand's own turns where it may turn.
+        The coordinates are distances and angles along the mechanism, then the hand's own rotations if it may turn.
 
         Args:
-            pose: shape (4, 4), in the frame in which the mechanism is given.
-            within: How far the hand may be off the mechanism [m]; a line is held anywhere beside it, as a handle runs
-                across the drawer.
+            pose: Grasp pose (4, 4) of the hand, in the mechanism's frame [m].
+            within: Largest allowed distance of the hand from the mechanism [m]. A line has no such limit, because a
+                handle extends across the drawer.
 
         Returns:
             The chart.
 
         Raises:
-            ConstraintError: The hand is farther off, no pose, or a mechanism whose place is not known.
+            ConstraintError: The hand is farther away, the pose is invalid, or the place of the mechanism is not known.
 
         Example:
             >>> import numpy as np
@@ -370,25 +399,23 @@ class Mechanism:
             array([0. , 0.5, 0. ])
         """
         if (grasp := finite(pose, 4, 4)) is None:
-            raise ConstraintError(f"a grasp is a pose (4, 4) of finite numbers, got {pose!r:.80}")
-        g, p, known, is_carried = self.located(), grasp[:3, 3], _KINDS[self.kind], self.orientation == "carried"
-        lever, off = p - g.point, 0.0
-        out = lever - (lever @ g.axis) * g.axis
+            raise ConstraintError(f"expected a grasp pose (4, 4) of finite numbers, got {pose!r:.80}")
+        g, p, spec, is_carried = self.located(), grasp[:3, 3], _KINDS[self.kind], self.orientation == "carried"
+        lever, deviation = p - g.point, 0.0
+        radial = lever - (lever @ g.axis) * g.axis
         if self.curve is not None:
-            off = float(np.linalg.norm(p - self.curve.at(self.curve.nearest(p[None]))[0]))
+            deviation = float(np.linalg.norm(p - self.curve.at(self.curve.nearest(p[None]))[0]))
         elif self.kind == "plane" and self.point is not None:
-            off = float(np.linalg.norm(lever - out))
+            deviation = float(np.linalg.norm(lever - radial))
         elif self.radius is not None and not is_carried:
-            off = abs(float(np.linalg.norm(lever if self.kind == "ball" else out)) - self.radius)
-        if off > within:
-            far = (
-                f"the hand is {1e3 * off:.3g} mm off the mechanism ({self.sentence}), {1e3 * within:.3g} mm are allowed"
-            )
-            raise ConstraintError(f"{far}: begin where it can hold it")
+            deviation = abs(float(np.linalg.norm(lever if self.kind == "ball" else radial)) - self.radius)
+        if deviation > within:
+            problem = f"the hand is {1e3 * deviation:.3g} mm off the mechanism ({self.sentence})"
+            raise ConstraintError(f"{problem}, {1e3 * within:.3g} mm are allowed: start at a pose on the mechanism")
         axis = g.axis[None] if self.curve is None else self.curve.tangents_at(self.curve.nearest(p[None]))
         directions = {"": np.zeros((0, 3)), "axis": axis, "across": across(g.axis), "all": np.eye(3)}
-        turn, travel = directions[known.turns], directions[known.travels]
-        if self.kind == "ball" and not is_carried:  # held loosely, by two turns across the lever of the hand
+        turn, travel = directions[spec.turns], directions[spec.travels]
+        if self.kind == "ball" and not is_carried:  # a loose grip: two rotations across the lever of the hand
             length = float(np.linalg.norm(lever))
             turn = across(lever / length if length > 0.0 else Z)
         spin = {"free": np.eye(3), "about-axis": g.axis[None]}.get(self.orientation, np.zeros((0, 3)))
@@ -396,20 +423,26 @@ class Mechanism:
         turns = np.vstack([turn, np.zeros_like(travel)])
         pitch = g.pitch if self.kind in ("hinge", "screw") else 0.0
         moves = np.vstack([pitch * turn, travel]) + np.cross(g.point, turns)
-        sizes = (FINGERS if self.in_fingers else self.radius or 1.0, 1.0) if self.kind == "cylinder" else (1.0,)
+        half_hand = (
+            0.1  # [m] from an axis in the hand: half the length of a hand, also used for the rotations of a path
+        )
+        sizes = (half_hand if self.in_fingers else self.radius or 1.0, 1.0) if self.kind == "cylinder" else (1.0,)
         screws = np.vstack([moves, rest]), np.vstack([turns, rest]), np.vstack([still, spin])
-        more: dict[str, Any] = {"centre": g.point, "curve": self.curve, "rows": self._weights, "sizes": sizes}
-        return Chart(grasp, *screws, is_carried=is_carried, **more)
+        options: dict[str, Any] = {"centre": g.point, "curve": self.curve, "rows": self._weights, "sizes": sizes}
+        return Chart(grasp, *screws, is_carried=is_carried, **options)
 
     def places(self, begin: Float[np.ndarray, " 3"], s: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
-        """Return where a hand goes from a place, at coordinates along the mechanism: a line to draw [m].
+        """Return positions along the mechanism, e.g. as a line to draw.
 
         Args:
-            begin: shape (3,) [m].
-            s: shape (n, k), coordinates of `at` [m or rad].
+            begin: Position of the hand (3,) at coordinates 0, in the mechanism's frame [m].
+            s: Coordinates along the mechanism (n, k), as of `at` [m or rad].
+
+        Returns:
+            shape (n, 3), positions of the hand [m].
 
         Raises:
-            ConstraintError: It is not known where the mechanism is.
+            ConstraintError: The place of the mechanism is not known.
         """
         pose = np.eye(4)
         pose[:3, 3] = begin
@@ -423,25 +456,34 @@ class Mechanism:
         return weights.values(p)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""
+        """Return type, axis, point, radius, pitch, uncertainty and the freedom of the hand's orientation, ready for
+        JSON.
+        """
         values = plain(self) | {"uncertainty": dict(self.uncertainty), "sentence": self.sentence}
         return {n: x for n, x in values.items() if x is not None or n not in ("relative_to", "curve")}
 
     @staticmethod
     def from_dict(described: Mapping[str, Any]) -> Mechanism:
-        """Return what `to_dict` wrote."""
-        return saved(Mechanism, described)
+        """Build a mechanism from the output of `to_dict`.
+
+        Args:
+            described: The output of `to_dict`.
+
+        Returns:
+            The mechanism.
+        """
+        return from_plain(Mechanism, described)
 
     def __str__(self) -> str:
         return self.sentence
 
 
-def in_words(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
-    """Return a vector with two digits, or `"unknown"` for None.
+def format_vector(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
+    """Return a vector as text with two decimals, or `"unknown"` for None.
 
     Args:
-        vector: A direction, a place, or a combination of rows.
-        names: Of its entries; that of the only one that counts says all.
+        vector: A direction, a position, or a combination of rows.
+        names: Names of its entries; a vector with a single significant entry is given by that name. Default: numbers.
 
     Returns:
         For example `"(0.91, 0.42, 0.00)"`, or `"z"`.
@@ -454,87 +496,123 @@ def in_words(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
     return "(" + ", ".join(f"{x + 0.0:.2f}" for x in np.round(vector, 2)) + ")"
 
 
-def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None, told: bool = False) -> str:
-    """Return how sure each thing is, once: `"direction known to 0.001 degrees"`; empty if nothing is known of it.
+def describe_uncertainty(
+    uncertainty_deg: float | None, mechanism: Mechanism | None = None, is_stated: bool = False
+) -> str:
+    """Return the uncertainties as text, each once: `"direction known to 0.001 degrees"`.
 
     Args:
-        uncertainty_deg: Of the rows [deg].
-        mechanism: What holds the hand.
-        told: Whether the rows say where it is: then its axis is their direction.
+        uncertainty_deg: Uncertainty of the rows [deg]; None if unknown.
+        mechanism: Mechanism with the uncertainties of its parameters; None for rows alone.
+        is_stated: True if the rows state the direction of the mechanism: its axis is then called direction.
+
+    Returns:
+        The text; empty if no uncertainty is known.
     """
     errors = {"direction": uncertainty_deg} | ({} if mechanism is None else dict(mechanism.uncertainty))
-    if told and mechanism is not None and mechanism.type in ("line", "plane"):
+    if is_stated and mechanism is not None and mechanism.type in ("line", "plane"):  # the axis is the rows' direction
         axis = errors.pop("axis", None)
         errors["direction"] = axis if uncertainty_deg is None else uncertainty_deg
-    known, lost = list[str](), list[str]()
+    units = {"direction": "degrees", "axis": "degrees", "point": "mm", "radius": "mm", "pitch": "mm/rad"}
+    determined, undetermined = list[str](), list[str]()
     for name, error in errors.items():
-        what, unit = "place" if name == "point" else name, _PARAMETERS[name]
-        if error is not None and unit == "degrees" and error > 45.0:  # nothing determines such a direction
-            lost.append(f"{what} not determined")
+        label, unit = "place" if name == "point" else name, units[name]
+        if error is not None and unit == "degrees" and error > 45.0:  # an undetermined direction
+            undetermined.append(f"{label} not determined")
         elif error is not None:
             size = error_in_words(error if unit == "degrees" else 1e3 * error, unit)
-            known.append(f"{what} {'to' if known else 'known to'} {size}")
-    return listed([*known, *lost]) if known or lost else ""
+            determined.append(f"{label} {'to' if determined else 'known to'} {size}")
+    return listed([*determined, *undetermined]) if determined or undetermined else ""
 
 
 def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **known: Any) -> Mechanism:
-    """Return the mechanism of a kind at a place, with the radius of the hand [m] and what else is known of it."""
-    told = {
+    """Return the mechanism of a kind at a place.
+
+    Args:
+        kind: Its kind.
+        place: Its axis, point and pitch; the kind determines the applicable ones.
+        radius: Distance of the hand from the axis or the centre [m]; None if it does not apply.
+        known: Further attributes of `Mechanism`, which take precedence.
+
+    Returns:
+        The mechanism.
+    """
+    attributes = {
         "axis": place.axis if "axis" in kind.unknowns else None,
         "point": None if kind.kind == "space" else place.point,
         "pitch": place.pitch if "pitch" in kind.unknowns else None,
         "grip": "loose" if kind.orientation == "free" else "firm",
     }
-    return Mechanism(kind.type, radius=radius, orientation=kind.orientation, name=kind.name, **told | known)
+    return Mechanism(kind.type, radius=radius, orientation=kind.orientation, name=kind.name, **attributes | known)
 
 
-def on_twist(names: Sequence[str], rows: np.ndarray, *, distance: bool = False) -> Rows:
-    """Return rows of some of (v, w) as rows of all six, or of [v; (p - m).v; w] with no share of the distance."""
+def embed_rows(names: Sequence[str], rows: np.ndarray, *, distance: bool = False) -> Rows:
+    """Expand rows of some of (v, w) to rows of all six.
+
+    Args:
+        names: Names of the columns of `rows`, among x y z rx ry rz.
+        rows: shape (r, k).
+        distance: True for rows of [v; (p - m).v; w], with zero for the distance.
+
+    Returns:
+        shape (r, 6), or (r, 7) with the distance.
+    """
     out = np.zeros((len(rows), len(AXES) + distance))
     out[:, [AXES.index(name) + (distance and AXES.index(name) > 2) for name in names]] = rows
     return out
 
 
-def of_point_rows(
+def read_point_rows(
     selection: Rows, immovable: Rows, middle: Float[np.ndarray, " 3"], *, aligned: bool = True
-) -> Read | None:
-    """Return what holds the point, and how the hand may turn besides, from rows of [v; (p - m).v; w].
+) -> Match | None:
+    """Read the mechanism of a point, and the freedom of the hand's orientation, from rows of [v; (p - m).v; w].
 
-    Rows that the arm cannot move hold the point as well as any; of how the hand is held they say nothing.
+    Rows that the arm cannot move also constrain the point; they say nothing about the grip.
 
     Args:
         selection: shape (s, k), rows that are zero.
         immovable: shape (m, k), rows that this arm cannot move.
-        middle: m [m].
-        aligned: Whether a hand that turns about one axis only must turn about that of the mechanism.
+        middle: m (3,), base frame [m].
+        aligned: True to require that a hand with one rotation axis turns about the axis of the mechanism.
+
+    Returns:
+        Kind and place; None if the rows are no known mechanism.
     """
     position, turning = np.concatenate([selection, immovable])[:, :4], selection[:, 4:]
     sizes = [np.linalg.svd(block, compute_uv=False) if block.size else np.zeros(0) for block in (position, turning)]
-    held, turns = (int(np.count_nonzero(each > 0.5)) for each in sizes)
-    each = np.concatenate(sizes)  # of rows that lie in these columns 1, of the others 0
+    n_held, turns = (int(np.count_nonzero(each > 0.5)) for each in sizes)
+    each = np.concatenate(sizes)  # 1 for rows within these columns, 0 for the others
     is_mixed = np.any((each > MIXED) & (each < np.sqrt(1.0 - MIXED**2)))
-    if is_mixed or turns == 1 or (held > 2 and turns != 2):
+    if is_mixed or turns == 1 or (n_held > 2 and turns != 2):
         return None
     free = np.linalg.svd(turning)[2][2] if turns == 2 else Z
-    if held > 2:  # the hand's own place rests, and it turns about an axis there: a knob
+    if n_held > 2:  # the position is fixed and the hand turns about an axis through it: a knob
         return KINDS["hinge", "carried"], Place(free, middle)
-    rows = np.linalg.svd(position)[2][:held]
+    rows = np.linalg.svd(position)[2][:n_held]
     normals, distances = rows[:, :3], rows[:, 3]
-    # an axis or a centre beyond 5 m is read as this far: the fit to positions decides how far it is
-    far = float(np.linalg.norm(distances)) < 1.0 / 5.0
-    axis = free if held == 0 else normals[0]
-    if held == 2:
-        axis = np.cross(*normals) if far else distances[1] * normals[0] - distances[0] * normals[1]
-    point = middle if far else middle - distances @ normals / float(distances @ distances)
+    # an axis or a centre beyond 5 m counts as infinitely far here: the fit to positions determines its distance
+    is_far = float(np.linalg.norm(distances)) < 1.0 / 5.0
+    axis = free if n_held == 0 else normals[0]
+    if n_held == 2:
+        axis = np.cross(*normals) if is_far else distances[1] * normals[0] - distances[0] * normals[1]
+    point = middle if is_far else middle - distances @ normals / float(distances @ distances)
     place = Place(axis / np.linalg.norm(axis), point)
-    name = ("space", "plane" if far else "ball", "line" if far else "hinge")[held]
-    found = KINDS[name, {0: "free", 2: "about-axis", 3: "fixed"}[turns]]
-    turned = aligned and turns == 2 and abs(float(free @ place.axis)) < 1.0 - MIXED
-    return None if found not in MECHANISM_KINDS or turned else (found, place)
+    name = ("space", "plane" if is_far else "ball", "line" if is_far else "hinge")[n_held]
+    kind = KINDS[name, {0: "free", 2: "about-axis", 3: "fixed"}[turns]]
+    is_tilted = aligned and turns == 2 and abs(float(free @ place.axis)) < 1.0 - MIXED
+    return None if kind not in MECHANISM_KINDS or is_tilted else (kind, place)
 
 
-def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -> Read | None:
-    """Return what leaves the twists (v, w) about m free; every displacement is a screw (G. Chasles)."""
+def read_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -> Match | None:
+    """Read the mechanism that leaves some twists (v, w) free; every displacement is a screw motion (G. Chasles).
+
+    Args:
+        free: Free twists (k, 6) about m, along the base's axes.
+        middle: m (3,), base frame [m].
+
+    Returns:
+        Kind and place; None if the twists are no known mechanism.
+    """
     U, turning, axes = np.linalg.svd(free[:, 3:])
     turns, axis = int(np.count_nonzero(turning > MIXED)), axes[0]
     spun, slides = U.T[:turns] @ free, (U.T[turns:] @ free)[:, :3]
@@ -558,16 +636,25 @@ def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -
             return KINDS["space", "about-axis"], Place(axis, middle)
         case 3, 3:  # v_i = w_i x (m - c) for all three
             levers = np.concatenate([skew(x) for x in spun[:, 3:]])
-            away = np.linalg.lstsq(levers, spun[:, :3].reshape(-1), rcond=None)[0]
-            return KINDS["ball", "carried"], Place(Z, middle - away)
+            offset = np.linalg.lstsq(levers, spun[:, :3].reshape(-1), rcond=None)[0]
+            return KINDS["ball", "carried"], Place(Z, middle - offset)
     return None
 
 
-def of_surface(selection: Rows, middle: Float[np.ndarray, " 3"], p: Float[np.ndarray, "N 3"]) -> Read | None:
-    """Return the surface of rows n.v + sum B_ij (p - m)_i v_j: a cylinder, B = I - a a^T, or a helix, B = [a]."""
+def read_surface_rows(selection: Rows, middle: Float[np.ndarray, " 3"], p: Float[np.ndarray, "N 3"]) -> Match | None:
+    """Read the mechanism of rows n.v + sum B_ij (p - m)_i v_j: a cylinder, B = I - a a^T, or a helix, B = [a].
+
+    Args:
+        selection: Rows (s, 12): n, then the entries of B.
+        middle: m (3,), base frame [m].
+        p: Positions of the hand (N, 3), base frame [m].
+
+    Returns:
+        Kind and place; None if the rows are neither.
+    """
     n, B = selection[:, :3], selection[:, 3:].reshape(-1, 3, 3)
-    odd = 0.5 * (B - B.transpose(0, 2, 1)).reshape(len(B), -1)
-    U, sizes, _ = np.linalg.svd(odd)
+    antisymmetric = 0.5 * (B - B.transpose(0, 2, 1)).reshape(len(B), -1)
+    U, sizes, _ = np.linalg.svd(antisymmetric)
     side = U[:, -1]
     C, foot = np.tensordot(side, B, axes=1), side @ n
     values, vectors = np.linalg.eigh(0.5 * (C + C.T))
@@ -581,20 +668,23 @@ def of_surface(selection: Rows, middle: Float[np.ndarray, " 3"], p: Float[np.nda
         return KINDS["cylinder", "free"], Place(axis, point)
     if len(selection) != 2 or sizes[0] < MIXED:
         return None
-    # the other row is that of rho^2 a - h a x (p - c)
+    # the other row is the helical one, rho^2 a - h a x (p - c)
     T = np.tensordot(U[:, 0], B, axes=1)
     turn = 0.5 * np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]])
     square = float(np.mean(np.sum(np.cross(p - point, axis) ** 2, axis=1)))
     return KINDS["screw", "free"], Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis))
 
 
-def hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], learnt: Mapping[str, Any]) -> Read:
-    """Return a hinge for the twist of a firm grip, unless it travels more than three standard deviations of its angle.
+def hinge_or_screw(read: Match, hand: Float[np.ndarray, " 3"], learnt: Mapping[str, Any]) -> Match:
+    """Replace the screw of a firm grip by a hinge unless its travel exceeds three standard deviations of the row angle.
 
     Args:
         read: Kind and place.
-        hand: A place of the hand [m].
-        learnt: What is known of how Lambda was learnt: the error of its rows.
+        hand: Position of the hand (3,) [m].
+        learnt: Provenance of Lambda, with the error of its rows [deg]; empty if it was not learnt.
+
+    Returns:
+        Kind and place.
     """
     kind, place = read
     angle, radius = learnt.get("uncertainty_deg"), float(np.linalg.norm(place.point - hand))
@@ -603,18 +693,21 @@ def hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], learnt: Mapping[st
     return read if travels or kind != KINDS["screw", "carried"] else (KINDS["hinge", "carried"], place)
 
 
-def as_learnt(read: Mechanism, learnt: Mapping[str, Any]) -> Mechanism:
-    """Return the mechanism that was fitted to positions, with place and uncertainty, if it is the one that Lambda says.
+def fitted_mechanism(read: Mechanism, learnt: Mapping[str, Any]) -> Mechanism:
+    """Return the mechanism that was fitted to positions, with place and uncertainty, if it agrees with Lambda.
 
     Args:
-        read: The mechanism that was read from Lambda.
-        learnt: What is known of how Lambda was learnt, empty if it was not.
+        read: The mechanism read from Lambda.
+        learnt: Provenance of Lambda; empty if it was not learnt.
+
+    Returns:
+        The fitted mechanism; `read` if there is none or it disagrees.
     """
     try:
-        known = Mechanism.from_dict(learnt["mechanism"])
+        fitted = Mechanism.from_dict(learnt["mechanism"])
     except (KeyError, TypeError, ValueError):
-        return read  # none, or of another version, or damaged: Lambda has said what it says
-    same = known.type == read.type and (known.orientation == read.orientation or "whole" in learnt)
-    if same and known.axis is not None and read.axis is not None:  # to one degree
-        same = known.axis.shape == (3,) and abs(float(known.axis @ read.axis)) > 0.9998 * np.linalg.norm(known.axis)
-    return known if same else read
+        return read  # missing, damaged or from another version: use the one read from Lambda
+    same = fitted.type == read.type and (fitted.orientation == read.orientation or "whole" in learnt)
+    if same and fitted.axis is not None and read.axis is not None:  # equal within one degree
+        same = fitted.axis.shape == (3,) and abs(float(fitted.axis @ read.axis)) > 0.9998 * np.linalg.norm(fitted.axis)
+    return fitted if same else read

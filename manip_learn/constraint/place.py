@@ -1,17 +1,17 @@
-"""Where a mechanism is, the curve that it follows, and the free coordinates of a hand that holds it.
+"""Place of a mechanism, its curve, and the free coordinates of a hand on it.
 
 The weights W(p) of a hand's twist (v, w) in the rows of a mechanism are f(p).v + g(p).w. With the origin p of the hand,
 the axis a (unit length) through the point c, d = p - c, x = d - (a.d) a and rho = |x|, f and g are affine in p on a
-mechanism of known radius; rows of a hand that may be at any distance are made unit length.
+mechanism of known radius; rows for a hand at any distance are normalised to unit length.
 
-A mechanism displaces whatever is fixed to it by g(s) of SE(3), g(0) = 1: the exponential of its screws, g(s) =
-exp(sum_i s_i X_i) (R. W. Brockett, "Robotic Manipulators and the Product of Exponentials Formula", 1984), or the frame
-that goes along a curve. A grasp is the pose at s = 0. With g = (G, t), the hand that took hold at (p0, R0) is at
+A mechanism displaces a body fixed to it by g(s) of SE(3), g(0) = 1: the exponential of its screws, g(s) = exp(sum_i s_i
+X_i) (R. W. Brockett, "Robotic Manipulators and the Product of Exponentials Formula", 1984), or the frame that moves
+along a curve. The grasp pose is at s = 0. With g = (G, t), a hand with grasp pose (p0, R0) is at
 
-    p = G p0 + t,    R = C R0,    C = G of a hand that is carried, exp(sum_i s_i c_i) of one that turns by itself
+    p = G p0 + t,    R = C R0,    C = G for a carried hand, exp(sum_i s_i c_i) for a hand that turns by itself
 
-A line is a screw that only travels, a hinge one that only turns; screws that do both, cylinders, balls and planes are
-the same formula with other numbers, and so is a hand that may turn as it likes: its own turns are further coordinates.
+A line is a screw that only translates, a hinge one that only rotates; screws that do both, cylinders, balls and planes
+use the same formula with other numbers. A hand that may turn freely adds its own rotations as further coordinates.
 """
 
 from __future__ import annotations
@@ -30,48 +30,62 @@ from scipy.interpolate import CubicSpline
 from manip_learn.errors import FeatureError
 from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors, skew
 
-# Units are those of the row times a joint velocity.
+# unit of each row times a joint velocity
 AXIS_UNITS = {**dict.fromkeys(("x", "y", "z"), "m/s"), **dict.fromkeys(("rx", "ry", "rz"), "rad/s")}
 AXES = tuple(AXIS_UNITS)  # rows of a twist (v, w)
-ON_AXIS = 1e-5  # [m] below this distance from the axis (or the centre) a direction fades to zero instead of flipping
-TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
+ON_AXIS = 1e-5  # [m] closer to the axis (or the centre) a direction fades to zero instead of flipping
+ROTATION_ROWS = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
 _VELOCITIES = "radial tangential axial helical spherical across-1 across-2 {} {} {} slide-1 slide-2 slide screw"
-ROW_UNITS = {x: "rad/s" if x in TURNING else "m/s" for x in _VELOCITIES.format(*TURNING).split()}
-AT_A_DISTANCE = ("radial", "tangential", "helical", "spherical")  # rows that ask how far the hand is
+ROW_UNITS = {x: "rad/s" if x in ROTATION_ROWS else "m/s" for x in _VELOCITIES.format(*ROTATION_ROWS).split()}
+DISTANCE_ROWS = ("radial", "tangential", "helical", "spherical")  # rows that depend on the distance of the hand
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where a mechanism is, in the base frame.
+    """Place of a mechanism in the base frame.
 
     Attributes:
         axis: Unit vector a.
         point: A point c on the axis, or the centre of a ball [m].
-        pitch: Travel along the axis a radian of turning [m/rad].
+        pitch: Travel along the axis per radian of rotation [m/rad].
     """
 
     axis: Float[np.ndarray, " 3"]
     point: Float[np.ndarray, " 3"]
     pitch: float = 0.0
 
-    def as_told(self) -> Place:
-        """Return this place, its axis in the sense in which mechanisms are told: the largest number is positive.
+    def canonical(self) -> Place:
+        """Return this place with its axis in the reported direction: its largest component is positive.
 
-        The pitch stays: of an axis the other way both the turn and the travel count the other way.
+        The pitch does not change: with a reversed axis both rotation and travel change sign.
         """
         sense = 1.0 if self.axis[int(np.argmax(np.abs(self.axis)))] > 0.0 else -1.0
         return Place(sense * self.axis, self.point, self.pitch)
 
     def moved(self, step: Float[np.ndarray, " 7"]) -> Place:
-        """Return the place after a step of the seven numbers axis, point, pitch."""
+        """Return the place after a step of the seven numbers axis, point, pitch.
+
+        Args:
+            step: shape (7,): changes of the axis, of the point [m] and of the pitch [m/rad].
+
+        Returns:
+            The place, with an axis of unit length.
+        """
         axis = self.axis + step[:3]
         return Place(axis / np.linalg.norm(axis), self.point + step[3:6], self.pitch + float(step[6]))
 
 
 def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
-    """Return two unit vectors that make a right-handed orthonormal base with a unit vector: (first, second, axis)."""
-    a = axis.tolist()  # three numbers: floats are faster than arrays
+    """Return two unit vectors that complete a unit vector to a right-handed orthonormal basis (first, second, axis).
+
+    Args:
+        axis: Unit vector.
+
+    Returns:
+        shape (2, 3).
+    """
+    a = axis.tolist()  # floats are faster than arrays for three numbers
     least = min(range(3), key=lambda i: abs(a[i]))
     first = [-a[least] * x for x in a]
     first[least] += 1.0
@@ -81,16 +95,24 @@ def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
 
 
 def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None) -> PlaceWeights:
-    """Return the weights of rows of that name, see `MechanismRows`.
+    """Return the weights of rows of `MechanismRows`.
 
     - `radial` f = x / rho; `tangential` f = a x x / rho; `spherical` f = d / |d|;
     - `helical` f = (rho^2 a - h a x x) / (rho sqrt(rho^2 + h^2)), orthogonal to the velocity a x x + h a of a point
       that a screw of pitch h moves;
     - `axial` f = a and `across-1`, `across-2`; `turn` g = a and `turn-1`, `turn-2`;
-    - `slide` and `screw`, the velocity e.(v + w x (c - p)) - h e.w of the hand's point that is at c: f = e and
-      g = (c - p) x e - h e.
+    - `slide` and `screw`, the velocity e.(v + w x (c - p)) - h e.w of the hand's point that is at c: f = e and g = (c -
+      p) x e - h e.
 
-    With a radius, rho (and |d|) in these formulas are that number; without one they are the hand's own.
+    With a radius, rho (and |d|) in these formulas are that number; without a radius they are the hand's own distances.
+
+    Args:
+        names: Names of the rows, from `ROW_UNITS`.
+        place: Axis, point [m] and pitch [m/rad].
+        radius: Distance of the hand from the axis or the centre [m]; None for any distance.
+
+    Returns:
+        W(p), one row per name.
     """
     a, c, h = place.axis, place.point, place.pitch
     directions = dict(zip("12", across(a), strict=True))
@@ -124,9 +146,9 @@ class PlaceWeights:
     Attributes:
         constant: T_0, shape (r, 6).
         by_place: T_k, shape (r, 6, 3).
-        free: Rows whose weights of v, y = T_0 + sum_k p_k T_k, are made unit length, y / sqrt(|y|^2 + e^2) with
-            e = `ON_AXIS`; with a direction b (otherwise zero) and a pitch h those of a helix about b at any distance,
-            (|y|^2 b - h y) / sqrt((|y|^2 + e^2) (|y|^2 + h^2 + e^2)). By number: b and h.
+        free: Row number -> direction b and pitch h, for rows whose weights of v, y = T_0 + sum_k p_k T_k, are
+            normalised: y / sqrt(|y|^2 + e^2) with e = `ON_AXIS` if b is zero, else the weights of a helix about b at
+            any distance, (|y|^2 b - h y) / sqrt((|y|^2 + e^2) (|y|^2 + h^2 + e^2)).
     """
 
     constant: Float[np.ndarray, "r 6"]
@@ -134,7 +156,14 @@ class PlaceWeights:
     free: Mapping[int, tuple[Float[np.ndarray, " 3"], float]] = field(default_factory=dict)
 
     def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """Return W(p) at n places [m]."""
+        """Return W(p) at n positions.
+
+        Args:
+            p: Positions (n, 3) [m].
+
+        Returns:
+            shape (n, r, 6).
+        """
         W = self.constant + (p @ self.by_place.reshape(-1, 3).T).reshape(len(p), -1, 6)
         for i, (b, h) in self.free.items():
             y = W[:, i, :3]
@@ -144,7 +173,14 @@ class PlaceWeights:
         return W
 
     def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """Return W(p) and dW/dp at n places [m]."""
+        """Return W(p) and dW/dp at n positions.
+
+        Args:
+            p: Positions (n, 3) [m].
+
+        Returns:
+            W (n, r, 6) and dW/dp (n, r, 6, 3).
+        """
         W, dW = self.values(p), np.broadcast_to(self.by_place, (len(p), *self.by_place.shape))
         dW = dW.copy() if self.free else dW
         for i, (b, h) in self.free.items():
@@ -159,49 +195,57 @@ class PlaceWeights:
         return W, dW
 
 
-# names of the rows: velocities across and along the curve, then angular ones
+# names of the rows: velocities across and along the curve, then angular velocities
 CURVE_ROWS = ("across-1", "across-2", "along", "rx", "ry", "rz")
-# share of the radius of curvature that a hand may be off the curve before the nearest place is no longer told
-WITHIN = 0.95
+# largest distance from the curve, as a share of the radius of curvature, at which the nearest point is still used
+LARGEST_OFFSET = 0.95
 
 
 @final
 class Curve:
-    """A smooth curve through points, straight beyond both ends, by its length.
+    """Smooth curve through points, parametrised by its length, straight beyond both ends.
 
-    Natural cubic splines, by the length of the chords and then by that of the curve itself (so that the tangent has
-    unit length to 1e-4 or better). The frame across it does not turn about it (R. L. Bishop, 1975).
+    Natural cubic splines, first over the chord length and then over the length of the curve itself (so that the tangent
+    has unit length to 1e-4 or better). The frame across the curve does not rotate about it (R. L. Bishop, 1975).
 
     Args:
-        points: In order, at least four, shape (k, 3) [m].
+        points: Points in order, at least four, shape (k, 3) [m].
 
     Attributes:
-        points: As given, read-only.
-        length: From the first to the last point [m].
+        points: The same points, read-only.
+        length: Length from the first to the last point [m].
 
     Raises:
-        FeatureError: Fewer points, points that are not finite, or two that follow each other at one place.
+        FeatureError: Fewer points, points that are not finite, or two consecutive points at the same position.
     """
 
     def __init__(self, points: ArrayLike):
         self.points = np.array(points, dtype=np.float64)
         if self.points.ndim != 2 or self.points.shape[1] != 3 or len(self.points) < 4:
-            raise FeatureError(f"a curve goes through at least four points (k, 3) [m], got {self.points.shape}")
+            raise FeatureError(f"a curve needs at least four points (k, 3) [m], got shape {self.points.shape}")
         chords = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         if not np.all(np.isfinite(self.points)) or not np.all(chords > 0.0):
-            raise FeatureError("the points of a curve must be finite, and each elsewhere than the one before")
+            raise FeatureError("the points of a curve must be finite, and consecutive points must differ")
         self.points.setflags(write=False)
-        at = np.concatenate([[0.0], np.cumsum(chords)])
-        for _ in range(2):  # by the length of the chords, then of the curve: the middle of 4 in each piece
-            spline = CubicSpline(at, self.points, bc_type="natural")
-            inside = at[:-1, None] + np.diff(at)[:, None] * (np.arange(4) + 0.5) / 4
+        lengths = np.concatenate([[0.0], np.cumsum(chords)])
+        for _ in range(2):  # first over the chord length, then over the curve length, from 4 midpoints per segment
+            spline = CubicSpline(lengths, self.points, bc_type="natural")
+            inside = lengths[:-1, None] + np.diff(lengths)[:, None] * (np.arange(4) + 0.5) / 4
             speed = np.linalg.norm(spline(inside, 1), axis=2).mean(axis=1)
-            at = np.concatenate([[0.0], np.cumsum(speed * np.diff(at))])
-        self._spline = CubicSpline(at, self.points, bc_type="natural")
-        self.length = float(at[-1])
+            lengths = np.concatenate([[0.0], np.cumsum(speed * np.diff(lengths))])
+        self._spline = CubicSpline(lengths, self.points, bc_type="natural")
+        self.length = float(lengths[-1])
 
     def at(self, s: Float[np.ndarray, " n"], order: int = 0) -> Float[np.ndarray, "n 3"]:
-        """Return places [m] at lengths s [m], or their derivatives of an order up to 3."""
+        """Return positions or their derivatives at lengths along the curve.
+
+        Args:
+            s: Lengths (n,) [m].
+            order: Order of the derivative by the length, 0 to 3; 0 for the position.
+
+        Returns:
+            shape (n, 3) [m, divided by m for each order].
+        """
         inside = np.clip(s, 0.0, self.length)
         beyond, value = s - inside, self._spline(inside, order)
         if order == 0:
@@ -209,14 +253,21 @@ class Curve:
         return value if order == 1 else np.where(beyond[:, None] == 0.0, value, 0.0)
 
     def tangents_at(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-        """Return unit vectors along the curve at lengths s [m]."""
+        """Return unit vectors along the curve.
+
+        Args:
+            s: Lengths (n,) along the curve [m].
+
+        Returns:
+            shape (n, 3).
+        """
         along = self.at(s, 1)
         return along / np.linalg.norm(along, axis=1, keepdims=True)
 
     @cached_property
     def _frames(self) -> CubicSpline:
-        """Two unit vectors across the curve, by its length, shape (2, 3)."""
-        # 12 from one point to the next: the frame's error falls with the fourth power of their distance
+        """Return two unit vectors across the curve as a spline over its length, shape (2, 3)."""
+        # 12 samples per segment: the frame's error falls with the fourth power of their spacing
         s = np.linspace(0.0, self.length, 12 * (len(self.points) - 1) + 1)
         places, tangents = self.at(s), self.tangents_at(s)
         across = np.linalg.svd(tangents[:1])[2][1:]
@@ -229,41 +280,70 @@ class Curve:
         return CubicSpline(s, np.array(frames), bc_type="clamped")
 
     def frame(self, s: Float[np.ndarray, " n"], order: int = 0) -> Float[np.ndarray, "n 2 3"]:
-        """Return two unit vectors across the curve at lengths s [m], or their derivatives."""
+        """Return two unit vectors across the curve, or their derivatives.
+
+        Args:
+            s: Lengths (n,) along the curve [m].
+            order: Order of the derivative by the length; 0 for the vectors.
+
+        Returns:
+            shape (n, 2, 3).
+        """
         inside = np.clip(s, 0.0, self.length)
         value = self._frames(inside, order)
         return value if order == 0 else np.where((s == inside)[:, None, None], value, 0.0)
 
     def frames(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 3"]:
-        """Return rotations whose columns are the tangent at lengths s [m] and two directions across the curve."""
+        """Return rotations whose columns are the tangent and two directions across the curve.
+
+        Args:
+            s: Lengths (n,) along the curve [m].
+
+        Returns:
+            shape (n, 3, 3).
+        """
         tangent, normal = self.tangents_at(s), self.frame(s)[:, 0]
         normal = normal - np.sum(normal * tangent, axis=1, keepdims=True) * tangent
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         return np.stack([tangent, normal, np.cross(tangent, normal)], axis=2)
 
     def nearest(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Return the length at which the curve comes nearest to places [m], beyond its ends on the straight lines."""
-        # the search begins at the nearest of three places from one point to the next
-        some = np.linspace(0.0, self.length, 3 * (len(self.points) - 1) + 1)
-        places, step = self.at(some), some[1]
-        s = some[np.argmin(np.sum(places**2, axis=1) - 2.0 * p @ places.T, axis=1)]
-        for _ in range(6):  # of Newton's method: each doubles the digits
-            away, c1, c2 = p - self.at(s), self.at(s, 1), self.at(s, 2)
-            slope = np.maximum(np.sum(c1 * c1, axis=1) - np.sum(c2 * away, axis=1), 1.0 - WITHIN)
-            move = np.sum(c1 * away, axis=1) / slope
+        """Return the lengths of the nearest points of the curve, including its straight ends.
+
+        Args:
+            p: Positions (n, 3) [m].
+
+        Returns:
+            shape (n,) [m]; negative before the first point.
+        """
+        # the search starts at the nearest of three samples per segment
+        samples = np.linspace(0.0, self.length, 3 * (len(self.points) - 1) + 1)
+        places, step = self.at(samples), samples[1]
+        s = samples[np.argmin(np.sum(places**2, axis=1) - 2.0 * p @ places.T, axis=1)]
+        for _ in range(6):  # Newton steps, each doubles the number of correct digits
+            offset, c1, c2 = p - self.at(s), self.at(s, 1), self.at(s, 2)
+            slope = np.maximum(np.sum(c1 * c1, axis=1) - np.sum(c2 * offset, axis=1), 1.0 - LARGEST_OFFSET)
+            move = np.sum(c1 * offset, axis=1) / slope
             outside = (s <= 0.0) & (move < 0.0) | (s >= self.length) & (move > 0.0)
             s = s + np.where(outside, move, np.clip(move, -step, step))
         return s
 
     def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 6 6"], Float[np.ndarray, "n 6 6 3"]]:
-        """Return the weights of all `CURVE_ROWS` at n places [m], and their derivatives along the place."""
+        """Return the weights of all `CURVE_ROWS` and their derivatives by the position.
+
+        Args:
+            p: Positions (n, 3) [m].
+
+        Returns:
+            W (n, 6, 6) and dW/dp (n, 6, 6, 3).
+        """
         s = self.nearest(p)
-        away, c1, c2, c3 = p - self.at(s), *(self.at(s, k) for k in (1, 2, 3))
-        bend = np.sum(c2 * away, axis=1)
-        far = bend > WITHIN  # near the centre of curvature the length would run away
-        D = np.sum(c1 * c1, axis=1) - np.minimum(bend, WITHIN)
+        offset, c1, c2, c3 = p - self.at(s), *(self.at(s, k) for k in (1, 2, 3))
+        bend = np.sum(c2 * offset, axis=1)
+        far = bend > LARGEST_OFFSET  # near the centre of curvature the length would diverge
+        D = np.sum(c1 * c1, axis=1) - np.minimum(bend, LARGEST_OFFSET)
         along = c1 / D[:, None]
-        by_length = 3.0 * np.sum(c1 * c2, axis=1) - np.sum(c3 * away, axis=1)
+        by_length = 3.0 * np.sum(c1 * c2, axis=1) - np.sum(c3 * offset, axis=1)
         dD = np.where(far, 2.0 * np.sum(c1 * c2, axis=1), by_length)[:, None] * along - np.where(far[:, None], 0.0, c2)
         W, dW = np.zeros((len(p), len(CURVE_ROWS), 6)), np.zeros((len(p), len(CURVE_ROWS), 6, 3))
         W[:, 3:, 3:] = np.eye(3)
@@ -273,7 +353,14 @@ class Curve:
         return W, dW
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Curve:
-        """Return this curve where it stands elsewhere, p' = R p + t."""
+        """Return this curve after a rigid motion, p' = R p + t.
+
+        Args:
+            transform: shape (4, 4) [m].
+
+        Returns:
+            The moved curve.
+        """
         return Curve(self.points @ transform[:3, :3].T + transform[:3, 3])
 
 
@@ -284,44 +371,62 @@ class CurveWeights:
 
     Attributes:
         curve: The curve.
-        names: Of `CURVE_ROWS`.
+        names: Names of the r rows, from `CURVE_ROWS`.
     """
 
     curve: Curve
     names: tuple[str, ...]
 
     def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """Return W(p) at n places [m]."""
+        """Return W(p) at n positions.
+
+        Args:
+            p: Positions (n, 3) [m].
+
+        Returns:
+            shape (n, r, 6).
+        """
         return self.at(p)[0]
 
     def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """Return W(p) and dW/dp at n places [m]."""
+        """Return W(p) and dW/dp at n positions.
+
+        Args:
+            p: Positions (n, 3) [m].
+
+        Returns:
+            W (n, r, 6) and dW/dp (n, r, 6, 3).
+        """
         W, dW = self.curve.weights(p)
         rows = [CURVE_ROWS.index(name) for name in self.names]
         return W[:, rows], dW[:, rows]
 
 
 def _reflected(vectors: Float[np.ndarray, "k 3"], normal: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "k 3"]:
+    """Return vectors reflected at the plane with a normal."""
     size = normal @ normal
     return vectors - 2.0 * np.outer(vectors @ normal, normal) / size if size > 0.0 else vectors
 
 
 @final
 class Chart:
-    """Free coordinates s (k,) of a hand about the pose at which it took hold.
+    """Free coordinates s (k,) of a hand relative to its grasp pose.
 
-    The ways [m] and angles [rad] along the mechanism come first, then the angles by which the hand turns by itself.
+    Distances [m] and angles [rad] along the mechanism come first, then the angles by which the hand turns by itself.
 
     Args:
-        grasp: shape (4, 4), pose of the hand where it took hold; s = 0 there.
+        grasp: Grasp pose (4, 4) of the hand [m]; s = 0 there.
         travel: shape (k, 3), and
-        turn: shape (k, 3): X_i = (v_i, w_i) [m, rad per unit of s_i]: the velocity at the origin, and the angular one.
-        spin: shape (k, 3), c_i, by which the hand turns by itself [rad per unit of s_i].
-        is_carried: Whether the hand turns with the mechanism. Its rotation then tells the angle, otherwise its place.
-        centre: shape (3,), a point that stays where it is while only the angles change [m]; of one screw it is known.
-        curve: Along which the hand goes, in the place of screws.
-        rows: Place (1, 3) -> weights (1, h, 6) of the hand's twist in the h rows that are held.
-        sizes: Factors that give the coordinates along the mechanism one unit: on a cylinder angles become arcs [m].
+        turn: shape (k, 3): X_i = (v_i, w_i) [m, rad per unit of s_i]: the velocity at the origin, and the angular
+            velocity.
+        spin: shape (k, 3): c_i, the rotation of the hand by itself [rad per unit of s_i].
+        is_carried: True if the hand turns with the mechanism. Its rotation then determines the angle, otherwise its
+            position.
+        centre: shape (3,), a fixed point of the pure rotations [m]; None for the point of a single screw's axis nearest
+            to the origin.
+        curve: Curve that the hand follows, instead of screws.
+        rows: Position (1, 3) -> weights (1, h, 6) of the hand's twist in the h held rows.
+        sizes: Factors that give the coordinates along the mechanism one unit: on a cylinder, angles become arcs [m].
     """
 
     def __init__(
@@ -346,20 +451,23 @@ class Chart:
         self._turns, self._spins = int(np.count_nonzero(turn.any(axis=1))), bool(spin.any())
         self._size = math.sqrt(turn[0] @ turn[0]) if self._turns == 1 else 1.0
         self._axis = turn[0] / self._size
-        if centre is None:  # the point of the axis next to the origin
+        if centre is None:  # the point of the axis nearest to the origin
             centre = skew(self._axis).dot(travel[0]) / self._size if self._turns == 1 else np.zeros(3)
         self._centre, self._slide = centre, travel - np.cross(centre, turn)
-        out = self._p - centre
-        self._held = -self._R.T @ out  # the point of a carried hand that is at the centre, in its axes
-        self._out = out - (out @ self._axis) * self._axis if self._turns == 1 else out
+        lever = self._p - centre
+        self._held = -self._R.T @ lever  # the point of a carried hand at the centre, in the hand's axes
+        self._out = lever - (lever @ self._axis) * self._axis if self._turns == 1 else lever
         self._around = skew(self._axis).dot(self._out)
 
     def coordinates(self, pose: Float[np.ndarray, "*n 4 4"], near: float = 0.0) -> Float[np.ndarray, "*n k"]:
-        """Return the free coordinates of a hand [m or rad], or of a hand along a motion.
+        """Return the free coordinates of a hand, at one pose or along a motion.
 
         Args:
-            pose: shape (4, 4) of the hand, or (T, 4, 4) of a motion, along which the angles have no jumps.
-            near: Of angles a turn apart the first is the one next to this [rad].
+            pose: Pose (4, 4) of the hand, or (T, 4, 4) for a motion, whose angles are then unwrapped [m].
+            near: Angle near which the first angle is chosen among angles that differ by full turns [rad].
+
+        Returns:
+            shape (k,) or (T, k) [m or rad].
         """
         p, Q = pose[..., :3, 3], pose[..., :3, :3] @ self._R.T
         vectors = rotation_vector if pose.ndim == 2 else rotation_vectors
@@ -367,8 +475,8 @@ class Chart:
         if self._curve is not None:
             s[..., 0] = self._curve.nearest(p.reshape(-1, 3)).reshape(p.shape[:-1]) - self._at
         elif self._turns > 1:
-            turned = vectors(Q) if self._carried else _shortest_turn(self._out, p - self._centre)
-            s[..., :n] = turned @ self.turn[:n].T
+            rotation = vectors(Q) if self._carried else _shortest_turn(self._out, p - self._centre)
+            s[..., :n] = rotation @ self.turn[:n].T
         elif self._turns:
             d = p - self._centre
             angle = _turn_about(Q, self._axis) if self._carried else np.arctan2(d @ self._around, d @ self._out)
@@ -378,13 +486,20 @@ class Chart:
                 s[..., 1] = (p - self._p) @ self._slide[1]
         elif n:
             s[..., :n] = (p - self._p) @ self._slide[:n].T / np.sum(self._slide[:n] ** 2, axis=1)
-        if own := len(self.spin) - n:
+        if n_spins := len(self.spin) - n:
             c = self.spin[n:]
-            s[..., n:] = vectors(Q) @ c.T if own == 3 else _turn_about(Q, c[0])[..., None]
+            s[..., n:] = vectors(Q) @ c.T if n_spins == 3 else _turn_about(Q, c[0])[..., None]
         return s
 
     def pose(self, s: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Return the pose of the hand at free coordinates (k,) [m or rad]; those left out at the end are 0."""
+        """Return the pose of the hand at free coordinates.
+
+        Args:
+            s: Coordinates (k,) [m or rad]; missing ones at the end are 0.
+
+        Returns:
+            shape (4, 4) [m].
+        """
         s, out, place = self._whole(s), self.grasp.copy(), self._p
         if self._curve is not None:
             at = np.array([self._at, self._at + s[0]])
@@ -406,8 +521,11 @@ class Chart:
         """Return the twist (v, w) of the hand's origin per unit of each coordinate.
 
         Args:
-            s: shape (k,), free coordinates [m or rad].
-            pose: shape (4, 4), of a hand that goes on from elsewhere; None for one that is on the mechanism.
+            s: Free coordinates (k,) [m or rad]; missing ones at the end are 0.
+            pose: Pose (4, 4) of a hand that is off the mechanism; None for a hand on it.
+
+        Returns:
+            shape (6, k).
         """
         s, K = self._whole(s), np.zeros((6, len(self.spin)))
         p = (self.pose(s) if pose is None else pose)[:3, 3]
@@ -426,42 +544,63 @@ class Chart:
         return K
 
     def _whole(self, s: ArrayLike) -> Float[np.ndarray, " k"]:
+        """Return all k coordinates, with zeros for missing ones at the end."""
         s = np.asarray(s, dtype=np.float64)
         return s if len(s) == len(self.spin) else np.append(s, np.zeros(len(self.spin) - len(s)))
 
     def error(self, pose: Float[np.ndarray, "4 4"], s: ArrayLike) -> Float[np.ndarray, " 6"]:
-        """Return the twist that takes the pose meant by free coordinates to that of the hand [m, rad].
+        """Return the twist from the pose of free coordinates to the pose of the hand [m, rad].
 
-        Of a hand that is carried, the point that it holds at the centre moves as far as the twist says.
+        For a carried hand, the linear part is the displacement of the hand's point at the centre.
+
+        Args:
+            pose: Pose (4, 4) of the hand [m].
+            s: Free coordinates (k,) [m or rad].
+
+        Returns:
+            shape (6,), along the axes of the mechanism's frame.
         """
-        meant, out = self.pose(s), np.empty(6)
-        turned = pose[:3, :3] @ meant[:3, :3].T
-        out[:3], out[3:] = pose[:3, 3] - meant[:3, 3], rotation_vector(turned)
+        goal, out = self.pose(s), np.empty(6)
+        rotation = pose[:3, :3] @ goal[:3, :3].T
+        out[:3], out[3:] = pose[:3, 3] - goal[:3, 3], rotation_vector(rotation)
         if self._carried and self._turns:
-            lever = meant[:3, :3] @ self._held
-            out[:3] += turned.dot(lever) - lever - skew(out[3:]).dot(lever)
+            lever = goal[:3, :3] @ self._held
+            out[:3] += rotation.dot(lever) - lever - skew(out[3:]).dot(lever)
         return out
 
     def heading(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
-        """Return the way of a hand along the first coordinate, and how what it holds turns meanwhile [m, rad]."""
+        """Return the twist of the hand's linear motion along the first coordinate, with the rotation of the mechanism.
+
+        Args:
+            pose: Pose (4, 4) of the hand [m].
+
+        Returns:
+            shape (6,): velocity of the hand and angular velocity, per unit of the coordinate.
+        """
         return np.append(self.twist([], pose)[:3, 0], self.turn[0] + self.spin[0])
 
     def held_error(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " h"]:
-        """Return how far a hand is off the mechanism along the held rows, 6 - k of them [m or rad].
+        """Return the deviation of a hand from the mechanism along the held rows.
 
-        Counted from the pose on the mechanism that has the same free coordinates.
+        It is measured from the pose on the mechanism with the same free coordinates.
+
+        Args:
+            pose: Pose (4, 4) of the hand [m].
+
+        Returns:
+            shape (6 - k,) [m or rad].
         """
         return self._rows(pose[None, :3, 3])[0] @ self.error(pose, self.coordinates(pose))  # type: ignore[misc]
 
 
 def _turn_about(Q: Float[np.ndarray, "*n 3 3"], axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "*n"]:
-    """Return the part of rotations that is about an axis [rad]; it is well determined up to half a turn."""
+    """Return the part of rotations about an axis [rad]; it is well determined up to half a turn."""
     vee = np.stack([Q[..., 2, 1] - Q[..., 1, 2], Q[..., 0, 2] - Q[..., 2, 0], Q[..., 1, 0] - Q[..., 0, 1]], axis=-1)
     return np.asarray(np.arctan2(vee @ axis, np.trace(Q, axis1=-2, axis2=-1) - Q @ axis @ axis))
 
 
 def _shortest_turn(before: Float[np.ndarray, " 3"], after: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Return the rotation vectors that take one direction to others on the shortest way [rad]."""
+    """Return the rotation vectors of the shortest rotations from one direction to others [rad]."""
     normal = np.cross(before, after)
     sine = np.linalg.norm(normal, axis=-1, keepdims=True)
     return normal * np.arctan2(sine, (after @ before)[..., None]) / np.maximum(sine, 1e-300)

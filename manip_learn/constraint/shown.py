@@ -1,4 +1,4 @@
-"""What the recordings show along the directions that a constraint leaves free: where, which way, how far, how fast."""
+"""Demonstrated motion along the free directions of a constraint: place, direction, distance and speed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.interpolate import UnivariateSpline
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Selection
-from manip_learn.constraint.mechanism import CURVE, Mechanism, plain, saved
+from manip_learn.constraint.mechanism import CURVE, Mechanism, from_plain, plain
 from manip_learn.constraint.place import Chart, Curve, across
 from manip_learn.errors import FeatureError, counted
 from manip_learn.linalg import complement_rows, row_basis
@@ -23,72 +23,85 @@ from manip_learn.recordings.trajectory import Trajectory, evenly
 from manip_learn.robot.rotations import angles_between, rotation_matrix, rotation_vectors
 
 Unit = Literal["m", "rad"]
-STARTED = 0.02  # share of the way that a hand has gone when its motion has begun, and that is left when it has ended
+START_SHARE = 0.02  # share of the distance after which a motion counts as started, and before its end as finished
 
 
 def straight_motion(
     features: FeatureMap, selection: Selection, in_hand: int, contacts: Sequence[np.ndarray]
 ) -> Mechanism | None:
-    """Return the line, the plane or the space in which a constraint leaves the hand's place free; None of nothing free.
+    """Return the line, the plane or the space in which a constraint leaves the hand's position free.
 
     Args:
         features: Phi.
-        selection: Lambda.
-        in_hand: Number of directions of the hand's own axes that are free; 0 if they are not known to be.
-        contacts: shape (T, 4, 4) each, poses of the hand along a contact [m].
+        selection: Lambda (s, p) with orthonormal rows.
+        in_hand: Number of free directions along the hand's own axes; 0 if unknown.
+        contacts: Poses of the hand along each contact, shape (T, 4, 4) each, base frame [m].
+
+    Returns:
+        The mechanism; None if no direction is free.
     """
     axes = np.zeros((0, 3))
-    if in_hand:  # they are those in which the hand did move
+    if in_hand:  # take the directions in which the hand moved
         places = np.concatenate([c[:, :3, 3] - c[:, :3, 3].mean(axis=0) for c in contacts])
         axes = np.linalg.svd(places, full_matrices=False)[2][:in_hand]
-    elif features.own_axes is False:  # translations that the rows show and Lambda leaves free, but for what it leaks
-        rows = features.weights_at(contacts[0][:1])[0, :, :3]  # type: ignore[attr-defined]  # of a frame
-        shows = row_basis(rows)
-        _, sizes, Vt = np.linalg.svd(selection @ rows @ shows.T)
-        axes = Vt[int(np.count_nonzero(sizes > 0.1)) :] @ shows  # a learnt row leaks by its uncertainty
-    return straight(axes)
+    elif features.own_axes is False:  # translations in the rows that Lambda leaves free, up to its leakage
+        rows = features.weights_at(contacts[0][:1])[0, :, :3]  # type: ignore[attr-defined]  # a frame's rows
+        visible = row_basis(rows)
+        _, sizes, Vt = np.linalg.svd(selection @ rows @ visible.T)
+        axes = Vt[int(np.count_nonzero(sizes > 0.1)) :] @ visible  # a learnt row leaks by its uncertainty
+    return straight_mechanism(axes)
 
 
-def straight(axes: Float[np.ndarray, "k 3"]) -> Mechanism | None:
-    """Return the line, the plane or the space in which a hand moves along some directions; None of no direction."""
-    made = {1: "line", 2: "plane", 3: "held-orientation"}
-    if len(axes) not in made:
+def straight_mechanism(axes: Float[np.ndarray, "k 3"]) -> Mechanism | None:
+    """Return the line, the plane or the space in which a hand moves along some directions.
+
+    Args:
+        axes: Free directions (k, 3), linearly independent.
+
+    Returns:
+        The mechanism, without a point; None unless k is 1, 2 or 3.
+    """
+    types = {1: "line", 2: "plane", 3: "held-orientation"}
+    if len(axes) not in types:
         return None
     normal = complement_rows(axes) if len(axes) == 2 else axes
-    return Mechanism(made[len(axes)], None if len(axes) == 3 else normal[0] / np.linalg.norm(normal[0]))  # type: ignore[arg-type]
+    return Mechanism(types[len(axes)], None if len(axes) == 3 else normal[0] / np.linalg.norm(normal[0]))  # type: ignore[arg-type]
 
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class Shown:
-    """What was done along what a constraint leaves free, over all its contacts; places in the base frame.
+    """Demonstrated motion along the free directions of a constraint, over all contacts; positions in the base frame.
 
-    The way is counted from where a contact began; where there is one direction, positive as the recordings went.
+    Distances are measured from the start of a contact; with one free direction, they are positive in the demonstrated
+    direction.
 
     Attributes:
-        unit: `"m"` or `"rad"`, of the way.
-        extent: From where contacts began to their farthest point, the median.
-        spread: Standard deviation of that.
-        least, most: The shortest and the longest of the contacts.
-        span: From the first to the last place along the way that any contact came to; of a path, the most.
-        speed: Mean speed on the way out, the median [m/s or rad/s].
-        seconds: From where the motion began to its farthest point, of a path to its end; the median [s].
-        back: Whether the hand was taken back to the beginning.
+        unit: Unit of the distances, `"m"` or `"rad"`.
+        extent: Distance from the start of a contact to its farthest point, median.
+        spread: Standard deviation of this distance.
+        least, most: Shortest and longest of these distances.
+        span: Range between the first and the last position along the path over all contacts; on a surface, the longest
+            distance.
+        speed: Mean outbound speed, median [m/s or rad/s].
+        seconds: Time from the start of the motion to its farthest point, for a path on a surface to its end; median
+            [s].
+        back: True if the hand returned to the start.
         n: Number of contacts.
-        hold: shape (3,), where contacts began [m], the median; None if they scatter by more than 3 mm.
-        scatter: The largest distance of a beginning from that median [m].
-        path: shape (T, k), along the free coordinates, of the most typical contact [m or rad].
-        time: shape (T,), of the path [s], from 0.
-        begin: shape (3,), where the path begins: `hold`, or where the typical contact began [m].
-        orientation: shape (3, 3), of the hand where the typical contact began.
-        turned: Largest angle of a hand from that where the other contacts began [rad].
-        one_way: Whether the recordings agree on a sense; always True of paths on a surface.
-        mechanism: What the hand goes along, in the sense of the recordings.
-        force: What the hand exerted along them at the most, the median over the contacts [N]; None where no efforts
-            were recorded, or where they show no such force, as those of an arm that a hand has guided.
-        start: shape (k,), coordinates where contacts began, the median, counted from `begin` [m or rad].
-        hand: shape (T, 3), rotation vectors by which the typical hand had turned by then [rad]; none in files of 0.2.
-        grasps: shape (n, 4, 4), pose of the hand where each contact began, of at most 24 contacts.
+        hold: shape (3,), median start of the contacts [m]; None if they scatter by more than 3 mm.
+        scatter: Largest distance of a start from this median [m].
+        path: shape (T, k), path of the most typical contact along the free coordinates [m or rad].
+        time: shape (T,), time along the path [s], from 0.
+        begin: shape (3,), start of the path: `hold`, or the start of the typical contact [m].
+        orientation: shape (3, 3), orientation of the hand at the start of the typical contact.
+        turned: Largest angle between this orientation and the other contacts' at their starts [rad].
+        one_way: True if the recordings agree on a direction; always True for paths on a surface.
+        mechanism: Mechanism that the hand follows, in the direction of the recordings.
+        force: Largest force of the hand, median over the contacts [N]; None if no efforts were recorded, or if they
+            show no such force, e.g. for a hand-guided arm.
+        start: shape (k,), median coordinates of the contacts' starts, relative to `begin` [m or rad].
+        hand: shape (T, 3), rotation vectors of the typical hand relative to its start [rad]; empty in files of 0.2.
+        grasps: shape (n, 4, 4), grasp poses at the starts of at most 24 contacts [m].
     """
 
     unit: Unit
@@ -117,12 +130,12 @@ class Shown:
 
     @property
     def is_way(self) -> bool:
-        """Whether there is one direction, so that the extent says which way was gone."""
+        """True if there is one free direction, so that the extent is a distance along it."""
         return self.chart.n_ways == 1
 
     @property
     def chart(self) -> Chart:
-        """The chart of the hand that begins the path."""
+        """Chart of the hand at the start of the path."""
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = self.orientation, self.begin
         return self.mechanism.at(pose, np.inf)
@@ -135,122 +148,162 @@ class Shown:
 
     @property
     def points(self) -> Float[np.ndarray, "T 3"]:
-        """Places along the path, in the base frame [m]."""
+        """Positions along the path, in the base frame [m]."""
         return self.poses[:, :3, 3]
 
     @cached_property
     def _ways(self) -> Float[np.ndarray, " T"]:
-        """How far along the path each of its points is [m or rad], rising."""
+        """Distance of each path point along the path [m or rad], non-decreasing."""
         steps = np.diff(self.path, axis=0)
         ways = self.path[:, 0] if self.is_way else np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
         return np.maximum.accumulate(ways)
 
     def turned_at(self, distance: float) -> Float[np.ndarray, "3 3"]:
-        """Return the orientation that the typical hand had so far along [m or rad]; not known in files of 0.2."""
+        """Return the orientation of the typical hand at a distance along the path; not available in files of 0.2.
+
+        Args:
+            distance: Distance along the path [m or rad].
+
+        Returns:
+            Rotation matrix (3, 3) in the base frame.
+        """
         return rotation_matrix(np.array([np.interp(distance, self._ways, x) for x in self.hand.T])) @ self.orientation
 
     def place_before(self, pose: Float[np.ndarray, "4 4"], far: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
-        """Return the place of a hand that is taken back along the way from a pose, by such coordinates [m]."""
+        """Return the position of a hand that moves back from a pose.
+
+        Args:
+            pose: Pose (4, 4) of the hand [m].
+            far: Coordinates (k,) to go back [m or rad].
+
+        Returns:
+            shape (3,), in the frame of the mechanism [m].
+        """
         chart = self.mechanism.at(pose, np.inf)
         return chart.pose(-far / chart.sizes)[:3, 3]
 
     def along(self, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
-        """Return the coordinates of the path of a hand along a motion [m or rad], 0 at its first pose."""
+        """Return the path coordinates of a hand along a motion.
+
+        Args:
+            poses: Poses (T, 4, 4) of the hand [m].
+
+        Returns:
+            shape (T, k) [m or rad], 0 at the first pose.
+        """
         return _ways(self.mechanism, poses)
 
     @property
     def sentence(self) -> str:
-        """What was shown, in words."""
+        """The demonstrated motion, in words."""
         at = "at the same place" if self.hold is not None else f"at places up to {100 * self.scatter:.2g} cm apart"
         where = f"In {counted(self.n, 'contact')} the hand took hold {at}"
         size, unit, digits = (1.0, "m", 2) if self.unit == "m" else (math.degrees(1.0), "degrees", 0)
-        far, low, high = (f"{size * x:.{digits}f}" for x in (self.extent, self.least, self.most))
-        far += f" {unit}" if low == high else f" {unit} ({low} to {high})"
-        took = "" if self.force is None else f" It took up to {self.force:.2g} N."
+        distance, low, high = (f"{size * x:.{digits}f}" for x in (self.extent, self.least, self.most))
+        distance += f" {unit}" if low == high else f" {unit} ({low} to {high})"
+        force = "" if self.force is None else f" It took up to {self.force:.2g} N."
         if not self.is_way:
-            return f"{where}, and went up to {far} from there on a path of {self.time[-1]:.1f} s.{took}"
+            return f"{where}, and went up to {distance} from there on a path of {self.time[-1]:.1f} s.{force}"
         back = (", and back" if self.back else "") + ("" if self.one_way else "; not all went the same way")
-        return f"{where}, moved {far} at about {size * self.speed:.2g} {unit}/s{back}.{took}"
+        return f"{where}, moved {distance} at about {size * self.speed:.2g} {unit}/s{back}.{force}"
 
     def __repr__(self) -> str:
         return f"Shown({self.sentence})"
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Shown:
-        """Return the same at fixtures that stand elsewhere, p' = R p + t."""
+        """Return the same motion after a rigid motion of the fixtures, p' = R p + t.
+
+        Args:
+            transform: shape (4, 4), base frame [m].
+
+        Returns:
+            The moved record.
+        """
         R, t = transform[:3, :3], transform[:3, 3]
         places = {"hold": None if self.hold is None else R @ self.hold + t, "begin": R @ self.begin + t}
         turned = {"orientation": R @ self.orientation, "grasps": transform @ self.grasps}
         return replace(self, **places, **turned, mechanism=self.mechanism.moved(transform))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers and lists, for a constraint file."""
+        """Return numbers and lists for a constraint file."""
         return plain(self, 6)
 
     @staticmethod
     def from_dict(content: Any) -> Shown | None:
-        """Return what `to_dict` wrote; None of anything else."""
+        """Build the record from the output of `to_dict`.
+
+        Args:
+            content: The output of `to_dict`, also from 0.2.
+
+        Returns:
+            The record; None if the content is anything else.
+        """
         try:
-            return saved(Shown, content if "mechanism" in content else {**content, **_of_02(content)})
+            return from_plain(Shown, content if "mechanism" in content else {**content, **_of_02(content)})
         except (KeyError, TypeError, ValueError):
             return None
 
 
 def _of_02(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the mechanism and the path of a file of 0.2, which says directions; until 0.4."""
+    """Return the mechanism and the path of a file of 0.2, which stores directions; until 0.4."""
     c, path = content["coordinates"], np.array(content["path"], dtype=np.float64)
     axes, point = (np.array(c[name], dtype=np.float64) for name in ("axes", "point"))
     orientation = "carried" if c["by_hand"] or c["kind"] == "ball" else "free"
     if c["kind"] == "straight":
-        mechanism = straight(axes)
+        mechanism = straight_mechanism(axes)
         travel = np.eye(3) if len(axes) == 3 else axes if len(axes) == 1 else across(mechanism.axis)  # type: ignore
         return {"mechanism": mechanism.to_dict(), "path": path @ axes @ travel.T}  # type: ignore[union-attr]
     curve = Curve(c["curve"]) if "curve" in c else None
     kind = {"around": "screw" if c["pitch"] else "hinge", "ball": "ball"}.get(c["kind"], "other")
-    told: dict[str, Any] = {"pitch": c["pitch"] or None, "radius": c["radius"] if c["kind"] == "sleeve" else None}
+    sizes: dict[str, Any] = {"pitch": c["pitch"] or None, "radius": c["radius"] if c["kind"] == "sleeve" else None}
     name = CURVE if curve is not None else ""
     axis = None if kind == "ball" or name else axes[0]
-    known = Mechanism(kind, axis, point, orientation=orientation, name=name, curve=curve, **told)  # type: ignore[arg-type]
-    arcs = np.array([known.radius or 1.0, 1.0]) if kind == "other" and not name else np.ones(1)  # as 0.2 had them
-    return {"mechanism": known.to_dict(), "path": path * (known.at(np.eye(4), np.inf).sizes / arcs)}
+    mechanism = Mechanism(kind, axis, point, orientation=orientation, name=name, curve=curve, **sizes)  # type: ignore[arg-type]
+    arcs = np.array([mechanism.radius or 1.0, 1.0]) if kind == "other" and not name else np.ones(1)  # units of 0.2
+    return {"mechanism": mechanism.to_dict(), "path": path * (mechanism.at(np.eye(4), np.inf).sizes / arcs)}
 
 
 def _ways(mechanism: Mechanism, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
+    """Return the coordinates along the mechanism, in one unit, of a hand along a motion; 0 at its first pose."""
     chart = mechanism.at(poses[0], np.inf)
     return chart.coordinates(poses)[:, : chart.n_ways] * chart.sizes
 
 
-def shown_by(
+def demonstrated_motion(
     features: FeatureMap, selection: Selection, mechanism: Mechanism | None, contacts: Sequence[Trajectory]
 ) -> Shown | None:
-    """Return what contacts with one constraint show along its free directions; None where no frame's place is free.
+    """Return the demonstrated motion along the free directions of a constraint.
 
     Args:
         features: Phi.
-        selection: Lambda.
-        mechanism: What the rows hold, where that has a name.
-        contacts: Each contact, from where it began.
+        selection: Lambda (s, p) with orthonormal rows.
+        mechanism: Mechanism of these rows; None if there is none.
+        contacts: The contacts with the constraint, each from its start.
+
+    Returns:
+        The motion; None if no frame's position is free, or if the hand did not move.
     """
     contacts = [contact for contact in contacts if len(contact) > 1]
     if not contacts or features.twist is None:
         return None
     motions = [features.twist.poses(contact.q) for contact in contacts]
-    free, flat = mechanism, {"line": 1, "plane": 2, "space": 3, "curve": 1}  # directions of what has no place
+    free, flat = mechanism, {"line": 1, "plane": 2, "space": 3, "curve": 1}  # number of free directions
     if mechanism is None or (mechanism.axis is None and mechanism.kind in ("line", "plane")):
         free = straight_motion(features, selection, 0 if mechanism is None else flat[mechanism.kind], motions)
     if free is None or (free.point is None and free.kind not in flat):
         return None
     ways = [_ways(free, p) for p in motions]
     is_way = ways[0].shape[1] == 1
-    gone = [w[:, int(free.in_fingers) :] for w in ways]  # where the hand turns about itself it goes nowhere
-    farthest = [int(np.argmax(np.linalg.norm(w, axis=1))) for w in gone]
+    travels = [w[:, int(free.in_fingers) :] for w in ways]  # a rotation of the hand about itself is no travel
+    farthest = [int(np.argmax(np.linalg.norm(w, axis=1))) for w in travels]
     signed = np.array([float(w[i, 0]) for w, i in zip(ways, farthest, strict=True)])
     one_way = True
     if is_way:
-        # one side exceeds the other by half of all ways, or is not the way shown
+        # one direction must exceed the other by half of the total distance to count as the demonstrated one
         one_way = abs(float(np.sum(signed))) >= 0.5 * float(np.sum(np.abs(signed)))
         if np.sum(signed) < 0.0:
             free, ways, signed = free.reversed(), [-w for w in ways], -signed
-    extents = np.array([float(np.linalg.norm(w[i])) for w, i in zip(gone, farthest, strict=True)])
+    extents = np.array([float(np.linalg.norm(w[i])) for w, i in zip(travels, farthest, strict=True)])
     if not np.all(np.isfinite(extents)) or float(np.median(extents)) <= 0.0:
         return None
     times = [contact.time - contact.time[0] for contact in contacts]
@@ -259,30 +312,31 @@ def shown_by(
     grasps = np.array([p[0] for p in motions])
     middle = np.median(grasps[:, :3, 3], axis=0)
     scatter = float(np.max(np.linalg.norm(grasps[:, :3, 3] - middle, axis=1)))
-    # contacts that begin within 3 mm of their middle begin at one place: a person finds a handle again to a millimetre
-    # or two, a hand that is put down on a table does not
+    # starts within 3 mm of their median count as one place: people return to a handle within one or two millimetres,
+    # but not to a spot on a table
     hold = middle if scatter <= 3e-3 else None
-    off = np.abs(extents - np.median(extents)) + np.where(signed > 0.0, 0.0, np.inf)  # of those that went as most did
-    # of an even number two are as near to the median, but for rounding: the first
-    typical = int(np.argmin(np.round(off, 9))) if is_way else _typical(times, ways)
+    # only contacts in the common direction
+    deviation = np.abs(extents - np.median(extents)) + np.where(signed > 0.0, 0.0, np.inf)
+    # for an even number, two are equally near to the median up to rounding: take the first
+    typical = int(np.argmin(np.round(deviation, 9))) if is_way else _typical(times, ways)
     begin = grasps[typical].copy()
     if hold is not None:
         begin[:3, 3] = hold
     sizes: dict[str, Any] = {"extent": np.median, "spread": np.std, "least": np.min, "most": np.max}
-    far: dict[str, Any] = {name: float(size(extents)) for name, size in sizes.items()}
-    span = far["most"]
-    if is_way:  # grips differ, so that the angle of a hand that is carried says nothing of where another began
+    statistics: dict[str, Any] = {name: float(size(extents)) for name, size in sizes.items()}
+    span = statistics["most"]
+    if is_way:  # grips differ, so the angles of a carried hand cannot be compared between contacts
         carried = free.orientation == "carried"
         begins = np.zeros(len(ways)) if carried else _ways(free, grasps)[:, 0]
         low, high = (begins + [end(way) for way in ways] for end in (np.min, np.max))
         span = float(np.max(high - low) if carried else np.max(high) - np.min(low))
     return Shown(
         unit="rad" if free.kind in ("hinge", "screw", "ball") else "m",
-        **far,
+        **statistics,
         span=span,
         speed=float(np.median(lengths / np.maximum(seconds, 1e-9))),
         seconds=float(np.median(seconds)),
-        back=bool(np.median([np.linalg.norm(w[-1]) for w in ways] / extents) <= 0.1),  # of the way out
+        back=bool(np.median([np.linalg.norm(w[-1]) for w in ways] / extents) <= 0.1),  # share of the outbound distance
         n=len(ways),
         hold=hold,
         scatter=scatter,
@@ -294,16 +348,17 @@ def shown_by(
         mechanism=free,
         force=_force(features, free, contacts) if all(c.effort is not None for c in contacts) else None,
         start=np.median([_ways(free, np.array([begin, grasp]))[1] for grasp in grasps], axis=0),
-        grasps=grasps[evenly(len(grasps), 24)],  # 10 kB of a file
+        grasps=grasps[evenly(len(grasps), 24)],  # at most 10 kB in a file
     )
 
 
 def _force(features: FeatureMap, free: Mechanism, contacts: Sequence[Trajectory]) -> float | None:
-    """Return the largest force along free coordinates, by the efforts beside what carries the links; see `Shown.force`.
+    """Return the largest force along the free coordinates, from the efforts minus the gravity torques; see
+    `Shown.force`.
 
-    The force on the hand is the one that explains the rest best, joint friction included. One in twenty samples may
-    exceed it. Efforts that are not in newton metres, or leave weights out, say nothing, and neither do forces that are
-    larger across what is free.
+    The force on the hand is the least-squares fit to these efforts, which include joint friction. One in twenty samples
+    may exceed it. The efforts are not used if they are not in newton metres or have gravity removed, or if the force
+    across the free directions is larger.
     """
     twist = features.twist
     if twist.relative_to is not None or twist.robot.nq != twist.robot.nv:
@@ -311,38 +366,38 @@ def _force(features: FeatureMap, free: Mechanism, contacts: Sequence[Trajectory]
     robot, frame, largest = twist.robot, twist.frame, list[Float[np.ndarray, " 2"]]()
     n = free.at(robot.pose(contacts[0].q[0], frame), np.inf).n_ways
     for contact in contacts:
-        chosen, forces = evenly(len(contact), 200), []  # samples whose efforts are looked at
+        samples, forces = evenly(len(contact), 200), []  # 200 samples per contact
         effort: Any = contact.effort
-        weights = np.array([robot.weight_effort(q) for q in contact.q[chosen]])
-        carried = float(np.sum(weights * effort[chosen])), float(np.sum(weights**2))
-        if not abs(carried[0] - carried[1]) < 0.3 * carried[1]:  # payloads, friction, the force itself
+        weights = np.array([robot.weight_effort(q) for q in contact.q[samples]])
+        carried = float(np.sum(weights * effort[samples])), float(np.sum(weights**2))
+        if not abs(carried[0] - carried[1]) < 0.3 * carried[1]:  # margin for payloads, friction, the force itself
             return None
-        for q, rest in zip(contact.q[chosen], effort[chosen] - weights, strict=True):
-            # in directions in which the hand moves by less than 2 % of its most, efforts tell no force
+        for q, rest in zip(contact.q[samples], effort[samples] - weights, strict=True):
+            # efforts determine no force along directions with less than 2 % of the hand's largest mobility
             force = np.linalg.pinv(robot.jacobian(q, frame).T, rcond=0.02)[:3] @ rest
             ways = free.at(robot.pose(q, frame), np.inf).twist([])[:3, :n]
             along = (ways / np.linalg.norm(ways, axis=0)).T @ force
             forces.append((np.linalg.norm(along), math.sqrt(max(0.0, float(force @ force - along @ along)))))
         largest.append(np.quantile(forces, 0.95, axis=0))
     along, across = np.median(largest, axis=0).tolist()
-    return along if along > max(across, 10.0) else None  # [N]: friction of an arm that a hand guides is less
+    return along if along > max(across, 10.0) else None  # [N] more than the friction of a hand-guided arm
 
 
 def _duration(time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], farthest: int, is_way: bool) -> float:
-    """Return how long the motion took [s]: a way out to its farthest point, rest at either end left out."""
+    """Return the duration of the motion [s]: from its start to the farthest point, without rest at either end."""
     if not is_way:
         return float(time[-1])
     out = np.abs(way[: farthest + 1, 0]) / abs(float(way[farthest, 0]) or 1.0)
-    begun = int(np.flatnonzero(out <= STARTED)[-1])
-    there = begun + int(np.flatnonzero(out[begun:] >= 1.0 - STARTED)[0])
-    levels = ((begun, STARTED), (there - 1, 1.0 - STARTED))  # each is passed between two samples
+    first = int(np.flatnonzero(out <= START_SHARE)[-1])
+    last = first + int(np.flatnonzero(out[first:] >= 1.0 - START_SHARE)[0])
+    levels = ((first, START_SHARE), (last - 1, 1.0 - START_SHARE))  # each is crossed between two samples
     begins, ends = (np.interp(level, out[k : k + 2], time[k : k + 2]) for k, level in levels)
-    return float(ends - begins) / (1.0 - 2.0 * STARTED)
+    return float(ends - begins) / (1.0 - 2.0 * START_SHARE)
 
 
 def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> int:
-    """Return the contact whose path is nearest to those of the others on average, each at equal shares of its time."""
-    shares = np.linspace(0.0, 1.0, 50)  # a path of some strokes, each seen several times
+    """Return the contact whose path is nearest on average to the other paths, compared at equal shares of the time."""
+    shares = np.linspace(0.0, 1.0, 50)  # several samples per stroke, for paths of a few strokes
     even = np.array([[np.interp(shares * t[-1], t, c) for c in w.T] for t, w in zip(times, ways, strict=True)])
     apart = np.linalg.norm(even[:, None] - even[None], axis=2).mean(axis=(1, 2)) if len(ways) > 1 else np.zeros(1)
     return int(np.argmin(apart))
@@ -351,54 +406,54 @@ def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> int:
 def _path(
     free: Mechanism, time: np.ndarray, way: np.ndarray, farthest: int, poses: np.ndarray, begin: np.ndarray
 ) -> dict[str, Any]:
-    """Return the path of a contact at even times, these times, and how the hand had turned by then.
+    """Return the path of a contact at even times, these times, and the rotations of the hand.
 
-    The path is a way out to its farthest point, or one on a surface without rest at its ends. On a surface it is
-    smoothed, by a cubic spline that leaves out as much as the noise is (Reinsch, "Smoothing by spline functions",
-    1967): steps of encoders would be strokes of the hand.
+    The path ends at its farthest point; on a surface it is the whole contact without rest at its ends. On a surface it
+    is smoothed by a cubic spline with a residual of the size of the noise (Reinsch, "Smoothing by spline functions",
+    1967), because encoder steps would become motions of the hand.
 
     Args:
-        free: What the hand goes along.
-        time: shape (T,), of the contact [s].
-        way: shape (T, k), coordinates along it [m or rad].
-        farthest: Number of its farthest sample.
-        poses: shape (T, 4, 4), of the hand.
-        begin: shape (4, 4), pose from which the coordinates of the path are counted.
+        free: Mechanism that the hand follows.
+        time: Times (T,) of the contact [s].
+        way: Coordinates (T, k) along the mechanism [m or rad].
+        farthest: Index of its farthest sample.
+        poses: Poses (T, 4, 4) of the hand [m].
+        begin: Pose (4, 4) where the coordinates of the path are 0 [m].
     """
-    turns, begun, last, is_way = rotation_vectors(poses[:, :3, :3] @ poses[0, :3, :3].T), 0, farthest + 1, True
+    turns, first, last, is_way = rotation_vectors(poses[:, :3, :3] @ poses[0, :3, :3].T), 0, farthest + 1, True
     if way.shape[1] > 1:
-        near, is_way = STARTED * float(np.max(np.linalg.norm(way, axis=1))), False
-        begun = int(np.flatnonzero(np.linalg.norm(way, axis=1) > near)[0]) - 1
+        near, is_way = START_SHARE * float(np.max(np.linalg.norm(way, axis=1))), False
+        first = int(np.flatnonzero(np.linalg.norm(way, axis=1) > near)[0]) - 1
         last = int(np.flatnonzero(np.linalg.norm(way - way[-1], axis=1) > near)[-1]) + 2
-    at, way = time[begun:last] - time[begun], way[begun:last]
-    even = np.linspace(0.0, float(at[-1]), min(400, max(len(at), 2)))  # a millimetre apart on a wipe of 0.4 m
+    at, way = time[first:last] - time[first], way[first:last]
+    even = np.linspace(0.0, float(at[-1]), min(400, max(len(at), 2)))  # 1 mm apart on a wipe of 0.4 m
     path = np.column_stack([np.interp(even, at, c) for c in way.T])
-    if not is_way and len(even) >= 8:  # a cubic spline has something to smooth
-        # a hand has no third derivative between two samples: third differences are noise, of variance 1 + 9 + 9 + 1
+    if not is_way and len(even) >= 8:  # enough points to smooth by a cubic spline
+        # a hand has no third derivative between two samples: third differences are noise, with variance 1 + 9 + 9 + 1
         noise = np.median(np.abs(np.diff(path, 3, axis=0)), axis=0) / (NormalDist().inv_cdf(0.75) * math.sqrt(20.0))
         least = len(even) * noise**2
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a search for knots that ends a little above or below the noise
+            warnings.simplefilter("ignore")  # the knot search ends slightly above or below the noise
             path = np.column_stack([UnivariateSpline(even, c, s=s)(even) for c, s in zip(path.T, least, strict=True)])
-    path -= path[0] * np.linspace(1.0, 0.0, len(path))[:, None]  # it begins where the hand took hold
-    if free.kind == "ball":  # each chart has axes of its own
-        own, kept = (chart.turn[: chart.n_ways] for chart in (free.at(poses[0], np.inf), free.at(begin, np.inf)))
-        path = path @ own @ kept.T
-    hand = np.column_stack([np.interp(float(time[begun]) + even, time, x) for x in turns.T])
+    path -= path[0] * np.linspace(1.0, 0.0, len(path))[:, None]  # start at the grasp
+    if free.kind == "ball":  # each chart has its own axes
+        old, new = (chart.turn[: chart.n_ways] for chart in (free.at(poses[0], np.inf), free.at(begin, np.inf)))
+        path = path @ old @ new.T
+    hand = np.column_stack([np.interp(float(time[first]) + even, time, x) for x in turns.T])
     return {"path": path, "time": even, "hand": hand}
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Take:
-    """How the joints went in one recording: to a contact, along it, and away from it.
+    """Joint motion of one recording: to a contact, along it, and away from it.
 
     Attributes:
-        name: Of the recording.
-        time: shape (k,), from where the contact began [s].
+        name: Name of the recording.
+        time: shape (k,), time from the start of the contact [s].
         q: shape (k, nv), joint positions, thinned [rad or m].
-        end: When the contact ended [s].
-        moved: shape (4, 4): the fixtures stand elsewhere now, p' = R p + t.
+        end: Time at which the contact ended [s].
+        moved: shape (4, 4): rigid motion of the fixtures since the recording, p' = R p + t [m].
     """
 
     name: str
@@ -409,19 +464,22 @@ class Take:
 
     @staticmethod
     def of(robot: Any, whole: Trajectory, since: float, begin: float, end: float, until: float) -> Take:
-        """Return a recording, thinned evenly along its path before, during and after a contact.
+        """Build a take from a recording, thinned evenly along its path before, during and after a contact.
 
         Args:
             robot: The robot.
             whole: The recording.
-            since: When the contact before it ended [s].
-            begin: When the contact began, a time of a sample [s].
-            end: When it ended, likewise.
-            until: When the next one begins [s].
+            since: End of the contact before [s].
+            begin: Start of the contact, the time of a sample [s].
+            end: End of the contact, the time of a sample [s].
+            until: Start of the next contact [s].
+
+        Returns:
+            The take; its time is 0 at `begin`.
         """
         time, q = whole.time, robot.unwrapped(whole.q)
-        thin = []  # times and joint positions, the first and the last sample of each part among them
-        for first, last, most in ((since, begin, 24), (begin, end, 40), (end, until, 16)):  # 4 kB of a file for an arm
+        thin = []  # times and joint positions, including the first and the last sample of each part
+        for first, last, most in ((since, begin, 24), (begin, end, 40), (end, until, 16)):  # 4 kB per arm in a file
             part = (first <= time) & (time <= last)
             samples, steps = np.c_[time[part] - begin, q[part]], np.diff(q[part], axis=0)
             ways = np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
@@ -433,7 +491,7 @@ class Take:
 
     @property
     def before(self) -> Float[np.ndarray, "k nv"]:
-        """Joint positions up to the contact, the first one of it included."""
+        """Joint positions up to the first sample of the contact."""
         return self.q[self.time <= 0.0]
 
     @property
@@ -443,17 +501,24 @@ class Take:
 
     @property
     def after(self) -> Float[np.ndarray, "k nv"]:
-        """Joint positions from the last one of the contact on."""
+        """Joint positions from the last sample of the contact."""
         return self.q[self.time >= self.end]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, for a skill's file."""
+        """Return numbers and lists for a skill's file."""
         plain = {"name": self.name, "time": np.round(self.time, 4).tolist(), "q": np.round(self.q, 5).tolist()}
         return plain | {"end": round(self.end, 4), "moved": self.moved.tolist()}
 
     @staticmethod
     def from_dict(content: Mapping[str, Any]) -> Take:
-        """Return what `to_dict` wrote."""
+        """Build a take from the output of `to_dict`.
+
+        Args:
+            content: The output of `to_dict`.
+
+        Returns:
+            The take.
+        """
         arrays = {name: np.array(content[name], dtype=np.float64) for name in ("time", "q", "moved")}
         return Take(name=str(content["name"]), end=float(content["end"]), **arrays)
 
@@ -461,15 +526,15 @@ class Take:
 @final
 @dataclass(frozen=True, eq=False)
 class Intention:
-    """b = gain (r* - Lambda r(q)): a point towards which the constrained rows were moved.
+    """b = gain (r* - Lambda r(q)): the point towards which the constrained rows were driven.
 
     Attributes:
-        target: shape (s,), r* along the rows of Lambda, the mean over the recordings [m or rad].
-        gain: Rate at which the distance was taken back [1/s].
-        targets: shape (n, s), of each recording.
+        target: shape (s,), r* along the rows of Lambda, mean over the recordings [m or rad].
+        gain: Rate of approach [1/s].
+        targets: shape (n, s), target of each recording.
         spread: Root mean square distance of these from their mean [m or rad].
-        common: Whether they are one target.
-        unexplained: Share of the rows' motion that is something else.
+        common: True if they are one target.
+        unexplained: Share of the rows' motion that the attractor does not explain.
     """
 
     target: Float[np.ndarray, " s"]
@@ -481,38 +546,48 @@ class Intention:
 
     @property
     def sentence(self) -> str:
-        """What was meant, in words."""
+        """The target in words."""
         where = "(" + ", ".join(f"{x:.3g}" for x in self.target) + ")"
         if not self.common:
             return f"The {len(self.targets)} recordings go to different targets, {self.spread:.2g} (m or rad) apart."
         return f"The recordings go to one target, {where} along the steered rows, at a rate of {self.gain:.2g} /s."
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers and lists, for a constraint file."""
+        """Return numbers and lists for a constraint file."""
         return plain(self)
 
     @staticmethod
     def from_dict(content: Any) -> Intention | None:
-        """Return what `to_dict` wrote; None of anything else."""
+        """Build the record from the output of `to_dict`.
+
+        Args:
+            content: The output of `to_dict`.
+
+        Returns:
+            The record; None if the content is anything else.
+        """
         try:
-            return saved(Intention, content)
+            return from_plain(Intention, content)
         except (KeyError, TypeError, ValueError):
             return None
 
 
-def intention_of(
+def fit_intention(
     features: FeatureMap, selection: Selection, recordings: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> Intention | None:
-    """Return the attractor that explains how the rows were moved; None if none does, or the rows have no coordinates.
+    """Fit the attractor that explains the motion of the rows.
 
-    One gain for all recordings, a target for each, by least squares of Lambda Phi(q) u on Lambda r(q).
+    One gain for all recordings and a target for each, by least squares of Lambda Phi(q) u on Lambda r(q).
 
     Args:
         features: Phi.
-        selection: Lambda.
-        recordings: Configurations (T, n) and velocities (T, nv) of each recording.
+        selection: Lambda (s, p).
+        recordings: Configurations (T, n) [rad or m] and velocities (T, nv) [rad/s or m/s] of each recording.
+
+    Returns:
+        The attractor; None if none fits, or if the rows have no coordinates.
     """
-    # two numbers a row are fitted: more than 2000 samples cost time and tell nothing new
+    # two numbers per row are fitted: more than 2000 samples only cost time
     step = max(1, sum(len(q) for q, _ in recordings) // 2000)
     try:
         places = [np.array([selection @ features.coordinates(row) for row in q[::step]]) for q, _ in recordings]
@@ -520,13 +595,13 @@ def intention_of(
         return None
     rates = [np.einsum("sp,npv,nv->ns", selection, features.batch(q[::step]), u[::step]) for q, u in recordings]
     x, y = (np.concatenate([part - part.mean(axis=0) for part in parts]) for parts in (places, rates))
-    moved, energy = float(np.sum(x * x)), float(sum(np.sum(rate * rate) for rate in rates))
-    gain = -float(np.sum(x * y)) / moved if moved > 0.0 else 0.0
-    left = float(np.sum((y + gain * x) ** 2)) / energy if energy > 0.0 else 1.0
-    if gain <= 0.0 or left > 0.1:  # an attractor leaves a third of the rows' motion unexplained, in amplitude
+    variance, energy = float(np.sum(x * x)), float(sum(np.sum(rate * rate) for rate in rates))
+    gain = -float(np.sum(x * y)) / variance if variance > 0.0 else 0.0
+    residual = float(np.sum((y + gain * x) ** 2)) / energy if energy > 0.0 else 1.0
+    if gain <= 0.0 or residual > 0.1:  # at most a third of the rows' motion, in amplitude, may be unexplained
         return None
     targets = np.array([r.mean(axis=0) + b.mean(axis=0) / gain for r, b in zip(places, rates, strict=True)])
     spread = float(np.sqrt(np.mean(np.sum((targets - targets.mean(axis=0)) ** 2, axis=1))))
-    far = float(np.mean([np.linalg.norm(r[0] - r[-1]) for r in places]))
-    # they are one target if they spread by up to a tenth of the distance at which recordings began
-    return Intention(targets.mean(axis=0), gain, targets, spread, spread <= 0.1 * far, left)
+    distance = float(np.mean([np.linalg.norm(r[0] - r[-1]) for r in places]))
+    # one target if the spread is at most a tenth of the mean distance covered by the recordings
+    return Intention(targets.mean(axis=0), gain, targets, spread, spread <= 0.1 * distance, residual)

@@ -1,4 +1,4 @@
-"""A skill: everything that the recordings of a task show, in the order in which it was done."""
+"""Skill: the constraints and steps of a demonstrated task, in order."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.constraint.constraint import Constraint, damaged, read_constraint_file, signed
+from manip_learn.constraint.constraint import Constraint, damage_error, read_constraint_file, with_checksum
 from manip_learn.constraint.shown import Shown, Take
 from manip_learn.errors import DAMAGE, counted
 from manip_learn.robot.robot import Robot
 
-MOST_TAKES = 12  # kept with a step
+MAX_TAKES = 12  # recordings stored with a step
 StepKind = Literal["reach", "way"]
 Gripping = Literal["close", "open"]
 
@@ -25,18 +25,18 @@ Gripping = Literal["close", "open"]
 @final
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One part of a skill.
+    """One step of a skill.
 
     Attributes:
-        kind: `"reach"`: the hand goes through the air to where the next way begins, or to where the recordings ended;
-            `"way"`: it goes along what a constraint leaves free.
-        constraint: Of a way, and of a reach the one that the hand goes to; None where the recordings ended.
-        shown: What was shown along the constraint here; None of a reach.
-        gripper: What a gripper does once the hand has taken hold, and before it reaches for something else, if the
-            recordings say so.
-        fingers: Joint -> where it goes then [rad or m]; a gripper whose joints were not recorded has none.
-        place: shape (3,), where the hand goes at the end of a skill, in the base frame [m]; None of other steps.
-        takes: Of a way, the recordings that showed it; none in files of 0.2.
+        kind: `"reach"`: a motion through free space to the start of the next way, or to the end of the recordings;
+            `"way"`: a motion along the free directions of a constraint.
+        constraint: The constraint of a way, or the next one of a reach; None for the reach to the end of the
+            recordings.
+        shown: Demonstrated motion along the constraint in this step; None for a reach.
+        gripper: Gripper action after the grasp and before the next reach, if the recordings show one.
+        fingers: Finger joint -> its target position [rad or m]; empty if the gripper joints were not recorded.
+        place: shape (3,), position of the hand at the end of a skill, in the base frame [m]; None for other steps.
+        takes: Recordings of a way; empty in files of 0.2.
     """
 
     kind: StepKind
@@ -49,20 +49,20 @@ class Step:
 
     @property
     def as_shown(self) -> Constraint | None:
-        """The constraint, with what was shown along it in this step."""
-        known = self.constraint
-        return known if known is None or self.shown is None else known.showing(self.shown)
+        """The constraint with the demonstrated motion of this step."""
+        constraint = self.constraint
+        return constraint if constraint is None or self.shown is None else constraint.showing(self.shown)
 
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class Skill:
-    """What a task consists of: constraints, and steps in the order in which they were shown.
+    """A learnt task: constraints, and steps in the order of the demonstration.
 
     Attributes:
-        constraints: Every constraint that was learnt, best supported first.
-        steps: In order.
-        notes: What to know of the order, in sentences.
+        constraints: All learnt constraints, best supported first.
+        steps: Steps in order.
+        notes: Remarks about the order, in sentences.
 
     Example:
         >>> import manip_learn as ml
@@ -79,7 +79,7 @@ class Skill:
 
     @property
     def robot(self) -> Robot | None:
-        """The robot that it was shown with."""
+        """The robot of the demonstration."""
         return self.constraints[0].robot
 
     def __repr__(self) -> str:
@@ -88,25 +88,33 @@ class Skill:
         return "\n".join([f"Skill of {counted(len(self.steps), 'step')}", *lines])
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Skill:
-        """Return the skill at fixtures that stand elsewhere: p' = R p + t in the base's frame."""
+        """Return the skill after a rigid motion of the fixtures, p' = R p + t in the base frame.
+
+        Args:
+            transform: shape (4, 4) [m].
+
+        Returns:
+            The moved skill.
+        """
         transform = np.asarray(transform, dtype=np.float64)
-        elsewhere = {id(c): c.moved(transform) for c in self.constraints}
+        moved = {id(c): c.moved(transform) for c in self.constraints}
         steps = []
         for step in self.steps:
-            shown = step.shown and step.shown.moved(transform)
+            motion = step.shown and step.shown.moved(transform)
             place = None if step.place is None else transform[:3, :3] @ step.place + transform[:3, 3]
-            takes = step.takes  # of a hand that is seen from another frame nothing moves in the base's
+            takes = step.takes  # takes relative to another frame do not change
             if step.constraint is not None and step.constraint.features.relative_to is None:
                 takes = tuple(replace(take, moved=transform @ take.moved) for take in takes)
-            constraint = elsewhere.get(id(step.constraint))
-            steps.append(replace(step, constraint=constraint, shown=shown, place=place, takes=takes))
-        return replace(self, constraints=tuple(elsewhere[id(c)] for c in self.constraints), steps=tuple(steps))
+            constraint = moved.get(id(step.constraint))
+            steps.append(replace(step, constraint=constraint, shown=motion, place=place, takes=takes))
+        return replace(self, constraints=tuple(moved[id(c)] for c in self.constraints), steps=tuple(steps))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content of a skill's file: that of its first constraint, with the others and the steps beside it.
+        """Return the content of a skill's file: the first constraint's content, with the other constraints and the
+        steps added.
 
         Raises:
-            FeatureError: The features are Python functions and cannot be written down.
+            FeatureError: The features are Python functions, which cannot be saved.
         """
         number = {id(c): i for i, c in enumerate(self.constraints)}
         steps = [
@@ -118,62 +126,84 @@ class Skill:
         ]
         others = [c.to_dict() for c in self.constraints[1:]]
         skill = {"others": others, "steps": steps, "notes": list(self.notes)}
-        return signed(self.constraints[0].to_dict() | {"skill": skill})
+        return with_checksum(self.constraints[0].to_dict() | {"skill": skill})
 
     def save(self, path: str | Path) -> Path:
-        """Write a JSON file, whole or not at all; `Constraint.load` of it gives the first constraint.
+        """Write the skill to a JSON file, completely or not at all; `Constraint.load` reads its first constraint.
+
+        Args:
+            path: File to write.
+
+        Returns:
+            Path of the file.
 
         Raises:
-            OutputError: It cannot be written.
-            FeatureError: The features are Python functions and cannot be written down.
+            OutputError: The file cannot be written.
+            FeatureError: The features are Python functions, which cannot be saved.
         """
         return write_atomically(path, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
 
     @staticmethod
     def load(path: str | Path, robot: Robot, *, same_urdf: bool = True) -> Skill:
-        """Read a skill; of a file that holds a constraint alone, its one way.
+        """Read a skill; a file with a single constraint gives a skill with one way.
 
         Args:
             path: JSON file written by `save`, or by `Constraint.save`.
             robot: The robot, loaded with the same locked joints.
             same_urdf: As for `Constraint.load`.
 
+        Returns:
+            The skill.
+
         Raises:
-            ConstraintMismatchError: Another robot, another schema, a damaged or a changed file, or no skill at all.
+            ConstraintMismatchError: Another robot, another schema, a damaged or a changed file, or not a skill at all.
         """
         content, source = read_constraint_file(Path(path)), str(path)
         first = Constraint.from_dict(content, robot, source=source, same_urdf=same_urdf)
         saved = content.get("skill")
         if saved is None:
-            return one_way(first)
+            return single_constraint_skill(first)
         try:
             others = [Constraint.from_dict(c, robot, source=source, same_urdf=same_urdf) for c in saved["others"]]
             constraints = (first, *others)
             steps = tuple(_step(entry, constraints) for entry in saved["steps"])
             return Skill(constraints, steps, tuple(map(str, saved.get("notes", ()))))
         except DAMAGE as error:
-            raise damaged(source, error) from error
+            raise damage_error(source, error) from error
 
 
 def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step:
+    """Build a step from its entry in a file.
+
+    Raises:
+        ValueError: Invalid kind or gripper action.
+    """
     kind, number, gripper, place = (entry[name] for name in ("kind", "constraint", "gripper", "place"))
     if kind not in get_args(StepKind) or gripper not in (None, *get_args(Gripping)):
-        raise ValueError(f"a step of kind {kind!r} with gripper {gripper!r}")
-    where = None if place is None else np.array(place, dtype=np.float64).reshape(3)
+        raise ValueError(f"invalid step: kind {kind!r}, gripper {gripper!r}")
+    position = None if place is None else np.array(place, dtype=np.float64).reshape(3)
     constraint = None if number is None else constraints[int(number)]
     fingers = {str(name): float(value) for name, value in entry.get("fingers", {}).items()}
     takes = tuple(map(Take.from_dict, entry.get("takes", ())))
-    return Step(kind, constraint, Shown.from_dict(entry["shown"]), gripper, where, fingers, takes)
+    return Step(kind, constraint, Shown.from_dict(entry["shown"]), gripper, position, fingers, takes)
 
 
-def one_way(constraint: Constraint) -> Skill:
-    """Return the skill of a single constraint: to take hold, and its way."""
+def single_constraint_skill(constraint: Constraint) -> Skill:
+    """Return the skill of a single constraint: a reach and a way.
+
+    Args:
+        constraint: The constraint, with its demonstrated motion if there is one.
+
+    Returns:
+        A skill of two steps.
+    """
     return Skill((constraint,), (Step("reach", constraint), Step("way", constraint, constraint.shown)))
 
 
 def _in_words(step: Step) -> str:
+    """Return a step as text."""
     if step.kind == "reach":
-        return "go to where it begins" if step.place is None else "go to where the recordings ended"
+        return "move to the next grasp" if step.place is None else "move to the end of the recordings"
     mechanism = None if step.constraint is None else step.constraint.mechanism
-    what = "along what is free" if mechanism is None else f"along {mechanism.sentence}"
-    return what if step.shown is None else f"{what}: {step.shown.extent:.3g} {step.shown.unit}"
+    direction = "along its free directions" if mechanism is None else f"along {mechanism.sentence}"
+    return direction if step.shown is None else f"{direction}: {step.shown.extent:.3g} {step.shown.unit}"

@@ -110,7 +110,7 @@ def placed(fit: RowFit, errors: Errors | None) -> Placed | None:
     """
     if (read := kind_of(fit)) is None:
         return None
-    kind, place, p = read[0], read[1].as_told(), fit.motion.poses[:, :3, 3]
+    kind, place, p = read[0], read[1].canonical(), fit.motion.poses[:, :3, 3]
     if kind.type in ("line", "plane"):  # where the hand was, not where the axes of the rows begin
         place = replace(place, point=p.mean(axis=0))
     radius = arc_of(kind, place, p)
@@ -123,7 +123,7 @@ def placed(fit: RowFit, errors: Errors | None) -> Placed | None:
         other = kind_of(fit, np.linalg.qr(rows.T)[0].T)
         if other is None or other[0].type != kind.type:
             continue
-        there = other[1].as_told()
+        there = other[1].canonical()
         d, turned = there.point - place.point, np.linalg.norm(np.cross(place.axis, there.axis))
         if "point-across" in kind.unknowns:
             d = d - (d @ place.axis) * place.axis
@@ -231,7 +231,7 @@ def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | Curv
     best = max((_nearest(kind, x, p, parts) for x in starts), key=lambda found: gain(found[1], n), default=None)
     if best is not None and gain(best[1], n) > LEAST_GAIN and abs(best[0].pitch) >= 3.0 * math.sqrt(best[2][6, 6]):
         place, _, C = best
-        place = replace(place, point=place.point + ((middle - place.point) @ place.axis) * place.axis).as_told()
+        place = replace(place, point=place.point + ((middle - place.point) @ place.axis) * place.axis).canonical()
         axis, point, pitch = (math.sqrt(np.trace(C[KNOWN[n], KNOWN[n]])) for n in ("axis", "point", "pitch"))
         point = math.hypot(point, math.radians(arm_deg) * (arc_of(kind, place, p) or (0.0,))[0])
         uncertainty = {"axis": math.hypot(math.degrees(axis), arm_deg), "point": point, "radius": point}

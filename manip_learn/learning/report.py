@@ -19,9 +19,9 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from manip_learn.constraint.constraint import Constraint, describe, free_directions, said_by_rows
-from manip_learn.constraint.mechanism import Mechanism, known_to
-from manip_learn.constraint.shown import intention_of, shown_by
+from manip_learn.constraint.constraint import Constraint, describe, free_directions, rows_state_place
+from manip_learn.constraint.mechanism import Mechanism, describe_uncertainty
+from manip_learn.constraint.shown import demonstrated_motion, fit_intention
 from manip_learn.errors import counted, error_in_words, few, listed, named, printable
 from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
 from manip_learn.learning.gate import RowSupport
@@ -237,7 +237,7 @@ class LearningReport:
 
     def known_to(self) -> str:
         """Return the uncertainty of each quantity in words, as in the sentence; empty if none is known."""
-        said = known_to(self.uncertainty_deg, self.mechanism, self._is_told)
+        said = describe_uncertainty(self.uncertainty_deg, self.mechanism, self._is_told)
         mu = "" if self.mu_uncertainty is None else f", mu to {error_in_words(100.0 * self.mu_uncertainty, '%')}"
         return f"{said}{mu} (68 %, {parts_in_words(self.uncertainty, self.reference)})" if said else ""
 
@@ -249,7 +249,7 @@ class LearningReport:
     @property
     def _is_told(self) -> bool:
         free = np.reshape(self.free_directions, (-1, len(self.row_names)))
-        return said_by_rows(self.mechanism, self.row_names, self.reference, free)
+        return rows_state_place(self.mechanism, self.row_names, self.reference, free)
 
 
 def _plain(value: Any) -> Any:
@@ -378,9 +378,9 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context, made:
     whole = answer.whole
     if kind == "motion-constrained":
         contacts = [table.moved[s.recording][s.start : s.end] for s in answer.stretches]
-        name, said = "shown", shown_by(whole.features, whole.selection, answer.mechanism, contacts)
+        name, said = "shown", demonstrated_motion(whole.features, whole.selection, answer.mechanism, contacts)
     else:
-        name, said = "intention", intention_of(features, selection, [(t.q, np.asarray(t.u)) for t in table.moved])
+        name, said = "intention", fit_intention(features, selection, [(t.q, np.asarray(t.u)) for t in table.moved])
     provenance[name] = None if said is None else said.to_dict()
     everything = Constraint(whole.selection, whole.features, provenance)
     if whole is answer.asked:

@@ -10,8 +10,8 @@ import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.shown import Take, shown_by
-from manip_learn.constraint.skill import MOST_TAKES, Skill, Step
+from manip_learn.constraint.shown import Take, demonstrated_motion
+from manip_learn.constraint.skill import MAX_TAKES, Skill, Step
 from manip_learn.errors import counted
 from manip_learn.learning.answer import Found
 from manip_learn.learning.table import Table
@@ -51,10 +51,10 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
         constraint, pieces = constraints[number], [contacts[place].piece for contacts in chosen.values()]
         shown = constraint.shown
         if usual.count(number) > 1:
-            shown = shown_by(constraint.features, constraint.selection, constraint.mechanism, pieces)
+            shown = demonstrated_motion(constraint.features, constraint.selection, constraint.mechanism, pieces)
         takes = list[Take]()  # how the joints went to the contact, along it and away from it
         few = [*chosen.items()] if constraint.robot is not None else []
-        for recording, contacts in (few[i] for i in evenly(len(few), MOST_TAKES)):
+        for recording, contacts in (few[i] for i in evenly(len(few), MAX_TAKES)):
             ends = [float(x) for contact in contacts for x in contact.piece.time[[0, -1]]]
             between = [-np.inf, *ends, np.inf][2 * place : 2 * place + 4]
             takes.append(Take.of(constraint.robot, table.moved[recording], *between))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.shown import Take, Unit
-from manip_learn.constraint.skill import Skill, Step, one_way
+from manip_learn.constraint.skill import Skill, Step, single_constraint_skill
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.joint_motion import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits
@@ -179,7 +179,7 @@ def repeat(
         True
     """
     if isinstance(skill, Constraint):
-        skill = one_way(skill)
+        skill = single_constraint_skill(skill)
     if not isinstance(skill, Skill):
         raise ConfigurationError(f"call repeat(skill, start): the skill is {an(skill)}; learner.skill_ is one")
     robot = skill.robot

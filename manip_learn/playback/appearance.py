@@ -1,6 +1,6 @@
-"""Robot -> what is drawn: its own shapes and meshes, or shells made from its kinematics; each rides on one joint.
+"""Appearance of a robot: its own shapes and meshes, or shells generated from its kinematics; each moves with one joint.
 
-The browser does the forward kinematics: it needs the parent of each joint, and how it moves.
+The browser computes the forward kinematics from the parent and the motion of each joint.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ Points = Float[np.ndarray, "P 3"]
 Distance = Callable[[Points], Float[np.ndarray, " P"]]  # [m], negative inside
 # red, green, blue and opacity
 PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
-DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
+DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, next to links in the plain colour
 
 
 @final
 class TreeJoint(NamedTuple):
-    """One moving joint, mimic joints included.
+    """One moving joint, including mimic joints.
 
     Attributes:
         name: Name in the URDF.
         parent: Index of the parent joint; the world is 0.
         placement: shape (4, 4), from the joint at rest to its parent [m].
-        motion: `"revolute"` and `"prismatic"` move along `axis` by one number; `"free"` is given as a whole pose of
-            seven (x, y, z, quaternion x, y, z, w); only the world is `"fixed"`.
+        motion: `"revolute"` and `"prismatic"` move along `axis` by one number; `"free"` has a whole pose of seven
+            numbers (x, y, z, quaternion x, y, z, w); only the world is `"fixed"`.
         axis: shape (3,), unit vector in the joint's own frame; zero for `"free"` and `"fixed"`.
     """
 
@@ -50,9 +50,13 @@ class TreeJoint(NamedTuple):
     axis: Float[np.ndarray, " 3"]
 
 
-@lru_cache(maxsize=8)  # robots do not change, and a live view asks for each picture
+@lru_cache(maxsize=8)  # robots do not change, and a live view needs the tree for each picture
 def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
-    """Return the joints of a robot, parents first; entry 0 is the world."""
+    """Return the joints of a robot, parents first; entry 0 is the world.
+
+    Args:
+        robot: The robot.
+    """
     model, tree = robot.pinocchio_model, [TreeJoint("", 0, np.eye(4), "fixed", np.zeros(3))]
     for i, along in list(enumerate(joint_motions(model)))[1:]:
         motion, axis = "free", np.zeros(3)
@@ -64,9 +68,16 @@ def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
 
 
 def joint_tracks(robot: Robot, postures: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "K w"]:
-    """Return postures as the numbers that move the tree, joint after joint (see `TreeJoint.motion`).
+    """Return the values that move the joints of the tree, for each posture (see `TreeJoint.motion`).
 
-    Angles of continuous joints are unwrapped, so that a motion between two key frames takes the short way.
+    Angles of continuous joints are unwrapped, so that a motion between two key frames takes the shorter direction.
+
+    Args:
+        robot: The robot.
+        postures: Joint configurations (K, nq) or positions (K, nv) [rad or m].
+
+    Returns:
+        shape (K, w), joint after joint [rad or m, quaternions].
 
     Raises:
         ConfigurationError: A posture of the wrong size or with NaN.
@@ -80,7 +91,7 @@ def joint_tracks(robot: Robot, postures: Float[np.ndarray, "K n"]) -> Float[np.n
             for k, q in enumerate(full):
                 joint.calc(data, q)
                 poses[k] = pin.SE3ToXYZQUAT(data.M)
-                if k and poses[k, 3:] @ poses[k - 1, 3:] < 0.0:  # q and -q turn alike: keep the signs continuous
+                if k and poses[k, 3:] @ poses[k - 1, 3:] < 0.0:  # q and -q are one rotation: keep the signs continuous
                     poses[k, 3:] *= -1.0
             columns.append(poses)
         else:
@@ -94,10 +105,10 @@ class Shape:
     """One drawn body.
 
     Attributes:
-        joint: Index in the kinematic tree of the joint that carries it; 0 is the world.
-        kind: What it is.
+        joint: Index of its joint in the kinematic tree; 0 is the world.
+        kind: Geometry.
         size: [m]: box (x, y, z); sphere (radius); cylinder and disc (radius, length); mesh: none. All are centred at
-            their origin, round ones stand along z.
+            their origin, round shapes with their axis along z.
         pose: shape (4, 4), from the shape to the joint's frame [m].
         colour: Red, green, blue, opacity, 0 to 1.
         accent: True if it takes the colour of its rollout.
@@ -113,7 +124,7 @@ class Shape:
     mesh: int | None = None
 
     def half_extent(self) -> Float[np.ndarray, " 3"]:
-        """Return half the sides of a box around the shape, in its frame [m]; zero for meshes, which bring theirs."""
+        """Return half the sides of a box around the shape, in its frame [m]; zero for meshes, which have their own."""
         width, *more = self.size or (0.0,)
         if len(self.size) == 3:
             return np.array(self.size) / 2.0
@@ -122,12 +133,12 @@ class Shape:
 
 @final
 class Appearance(NamedTuple):
-    """How a robot looks.
+    """Appearance of a robot.
 
     Attributes:
-        shapes: All that is drawn.
+        shapes: All drawn shapes.
         meshes: The triangle meshes that shapes refer to.
-        notes: What could not be drawn as the URDF says, in sentences.
+        notes: Differences from the URDF's visuals, in sentences.
     """
 
     shapes: tuple[Shape, ...]
@@ -136,51 +147,54 @@ class Appearance(NamedTuple):
 
 
 def shells(robot: Robot, own: Sequence[Shape], joints: Collection[int], meshes: list[Mesh]) -> list[Shape]:
-    """Return shells around the bones of links, with rings where they turn, and own shapes that no shell stands for.
+    """Return shells around the bones of links, with rings at the joints, and the plain shapes that no shell replaces.
 
-    A shell takes the place of own shapes that a bone goes through, as long as they are no fatter than links are; it
-    takes their thickness and their colour.
+    A shell replaces plain shapes that a bone passes through, unless they are thicker than links; it takes their
+    thickness and their colour.
 
     Args:
         robot: The robot.
         own: Plain shapes of its description.
-        joints: Joints whose shapes are made.
-        meshes: To which those of the shells are added.
+        joints: Indices of the joints whose shapes are returned.
+        meshes: List to which the meshes of the shells are appended.
+
+    Returns:
+        The shapes.
     """
     model, usual = robot.pinocchio_model, link_radii(robot.pinocchio_model)
-    radius, colours, kept, hands = usual.copy(), [PLAIN] * model.njoints, list(own), dict[int, np.ndarray]()
+    radius, colours, rest, hands = usual.copy(), [PLAIN] * model.njoints, list(own), dict[int, np.ndarray]()
     for i, limb in groupby(bones(model, usual), key=lambda bone: bone.joint):
         line = np.concatenate([np.linspace(b.ends[0], b.ends[1], 9) for b in limb])
-        # a body of twice the radius is none of a link's
-        stood_for = [s for s in own if s.joint == i and _is_limb(s, line, 2.0 * usual[i])]
-        if stood_for:
-            # a shell's grid finds a thin shape that counts as a third of what the kinematics gives
-            radius[i] = max(np.mean([np.sort(s.half_extent())[1] for s in stood_for]), usual[i] / 3.0)
-            colours[i] = stood_for[0].colour
-            kept = [s for s in kept if s not in stood_for]
-            hands[i] = max((s.pose[:3, 3] for s in stood_for), key=lambda at: float(np.linalg.norm(at)))
+        # a body of twice the usual radius is not part of a link
+        replaced = [s for s in own if s.joint == i and _is_limb(s, line, 2.0 * usual[i])]
+        if replaced:
+            # at least a third of the radius from the kinematics, so that the grid of the shell resolves it
+            radius[i] = max(np.mean([np.sort(s.half_extent())[1] for s in replaced]), usual[i] / 3.0)
+            colours[i] = replaced[0].colour
+            rest = [s for s in rest if s not in replaced]
+            hands[i] = max((s.pose[:3, 3] for s in replaced), key=lambda at: float(np.linalg.norm(at)))
     drawn = bones(model, radius)
     shapes = list[Shape]()
     for i, joint in enumerate(kinematic_tree(robot)):
         limb = [b for b in drawn if b.joint == i]
-        if len(limb) == 1 and not limb[0].child and i in hands and any(s.joint == i for s in kept):
-            limb = [limb[0]._replace(ends=np.array([limb[0].ends[0], hands[i]]))]  # what is kept goes on from there
-        # a little slimmer at its end, where the next link begins: of two surfaces in one place both would be seen
+        if len(limb) == 1 and not limb[0].child and i in hands and any(s.joint == i for s in rest):
+            limb = [limb[0]._replace(ends=np.array([limb[0].ends[0], hands[i]]))]  # the remaining shapes continue there
+        # slightly thinner at its end, where the next link begins: two coincident surfaces would both be visible
         bodies = [rod(b.ends, (b.radii[0], 0.98 * b.radii[1])) for b in limb]
         if i:
             hub, rings = _hub(i, joint, float(radius[i]), [b for b in drawn if b.child == i], limb)
             bodies += hub
             shapes += rings
-        elif not any(s.joint == 0 for s in kept):
+        elif not any(s.joint == 0 for s in rest):
             shapes.append(Shape(0, "disc", (1.7 * radius[0], 0.5 * radius[0]), np.eye(4), DARK))
         if bodies and i in joints:
             shapes.append(Shape(i, "mesh", (), np.eye(4), colours[i], mesh=len(meshes)))
             meshes.append(shell(bodies))
-    return [s for s in (*shapes, *kept) if s.joint in joints]
+    return [s for s in (*shapes, *rest) if s.joint in joints]
 
 
 def _is_limb(shape: Shape, line: Float[np.ndarray, "P 3"], fattest: float) -> bool:
-    """Return whether a shape is slender enough and some of these points are in the box around it."""
+    """Return whether a shape is slender enough and its box contains one of these points."""
     half, local = shape.half_extent(), (line - shape.pose[:3, 3]) @ shape.pose[:3, :3]
     return bool(np.sort(half)[1] <= fattest and (np.abs(local) <= half).all(axis=1).any())
 
@@ -188,34 +202,37 @@ def _is_limb(shape: Shape, line: Float[np.ndarray, "P 3"], fattest: float) -> bo
 def _hub(
     i: int, joint: TreeJoint, r: float, coming: Sequence[Bone], going: Sequence[Bone]
 ) -> tuple[list[Body], list[Shape]]:
-    """Return what is drawn where a joint is: bodies of its shell, and other shapes."""
+    """Return the bodies and the other shapes drawn at a joint."""
     if joint.motion not in ("revolute", "prismatic"):
         return [], [Shape(i, "sphere", (1.3 * r,), np.eye(4), DARK, accent=True)]
     pose = pin.SE3(turn_z_to(joint.axis), np.zeros(3)).homogeneous
     if joint.motion == "prismatic":
         return [], [Shape(i, "box", (2.1 * r, 2.1 * r, 2.6 * r), pose, DARK, accent=True)]
-    # how far bones run along the axis on either side: that of the parent below, its own above
+    # lengths of the bones along the axis on either side: the parent's below, its own above
     before = joint.placement[:3, :3].T @ np.diff(coming[-1].ends, axis=0)[0] if coming else np.zeros(3)
     after = np.diff(going[0].ends, axis=0)[0] if going else np.zeros(3)
     below, above = (x if abs(x := float(v @ joint.axis)) > 0.9 * np.linalg.norm(v) else 0.0 for v in (before, after))
     if not below and not above:  # bones run across it
-        # in radii: a drum, and out of its ends a ring and a cap
+        # in radii: a drum, with a ring and a cap at its ends
         ends = ((1.08, 1.37, True), (0.9, 1.45, False))
         drum = [Shape(i, "disc", (a * r, 2.0 * b * r), pose, DARK, accent=is_ring) for a, b, is_ring in ends]
         return [barrel(pose, 1.2 * r, 1.25 * r)], drum
     along = 0.0 if below and above else above or -below
-    # a ring around the bone that goes on, beside the corner
+    # a ring around the continuing bone, next to the corner
     pose[:3, 3] = np.sign(along) * min(1.15 * r, abs(along)) * joint.axis
     return [], [Shape(i, "disc", (1.12 * r, 0.34 * r), pose, DARK, accent=True)]
 
 
 def appearance(robot: Robot, max_triangles: int = 50_000) -> Appearance:
-    """Return the robot's own meshes, and the shapes beside them; shells where it has none that can be used.
+    """Return the robot's own meshes and other shapes, or shells if it has no usable meshes.
 
     Args:
         robot: The robot.
-        max_triangles: Meshes are simplified until they have no more than this; 50,000 are about 0.8 MB in the page, and
-            two such arms and their shadows are drawn at 60 frames a second.
+        max_triangles: Largest number of triangles after simplification; 50,000 are about 0.8 MB in the page, and two
+            such arms with shadows are drawn at 60 frames per second.
+
+    Returns:
+        Shapes, meshes and notes.
     """
     visuals = visual_shapes(robot)
     notes = [] if robot.source is None else list(losses(visuals))
@@ -228,18 +245,18 @@ def appearance(robot: Robot, max_triangles: int = 50_000) -> Appearance:
 
 
 def _own_shapes(visuals: Sequence[Visual], max_triangles: int) -> tuple[list[Shape], list[Mesh], list[str]]:
-    """Return the shapes of the description, each mesh in a part for each of its colours."""
+    """Return the shapes of the description, with each mesh split by colour."""
     shapes = list[Shape]()
-    whole = {id(v.shape): v.shape for v in visuals if isinstance(v.shape, Mesh)}  # a finger's is often used twice
-    # by colour first: where simple surfaces of two colours lie on each other, one must not swallow the other
+    whole = {id(v.shape): v.shape for v in visuals if isinstance(v.shape, Mesh)}  # a finger's mesh is often used twice
+    # split by colour first: where two simplified surfaces coincide, one must not hide the other
     parts = [(key, colour, part) for key, mesh in whole.items() for colour, part in by_colour(mesh)]
-    small, before, after = decimated([part for *_, part in parts], max_triangles)
+    small, before, after = decimate([part for *_, part in parts], max_triangles)
     drawn = [(key, colour, mesh) for (key, colour, _), mesh in zip(parts, small, strict=True) if len(mesh.faces)]
     for v in visuals:
         match v.shape:
             case Mesh():
-                own = ((k, colour or v.colour) for k, (key, colour, _) in enumerate(drawn) if key == id(v.shape))
-                shapes += [Shape(v.joint, "mesh", (), v.placement, colour, mesh=k) for k, colour in own]
+                layers = ((k, colour or v.colour) for k, (key, colour, _) in enumerate(drawn) if key == id(v.shape))
+                shapes += [Shape(v.joint, "mesh", (), v.placement, colour, mesh=k) for k, colour in layers]
             case ("capsule", (radius, length)):
                 shapes.append(Shape(v.joint, "cylinder", (radius, length), v.placement, v.colour))
                 for z in (-0.5 * length, 0.5 * length):
@@ -251,17 +268,17 @@ def _own_shapes(visuals: Sequence[Visual], max_triangles: int) -> tuple[list[Sha
     return shapes, [mesh for *_, mesh in drawn], [note] if after < before else []
 
 
-# ---- shells: the surface on which a distance is zero, that of all bodies of a link, with fillets where they meet ----
+# ---- shells: the zero level of the distance from all bodies of a link, with fillets where they meet -----------------
 
 
 @final
 class Body(NamedTuple):
-    """Something round that a shell encloses.
+    """Round body that a shell encloses.
 
     Attributes:
-        distance: Of points from it.
+        distance: Function from points (P, 3) to their signed distances (P,) from the body [m].
         low: shape (3,), and `high`: corners of a box around it [m].
-        radius: Where it is slimmest [m].
+        radius: Smallest radius [m].
     """
 
     distance: Distance
@@ -271,11 +288,24 @@ class Body(NamedTuple):
 
 
 def rod(ends: Float[np.ndarray, "2 3"], radii: tuple[float, float]) -> Body:
-    """A tapered rod with round ends, from one radius to the other [m]."""
+    """Return a tapered rod with round ends.
+
+    Args:
+        ends: shape (2, 3), both ends [m].
+        radii: Radius at each end [m].
+    """
     (start, end), (first, last) = ends, radii
     along, thick = end - start, np.array([[first], [last]])
 
     def distance(points: Points) -> Float[np.ndarray, " P"]:
+        """Return the distance of points from the rod.
+
+        Args:
+            points: shape (P, 3) [m].
+
+        Returns:
+            shape (P,) [m], negative inside.
+        """
         share = np.clip((points - start) @ along / max(float(along @ along), 1e-18), 0.0, 1.0)  # a ball has no length
         return np.linalg.norm(points - start - share[:, None] * along, axis=1) - (first + share * (last - first))
 
@@ -283,11 +313,25 @@ def rod(ends: Float[np.ndarray, "2 3"], radii: tuple[float, float]) -> Body:
 
 
 def barrel(pose: Float[np.ndarray, "4 4"], radius: float, half: float) -> Body:
-    """A cylinder along the z axis of its pose with rounded edges, of this radius and half length [m]."""
+    """Return a cylinder with rounded edges along the z axis of its pose.
+
+    Args:
+        pose: shape (4, 4), centre and axis [m].
+        radius: Radius [m].
+        half: Half its length [m].
+    """
     edge = 0.35 * min(radius, half)
     reach = np.abs(pose[:3, :3]) @ np.array([radius, radius, half])
 
     def distance(points: Points) -> Float[np.ndarray, " P"]:
+        """Return the distance of points from the cylinder.
+
+        Args:
+            points: shape (P, 3) [m].
+
+        Returns:
+            shape (P,) [m], negative inside.
+        """
         x, y, z = ((points - pose[:3, 3]) @ pose[:3, :3]).T
         over = np.column_stack([np.hypot(x, y) - radius, np.abs(z) - half]) + edge
         return np.linalg.norm(np.maximum(over, 0.0), axis=1) + np.minimum(over.max(axis=1), 0.0) - edge
@@ -296,15 +340,25 @@ def barrel(pose: Float[np.ndarray, "4 4"], radius: float, half: float) -> Body:
 
 
 def shell(bodies: Sequence[Body]) -> Mesh:
-    """Return the surface around bodies: a vertex in each cell of a grid that the surface goes through (surface nets).
+    """Return the surface around bodies, with one vertex in each grid cell that it crosses (surface nets).
 
-    Its normals are those of the surface itself, so that few triangles look round.
+    The normals are computed from the distance itself, so that few triangles look round.
+
+    Args:
+        bodies: The bodies of a link, in its frame [m].
+
+    Returns:
+        A closed mesh with normals.
     """
     radius = min(b.radius for b in bodies)
     fillet = 0.6 * radius  # [m] reach of the fillets where bodies meet
 
     def distance(points: Points) -> Float[np.ndarray, " P"]:
-        """Return how far points are from all bodies, rounded where two are equally near."""
+        """Return the distance of points from all bodies, rounded where two are equally near.
+
+        Args:
+            points: shape (P, 3) [m].
+        """
         least = bodies[0].distance(points)
         for body in bodies[1:]:
             other = body.distance(points)
@@ -313,7 +367,7 @@ def shell(bodies: Sequence[Body]) -> Mesh:
         return least
 
     low, high = np.min([b.low for b in bodies], axis=0), np.max([b.high for b in bodies], axis=0)
-    # [m] rounds of 18 corners, whose light is that of the round itself; links that are long and slim have 130 cells
+    # [m] circles of about 18 corners, with the exact normals; long thin links are limited to 130 cells
     cell = max(radius / 2.8, float((high - low).max()) / 130.0)
     low, high = low - fillet - cell, high + fillet + cell
     nodes = np.moveaxis(np.indices(np.ceil((high - low) / cell).astype(int)), 0, -1)
@@ -323,7 +377,7 @@ def shell(bodies: Sequence[Body]) -> Mesh:
     number = np.cumsum(crossed).reshape(crossed.shape) - 1
     faces = []
     for axis, (e, f) in enumerate(np.eye(3, dtype=int)[[[1, 2], [2, 0], [0, 1]]]):
-        # around each edge of the grid that goes through the surface are four cells
+        # each grid edge that crosses the surface has four cells around it
         edges = np.argwhere(np.diff(inside, axis=axis))
         leaves = inside[tuple(edges.T)][:, None]
         a, b, c, d = (number[tuple((edges - back).T)] for back in (e + f, f, 0 * e, e))
@@ -331,10 +385,11 @@ def shell(bodies: Sequence[Body]) -> Mesh:
         faces += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
     triangles = np.concatenate(faces)
     vertices = low + cell * (np.argwhere(crossed) + 0.5)
-    for k in range(5):  # Newton's method takes them to the surface; before its last two steps they are spread evenly
+    for k in range(5):  # Newton steps onto the surface; vertices are spread evenly before the last two
         vertices = vertices if k < 3 else _spread(vertices, triangles)
         slope = _slope(distance, vertices, 0.05 * cell)
-        step = distance(vertices) / np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)  # 1, and less in an edge
+        # the squared slope is 1, and less at an edge
+        step = distance(vertices) / np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)
         vertices = vertices - np.clip(step[:, None] * slope, -0.5 * cell, 0.5 * cell)
     normals = _slope(distance, vertices, 0.05 * cell)
     return Mesh(vertices, triangles, normals=normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
@@ -347,34 +402,37 @@ def _slope(distance: Distance, points: Points, step: float) -> Points:
 
 
 def _spread(vertices: Points, triangles: Int[np.ndarray, "F 3"]) -> Points:
-    """Return each vertex moved to the middle of its neighbours: light on evenly spaced ones shows no pattern."""
+    """Return each vertex moved to the mean of its neighbours: evenly spaced vertices are shaded without a pattern."""
     start, end = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
     return _means(start, vertices[end])
 
 
 def _means(groups: Int[np.ndarray, " P"], points: Points) -> Float[np.ndarray, "G 3"]:
-    """Return the mean of the points of each group, of groups counted from 0."""
+    """Return the mean of the points of each group; groups are numbered from 0."""
     return np.column_stack([np.bincount(groups, x) for x in points.T]) / np.bincount(groups)[:, None]
 
 
-# ---- meshes made small enough for a page, and smooth where the surface is smooth ----------------------------------
+# ---- mesh simplification for a page, and smooth shading of smooth surfaces ----------------------------------------
 
 
-def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]:
-    """Simplify meshes until all of them together have at most so many triangles.
+def decimate(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]:
+    """Reduce meshes until they have at most a number of triangles together.
 
-    Large meshes give up more than small ones, and no mesh becomes so coarse that it cannot be recognised as long as
-    the budget allows it.
+    Large meshes lose more triangles than small ones, and no mesh becomes unrecognisable while the budget allows it.
+
+    Args:
+        meshes: The meshes.
+        triangles: Largest number of triangles of all meshes together.
 
     Returns:
-        The meshes, their triangles before and after.
+        The meshes, and their triangles before and after.
     """
-    # vertices in one place become one: STL files repeat each of them six times
+    # merge coincident vertices: STL files repeat each of them six times
     clean = [_joined(m, max(1e-6 * float(np.ptp(m.vertices, axis=0).max()), 1e-12)) for m in meshes]
     counts = [len(m.faces) for m in clean]
     before = sum(counts)
     if before > triangles:
-        # one cap for all, such that the sum fits: small ones stay, the others share what these leave
+        # one cap per mesh such that the sum fits: small meshes stay, the others share the rest
         above = bisect_right(range(triangles), triangles, key=lambda cap: np.minimum(counts, cap).sum())
         cap = max(above - 1, 12)
         clean = [m if len(m.faces) <= cap else _clustered(m, cap) for m in clean]
@@ -383,14 +441,14 @@ def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]
 
 
 def _clustered(mesh: Mesh, target: int) -> Mesh:
-    """Vertices in one cell of a grid become one; the finest grid that meets the target."""
+    """Return a mesh with the vertices of each grid cell merged, for the finest grid that meets the target."""
     cells = float(np.ptp(mesh.vertices, axis=0).max()) / np.geomspace(2.0, 4096.0, 767)  # [m] each 1 % finer
     finer = bisect_right(cells, target, key=lambda cell: len(_joined(mesh, cell).faces))
     return _joined(mesh, cells[max(finer - 1, 0)])
 
 
 def _joined(mesh: Mesh, cell: float) -> Mesh:
-    """Return a mesh whose vertices in one cell of a grid are one; what has no area or occurs twice is left out."""
+    """Return a mesh with the vertices of each grid cell merged, without degenerate and duplicate triangles."""
     steps = np.rint((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
     index = np.unique(steps, axis=0, return_inverse=True)[1].reshape(-1)
     faces = index[mesh.faces]
@@ -400,17 +458,18 @@ def _joined(mesh: Mesh, cell: float) -> Mesh:
 
 
 def _split_at_edges(mesh: Mesh) -> Mesh:
-    """Return a mesh with vertices split along sharp edges: normals averaged at vertices are right on both sides.
+    """Return a mesh with vertices split along sharp edges, so that vertex normals are right on both sides.
 
-    Corners of triangles at one vertex share it if smooth edges lead from one to the other.
+    Corners of triangles at one vertex share it if smooth edges connect them.
     """
     from trimesh import Trimesh
     from trimesh.graph import connected_component_labels
 
     solid = Trimesh(mesh.vertices, mesh.faces, process=False)
-    smooth = solid.face_adjacency_angles < np.deg2rad(38.0)  # twelve-sided cylinders look round, others stay sharp
+    # above 30 degrees, so that twelve-sided cylinders look round; sharper edges stay sharp
+    smooth = solid.face_adjacency_angles < np.deg2rad(38.0)
     pairs, ends = solid.face_adjacency[smooth], solid.face_adjacency_edges[smooth]
-    # each end of an edge, as a corner of both its triangles
+    # each end of an edge as a corner of both adjacent triangles
     corners = 3 * pairs[:, None] + np.argmax(mesh.faces[pairs][:, None] == ends[:, :, None, None], axis=-1)
     groups = connected_component_labels(corners.reshape(-1, 2), node_count=mesh.faces.size)
     _, first, index = np.unique(groups, return_index=True, return_inverse=True)

@@ -1,4 +1,4 @@
-"""A robot that is moving now: in a page of its own, which a server serves, or in the user's own meshcat viewer."""
+"""Live view of a moving robot: in a page served by a process of its own, or in the user's own meshcat viewer."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance, joint_tracks
-from manip_learn.playback.palette import COLOURS, rgb_of
+from manip_learn.playback.palette import COLOURS, hex_to_rgb
 from manip_learn.playback.replay_page import live_page
 from manip_learn.playback.scene_data import mechanism_drawing
 from manip_learn.robot.description.catalogue import known_as
@@ -39,26 +39,25 @@ from manip_learn.robot.tips import default_tip
 _LOGGER = logging.getLogger("manip_learn")
 SERVER = Path(__file__).with_name("live_server.py")
 MESH = "TriangularMeshGeometry"
-TUBE = 0.004  # [m] radius of lines: those of WebGL are one pixel wide
 
 
 @final
 class LiveProcess:
-    """A server process, the thread that writes to it, and the one that reads what it heard.
+    """Server process with a thread that writes to it and a thread that reads messages of its pages.
 
-    Messages have slots. The pages get the newest of each, and one that is opened later gets them all at once. `put`
-    never waits: the thread writes the newest ones as often as a screen shows pictures, and only the thread waits if the
-    server is slow. No message is written after one that was put later. Where a function of the program fails, that is
-    logged once, and the rest goes on.
+    Messages have slots. The pages get the newest message of each slot, and a page that opens later gets all of them at
+    once. `put` never waits: the writing thread sends the newest messages at the frame rate of a screen, and only this
+    thread waits if the server is slow. Messages are written in the order in which they were put. If a callback of the
+    program fails, the error is logged once and everything else continues.
 
     Args:
         make_page: Token -> the page to serve.
-        timeout: How long the server may take to start [s].
-        heard: Called in a thread of its own, for one line after the other, with `{"page": id, "said": {...}}` for what
-            a page has posted, and with `{"pages": [ids]}` whenever one comes or goes: the ids of the pages that are
-            open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s. None:
-            pages may say nothing.
-        frames_per_second: How often the newest messages are written at most; as most screens show pictures.
+        timeout: Largest start-up time of the server [s].
+        heard: Callback in a thread of its own, for one line after the other: `{"page": id, "said": {...}}` when a page
+            posts a message, and `{"pages": [ids]}` when one opens or closes: the ids of the open pages, oldest first.
+            It is not called after `close` has returned, unless one call takes longer than 2 s. None: pages cannot post.
+        frames_per_second: Largest rate at which the newest messages are written; the default is the rate of most
+            screens.
 
     Raises:
         OutputError: The server does not start.
@@ -76,13 +75,13 @@ class LiveProcess:
         self._heard = (lambda _: None) if heard is None else heard
         self._interval = 1.0 / frames_per_second
         self._failed = set[tuple[Any, ...]]()
-        self._newest = {"begin": lambda: header}  # message of each slot, in the order in which they were put
-        self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
+        self._newest = {"begin": lambda: header}  # message of each slot, in the order of `put`
+        self._lock = threading.RLock()  # guards these; reentrant, because a signal handler may call `put` meanwhile
         self._wake = threading.Event()
         self._at_end = contextlib.ExitStack()
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._feed, self._listen)]
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        try:  # in a session of its own: Ctrl-C is for the program, which then closes us
+        try:  # in a session of its own: Ctrl-C reaches only the program, which then closes this process
             self._process: Any = subprocess.Popen([sys.executable, "-I", SERVER], **pipes, start_new_session=True)
         except OSError as error:
             raise OutputError(f"the live view's server cannot be started: {error}") from error
@@ -92,59 +91,60 @@ class LiveProcess:
         port = stdout.readline().decode().strip() if select.select([stdout], [], [], timeout)[0] else ""
         if not port.isdigit():
             self.close()
-            doubt = "is there room for another process, and may it listen on 127.0.0.1?"
-            raise OutputError(f"the live view's server did not start within {timeout:g} s: {doubt}")
+            remedy = "check that another process can start and listen on 127.0.0.1"
+            raise OutputError(f"the live view's server did not start within {timeout:g} s: {remedy}")
         self._threads[1].start()
         self.url = f"http://127.0.0.1:{port}/{token}/"
 
     @property
     def is_open(self) -> bool:
-        """True while the server is there to be fed."""
+        """True while the server process runs."""
         return self._process.poll() is None
 
     def put(self, message: Callable[[], str], slot: str = "message") -> None:
-        """Hand over the newest message of a slot.
+        """Set the newest message of a slot; returns at once.
 
         Args:
-            message: Makes its one line of JSON; it runs in the thread.
-            slot: A word: the name of the event in the page; `message` is the nameless one.
+            message: Function that returns one line of JSON; it runs in the writing thread.
+            slot: A word, the name of the event in the page; `message` is the unnamed event.
         """
         with self._lock:
-            self._newest.pop(slot, None)  # to the end
+            self._newest.pop(slot, None)  # so that it moves to the end
             self._newest[slot] = message
         self._wake.set()
 
     def offer(self, files: Mapping[str, Path]) -> None:
-        """Let pages take files home, under `files/NAME` beside the page; they replace those offered before.
+        """Serve files for download under `files/NAME`; they replace the files offered before.
 
         Args:
-            files: By the name under which each is kept. A file that is missing when it is asked for is not found.
+            files: Name -> file. A file that is missing at the request is reported as not found.
         """
         line = json.dumps({f"files/{name}": str(path.absolute()) for name, path in files.items()})
         self.put(lambda: line, "files")
 
     def open_in_browser(self) -> None:
-        """Show the page.
+        """Open the page in a browser.
 
-        A browser is given a file that leads to it and that only this user may read: all users see its command line.
+        The browser gets a redirecting file that only this user may read, because its command line is visible to all
+        users.
         """
         file = Path(self._at_end.enter_context(TemporaryDirectory(prefix="manip_learn_"))) / "page.html"
         file.write_text(f'<meta http-equiv="refresh" content="0; url={self.url}">')
         webbrowser.open(file.as_uri())
 
     def close(self) -> None:
-        """End the server and the threads; calling it twice is allowed."""
+        """Stop the server and the threads; a second call has no effect."""
         self._process.kill()
         self._process.wait()
         self._wake.set()
         self._at_end.close()
         for thread in self._threads:
             if thread.is_alive() and thread is not threading.current_thread():
-                thread.join(2.0)  # [s] for a function of the program to return
+                thread.join(2.0)  # [s] for a callback to return
         self._process.communicate()  # closes the pipes
 
     def _listen(self) -> None:
-        """Hand on each line of the server until it ends."""
+        """Pass each line of the server to the callback until the server ends."""
         for line in iter(self._process.stdout.readline, b""):
             with self._logged():
                 self._heard(json.loads(line))
@@ -152,7 +152,7 @@ class LiveProcess:
                 return
 
     def _feed(self) -> None:
-        """Write messages as they come, until the process is closed or the server ends."""
+        """Write new messages until the process is closed or the server ends."""
         while self.is_open:
             self._wake.wait()
             self._wake.clear()
@@ -169,20 +169,20 @@ class LiveProcess:
 
     @contextlib.contextmanager
     def _logged(self) -> Iterator[None]:
-        """Log a failure of the program in this block, once for each place: 60 a second would hide the first."""
+        """Log an exception in this block once per location: at 60 per second the first would be lost."""
         try:
             yield
-        except Exception as error:  # whatever a function of the program raises in our thread: the rest goes on
+        except Exception as error:  # a callback may raise anything; the thread continues
             *_, (frame, number) = traceback.walk_tb(error.__traceback__)
             place = type(error), frame.f_code.co_filename, number
             if place not in self._failed:
                 self._failed.add(place)
-                _LOGGER.exception("live view: the program failed on a message or on what a page said; told once")
+                _LOGGER.exception("live view: a callback of the program failed; repetitions are not logged")
 
 
 @final
 class LiveViewer(contextlib.AbstractContextManager["LiveViewer"]):
-    """Shows a robot while a controller runs.
+    """Live view of a robot while a controller runs.
 
         with LiveViewer(robot) as viewer:
             while running:
@@ -190,24 +190,25 @@ class LiveViewer(contextlib.AbstractContextManager["LiveViewer"]):
                 viewer.show(q, manipulability=command.manipulability)
 
     The page is served by a process of its own, on this machine only (127.0.0.1) and under an address that cannot be
-    guessed. `show` never waits for it; if the process dies, the program continues without it. The process ends
-    when the viewer is closed, and when the program ends for any reason.
+    guessed. `show` never waits for it; if the process dies, the program continues without it. The process ends when the
+    viewer is closed, and when the program ends for any reason.
 
     Args:
         robot: The robot.
-        constraint: A learnt constraint: its mechanism is drawn in the robot's base frame, or what it holds at the tip.
-        target: Where the constraint's task is to arrive, as `Task.goal` gives it.
-        title: Name in the legend.
-        open_browser: Show the page now; it is at `url` in any case.
-        timeout: How long the server may take to start [s].
+        constraint: A learnt constraint: its mechanism is drawn in the robot's base frame, or its held directions at the
+            tip.
+        target: Target of the constraint's task, as from `Task.goal`.
+        title: Name in the legend; default: the name of the robot.
+        open_browser: True to open the page now; it is at `url` in any case.
+        timeout: Largest start-up time of the server [s].
 
     Attributes:
-        url: Where the page is.
+        url: Address of the page.
 
     Raises:
         OutputError: The server does not start.
-        ConstraintMismatchError: A constraint of another robot.
-        TargetError: A target that is not finite numbers.
+        ConstraintMismatchError: The constraint belongs to another robot.
+        TargetError: The target is not finite numbers.
     """
 
     def __init__(
@@ -230,35 +231,36 @@ class LiveViewer(contextlib.AbstractContextManager["LiveViewer"]):
 
     @property
     def is_open(self) -> bool:
-        """False once the viewer is closed or its server is gone."""
+        """False after the viewer was closed or its server ended."""
         return self._process.is_open
 
     def show(self, q: ArrayLike, manipulability: float | None = None, time: float | None = None) -> None:
-        """Show a posture; returns at once. After `close`, or if the server is gone, nothing happens.
+        """Show a configuration; returns at once. After `close`, or if the server has ended, the call has no effect.
 
         Args:
-            q: Configuration (nq) or joint positions (nv).
-            manipulability: mu(q), for the curve.
-            time: [s]; None for the time since the viewer was made.
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+            manipulability: mu(q), for the curve; None for no curve.
+            time: Time [s]; None for the time since the viewer was created.
 
         Raises:
             ConfigurationError: Wrong size, NaN or infinity.
         """
         robot = self._robot
-        posture = np.array(robot.configuration(q))  # a copy: the caller may go on writing to its own
+        posture = np.array(robot.configuration(q))  # a copy: the caller may change its own array
         now = clock.monotonic() - self._start if time is None else float(time)
         mu = None if manipulability is None else float(manipulability)
         if not np.isfinite([now, mu or 0.0]).all():
-            raise ConfigurationError(f"manipulability {mu} at time {now}: finite numbers are needed")
+            raise ConfigurationError(f"manipulability and time must be finite, got {mu} at time {now}")
 
         def message() -> str:
+            """Return the picture as one line of JSON."""
             values = joint_tracks(robot, posture[None])[0]
             return json.dumps({"time": now, "values": values.tolist(), "mu": mu}, allow_nan=False)
 
         self._process.put(message)
 
     def close(self) -> None:
-        """End the server; calling it twice is allowed. The browser keeps the last picture."""
+        """Stop the server; a second call has no effect. The browser keeps the last picture."""
         self._finalizer()
 
     def __exit__(self, *failure: object) -> None:
@@ -271,24 +273,24 @@ class LiveViewer(contextlib.AbstractContextManager["LiveViewer"]):
 def show(
     robot: Robot, viewer: Any, constraint: Constraint | None = None, q: ArrayLike | None = None
 ) -> Callable[[ArrayLike], None]:
-    """Draw a robot, a constraint and what was shown of it into a meshcat viewer.
+    """Draw a robot, a constraint and its demonstrated motion in a meshcat viewer.
 
-    Everything lies below the path `manip_learn` of the viewer and replaces what an earlier call has drawn there: `arm`,
-    `mechanism` (the line, circle, plane or curve), `path` (of the most typical recording along it), `grasps` (where
-    hands began) and `target` (the end of that path).
+    Everything is below the path `manip_learn` of the viewer and replaces the drawing of an earlier call: `arm`,
+    `mechanism` (the line, circle, plane or curve), `path` (of the most typical recording along it), `grasps` (the grasp
+    points of the recordings) and `target` (the end of that path).
 
     Args:
         robot: The robot.
         viewer: A `meshcat.Visualizer`, or Pinocchio's `MeshcatVisualizer` of the same robot, which then draws the arm
             with its own meshes.
         constraint: A learnt constraint, whose mechanism is drawn in the robot's base frame; None for the arm alone.
-        q: Configuration (nq) or joint positions (nv) to show first; None for `robot.neutral()`.
+        q: Joint configuration (nq,) or positions (nv,) to show first [rad or m]; None for `robot.neutral()`.
 
     Returns:
         The function `show(q)`, which moves the arm to a configuration or joint positions.
 
     Raises:
-        ConfigurationError: A viewer of another kind or of another robot, or a posture of the wrong size.
+        ConfigurationError: A viewer of another kind or of another robot, or a configuration of the wrong size.
 
     Example:
         >>> import meshcat  # doctest: +SKIP
@@ -296,24 +298,29 @@ def show(
         >>> for posture in rollout.q:  # doctest: +SKIP
         ...     move(posture)
     """
-    own = getattr(viewer, "viewer", viewer)  # of Pinocchio's, meshcat's own
-    if getattr(own, "set_object", None) is None:
-        wanted = "pass a meshcat.Visualizer, or a MeshcatVisualizer after initViewer()"
-        raise ConfigurationError(f"got {type(viewer).__name__}: {wanted}")
+    meshcat_viewer = getattr(viewer, "viewer", viewer)  # Pinocchio's visualizer contains one
+    if getattr(meshcat_viewer, "set_object", None) is None:
+        remedy = "pass a meshcat.Visualizer, or a MeshcatVisualizer after initViewer()"
+        raise ConfigurationError(f"got {type(viewer).__name__}: {remedy}")
     model, posture = robot.pinocchio_model, robot.neutral() if q is None else q
-    if own is not viewer and viewer.model.nq != model.nq:
+    if meshcat_viewer is not viewer and viewer.model.nq != model.nq:
         sizes = f"the viewer has nq {viewer.model.nq}, {robot.name!r} has {model.nq}"
         raise ConfigurationError(f"{sizes}: build it with robot.pinocchio_model")
-    scene, data = own["manip_learn"], model.createData()
+    scene, data = meshcat_viewer["manip_learn"], model.createData()
     scene.delete()
-    if own is viewer:
+    if meshcat_viewer is viewer:
         _draw_arm(scene["arm"], robot)
     if constraint is not None:
         _draw_constraint(scene, robot, constraint, posture)
 
     def move(q: ArrayLike) -> None:
+        """Move the arm.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+        """
         full = robot.pinocchio_configuration(q)
-        if own is not viewer:
+        if meshcat_viewer is not viewer:
             return viewer.display(full)
         pin.forwardKinematics(model, data, full)
         for joint, pose in enumerate(data.oMi):
@@ -324,7 +331,7 @@ def show(
 
 
 def _draw_arm(arm: Any, robot: Robot) -> None:
-    """Draw the shapes of each link below the joint that carries it."""
+    """Draw the shapes of each link below its joint."""
     looks = appearance(robot)
     for k, shape in enumerate(looks.shapes):
         kind, size, pose = shape.kind.title(), shape.size, shape.pose
@@ -332,36 +339,37 @@ def _draw_arm(arm: Any, robot: Robot) -> None:
             kind, size = MESH, looks.meshes[shape.mesh][:2]
         elif kind == "Box":
             size = (size,)
-        elif kind != "Sphere":  # meshcat's stand along y, ours along z
+        elif kind != "Sphere":  # the axis of meshcat's cylinders is y, ours is z
             kind, size, pose = "Cylinder", size[::-1], pose[:, [0, 2, 1, 3]] * [1.0, 1.0, -1.0, 1.0]
         _put(arm[str(shape.joint)][str(k)], kind, size, shape.colour, pose)
 
 
 def _draw_constraint(scene: Any, robot: Robot, constraint: Constraint, q: ArrayLike) -> None:
-    """Draw the mechanism of a constraint, the path that was shown along it, where hands began, and its end."""
-    shown, twist, mechanism = constraint.shown, constraint.features.twist, scene["mechanism"]
+    """Draw the mechanism of a constraint, its demonstrated path, the grasp points, and the end of the path."""
+    motion, twist, mechanism = constraint.shown, constraint.features.twist, scene["mechanism"]
     tip = default_tip(robot) if twist is None else twist.frame
-    path = robot.position(q, tip)[None] if shown is None else shown.points
-    blue, vermilion = (tuple(x / 255.0 for x in rgb_of(COLOURS[name])) for name in ("blue", "vermilion"))
+    path = robot.position(q, tip)[None] if motion is None else motion.points
+    width = 0.004  # [m] radius of the tubes drawn for lines, because WebGL lines are one pixel wide
+    blue, vermilion = (tuple(x / 255.0 for x in hex_to_rgb(COLOURS[name])) for name in ("blue", "vermilion"))
     if constraint.mechanism is not None:
         drawing = mechanism_drawing(constraint.mechanism, path)
         for k, line in enumerate(drawing.lines):
-            _put(mechanism[f"line{k}"], MESH, _tube(line, TUBE), (*blue, 1.0))
+            _put(mechanism[f"line{k}"], MESH, _tube(line, width), (*blue, 1.0))
         for k, corners in enumerate(drawing.patches):
             _put(mechanism[f"patch{k}"], MESH, (corners, np.array([[0, 1, 2], [0, 2, 3]])), (*blue, 0.2))
-    if shown is not None:
-        _put(scene["path"], MESH, _tube(path, 2.0 * TUBE), (*vermilion, 1.0))
-        for name, places, radius in (("grasps", shown.grasps[:, :3, 3], 2.0), ("target", path[-1:], 4.0)):
+    if motion is not None:
+        _put(scene["path"], MESH, _tube(path, 2.0 * width), (*vermilion, 1.0))
+        for name, places, radius in (("grasps", motion.grasps[:, :3, 3], 2.0), ("target", path[-1:], 4.0)):
             for k, place in enumerate(places):
                 pose = pin.SE3(np.eye(3), place).homogeneous
-                _put(scene[name][str(k)], "Sphere", (radius * TUBE,), (*vermilion, 0.8), pose)
+                _put(scene[name][str(k)], "Sphere", (radius * width,), (*vermilion, 0.8), pose)
 
 
 def _put(
     node: Any, kind: str, size: tuple[Any, ...], colour: tuple[float, ...], pose: Float[np.ndarray, "4 4"] | None = None
 ) -> None:
-    """Draw a geometry of meshcat, made from its arguments, in red, green, blue and opacity."""
-    import meshcat.geometry as g  # here: importing it brings IPython
+    """Draw a geometry of meshcat in red, green, blue and opacity."""
+    import meshcat.geometry as g  # imported here, because it loads IPython
 
     number, opacity = int(np.rint(255.0 * np.array(colour[:3])) @ (1 << 16, 1 << 8, 1)), colour[3]
     material = g.MeshPhongMaterial(color=number, opacity=opacity, transparent=opacity < 1.0)
@@ -371,7 +379,7 @@ def _put(
 
 
 def _tube(points: Float[np.ndarray, "n 3"], radius: float) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Return vertices and faces of a round tube along a polyline; a stub where a hand stays in its place."""
+    """Return vertices and faces of a round tube along a polyline; a stub if all its points coincide."""
     from trimesh.creation import cylinder
     from trimesh.util import concatenate
 

@@ -1,4 +1,4 @@
-"""One self-contained page: meshcat's viewer, our program and the data, closed off from the network."""
+"""Writer of one self-contained page: meshcat's viewer, our program and the data, without network access."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from manip_learn.errors import OutputError
 _FOLDER = Path(__file__).with_name("page")
 
 
-def packed(array: np.ndarray, dtype: str) -> str:
-    """The array's numbers in base64, row by row.
+def to_base64(array: np.ndarray, dtype: str) -> str:
+    """Return the array's numbers in base64, row by row.
 
     Args:
-        array: Any numbers, NaN too.
-        dtype: As NumPy writes it, little-endian: `"<f8"`, `"<f4"`, `"<u4"` or `"<u2"`.
+        array: Any numbers, including NaN.
+        dtype: Little-endian NumPy type: `"<f8"`, `"<f4"`, `"<u4"`, `"<u2"` or `"i1"`.
     """
     return base64.b64encode(np.ascontiguousarray(array, dtype=dtype).tobytes()).decode("ascii")
 
@@ -34,14 +34,14 @@ def packed(array: np.ndarray, dtype: str) -> str:
 @final
 @dataclass(frozen=True)
 class PageKind:
-    """The files that a kind of page is made of.
+    """Source files of a kind of page.
 
     Attributes:
-        mode: `"replay"`, which listens to nobody; `"live"` may listen to the server that it came from, and another
-            kind may also speak to it.
+        mode: `"replay"` has no network access; `"live"` may receive data from its own server, and other kinds may also
+            send to it.
         style: Style sheets.
-        program: Parts of the program, in their order.
-        markup: Between the picture and the curves.
+        program: Parts of the program in order.
+        markup: HTML between the picture and the curves.
     """
 
     mode: str
@@ -59,16 +59,16 @@ REPLAY = PageKind(
 LIVE = replace(REPLAY, mode="live")
 
 
-def page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = REPLAY) -> str:
-    """HTML of a replay, of a live view, or of another kind of page.
+def render_page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = REPLAY) -> str:
+    """Return the HTML of a replay, of a live view, or of another kind of page.
 
-    Names are escaped; and even a name that slipped through could not run: scripts run only if their hash is listed.
+    Names are escaped; and even a name that was not escaped could not run, because only scripts with a listed hash run.
 
     Args:
-        data: What the program reads; finite numbers and text.
+        data: Data for the program; finite numbers and text.
         robot: Headline.
-        subtitle: Beside it.
-        kind: What it is made of, and whom it may listen to.
+        subtitle: Text next to it.
+        kind: Source files and network access of the page.
 
     Raises:
         OutputError: Meshcat's viewer is missing.
@@ -90,23 +90,40 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = RE
 
 
 def json_in_html(data: object) -> str:
-    """JSON that can stand in a script element: no `<`, so nothing in it can close the element; no NaN."""
+    """Return JSON for a script element: without `<`, so that nothing in it can close the element, and without NaN.
+
+    Args:
+        data: Values for JSON.
+    """
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
 def script_hash(script: str) -> str:
-    """Return the hash under which a policy of a page allows a script."""
+    """Return the hash that allows a script in the content security policy of a page.
+
+    Args:
+        script: Text of the script.
+
+    Returns:
+        For example `'sha256-...'`, with the quotes.
+    """
     return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
 @cache
 def _content(file: Path) -> str:
-    return file.read_text(encoding="utf-8")  # which makes one newline of every kind
+    """Return the text of a file."""
+    return file.read_text(encoding="utf-8")  # also converts all line endings to \n
 
 
 def _meshcat(name: str) -> str:
-    spec = importlib.util.find_spec("meshcat")  # found, not imported: importing it brings IPython
+    """Return the text of a file in meshcat's viewer folder.
+
+    Raises:
+        OutputError: Meshcat is not installed.
+    """
+    spec = importlib.util.find_spec("meshcat")  # located without an import, which would load IPython
     if spec is None or spec.origin is None:
         raise OutputError("meshcat's viewer is missing: install it with pip install 'meshcat>=0.3.2'")
     return _content(Path(spec.origin).parent / "viewer" / name)
@@ -117,19 +134,19 @@ def viewer_script() -> str:
     """Return meshcat's bundled viewer.
 
     Raises:
-        OutputError: It is missing, or it holds what cannot stand inside a page.
+        OutputError: It is missing, or its text cannot be embedded in a page.
     """
     text = _meshcat("dist/main.min.js").replace("\0", "")
     if "</script" in text.lower() or "<!--" in text:
-        raise OutputError("meshcat's viewer script cannot be put into a page: install meshcat 0.3.2")
+        raise OutputError("meshcat's viewer script cannot be embedded in a page: install meshcat 0.3.2")
     return text
 
 
 @cache
 def third_party_notices() -> str:
-    """Return the licences of the viewer and of what is bundled with it (three.js, dat.gui, ...).
+    """Return the licences of the viewer and of the packages bundled with it (three.js, dat.gui, ...).
 
-    They go with each copy of it: every page has them in its source, and the wheel in its folder of licences.
+    Every copy includes them: a page has them in its source, and the wheel in its folder of licences.
     """
     notices = [f"meshcat's viewer\n\n{_meshcat('LICENSE').strip()}"]
     for part in json.loads(_meshcat("dist/main.min.js.THIRD_PARTY_LICENSES.json")):
@@ -140,10 +157,10 @@ def third_party_notices() -> str:
     return f"Parts of the replay page that others wrote, and their licences{rule}{rule.join(notices)}\n"
 
 
-# ---- in the cell of a notebook: the first one has meshcat's viewer, later ones take it from there -----------------
+# ---- in notebook cells: the first one contains meshcat's viewer, later ones take it from there --------------------
 
 _MISSING = "The viewer is in this notebook's first replay. If this stays empty, restart the kernel and run all cells."
-# asks the notebook for the viewer until it answers, since a notebook may draw its cells in any order
+# requests the viewer from the notebook until it answers, because cells may be drawn in any order
 _ASK = """addEventListener("message", ({ data }) => {
   if (!data.manipLearnViewer || window.MeshCat) return;
   clearInterval(asking);
@@ -161,14 +178,17 @@ _ANSWER = """<script>(() => {
     if (data === "manip-learn: viewer" && kept()) source.postMessage({ manipLearnViewer: kept() }, "*");
   });
 })()</script>"""
-_cell: Any = False  # that has the viewer; False: none has
+_cell: Any = False  # cell that contains the viewer; False: no cell
 
 
-def in_cell(page: str) -> str:
-    """Return a page as the output of a notebook's cell.
+def notebook_output(page: str) -> str:
+    """Return a page as the output of a notebook cell.
 
     Args:
-        page: As `page` writes it.
+        page: Output of `render_page`.
+
+    Returns:
+        HTML with the page in a frame.
     """
     global _cell
     cell, viewer = _running_cell(), viewer_script()
@@ -179,7 +199,7 @@ def in_cell(page: str) -> str:
         f'<iframe title="replay" srcdoc="{html.escape(inner)}" style="width:100%;height:640px;border:0" '
         f'sandbox="allow-scripts"></iframe>{_ANSWER}'
     )
-    # run again, the first cell has it again; in Colab each cell is a page of its own
+    # the first cell gets the viewer again when it runs again; in Colab each cell is a separate page
     if _cell is False or (cell is not None and cell == _cell) or "google.colab" in sys.modules:
         _cell = cell
         output = f'<script type="text/plain" data-manip-learn>{viewer}</script>{output}'
@@ -187,7 +207,7 @@ def in_cell(page: str) -> str:
 
 
 def _running_cell() -> str | None:
-    """Return the name of the cell that runs, where the notebook tells it."""
+    """Return the id of the running cell, if the notebook provides it."""
     try:
         return sys.modules["IPython"].get_ipython().get_parent()["metadata"]["cellId"]
     except (AttributeError, KeyError, TypeError):  # no kernel, or a front end that does not name its cells

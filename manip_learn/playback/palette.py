@@ -1,6 +1,7 @@
-"""Colours, and what has one: rollouts, the phases of recordings (one per constraint) and of rollouts (their own).
+"""Colours of rollouts, of the phases of recordings (one colour per constraint) and of a rollout's own phases.
 
-The colours are distinguishable with colour blindness (after Okabe and Ito); lines of them have 3:1 on white and black.
+The colours are distinguishable with colour blindness (after Okabe and Ito); lines in them have a contrast of 3:1 on
+white and black.
 """
 
 from __future__ import annotations
@@ -25,25 +26,26 @@ COLOURS: dict[str, str] = {
     "brown": "#8c5f38",
     "grey": "#6b7580",
 }
-# trajectory, start [s], end [s], number of the constraint counted from 0, None for free motion; why nothing was learnt
+# trajectory, start [s], end [s], index of the constraint or None for free motion; optionally why nothing was learnt
 Phase = tuple[str, float, float, int | None] | tuple[str, float, float, int | None, str]
 WAY = "way"  # the phase of a rollout in which the hand moves along its mechanism
-LEADING = {"approach": 0.18, "hold": 0.4, "retreat": 0.18}  # other phases, and how much of its colour they have
+STRENGTHS = {"approach": 0.18, "hold": 0.4, "retreat": 0.18}  # other phase -> share of its rollout's colour
 _CONSTRAINT_COLOURS = tuple(value for name, value in COLOURS.items() if name != "grey")
 
 
 @final
 @dataclass(frozen=True)
 class PhaseKind:
-    """What a colour of the bands stands for.
+    """Meaning of a colour of the bands.
 
     Attributes:
         label: Name in the legend, e.g. `"constraint 1: line"` or `"free motion"`.
-        mark: Number or word written on the bands, so that not colour alone tells them apart; empty for free motion.
+        mark: Number or word on the bands, so that they differ not only in colour; empty for free motion.
         colour: Hexadecimal value.
-        ink: Colour of the number, black or white, whichever has more contrast.
-        strength: Share of the colour in what is drawn; the rest is the page's. Below 1 the path of the tip is thin.
-        constraint: Number of the constraint to which a rollout's own phase belongs, where it has several.
+        ink: Colour of the mark, black or white, whichever has more contrast.
+        strength: Share of the colour in the drawing; the rest is the page's background. Below 1 the path of the tip is
+            thin.
+        constraint: Index of the constraint of a rollout's own phase, if the rollout has several.
     """
 
     label: str
@@ -55,13 +57,12 @@ class PhaseKind:
 
 
 class PhaseBand(NamedTuple):
-    """One stretch of one recording or rollout.
+    """Time span of a phase in a recording or rollout.
 
     Attributes:
-        start, end: On the recording's own clock, or from its first sample on [s].
-        constraint: Number of the constraint, counted from 0; None for free motion.
-        name: What a rollout calls a phase of its own, e.g. `"approach"` or `"line 2: approach"`; None for those of
-            constraints.
+        start, end: Times on the recording's own clock, or from its first sample [s].
+        constraint: Index of the constraint; None for free motion.
+        name: Name of a rollout's own phase, e.g. `"approach"` or `"line 2: approach"`; None for phases of constraints.
     """
 
     start: float
@@ -71,20 +72,30 @@ class PhaseBand(NamedTuple):
 
     @property
     def part(self) -> str:
-        """What is done in a rollout's own phase, whichever thing it is done to: `"approach"`, `"hold"`, `"way"`."""
+        """Action of a rollout's own phase, without the name of its mechanism: `"approach"`, `"hold"`, `"way"`."""
         return (self.name or "").rpartition(": ")[2]
 
     def covers(self, time: Float[np.ndarray, " T"]) -> Bool[np.ndarray, " T"]:
-        """Return where times [s] are within the band, both ends included."""
+        """Return which times are within the band, both ends included.
+
+        Args:
+            time: Times (T,) [s].
+
+        Returns:
+            shape (T,).
+        """
         return (time >= self.start) & (time <= self.end)
 
 
 def phase_kinds(phases: Sequence[Phase], names: Sequence[str] = ()) -> tuple[PhaseKind, ...]:
-    """Return the constraints in their order, then free motion.
+    """Return the kinds of the constraints in order, then free motion.
 
     Args:
-        phases: Checked by `phase_bands`.
-        names: What each constraint is, e.g. `"hinge"`; empty or missing where that is not known.
+        phases: Phases, checked by `phase_bands`.
+        names: Name of each constraint, e.g. `"hinge"`; empty or missing if unknown.
+
+    Returns:
+        One kind per constraint, and one for free motion.
     """
     kinds = []
     for k in range(1 + max((p[3] for p in phases if p[3] is not None), default=-1)):
@@ -95,57 +106,72 @@ def phase_kinds(phases: Sequence[Phase], names: Sequence[str] = ()) -> tuple[Pha
 
 
 def phase_bands(phases: Sequence[Phase], names: Sequence[str]) -> dict[str, tuple[PhaseBand, ...]]:
-    """Return the phases of each recording, in order of time; those of recordings that are not shown are left out.
+    """Return the phases of each recording in order of time; phases of other recordings are left out.
 
     Args:
         phases: (trajectory, start [s], end [s], constraint or None), as in `LearningReport.phases`; a reason may
             follow.
-        names: Names of the recordings that are shown.
+        names: Names of the recordings in the page.
+
+    Returns:
+        Recording name -> its bands.
 
     Raises:
         RecordingError: Not such a tuple, times that are not finite or in the wrong order, a constraint that is not a
-            number from 0 up, or phases none of which is of a recording that is shown.
+            number from 0 up, or no phase of any recording in the page.
     """
     checked = [_checked(i, phase) for i, phase in enumerate(phases)]
     bands = {name: [band for whose, band, _ in checked if whose == name] for name in names}
     if phases and not any(bands.values()):
-        others, shown = (", ".join(map(repr, some)) for some in (dict.fromkeys(p[0] for p in phases[:6]), names[:6]))
-        whose = f"the phases are of the trajectories {others}, but the recordings shown are {shown}"
-        raise _refusal(f"{whose}: show the recordings under the names that the learner knows them by")
+        others, present = (", ".join(map(repr, some)) for some in (dict.fromkeys(p[0] for p in phases[:6]), names[:6]))
+        problem = f"the phases belong to the trajectories {others}, but the recordings shown are {present}"
+        raise _refusal(f"{problem}: use the recording names of the learner")
     return {name: tuple(sorted(some, key=lambda b: b.start)) for name, some in bands.items()}
 
 
-def own_bands(rollout: str, phases: Sequence[tuple[str, float, float]]) -> tuple[PhaseBand, ...]:
-    """Return the phases that a rollout itself has, in order of time.
+def rollout_bands(rollout: str, phases: Sequence[tuple[str, float, float]]) -> tuple[PhaseBand, ...]:
+    """Return a rollout's own phases in order of time.
 
     Args:
         rollout: Its name, for errors.
-        phases: As in `Rollout.phases`.
+        phases: (name, start [s], end [s]), as in `Rollout.phases`.
+
+    Returns:
+        The bands, on the rollout's own clock.
 
     Raises:
         RecordingError: Times that are not finite or in the wrong order.
     """
-    # 40 characters of a name are as many as a band has room for
-    named = [(str(name)[:40], _checked(i, (rollout, *span, None))[1]) for i, (name, *span) in enumerate(phases)]
-    return tuple(sorted((band._replace(name=name) for name, band in named), key=lambda b: b.start))
+    # a band has room for 40 characters
+    bands = [(str(name)[:40], _checked(i, (rollout, *span, None))[1]) for i, (name, *span) in enumerate(phases)]
+    return tuple(sorted((band._replace(name=name) for name, band in bands), key=lambda b: b.start))
 
 
-def own_kinds(bands: Sequence[PhaseBand], colour: str) -> tuple[PhaseKind, ...]:
-    """Return the phases that a rollout itself has, by their names; empty if it has none.
+def rollout_kinds(bands: Sequence[PhaseBand], colour: str) -> tuple[PhaseKind, ...]:
+    """Return the kinds of a rollout's own phases, by their names.
 
     Args:
         bands: All of its bands.
         colour: Colour of the rollout, hexadecimal.
+
+    Returns:
+        The kinds; empty if the rollout has no own phases.
     """
-    named = {band.name: band for band in bands if band.name is not None}
-    return tuple(_kind(name, name, colour, LEADING.get(b.part, 1.0), b.constraint) for name, b in named.items())
+    by_name = {band.name: band for band in bands if band.name is not None}
+    return tuple(_kind(name, name, colour, STRENGTHS.get(b.part, 1.0), b.constraint) for name, b in by_name.items())
 
 
 def phases_from_json(value: object) -> tuple[Phase, ...]:
-    """Return phases as JSON holds them: lists of four or five, or objects with trajectory, start, end and constraint.
+    """Parse phases from JSON: lists of four or five values, or objects with trajectory, start, end and constraint.
+
+    Args:
+        value: The JSON value.
+
+    Returns:
+        The phases.
 
     Raises:
-        RecordingError: Something else.
+        RecordingError: The value is anything else.
     """
     if not isinstance(value, list | tuple):
         raise _refusal(f"phases must be a list, got {type(value).__name__}")
@@ -157,41 +183,46 @@ def phases_from_json(value: object) -> tuple[Phase, ...]:
 
 
 def _checked(i: int, phase: Any) -> tuple[str, PhaseBand, list[Any]]:
-    """Return the trajectory, the band and the reason of a phase, none or one."""
+    """Return the trajectory, the band and the reasons (none or one) of a phase."""
     if not isinstance(phase, list | tuple) or len(phase) not in (4, 5) or not isinstance(phase[0], str):
         raise _refusal(f"phase {i} must be (trajectory, start, end, constraint or None), got {phase!r:.80}")
     trajectory, start, end, constraint, *reason = phase
     span = finite([start, end], 2)
     if span is None or span[0] > span[1]:
-        wanted = "must end after it starts, at finite numbers of seconds"
-        raise _refusal(f"phase {i} of {trajectory!r} {wanted}, got {start!r} s to {end!r} s")
+        rule = "must have finite times and end after it starts"
+        raise _refusal(f"phase {i} of {trajectory!r} {rule}, got {start!r} s to {end!r} s")
     is_number = isinstance(constraint, int) and not isinstance(constraint, bool)
-    # a number of 1000 is a mistake, not a constraint
+    # an index of 1000 is a mistake, not a constraint
     if constraint is not None and not (is_number and 0 <= constraint < 1000):
-        wanted = "the constraint must be a number from 0 up, or None for free motion"
-        raise _refusal(f"phase {i} of {trajectory!r}: {wanted}, got {constraint!r:.40}")
+        rule = "the constraint must be a number from 0 up, or None for free motion"
+        raise _refusal(f"phase {i} of {trajectory!r}: {rule}, got {constraint!r:.40}")
     return trajectory, PhaseBand(float(span[0]), float(span[1]), constraint), [why for why in reason if why is not None]
 
 
 def _refusal(sentence: str) -> RecordingError:
+    """Return the error for invalid phases."""
     return RecordingError(sentence, code="phases")
 
 
 def _kind(label: str, mark: str, colour: str, strength: float = 1.0, constraint: int | None = None) -> PhaseKind:
-    """Return a kind with the ink, black or white, that has more contrast (relative luminance as in WCAG 2.2)."""
-    channels = np.array(rgb_of(colour)) / 255.0
+    """Return a kind whose ink, black or white, has more contrast (relative luminance as in WCAG 2.2)."""
+    channels = np.array(hex_to_rgb(colour)) / 255.0
     linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
     is_light = (linear @ [0.2126, 0.7152, 0.0722] + 0.05) ** 2 > 1.05 * 0.05
     return PhaseKind(label, mark, colour, "#000000" if is_light else "#ffffff", strength, constraint)
 
 
 def rollout_colours(names: Sequence[str], chosen: Mapping[str, str], neutral: bool = False) -> list[tuple[str, str]]:
-    """(name, hexadecimal value) of the colour of each rollout; those not chosen take the free ones in order.
+    """Return the colour of each rollout; rollouts without a chosen colour take the unused ones in order.
 
     Args:
-        names: Of the rollouts.
-        chosen: Rollout -> colour.
-        neutral: Those not chosen are all grey, because colours mean something else in this page.
+        names: Names of the rollouts.
+        chosen: Rollout -> name of its colour.
+        neutral: True to draw all rollouts without a chosen colour in grey, because colours have another meaning in this
+            page.
+
+    Returns:
+        (name of the colour, hexadecimal value) per rollout.
 
     Raises:
         UnknownNameError: A colour that does not exist, or one chosen for a rollout that does not exist.
@@ -207,6 +238,13 @@ def rollout_colours(names: Sequence[str], chosen: Mapping[str, str], neutral: bo
     return [(picked[n], COLOURS[picked[n]]) for n in names]
 
 
-def rgb_of(colour: str) -> list[int]:
-    """Red, green and blue of a hexadecimal colour, each 0 to 255."""
+def hex_to_rgb(colour: str) -> list[int]:
+    """Return red, green and blue of a hexadecimal colour.
+
+    Args:
+        colour: For example `"#0072b2"`.
+
+    Returns:
+        Three values, 0 to 255.
+    """
     return list(bytes.fromhex(colour[1:]))

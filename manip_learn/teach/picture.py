@@ -14,7 +14,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.errors import counted
 from manip_learn.playback.appearance import joint_tracks
-from manip_learn.playback.page_writer import REPLAY, packed
+from manip_learn.playback.page_writer import REPLAY, to_base64
 from manip_learn.playback.replay_page import live_page
 from manip_learn.playback.scene_data import held_directions
 from manip_learn.robot.robot import Robot
@@ -166,7 +166,7 @@ def truth_content(scene: TeachingScene, constraint: Constraint | None) -> dict[s
     return {
         "sentence": f"In truth: the {handle.name} {moves[handle.type]} {axis}, {how}.",
         "errors": errors,
-        "lines": [] if handle.type == "plane" else [packed(ends, "<f4")],
+        "lines": [] if handle.type == "plane" else [to_base64(ends, "<f4")],
     }
 
 

@@ -257,7 +257,7 @@ def ghost(
         ended: How it ended, in words.
     """
     from manip_learn.playback.appearance import joint_tracks
-    from manip_learn.playback.page_writer import packed
+    from manip_learn.playback.page_writer import to_base64
     from manip_learn.recordings.trajectory import evenly
 
     kept = evenly(len(time), 400)  # 60 a second for seven seconds
@@ -267,10 +267,10 @@ def ghost(
         "name": name,
         "colour": colour,
         "duration": float(times[-1]),
-        "keyTimes": packed(times, "<f8"),
-        "tracks": packed(joint_tracks(robot, np.asarray(q)[kept]), "<f8"),
-        "curveTimes": packed(times if len(mu) else mu, "<f8"),
-        "curve": packed(mu, "<f8"),
+        "keyTimes": to_base64(times, "<f8"),
+        "tracks": to_base64(joint_tracks(robot, np.asarray(q)[kept]), "<f8"),
+        "curveTimes": to_base64(times if len(mu) else mu, "<f8"),
+        "curve": to_base64(mu, "<f8"),
         "ended": ended,
     }
 

@@ -1,4 +1,4 @@
-"""Feature maps Phi(q): the candidate rows out of which Lambda selects."""
+"""Feature maps Phi(q): the candidate rows from which Lambda selects."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.mechanism import Mechanism, Read
+from manip_learn.constraint.mechanism import Match, Mechanism
 from manip_learn.constraint.place import AXES
 from manip_learn.errors import ConstraintError, FeatureError, TargetError
 
@@ -23,22 +23,23 @@ ErrorAndRate = tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]
 
 
 class FeatureMap(ABC):
-    """Phi(q), shape (p, nv), and its exact derivative; A(q) = Lambda Phi(q) selects from its rows.
+    """Phi(q), shape (p, nv), and its exact derivative; A(q) = Lambda Phi(q) combines its rows.
 
-    A child defines `derivative`, or `value_and_derivative` where both share work.
+    A child defines `derivative`, or `value_and_derivative` if the two share work.
 
     Attributes of every child:
         nv: Number of velocities that the rows act on.
-        row_names: One name a row, e.g. `("x", "y", "rz")`.
+        row_names: One name per row, e.g. `("x", "y", "rz")`.
         row_units: Unit of each row times a velocity, e.g. `("m/s", "m/s", "rad/s")`.
-        twist: All six rows of the frame, in axes that rest with what holds it (`PoseRows`); None without a frame.
-        own_axes: Of velocities along x y z and about them, whether these axes are the frame's own; None of others.
-        relative_to: The frame from which they are seen; None for the robot's base.
-        geometry: Where a mechanism is whose rows they are; None of others.
-        curve: Across and along which they are; None of others.
+        twist: All six rows of the frame, along axes fixed in the base or in `relative_to` (`PoseRows`); None without a
+        frame.
+        own_axes: For velocities along and about x y z, True if these are the frame's own axes; None for other rows.
+        relative_to: The reference frame of the rows; None for the robot's base.
+        geometry: Place of the mechanism whose rows these are; None for other rows.
+        curve: Curve across and along which the rows are; None for other rows.
         robot: The robot; None for a system without one.
-        kind: Name of the class in a constraint file; empty for what cannot be saved.
-        saved: Arguments of the constructor that a file keeps, beside the robot -> the attributes that they are.
+        kind: Name of the class in a constraint file; empty if the features cannot be saved.
+        saved: Constructor arguments in a file, except the robot -> names of their attributes.
     """
 
     twist: Any = None
@@ -60,10 +61,23 @@ class FeatureMap(ABC):
 
     @abstractmethod
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Phi(q)."""
+        """Return Phi(q).
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p, nv), in the units of `row_units` per unit of joint velocity.
+        """
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """Return dPhi/dq, exact; entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k.
+        """Return dPhi/dq, exact.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p, nv, nv): entry [i, j, k] = d Phi_ij / d q_k along tangent coordinate k.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -71,31 +85,64 @@ class FeatureMap(ABC):
         return self.value_and_derivative(q)[1]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Phi(q) and dPhi/dq together, cheaper than one by one where a child shares work."""
+        """Return Phi(q) and dPhi/dq together; cheaper than two calls if a child shares work.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            Phi (p, nv), and dPhi/dq (p, nv, nv) as from `derivative`.
+        """
         return self(q), self.derivative(q)
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
-        """Phi at n configurations, the rows of q."""
+        """Return Phi at n configurations.
+
+        Args:
+            q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
+
+        Returns:
+            shape (n, p, nv).
+        """
         return np.reshape([self(row) for row in np.asarray(q, dtype=np.float64)], (-1, self.n_rows, self.nv))
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
-        """Phi and dPhi/dq at n configurations, the rows of q."""
+        """Return Phi and dPhi/dq at n configurations.
+
+        Args:
+            q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
+
+        Returns:
+            Phi (n, p, nv) and dPhi/dq (n, p, nv, nv).
+        """
         values = [self.value_and_derivative(row) for row in np.asarray(q, dtype=np.float64)]
         Phi = np.reshape([one for one, _ in values], (-1, self.n_rows, self.nv))
         return Phi, np.reshape([one for _, one in values], (*Phi.shape, self.nv))
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Task coordinates r(q) whose rate is Phi(q) u, or `coordinates_jacobian(q)` u where that is given.
+        """Return task coordinates r(q); their rate is Phi(q) u, or `coordinates_jacobian(q)` u if that is not None.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p,), one coordinate per row.
 
         Raises:
-            FeatureError: The rows are not the rate of anything that this feature map knows.
+            FeatureError: The rows are not the rates of known coordinates.
         """
-        raise FeatureError(f"{self!r} has no task coordinates: give the controller a task that returns b itself")
+        raise FeatureError(f"{self!r} has no task coordinates: use a task that returns b itself")
 
     def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
-        """Return the displacement e from r(q) to the target in the rows' axes, and E: de/dt = -E u for a fixed target.
+        """Return the displacement e from r(q) to the target along the rows' axes, and E: de/dt = -E u for a fixed
+        target.
 
-        E is None where that is Phi(q) itself.
+        Args:
+            target: p coordinates in the order of the rows.
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            e (p,), and E (p, nv) or None if it is Phi(q) itself.
 
         Raises:
             TargetError: Wrong size or not finite.
@@ -104,11 +151,35 @@ class FeatureMap(ABC):
         return self._goal(target) - self.coordinates(q), self.coordinates_jacobian(q)
 
     def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return the displacement of `error_and_jacobian`; errors as there."""
+        """Return the displacement of `error_and_jacobian`.
+
+        Args:
+            target: p coordinates in the order of the rows.
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            e (p,).
+
+        Raises:
+            TargetError: Wrong size or not finite.
+            FeatureError: The rows have no coordinates.
+        """
         return self.error_and_jacobian(target, q)[0]
 
     def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Return E of `error_and_jacobian`; errors as there."""
+        """Return E of `error_and_jacobian`.
+
+        Args:
+            target: p coordinates in the order of the rows.
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            E (p, nv), or None if it is Phi(q) itself.
+
+        Raises:
+            TargetError: Wrong size or not finite.
+            FeatureError: The rows have no coordinates.
+        """
         return self.error_and_jacobian(target, q)[1]
 
     def _goal(self, target: ArrayLike) -> Float[np.ndarray, " p"]:
@@ -119,77 +190,122 @@ class FeatureMap(ABC):
         """
         goal = np.asarray(target, dtype=np.float64)
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
-            wanted = f"{self.n_rows} finite numbers ({', '.join(self.row_names)})"
-            raise TargetError(f"the target must be {wanted}, got {goal.tolist()}")
+            expected = f"{self.n_rows} finite numbers ({', '.join(self.row_names)})"
+            raise TargetError(f"the target must be {expected}, got {goal.tolist()}")
         return goal
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """dr/dq, so that dr/dt = dr/dq u; None where that is Phi(q) itself, as for all rows but rotations."""
-        return None
-
-    # ---- what holds the hand: of rows of one frame
-
-    def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
-        """Return the mechanism whose motions Lambda leaves free, read from these rows; None if it is none of a machine.
+        """Return C(q) = dr/dq, with dr/dt = C u.
 
         Args:
-            selection: Lambda, with orthonormal rows.
-            learnt: What is known of how Lambda was learnt, empty if it was not: its error and the postures.
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p, nv), or None if it is Phi(q) itself, e.g. for positions.
         """
         return None
 
-    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
-        """Return the kind of the mechanism that leaves these rows zero, and where it is; None if it is none.
+    # ---- mechanisms, for rows of one frame
+
+    def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
+        """Return the mechanism that leaves the same motions free as Lambda, read from these rows.
 
         Args:
-            selection: Lambda, with orthonormal rows.
-            immovable: Rows that this arm cannot move, orthonormal.
-            places: Places of the hand [m].
+            selection: Lambda (s, p) with orthonormal rows.
+            learnt: Provenance of Lambda, with its error and the recorded postures; empty if it was not learnt.
+
+        Returns:
+            The mechanism; None if the rows are no known mechanism.
+        """
+        return None
+
+    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Match | None:
+        """Return kind and place of the mechanism that makes these rows zero.
+
+        Args:
+            selection: Lambda (s, p) with orthonormal rows.
+            immovable: Orthonormal rows (m, p) that this arm cannot move.
+            places: Positions of the hand (n, 3) [m].
+
+        Returns:
+            Kind and place; None if the rows are no known mechanism.
         """
         return None
 
     def named(self, selection: Selection, mechanism: Mechanism | None) -> Selected:
-        """Return Phi and Lambda of rows with the names of the mechanism's, where these have none (`PlaceRows`)."""
+        """Return Phi and Lambda with rows named after the mechanism, for features without such names (`PlaceRows`).
+
+        Args:
+            selection: Lambda (s, p) with orthonormal rows.
+            mechanism: The mechanism of these rows; None if there is none.
+
+        Returns:
+            Phi and Lambda; unchanged for other features.
+        """
         return self, selection
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
-        """Return Phi and Lambda where what holds the hand stands elsewhere, p' = R p + t in the base's frame."""
+        """Return Phi and Lambda after a rigid motion of the mechanism, p' = R p + t in the base frame.
+
+        Args:
+            transform: Rigid motion (4, 4) in the base frame [m].
+            selection: Lambda (s, p).
+
+        Returns:
+            Phi and Lambda; unchanged if the rows do not depend on the place.
+        """
         return self, selection
 
     def with_rotation(self, selection: Selection) -> Selected:
-        """Return Phi and Lambda of these rows, and below them of those that hold the orientation of the frame too.
+        """Return Phi and Lambda of these rows, followed by rows that also constrain the orientation of the frame.
+
+        Args:
+            selection: Lambda (s, p) with orthonormal rows.
+
+        Returns:
+            Phi with all angular rows, and Lambda with the rotations that these rows do not constrain yet.
 
         Raises:
-            ConstraintError: Features without a frame that could turn.
+            ConstraintError: The features have no frame with an orientation.
         """
         if (wide := self._with_turns()) is None:
-            raise ConstraintError(f"{self!r} belong to no frame whose orientation could be held")
-        held = selection @ [[name == row for row in wide.row_names] for name in self.row_names]
+            raise ConstraintError(f"{self!r} belong to no frame whose orientation could be constrained")
+        embedded = selection @ [[name == row for row in wide.row_names] for name in self.row_names]
         turns = np.eye(wide.n_rows)[[unit == "rad/s" for unit in wide.row_units]]
-        _, sigma, Vt = np.linalg.svd(turns - turns @ held.T @ held)
-        return wide, np.vstack([held, Vt[: int(np.count_nonzero(sigma > 0.5))]])
+        _, sigma, Vt = np.linalg.svd(turns - turns @ embedded.T @ embedded)
+        return wide, np.vstack([embedded, Vt[: int(np.count_nonzero(sigma > 0.5))]])
 
     def _with_turns(self) -> FeatureMap | None:
-        """Return these rows and all of the angular velocity; None without a frame."""
+        """Return these rows and all angular velocities; None without a frame."""
         return None
 
     # ---- files
 
     def changed(self, **arguments: Any) -> Self:
-        """Return this feature map with other arguments, named as in its constructor."""
-        make, given = type(self), self.describe() | arguments
-        return make(self.robot, **{name: given[name] for name in self.saved if name in given})  # type: ignore[call-arg]
+        """Return this feature map with other constructor arguments.
+
+        Args:
+            arguments: Arguments to replace, named as in the constructor.
+
+        Returns:
+            A new feature map of the same robot.
+        """
+        make, described = type(self), self.describe() | arguments
+        return make(self.robot, **{name: described[name] for name in self.saved if name in described})  # type: ignore[call-arg]
 
     def describe(self) -> dict[str, Any]:
-        """Return what a saved constraint needs to build this feature map again: kind, arguments and units.
+        """Return the entries of a constraint file that rebuild this feature map: kind, arguments and units.
+
+        Returns:
+            Values for JSON.
 
         Raises:
-            FeatureError: It cannot be written down (functions in Python).
+            FeatureError: The features are Python functions, which cannot be saved.
         """
         if not self.kind:
             raise FeatureError(f"{self!r} is made of Python functions and cannot be saved")
-        given = {name: x for name, path in self.saved.items() if (x := attrgetter(path)(self)) is not None}
-        plain = {name: np.asarray(x).tolist() if isinstance(x, tuple | np.ndarray) else x for name, x in given.items()}
+        values = {name: x for name, path in self.saved.items() if (x := attrgetter(path)(self)) is not None}
+        plain = {name: np.asarray(x).tolist() if isinstance(x, tuple | np.ndarray) else x for name, x in values.items()}
         return {"kind": self.kind, **plain, "units": list(self.row_units)}
 
     def __repr__(self) -> str:
@@ -203,12 +319,24 @@ Selected = tuple[FeatureMap, Float[np.ndarray, "_ _"]]  # Phi and Lambda
 
 
 class _Short(Repr):
+    """Short text of constructor arguments, for `repr`."""
+
     def repr_list(self, x: list[Any], level: int) -> str:
-        """Return names in one string, and the first few of many places."""
+        """Return a list as text: names in one string, or the first few numbers.
+
+        Args:
+            x: Names or numbers.
+            level: Nesting depth of `reprlib`.
+        """
         return repr(" ".join(x)) if isinstance(x[0], str) else super().repr_list(x, level)
 
     def repr_float(self, x: float, level: int) -> str:
-        """Return a number of four digits."""
+        """Return a number as text with four digits.
+
+        Args:
+            x: The number.
+            level: Nesting depth of `reprlib`.
+        """
         return f"{x:.4g}"
 
 
@@ -217,15 +345,18 @@ _SHORT.maxstring, _SHORT.maxlist = 200, 3
 
 
 def parse_axes(axes: str | Sequence[str], known: Collection[str] = AXES, what: str = "axis") -> tuple[str, ...]:
-    """Return names of rows from a string with spaces or commas, from a sequence, or of a set of axes, in that order.
+    """Return row names from a string with spaces or commas, from a sequence, or from the name of a set of axes.
 
     Args:
         axes: For example `"x y rz"`; `"xyz"`, `"pose"`, `"planar"` or `"rotation"` for a set of axes.
-        known: The names that there are.
-        what: What errors call one.
+        known: Valid names.
+        what: Noun for one name in error messages.
+
+    Returns:
+        The names in the given order.
 
     Raises:
-        FeatureError: An unknown or repeated name, or none.
+        FeatureError: An unknown or repeated name, or no name.
     """
     sets = NAMED_AXES if known is AXES else {}
     words = tuple(axes.replace(",", " ").split() if isinstance(axes, str) else axes)
@@ -239,5 +370,15 @@ def parse_axes(axes: str | Sequence[str], known: Collection[str] = AXES, what: s
 
 
 def sum_in_words(row: Float[np.ndarray, " p"], names: Sequence[str], form: str, least: float) -> str:
-    """Return a combination of rows as a sum, e.g. `+0.6 x +0.8 y`: coefficients in a format, larger than the least."""
+    """Return a linear combination of rows as text, e.g. `+0.6 x +0.8 y`.
+
+    Args:
+        row: Coefficients (p,).
+        names: Names of the p rows.
+        form: Format of a coefficient, e.g. `"+.1f"`.
+        least: Coefficients of this size or smaller are left out.
+
+    Returns:
+        The text; empty if all coefficients are left out.
+    """
     return " ".join(f"{c:{form}} {name}" for c, name in zip(row, names, strict=True) if abs(c) > least)

@@ -1,15 +1,15 @@
-"""Rows of a frame's Jacobian as features, seen from the base or from another frame; the error of its pose.
+"""Rows of a frame's Jacobian as features, relative to the base or to another frame; the error of its pose.
 
-With the pose (p, R) and the goal (p*, R*) the error is, along the axes of the base and along those of the frame,
+With the pose (p, R) and the goal (p*, R*) the error is, along the axes of the base and along the axes of the frame,
 
     e = (p* - p,  log(R* R^T))        and        R^T e = (R^T (p* - p),  log(R^T R*))
 
-The rate of a rotation vector is not the angular velocity: with a twist (v, w) along the same axes and a goal at rest
+The rate of a rotation vector is not the angular velocity. With a twist (v, w) along the same axes and a fixed goal
 
     base    d/dt e = -( v,  Jr^-1(e_rot) w )
     frame   d/dt e = -( v - e_lin x w,  Jl^-1(e_rot) w )
 
-Jl and Jr are the left and the right Jacobian of SO(3), see `robot.rotations`. On the goal both maps are the identity.
+Jl and Jr are the left and the right Jacobian of SO(3), see `robot.rotations`. At the goal both maps are the identity.
 """
 
 from __future__ import annotations
@@ -24,8 +24,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import ErrorAndRate, FeatureMap, Read, Selected, Selection, parse_axes
-from manip_learn.constraint.mechanism import Mechanism, hinge_or_screw, mechanism_of, of_point_rows, of_twists, on_twist
+from manip_learn.constraint.features.feature_map import ErrorAndRate, FeatureMap, Match, Selected, Selection, parse_axes
+from manip_learn.constraint.mechanism import (
+    Mechanism,
+    embed_rows,
+    hinge_or_screw,
+    mechanism_of,
+    read_point_rows,
+    read_twists,
+)
 from manip_learn.constraint.place import AXES, AXIS_UNITS
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.linalg import null_basis, orthonormal_rows
@@ -34,40 +41,63 @@ from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, ro
 
 
 def pose_coordinates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
-    """Position [m] and rotation vector [rad]."""
+    """Return position [m] and rotation vector [rad] of a pose.
+
+    Args:
+        pose: shape (4, 4) [m].
+
+    Returns:
+        shape (6,), in the frame of the pose's reference.
+    """
     return np.concatenate([pose[:3, 3], rotation_vector(pose[:3, :3])])
 
 
 def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation that is meant by the upper left part of a 4 x 4 pose.
+    """Return the rotation in the upper left part of a 4 x 4 goal pose, made orthonormal if it was printed with few
+    digits.
+
+    Args:
+        R: shape (3, 3), orthonormal to 1e-3.
+
+    Returns:
+        shape (3, 3).
 
     Raises:
-        TargetError: It is none.
+        TargetError: The matrix is not a rotation.
     """
-    off = float(np.max(np.abs(R @ R.T - np.eye(3))))
-    if not off < 1e-3 or np.linalg.det(R) < 0.0:  # one printed with few digits is made orthonormal
+    error = float(np.max(np.abs(R @ R.T - np.eye(3))))
+    if not error < 1e-3 or np.linalg.det(R) < 0.0:  # tolerate a matrix printed with few digits
         raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
-    return R if off < 1e-12 else orthonormal_rows(R)
+    return R if error < 1e-12 else orthonormal_rows(R)
 
 
 def pose_error(
     pose: Float[np.ndarray, "4 4"], goal: Float[np.ndarray, "4 4"], own_axes: bool
 ) -> Float[np.ndarray, " 6"]:
-    """Twist from a pose to a goal [m, rad], along the axes of the base or of the frame."""
+    """Return the twist from a pose to a goal [m, rad].
+
+    Args:
+        pose: shape (4, 4) [m].
+        goal: shape (4, 4), in the same reference frame [m].
+        own_axes: True for the axes of the posed frame, False for the axes of the reference frame.
+
+    Returns:
+        shape (6,): translation, then rotation vector.
+    """
     R = pose[:3, :3]
     error = np.concatenate([goal[:3, 3] - pose[:3, 3], rotation_vector(goal[:3, :3].dot(R.T))])
     return error.reshape(2, 3).dot(R).reshape(6) if own_axes else error
 
 
 class PoseRows(FeatureMap):
-    """Rows of the twist of a frame, seen from the base, from itself or from another frame, and the error of its pose.
+    """Rows of the twist of a frame, relative to the base, to itself or to another frame, and the error of its pose.
 
     Attributes of every child:
         frame: The frame.
-        relative_to: The frame from which it is seen; None for the robot's base.
-        seen_from: Argument `relative_to` of rows of the same frame seen from the same; empty for the base.
-        only_linear: Whether the rows are positions along axes that do not turn with the frame.
-        own_axes: Whether the rows are along the frame's own axes.
+        relative_to: The reference frame; None for the robot's base.
+        seen_from: Argument `relative_to` of rows with the same frame and reference; empty for the base.
+        only_linear: True if the rows are positions along axes that do not turn with the frame.
+        own_axes: True if the rows are along the frame's own axes.
     """
 
     own_axes: bool
@@ -87,31 +117,49 @@ class PoseRows(FeatureMap):
         self.own_axes, self.only_linear = own_axes, not own_axes and max(rows) < 3
 
     def _with_turns(self) -> PoseRows:
+        """Return all six rows of the frame."""
         return self.changed(axes=AXES)
 
-    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
-        """Return the kind of a mechanism whose rows are the same everywhere, and where it is (see `FeatureMap`)."""
-        held, blind = (on_twist(self.row_names, rows, distance=True) for rows in (selection, immovable))
-        return None if self.own_axes else of_point_rows(held, blind, places.mean(axis=0))
+    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Match | None:
+        """Return kind and place of a mechanism whose rows are the same everywhere.
+
+        Args:
+            selection: Lambda (s, p) with orthonormal rows.
+            immovable: Orthonormal rows (m, p) that this arm cannot move.
+            places: Positions of the hand (n, 3) [m].
+
+        Returns:
+            Kind and place; None if the rows are no known mechanism, or are along the frame's own axes.
+        """
+        zero, blind = (embed_rows(self.row_names, rows, distance=True) for rows in (selection, immovable))
+        return None if self.own_axes else read_point_rows(zero, blind, places.mean(axis=0))
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
-        """Return the mechanism of constant rows of the frame's origin: of no place (see `FeatureMap`)."""
-        hand, rows = np.zeros(3), on_twist(self.row_names, selection, distance=True)
+        """Return the mechanism of constant rows of the frame's origin; it has a direction but no place.
+
+        Args:
+            selection: Lambda (s, p) with orthonormal rows.
+            learnt: Provenance of Lambda, with its error; empty if it was not learnt.
+
+        Returns:
+            The mechanism; None if the rows are no known mechanism.
+        """
+        hand, rows = np.zeros(3), embed_rows(self.row_names, selection, distance=True)
         if is_firm := self.own_axes and len(selection) == 5 and self.n_rows == len(AXES):
-            read = of_twists(null_basis(np.delete(rows, 3, axis=1)).T, hand)
+            match = read_twists(null_basis(np.delete(rows, 3, axis=1)).T, hand)
         else:
-            read = of_point_rows(rows, rows[:0], hand, aligned=False)
-        if read is None:
+            match = read_point_rows(rows, rows[:0], hand, aligned=False)
+        if match is None:
             return None
-        kind, place = hinge_or_screw(read, hand, learnt)
+        kind, place = hinge_or_screw(match, hand, learnt)
         if kind.kind != "space" and not is_firm:
-            # directions of a hand that turns are no line and no plane
+            # directions in the axes of a turning hand define no line or plane
             if not set(AXES[:3]) <= set(self.row_names) or (self.own_axes and kind.orientation != "fixed"):
                 return None
-        known: dict[str, Any] = {"point": None, **self.seen_from, **({"axis": None} if self.own_axes else {})}
+        extra: dict[str, Any] = {"point": None, **self.seen_from, **({"axis": None} if self.own_axes else {})}
         if is_firm:
-            known |= {"grip": "firm", "radius": None if kind.kind == "line" else float(np.linalg.norm(place.point))}
-        return mechanism_of(kind, place.as_told(), **{"radius": None} | known)
+            extra |= {"grip": "firm", "radius": None if kind.kind == "line" else float(np.linalg.norm(place.point))}
+        return mechanism_of(kind, place.canonical(), **{"radius": None} | extra)
 
     @cached_property
     def twist(self) -> PoseRows:  # type: ignore[override]
@@ -119,13 +167,26 @@ class PoseRows(FeatureMap):
         return type(self)(self.robot, self.frame.name, axes=AXES, **self.seen_from)  # type: ignore[call-arg]
 
     def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
-        """Weights of the rows of `twist` in these rows, at n poses of the frame."""
+        """Return the weights of the rows of `twist` in these rows.
+
+        Args:
+            poses: Poses of the frame (n, 4, 4) in the reference frame.
+
+        Returns:
+            shape (n, p, 6).
+        """
         weights = np.zeros((len(poses), 6, 6))
         weights[:, :3, :3] = weights[:, 3:, 3:] = poses[:, :3, :3].transpose(0, 2, 1) if self.own_axes else np.eye(3)
         return weights[:, self._rows]
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Return the pose of the frame in the robot's base, or in the frame from which it is seen [m].
+        """Return the pose of the frame in the robot's base, or in the frame `relative_to`.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (4, 4) [m].
 
         Raises:
             ConfigurationError: Wrong size or not finite.
@@ -134,19 +195,36 @@ class PoseRows(FeatureMap):
         return pose if self.relative_to is None else np.linalg.inv(self.robot.pose(q, self.relative_to)) @ pose
 
     def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
-        """Return the poses of `pose` at n postures, the rows of q [m]."""
+        """Return the poses of `pose` at n configurations.
+
+        Args:
+            q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
+
+        Returns:
+            shape (n, 4, 4) [m].
+        """
         poses = self.robot.frame_kinematics(self.frame).poses(q)
         if self.relative_to is None:
             return poses
         return np.linalg.inv(self.robot.frame_kinematics(self.relative_to).poses(q)) @ poses
 
     def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-        """Return position [m] and rotation of `pose`."""
+        """Return position and rotation of `pose`.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            Position (3,) [m] and rotation matrix (3, 3).
+        """
         pose = self.pose(q)
         return pose[:3, 3], pose[:3, :3]
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Phi(q) [m/s or rad/s per unit joint velocity].
+        """Return Phi(q) [m/s or rad/s per unit joint velocity].
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Raises:
             ConfigurationError: Wrong size or not finite.
@@ -155,17 +233,36 @@ class PoseRows(FeatureMap):
 
     @abstractmethod
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
-        """All six rows, of the rate of the pose or of that along the frame's own axes; an array of the caller's."""
+        """Return all six rows, as a new array that the caller may change.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+            own_axes: True for the axes of the frame, False for the axes of the reference frame.
+
+        Returns:
+            shape (6, nv) [m/s or rad/s per unit joint velocity].
+        """
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Position of the frame's origin [m] and its rotation vector [rad], the chosen rows.
+        """Return the selected coordinates among the position of the frame's origin [m] and its rotation vector [rad].
 
-        They are those in the base frame, or in the other frame where it is seen from there.
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p,), in the base frame or in the frame `relative_to`.
         """
         return pose_coordinates(self.pose(q))[self._rows]
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
+        """Return the rate of the coordinates per unit joint velocity, exact.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p, nv); None for positions, where it is Phi(q).
+        """
         if self.only_linear:
             return None
         C = np.eye(6)  # d/dt coordinates = C (v, w), along the axes of the base
@@ -173,34 +270,38 @@ class PoseRows(FeatureMap):
         return C[self._rows] @ self.twist_rows(q, False)
 
     def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
-        """Return the displacement to a target in the axes of the rows, and E of `FeatureMap`; None for positions.
+        """Return the displacement to a target along the axes of the rows, and E of `FeatureMap`.
 
         Args:
-            target: p numbers in the order of the rows: position of the origin in the base frame [m], rotation vector
-                of the frame in the base frame [rad]; or a 4 x 4 pose. Coordinates that are not among the rows are
-                taken as reached. Seen from another frame, these are in that one.
-            q: Posture.
+            target: p numbers in the order of the rows: position of the origin [m] and rotation vector of the frame
+                [rad], in the base frame or in `relative_to`; or a 4 x 4 pose. Coordinates that are not among the rows
+                count as reached.
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            e (p,) [m or rad], and E (p, nv); None instead of E for positions.
 
         Raises:
-            TargetError: Wrong size, not finite, or a local map that needs all of x y z (or rx ry rz) or a pose.
+            TargetError: Wrong size, not finite, or rows along the frame's own axes that need all of x y z (or rx ry rz)
+                or a pose.
         """
         goal = np.asarray(target, dtype=np.float64)
         if self.only_linear and goal.shape == (self.n_rows,) and math.isfinite(goal.sum()):
-            return goal - self.placement(q)[0][self._rows], None  # most of the time: no orientation is needed
+            return goal - self.placement(q)[0][self._rows], None  # fast path: no orientation is needed
         pose = self.pose(q)
-        meant, numbers = self._meant(goal, pose)
-        error = pose_error(pose, meant, self.own_axes)
+        goal_pose, numbers = self._goal_pose(goal, pose)
+        error = pose_error(pose, goal_pose, self.own_axes)
         if self.only_linear:
             return error[self._rows], None
         J = self.twist_rows(q, self.own_axes)
         # M J, with d/dt error = -M (v, w): the rotation rows turn by Jl^-1 or Jr^-1
         M = left_jacobian_inverse(error[3:] if self.own_axes else -error[3:])
-        given = [i - 3 for i in self._row_numbers if i >= 3]
-        if numbers is not None and 0 < len(given) < 3:
-            # the goal's other numbers are the frame's, so that it turns while the frame turns: dr/dt = Jl^-1(r) w moves
-            # the part of the goal's vector that is not given, by F, and so e_rot by Jl^-1(e_rot) Jl(r*) F Jl^-1(r) w
+        rotations = [i - 3 for i in self._row_numbers if i >= 3]
+        if numbers is not None and 0 < len(rotations) < 3:
+            # the goal takes its other numbers from the frame and turns with it: dr/dt = Jl^-1(r) w changes the
+            # unspecified part of the goal's vector by F, and thus e_rot by Jl^-1(e_rot) Jl(r*) F Jl^-1(r) w
             F = np.eye(3)
-            F[given] = 0.0
+            F[rotations] = 0.0
             carried = left_jacobian_inverse(error[3:]) @ left_jacobian(numbers[3:]) @ F
             M -= carried @ left_jacobian_inverse(rotation_vector(pose[:3, :3]))
         if self.own_axes:
@@ -208,27 +309,27 @@ class PoseRows(FeatureMap):
         J[3:] = M.dot(J[3:])
         return error[self._rows], J[self._rows]
 
-    def _meant(
+    def _goal_pose(
         self, goal: np.ndarray, pose: Float[np.ndarray, "4 4"]
     ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 6"] | None]:
-        """The pose that a target means, and its six numbers where it was given as numbers."""
-        meant = np.eye(4)
+        """Return the goal pose of a target, and its six numbers if the target was given as numbers."""
+        pose_of_goal = np.eye(4)
         if goal.shape == (4, 4) and np.all(np.isfinite(goal)):
-            meant[:3, :3], meant[:3, 3] = goal_rotation(goal[:3, :3]), goal[:3, 3]
-            return meant, None
+            pose_of_goal[:3, :3], pose_of_goal[:3, 3] = goal_rotation(goal[:3, :3]), goal[:3, 3]
+            return pose_of_goal, None
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
-            given = f"shape {goal.shape}" if goal.size > 6 else goal.tolist()
-            wanted = f"{self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose"
-            wanted += "" if self.relative_to is None else f" in frame {self.relative_to.name!r}"
-            raise TargetError(f"the target must be {wanted}, got {given}")
+            target = f"shape {goal.shape}" if goal.size > 6 else goal.tolist()
+            expected = f"{self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose"
+            expected += "" if self.relative_to is None else f" in frame {self.relative_to.name!r}"
+            raise TargetError(f"the target must be {expected}, got {target}")
         for triple in (AXES[:3], AXES[3:]) if self.own_axes else ():
             if 0 < len(set(triple) & set(self.row_names)) < 3:
-                rows, remedy = " ".join(self.row_names), f"use all of {' '.join(triple)}, or give a 4 x 4 pose"
-                raise TargetError(f"a target for the rows {rows} in the frame's own axes is not determined: {remedy}")
+                rows, remedy = " ".join(self.row_names), f"use all of {' '.join(triple)}, or pass a 4 x 4 pose"
+                raise TargetError(f"a target for the rows {rows} in the frame's own axes is ambiguous: {remedy}")
         numbers = pose_coordinates(pose)
         numbers[self._rows] = goal
-        meant[:3, :3], meant[:3, 3] = rotation_matrix(numbers[3:]), numbers[:3]
-        return meant, numbers
+        pose_of_goal[:3, :3], pose_of_goal[:3, 3] = rotation_matrix(numbers[3:]), numbers[:3]
+        return pose_of_goal, numbers
 
 
 @final
@@ -261,7 +362,7 @@ class FrameJacobian(PoseRows):
 
     def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str] = "xyz", reference: Reference = "world"):
         if not isinstance(robot, Robot):
-            raise FeatureError(f"call FrameJacobian(robot, frame): got {an(robot)} and {an(frame)}, in this order")
+            raise FeatureError(f"expected FrameJacobian(robot, frame), got {an(robot)} and {an(frame)} in this order")
         if reference not in ("world", "local"):
             raise FeatureError(f"reference must be 'world' or 'local', not {reference!r}")
         super().__init__(robot, frame, axes, None, reference == "local")
@@ -269,23 +370,41 @@ class FrameJacobian(PoseRows):
         self._kinematics = robot.frame_kinematics(self.frame)
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Phi(q) and dPhi/dq at the cost of one Hessian."""
+        """Return Phi(q) and dPhi/dq at the cost of one Hessian.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            Phi (p, nv) and dPhi/dq (p, nv, nv).
+        """
         J, H = self.robot.jacobian_and_derivative(q, self.frame, self.reference)
         return J[self._rows], H[self._rows]
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
-        """Return Phi and Lambda along axes that are turned; rows in the frame's own axes stay (see `FeatureMap`)."""
-        if self.own_axes:
-            return self, selection
-        turned = on_twist(self.row_names, selection).reshape(-1, 2, 3) @ transform[:3, :3].T
-        axes = AXES if "rad/s" in self.row_units else AXES[:3]
-        return self.changed(axes=axes), turned.reshape(-1, 6)[:, : len(axes)]
-
-    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
-        """Phi at n postures, the rows of q, in bulk.
+        """Return Phi and Lambda along rotated axes; rows in the frame's own axes do not change.
 
         Args:
-            q: Configurations (nq) or joint positions (nv), one a row.
+            transform: Rigid motion (4, 4) in the base frame [m].
+            selection: Lambda (s, p).
+
+        Returns:
+            Phi with all axes of a translation or a rotation, and Lambda.
+        """
+        if self.own_axes:
+            return self, selection
+        rotated = embed_rows(self.row_names, selection).reshape(-1, 2, 3) @ transform[:3, :3].T
+        axes = AXES if "rad/s" in self.row_units else AXES[:3]
+        return self.changed(axes=axes), rotated.reshape(-1, 6)[:, : len(axes)]
+
+    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
+        """Return Phi at n configurations, in bulk.
+
+        Args:
+            q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
+
+        Returns:
+            shape (n, p, nv).
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
@@ -293,15 +412,40 @@ class FrameJacobian(PoseRows):
         return self._kinematics.jacobians(q, self.reference, self._row_numbers)
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
-        """Phi and dPhi/dq at n postures, in bulk; arguments and errors as for `batch`."""
+        """Return Phi and dPhi/dq at n configurations, in bulk.
+
+        Args:
+            q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
+
+        Returns:
+            Phi (n, p, nv) and dPhi/dq (n, p, nv, nv).
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
         return self._kinematics.jacobians_and_derivatives(q, self.reference, self._row_numbers)
 
     def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-        """Position [m] and rotation of the frame in the robot's base."""
+        """Return position and rotation of the frame in the robot's base.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            Position (3,) [m] and rotation matrix (3, 3).
+        """
         return self._kinematics.placement(q)
 
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
-        """The Jacobian along the axes of the base or of the frame."""
+        """Return the Jacobian along the axes of the base or of the frame.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+            own_axes: True for the axes of the frame, False for the axes of the base.
+
+        Returns:
+            shape (6, nv) [m/s or rad/s per unit joint velocity].
+        """
         return self._kinematics.jacobian(q, "local" if own_axes else "world")
 
 
@@ -315,19 +459,18 @@ class RelativeFrameJacobian(PoseRows):
         linear    R^T (Jv_A - Jv_B + [d]x Jw_B)      the rate of R^T d [m/s]
         rotation  R^T (Jw_A - Jw_B)                  the angular velocity of A relative to B [rad/s]
 
-    so that a tool which keeps still on a part that itself is being carried has zero velocity here. Two arms that carry
-    one object are one robot with two tips. An object whose pose was recorded is a floating joint of the robot: see
-    `objects` of `load_robot`.
+    so that a tool at rest on a moving part has zero velocity here. Two arms that carry one object are one robot with
+    two tips. An object with a recorded pose is a floating joint of the robot: see `objects` of `load_robot`.
 
     Args:
-        robot: The robot; both frames are its own.
+        robot: The robot with both frames.
         frame: Name of the frame that moves, e.g. the left tool's tip.
-        relative_to: Name of the frame from which it is seen; its axes are the axes of the rows.
+        relative_to: Name of the reference frame; its axes are the axes of the rows.
         axes: `"xyz"`, `"pose"` (all six), `"planar"`, `"rotation"`, or any of `x y z rx ry rz`.
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown axes, or twice the same frame.
+        FeatureError: Unknown axes, or the same frame twice.
     """
 
     kind = "relative-frame-jacobian"
@@ -336,59 +479,90 @@ class RelativeFrameJacobian(PoseRows):
     def __init__(self, robot: Robot, frame: str, relative_to: str, axes: str | Sequence[str] = "pose"):
         super().__init__(robot, frame, axes, relative_to, False)
         if self.frame.index == self.relative_to.index:
-            raise FeatureError(f"frame {frame!r} does not move relative to itself: name two frames")
+            raise FeatureError(f"frame {frame!r} does not move relative to itself: pass two frames")
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Phi(q) and dPhi/dq, as of many postures."""
+        """Return Phi(q) and dPhi/dq, by the same code as for n configurations.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            Phi (p, nv) and dPhi/dq (p, nv, nv).
+        """
         Phi, dPhi = self.batch_with_derivative(self.robot.checked_posture(q)[None])
         return Phi[0], dPhi[0]
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
-        """Return Phi at n configurations (nq) or joint positions (nv), the rows of q.
+        """Return Phi at n configurations.
+
+        Args:
+            q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
+
+        Returns:
+            shape (n, p, nv).
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
         both = (self.robot.frame_kinematics(frame) for frame in (self.frame, self.relative_to))
-        return _seen(*[(each.poses(q), each.jacobians(q)) for each in both])[0][:, self._rows]
+        return _relative_rows(*[(each.poses(q), each.jacobians(q)) for each in both])[0][:, self._rows]
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
-        """Return Phi and dPhi/dq at n configurations; errors as for `batch`."""
+        """Return Phi and dPhi/dq at n configurations.
+
+        Args:
+            q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
+
+        Returns:
+            Phi (n, p, nv) and dPhi/dq (n, p, nv, nv).
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
         both = (self.robot.frame_kinematics(frame) for frame in (self.frame, self.relative_to))
-        Phi, dPhi = _seen(*[(each.poses(q), *each.jacobians_and_derivatives(q)) for each in both])
+        Phi, dPhi = _relative_rows(*[(each.poses(q), *each.jacobians_and_derivatives(q)) for each in both])
         return Phi[:, self._rows], dPhi[:, self._rows]
 
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
-        """Return all six rows, along the axes of the other frame."""
+        """Return all six rows, along the axes of the other frame.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+            own_axes: Ignored: the rows have no axes of their own frame.
+
+        Returns:
+            shape (6, nv) [m/s or rad/s per unit joint velocity].
+        """
         both, robot = (self.frame, self.relative_to), self.robot
-        return _seen(*[(robot.pose(q, frame)[None], robot.jacobian(q, frame)[None]) for frame in both])[0][0]
+        return _relative_rows(*[(robot.pose(q, frame)[None], robot.jacobian(q, frame)[None]) for frame in both])[0][0]
 
 
-def _seen(A: Sequence[np.ndarray], B: Sequence[np.ndarray]) -> tuple[Float[np.ndarray, "n 6 nv"], Any]:
-    """Return all six rows R^T V of frame A as seen from B, and d/dq_k of them, R^T (dV/dq_k - w_k x V).
+def _relative_rows(A: Sequence[np.ndarray], B: Sequence[np.ndarray]) -> tuple[Float[np.ndarray, "n 6 nv"], Any]:
+    """Return all six rows R^T V of frame A relative to B, and d/dq_k of them, R^T (dV/dq_k - w_k x V).
 
     w_k is the angular velocity of B per unit velocity of joint k.
 
     Args:
-        A: Poses (n, 4, 4), Jacobians (n, 6, nv) and, where the derivative is wanted, Hessians (n, 6, nv, nv) of the
-            frame, all in the base axes.
-        B: Those of the frame from which it is seen.
+        A: Poses (n, 4, 4), Jacobians (n, 6, nv) and, for the derivative, Hessians (n, 6, nv, nv) of the frame, all in
+            the base axes.
+        B: The same for the reference frame.
     """
     (pose_A, J_A, *H_A), (pose_B, J_B, *H_B) = A, B
     R, d = pose_B[:, :3, :3], pose_A[:, :3, 3] - pose_B[:, :3, 3]
     V = J_A - J_B
     slope = V[:, :3].copy()  # of d
-    V[:, :3] += np.cross(d[:, :, None], J_B[:, 3:], axis=1)  # the origin of A seen by an observer who turns with B
+    V[:, :3] += np.cross(d[:, :, None], J_B[:, 3:], axis=1)  # velocity of the origin of A in axes that turn with B
     if not H_A:
-        return _turned(R, V), None
+        return _in_axes(R, V), None
     dV = H_A[0] - H_B[0]
     dV[:, :3] += np.cross(slope[:, :, None, :], J_B[:, 3:, :, None], axis=1)
     dV[:, :3] += np.cross(d[:, :, None, None], H_B[0][:, 3:], axis=1)
     for part in (slice(0, 3), slice(3, 6)):
         dV[:, part] -= np.cross(J_B[:, 3:, None, :], V[:, part, :, None], axis=1)
-    return _turned(R, V), _turned(R, dV)
+    return _in_axes(R, V), _in_axes(R, dV)
 
 
-def _turned(R: Float[np.ndarray, "n 3 3"], V: np.ndarray) -> np.ndarray:
+def _in_axes(R: Float[np.ndarray, "n 3 3"], V: np.ndarray) -> np.ndarray:
     """Return linear and rotation rows along the axes of B."""
     return np.concatenate([np.einsum("nji,nj...->ni...", R, part) for part in (V[:, :3], V[:, 3:])], axis=1)

@@ -1,4 +1,4 @@
-"""Rows about an axis or a centre, the Phi(q) of doors, handles, tethers and screws; across a curve, that of a rail."""
+"""Feature rows about an axis or a centre, for doors, handles, tethers and screws, and across a curve, for a rail."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from manip_learn.constraint.mechanism import (
     CLEAR_SHARE,
     CURVE,
     KIND_BY_NAME,
+    Match,
     Mechanism,
     MechanismKind,
-    Read,
     hinge_or_screw,
     kind_of_rows,
     mechanism_of,
-    of_point_rows,
-    of_surface,
-    of_twists,
+    read_point_rows,
+    read_surface_rows,
+    read_twists,
 )
 from manip_learn.constraint.place import (
-    AT_A_DISTANCE,
     AXES,
     AXIS_UNITS,
     CURVE_ROWS,
+    DISTANCE_ROWS,
+    ROTATION_ROWS,
     ROW_UNITS,
-    TURNING,
     Curve,
     CurveWeights,
     Place,
@@ -45,7 +45,7 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import skew
 
 PlaceForm = Literal["point", "point and rotation", "twist", "surface"]
-# form -> names of its rows; products of a distance along the first axis and a velocity along the second
+# form -> names of its rows; "xy" is the product of the distance along x and the velocity along y
 FORMS: dict[str, tuple[str, ...]] = {
     "point": (*AXES[:3], "distance"),
     "point and rotation": (*AXES[:3], "distance", *AXES[3:]),
@@ -57,12 +57,13 @@ FORMS: dict[str, tuple[str, ...]] = {
 class WeighedVelocity(FeatureMap):
     """Phi(q) = W(p(q)) J(q), with J the twist of a frame along the axes of the robot's base and p its origin.
 
-    Seen from another frame, J and p are those of `RelativeFrameJacobian`, along the axes of that frame.
+    Relative to another frame, J and p are the rows and the position of `RelativeFrameJacobian`, along the axes of that
+    frame.
 
     Attributes:
         robot: The robot.
         frame: The frame.
-        relative_to: The frame from which it is seen; None for the robot's base.
+        relative_to: The reference frame; None for the robot's base.
         place_weights: W.
     """
 
@@ -70,16 +71,26 @@ class WeighedVelocity(FeatureMap):
 
     def __init__(self, robot: Robot, frame: str, relative_to: str | None = None):
         self.robot, self.frame, self.nv = robot, robot.frame(frame), robot.nv
-        seen: dict[str, Any] = {} if relative_to is None else {"relative_to": relative_to}
-        self.twist: PoseRows = (RelativeFrameJacobian if seen else FrameJacobian)(robot, frame, axes=AXES, **seen)
+        options: dict[str, Any] = {} if relative_to is None else {"relative_to": relative_to}
+        self.twist: PoseRows = (RelativeFrameJacobian if options else FrameJacobian)(robot, frame, axes=AXES, **options)
         self.relative_to, self._relative_to = self.twist.relative_to, relative_to
 
     def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
-        """Return the weights of the rows of `twist` in these rows, at n poses of the frame."""
+        """Return the weights of the rows of `twist` in these rows.
+
+        Args:
+            poses: Poses of the frame (n, 4, 4) in the base frame or in `relative_to` [m].
+
+        Returns:
+            shape (n, p, 6).
+        """
         return self.place_weights.values(poses[:, :3, 3])
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Phi(q) = W(p) J(q).
+        """Return Phi(q) = W(p) J(q).
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Raises:
             ConfigurationError: Wrong size or not finite.
@@ -87,12 +98,25 @@ class WeighedVelocity(FeatureMap):
         return self.place_weights.values(self.twist.placement(q)[0][None])[0] @ self.twist(q)
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J."""
+        """Return Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            Phi (p, nv) and dPhi/dq (p, nv, nv).
+        """
         W, dW = (x[0] for x in self.place_weights.at(self.twist.placement(q)[0][None]))
         return _product(W, dW, *self.twist.value_and_derivative(q))
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
-        """Phi at n postures, the rows of q, in bulk.
+        """Return Phi at n configurations, in bulk.
+
+        Args:
+            q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
+
+        Returns:
+            shape (n, p, nv).
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
@@ -100,21 +124,31 @@ class WeighedVelocity(FeatureMap):
         return self.weights_at(self.twist.poses(q)) @ self.twist.batch(q)
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
-        """Phi and dPhi/dq at n postures, in bulk; errors as for `batch`."""
+        """Return Phi and dPhi/dq at n configurations, in bulk.
+
+        Args:
+            q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
+
+        Returns:
+            Phi (n, p, nv) and dPhi/dq (n, p, nv, nv).
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        """
         W, dW = self.place_weights.at(self.twist.poses(q)[:, :3, 3])
         return _product(W, dW, *self.twist.batch_with_derivative(q))
 
 
 def _product(W: np.ndarray, dW: np.ndarray, J: np.ndarray, H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return W J and W dJ/dq + (dW/dp J_v) J, of one posture or of many."""
+    """Return W J and W dJ/dq + (dW/dp J_v) J, for one configuration or many."""
     *many, nv, _ = H.shape
-    turned = (W @ H.reshape(*many, nv * nv)).reshape(*W.shape[:-1], nv, nv)
-    return W @ J, turned + J.swapaxes(-1, -2)[..., None, :, :] @ (dW @ J[..., None, :3, :])
+    dJ = (W @ H.reshape(*many, nv * nv)).reshape(*W.shape[:-1], nv, nv)
+    return W @ J, dJ + J.swapaxes(-1, -2)[..., None, :, :] @ (dW @ J[..., None, :3, :])
 
 
 @final
 class MechanismRows(WeighedVelocity):
-    """Velocity of a frame seen from an axis through a point: rows whose direction depends on the place.
+    """Velocity of a frame relative to an axis through a point: rows whose direction depends on the position.
 
     Phi(q) = W(p(q)) J(q), with J the frame's Jacobian along the axes of the robot's base and p its origin. With the
     axis a, the point c, and rho the distance of p from the axis:
@@ -127,13 +161,13 @@ class MechanismRows(WeighedVelocity):
     - `slide` a.v_c and `slide-1`, `slide-2`: velocity of the point of the hand that is at c [m/s];
     - `screw` a.v_c - pitch a.w: zero for a hand that is fixed to a screw [m/s].
 
-    A hand fixed to a hinge makes `turn-1 turn-2 slide-1 slide-2 slide` zero; one that may turn about a door's handle
+    A hand fixed to a hinge makes `turn-1 turn-2 slide-1 slide-2 slide` zero; a hand that may turn about a door's handle
     makes `radial axial` zero.
 
     With the `radius` of the mechanism all rows are affine in p, and so a constant Lambda in the rows of `PlaceRows`:
-    `radial` is then (x / radius).v, and `tangential`, `helical` and `spherical` likewise. On the mechanism they are
-    the same numbers; at another distance `radial`, `tangential` and `spherical` grow with it, and `helical` is that of
-    the helix at the radius. Without a radius rho is the hand's own distance and the rows have unit length everywhere;
+    `radial` is then (x / radius).v, and `tangential`, `helical` and `spherical` likewise. On the mechanism the values
+    are the same; at another distance `radial`, `tangential` and `spherical` grow with it, and `helical` belongs to the
+    helix at the radius. Without a radius, rho is the hand's own distance and the rows have unit length everywhere;
     within 1e-5 m of the axis (or the centre) they fade to zero. On the axis the manipulability is zero in either case,
     and its gradient finite.
 
@@ -141,15 +175,15 @@ class MechanismRows(WeighedVelocity):
         robot: The robot.
         frame: Name of the frame, e.g. the tool's tip.
         rows: Names of the rows, each at most once; a string with spaces or a sequence.
-        axis: Direction of the axis in the base frame; made unit length.
+        axis: Direction of the axis in the base frame; normalised to unit length.
         point: A point on the axis, or the centre, in the base frame [m].
-        pitch: Travel along the axis a radian of turning [m/rad], right-handed screws positive.
+        pitch: Travel along the axis per radian of rotation [m/rad], right-handed screws positive.
         radius: Distance of the hand from the axis or the centre on the mechanism [m]; None for any distance.
-        relative_to: Frame from which the hand is seen, and in which axis and point are given; None for the base.
+        relative_to: Reference frame of the hand, of axis and of point; None for the base.
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown rows, or an axis, a point, a pitch or a radius that is no such thing.
+        FeatureError: Unknown rows, or an invalid axis, point, pitch or radius.
     """
 
     kind = "mechanism-rows"
@@ -174,10 +208,10 @@ class MechanismRows(WeighedVelocity):
         self.row_names = parse_axes(rows, ROW_UNITS, "row")
         self.row_units = tuple(ROW_UNITS[n] for n in self.row_names)
         if (direction := finite(axis, 3)) is None or (place := finite(point, 3)) is None:
-            what, given = ("axis", axis) if direction is None else ("point", point)
-            raise FeatureError(f"the {what} must be three finite numbers, got {given!r}")
+            what, value = ("axis", axis) if direction is None else ("point", point)
+            raise FeatureError(f"the {what} must be three finite numbers, got {value!r}")
         if not np.linalg.norm(direction) > 0.0:
-            raise FeatureError("the axis has no direction: its three numbers are zero")
+            raise FeatureError("the axis must not be zero")
         if not np.isfinite(pitch):
             raise FeatureError(f"the pitch must be a finite number [m/rad], not {pitch!r}")
         if radius is not None and not 0.0 < radius < np.inf:
@@ -188,63 +222,112 @@ class MechanismRows(WeighedVelocity):
         self.place_weights = mechanism_weights(self.row_names, self.geometry, self.radius)
 
     def with_rows(self, rows: Sequence[str], radius: float | None = None) -> MechanismRows:
-        """Return other rows of the same mechanism, at the radius or, if that is None, at any distance."""
+        """Return other rows of the same mechanism.
+
+        Args:
+            rows: Names of the rows.
+            radius: Distance of the hand from the axis or the centre [m]; None for any distance.
+
+        Returns:
+            The rows, with the same frame, axis, point and pitch.
+        """
         return self.changed(rows=rows, radius=radius)
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
-        """Return the same rows of a mechanism that stands elsewhere, unless that is in another frame."""
+        """Return the same rows of the moved mechanism; rows relative to another frame do not change.
+
+        Args:
+            transform: Rigid motion (4, 4) in the base frame [m].
+            selection: Lambda (s, p).
+
+        Returns:
+            Phi, and Lambda unchanged.
+        """
         if self.relative_to is not None:
             return self, selection
         R, g = transform[:3, :3], self.geometry
         return self.changed(axis=R @ g.axis, point=R @ g.point + transform[:3, 3]), selection
 
     def _with_turns(self) -> MechanismRows:
-        return self.with_rows(tuple(dict.fromkeys((*self.row_names, *TURNING))), self.radius)
+        """Return these rows and all angular velocities."""
+        return self.with_rows(tuple(dict.fromkeys((*self.row_names, *ROTATION_ROWS))), self.radius)
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
-        """Return the mechanism whose rows are held, each as it is or not at all (see `FeatureMap`)."""
+        """Return the mechanism that constrains whole rows of these.
+
+        Args:
+            selection: Lambda (s, p) with orthonormal rows.
+            learnt: Not used.
+
+        Returns:
+            The mechanism; None if Lambda mixes rows, or if no kind constrains these.
+        """
         shares = np.einsum("sp,sp->p", selection, selection)
-        held = {name for name, share in zip(self.row_names, shares, strict=True) if share > 0.5}
-        kind = kind_of_rows(held)
+        zero_rows = {name for name, share in zip(self.row_names, shares, strict=True) if share > 0.5}
+        kind = kind_of_rows(zero_rows)
         if kind is None or np.any(np.abs(shares - np.round(shares)) > CLEAR_SHARE):
             return None
         return mechanism_of(kind, self.geometry, self.radius, **self.twist.seen_from)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Distance from the axis (`radial`) or the centre (`spherical`), place along the axis (`axial`) [m].
+        """Return the distance from the axis (`radial`) or the centre (`spherical`), and the position along the axis
+        (`axial`) [m].
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p,) [m].
 
         Raises:
-            FeatureError: Other rows are the rate of nothing.
+            FeatureError: The features have other rows, which are not the rate of a coordinate.
         """
         d = self.twist.placement(q)[0] - self.geometry.point
         z = float(d @ self.geometry.axis)
-        known = {"radial": np.linalg.norm(d - z * self.geometry.axis), "axial": z, "spherical": np.linalg.norm(d)}
-        if not set(self.row_names) <= set(known):
+        distances = {"radial": np.linalg.norm(d - z * self.geometry.axis), "axial": z, "spherical": np.linalg.norm(d)}
+        if not set(self.row_names) <= set(distances):
             return super().coordinates(q)
-        return np.array([known[n] for n in self.row_names])
+        return np.array([distances[n] for n in self.row_names])
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Rates of the distances: rows of unit length, where those of Phi are of the radius (see `FeatureMap`)."""
-        if self.radius is None or not set(self.row_names) & set(AT_A_DISTANCE):
+        """Return the rates of the distances, which are rows of unit length.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p, nv); None if it is Phi(q): without a radius, or without rows that depend on the distance.
+        """
+        if self.radius is None or not set(self.row_names) & set(DISTANCE_ROWS):
             return None
         return self._at_any_distance(q)
 
     @cached_property
     def _at_any_distance(self) -> MechanismRows:
+        """The same rows without a radius."""
         return self.with_rows(self.row_names)
 
 
 def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: PoseRows) -> Selected:
-    """Return Phi and Lambda of a mechanism: constant rows of a twist, where these do not do rows about an axis.
+    """Return Phi and Lambda of a mechanism: constant rows of a twist if they suffice, else rows about an axis.
 
-    Of a helix no radius is said: its row is that of one radius only, and grips differ.
+    The rows of a helix get no radius: its row would hold at this radius only, and grips differ.
+
+    Args:
+        kind: Kind of the mechanism.
+        place: Its axis, point and pitch in the base frame or in the reference frame of `twist`.
+        radius: Distance of the hand from the axis or the centre [m]; None if it does not apply.
+        twist: All six rows of the hand.
+
+    Returns:
+        Phi and Lambda.
     """
     if kind.kind not in ("line", "plane", "space"):
-        at = radius if set(kind.rows) & set(AT_A_DISTANCE) and kind.type != "screw" else None
-        where = {"axis": place.axis, "point": place.point, "pitch": place.pitch, "radius": at}
-        rows = MechanismRows(twist.robot, twist.frame.name, kind.rows, **where, **twist.seen_from)
+        row_radius = radius if set(kind.rows) & set(DISTANCE_ROWS) and kind.type != "screw" else None
+        geometry = {"axis": place.axis, "point": place.point, "pitch": place.pitch, "radius": row_radius}
+        rows = MechanismRows(twist.robot, twist.frame.name, kind.rows, **geometry, **twist.seen_from)
         return rows, np.eye(len(kind.rows))
-    # the point of the hand that is held is its own origin, wherever that is
+    # the constrained point of the hand is its origin, at any position
     rows = mechanism_weights(kind.rows, Place(place.axis, np.zeros(3)), None).values(np.zeros((1, 3)))[0]
     used = [part for part in (slice(0, 3), slice(3, 6)) if np.any(rows[:, part])]
     axes = [name for part in used for name in AXES[part]]
@@ -253,31 +336,31 @@ def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: Pose
 
 @final
 class PlaceRows(WeighedVelocity):
-    """Velocity of a frame in rows in which a mechanism is a constant Lambda, whatever the posture.
+    """Velocity of a frame in rows for which a mechanism is a constant Lambda at every configuration.
 
     With (v, w) the velocity of the frame, p its origin and m a fixed point in the middle of the motion:
 
     - `"point"`: v and the rate (p - m).v of half the squared distance from m. A hand that may turn keeps its distance
-      from a point c by the row [-(c - m)^T, 1]; a plane is [n^T, 0], a hinge is a row of either kind.
+      from a point c by the row [-(c - m)^T, 1]; a plane is [n^T, 0], and a hinge has one row of each kind.
     - `"point and rotation"`: the same, and w.
-    - `"twist"`: the velocity v + (p - m) x w of the point of the hand that is at m, and w. What a lower pair (a
-      subgroup of SE(3)) leaves free to a hand that is fixed to it is a constant space of such twists.
+    - `"twist"`: the velocity v + (p - m) x w of the point of the hand that is at m, and w. A lower pair (a subgroup of
+      SE(3)) leaves a constant space of such twists free to a hand that is fixed to it.
 
-    - `"surface"`: v and the nine products (p - m)_i v_j. The normal of a surface of second order is linear in p: a
-      cylinder's side, and the two rows of a helix.
+    - `"surface"`: v and the nine products (p - m)_i v_j. The normal of a surface of second order is linear in p: the
+      side of a cylinder, and the two rows of a helix.
 
-    m only conditions the numbers: another one is another basis of the same rows.
+    m only improves the conditioning: another one gives another basis of the same rows.
 
     Args:
         robot: The robot.
         frame: Name of the frame, e.g. the tool's tip.
-        form: Which rows.
+        form: Set of rows.
         middle: m in the base frame [m].
-        relative_to: Frame from which the hand is seen, and in which the middle is given; None for the base.
+        relative_to: Reference frame of the hand and of the middle; None for the base.
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
-        FeatureError: Another form, or a middle that is no place.
+        FeatureError: Another form, or a middle that is not three finite numbers.
     """
 
     kind = "place-rows"
@@ -305,45 +388,70 @@ class PlaceRows(WeighedVelocity):
             by_place[3, :3] = np.eye(3)
         self.place_weights = PlaceWeights(constant - by_place @ m, by_place)
 
-    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Read | None:
-        """Return the kind of the mechanism that leaves these rows zero, and where it is (see `FeatureMap`)."""
+    def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Match | None:
+        """Return kind and place of the mechanism that makes these rows zero.
+
+        Args:
+            selection: Lambda (s, p) with orthonormal rows.
+            immovable: Orthonormal rows (m, p) that this arm cannot move.
+            places: Positions of the hand (n, 3) [m]; used for `"surface"`.
+
+        Returns:
+            Kind and place; None if the rows are no known mechanism.
+        """
         if self.form == "twist":
-            return of_twists(null_basis(np.concatenate([selection, immovable])).T, self.middle)
+            return read_twists(null_basis(np.concatenate([selection, immovable])).T, self.middle)
         if self.form == "surface":
-            return of_surface(selection, self.middle, places)
-        return of_point_rows(selection, immovable, self.middle)
+            return read_surface_rows(selection, self.middle, places)
+        return read_point_rows(selection, immovable, self.middle)
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
-        """Return the mechanism of these rows; its radius, or a helix, only with the postures in which it was shown."""
+        """Return the mechanism of these rows; its radius, or a helix, needs the recorded postures.
+
+        Args:
+            selection: Lambda (s, p) with orthonormal rows.
+            learnt: Provenance of Lambda, with its error and the recorded postures; empty if it was not learnt.
+
+        Returns:
+            The mechanism; None if the rows are no known mechanism.
+        """
         postures = learnt.get("postures") or []
-        shown = np.array([self.twist.placement(q)[0] for q in postures] or [self.middle])
-        read = self.kind_of(selection, np.zeros((0, self.n_rows)), shown)
-        if read is None or (read[0].name == "screw" and not postures):
+        positions = np.array([self.twist.placement(q)[0] for q in postures] or [self.middle])
+        match = self.kind_of(selection, np.zeros((0, self.n_rows)), positions)
+        if match is None or (match[0].name == "screw" and not postures):
             return None
-        (kind, place), radius = hinge_or_screw(read, shown[0], learnt), None
-        if postures and set(kind.rows) & set(AT_A_DISTANCE):
-            out = shown - place.point
+        (kind, place), radius = hinge_or_screw(match, positions[0], learnt), None
+        if postures and set(kind.rows) & set(DISTANCE_ROWS):
+            out = positions - place.point
             out -= 0.0 if kind.type == "ball" else np.outer(out @ place.axis, place.axis)
             radius = float(np.linalg.norm(out, axis=1).mean())
         return mechanism_of(kind, place, radius, **self.twist.seen_from)
 
     def named(self, selection: Selection, mechanism: Mechanism | None) -> Selected:
-        """Return Phi and Lambda of rows with the names of the mechanism's, if it has a name."""
+        """Return Phi and Lambda with rows named after the mechanism.
+
+        Args:
+            selection: Lambda (s, p) with orthonormal rows.
+            mechanism: The mechanism of these rows; None if there is none.
+
+        Returns:
+            Phi and Lambda; unchanged if the mechanism has no known name.
+        """
         if mechanism is None or mechanism.name not in KIND_BY_NAME:
             return self, selection
         return rows_of(KIND_BY_NAME[mechanism.name], mechanism.located(), mechanism.radius, self.twist)
 
     def describe(self) -> dict[str, Any]:
-        """Return frame, form and middle, and the names of the rows."""
+        """Return frame, form and middle, and the names of the rows, for a constraint file."""
         return super().describe() | {"rows": list(self.row_names)}
 
 
 @final
 class CurveRows(WeighedVelocity):
-    """Velocity of a frame across a curve, and along it: rows that follow the place of the hand.
+    """Velocity of a frame across a curve and along it: rows whose direction depends on the position.
 
-    With p the origin of the frame, c(s) the place of the curve next to it, t the tangent there and n_1, n_2 two unit
-    vectors across that do not turn about the curve:
+    With p the origin of the frame, c(s) the nearest point of the curve, t the tangent there and n_1, n_2 two unit
+    vectors across that do not rotate about the curve:
 
     - `across-1`, `across-2`: n_i.v, the rate of n_i.(p - c) [m/s];
     - `along`: the rate of the length s, t.v / (1 - c''.(p - c)) [m/s];
@@ -354,13 +462,13 @@ class CurveRows(WeighedVelocity):
     Args:
         robot: The robot.
         frame: Name of the frame, e.g. the tool's tip.
-        points: Of the curve, in order, in the base frame, shape (k, 3) [m].
+        points: Points of the curve in order, in the base frame, shape (k, 3) [m].
         rows: Names of the rows, each at most once.
-        relative_to: Frame from which the hand is seen, and in which the points are given; None for the base.
+        relative_to: Reference frame of the hand and of the points; None for the base.
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown rows, or points that make no curve.
+        FeatureError: Unknown rows, or points that do not define a curve.
     """
 
     kind = "curve-rows"
@@ -381,24 +489,43 @@ class CurveRows(WeighedVelocity):
         self.place_weights = CurveWeights(self.curve, self.row_names)
 
     def with_rows(self, rows: Sequence[str]) -> CurveRows:
-        """Other rows of the same curve."""
+        """Return other rows of the same curve.
+
+        Args:
+            rows: Names of the rows, from `CURVE_ROWS`.
+        """
         return self.changed(points=self.curve, rows=rows)
 
     def _with_turns(self) -> CurveRows:
+        """Return these rows and all angular velocities."""
         return self.with_rows((*(name for name in self.row_names if name not in AXES), *AXES[3:]))
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
-        """Return the curve, if all that holds the hand is across it (see `FeatureMap`)."""
+        """Return the curve as a mechanism if the constraint is across it.
+
+        Args:
+            selection: Lambda (s, p) with orthonormal rows.
+            learnt: Not used.
+
+        Returns:
+            The mechanism; None unless Lambda constrains exactly the two directions across the curve.
+        """
         others = [not name.startswith("across") for name in self.row_names]
         if len(selection) != 2 or np.any(np.abs(selection[:, others]) > CLEAR_SHARE):
             return None
         return Mechanism("other", name=CURVE, curve=self.curve, relative_to=self._relative_to)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Distances from the curve along n_1 and n_2, and the length along it [m].
+        """Return distances from the curve along n_1 and n_2, and the length along it.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p,) [m].
 
         Raises:
-            FeatureError: Rows of the angular velocity, which is the rate of nothing.
+            FeatureError: Rows of the angular velocity, which is not the rate of a coordinate.
         """
         if set(self.row_names) & set(AXES):
             return super().coordinates(q)
@@ -408,6 +535,14 @@ class CurveRows(WeighedVelocity):
         return np.append(across, s)[[CURVE_ROWS.index(name) for name in self.row_names]]
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
-        """Return the same rows of a curve that stands elsewhere, unless that is in another frame (see `FeatureMap`)."""
+        """Return the same rows of the moved curve; rows relative to another frame do not change.
+
+        Args:
+            transform: Rigid motion (4, 4) in the base frame [m].
+            selection: Lambda (s, p).
+
+        Returns:
+            Phi, and Lambda unchanged.
+        """
         is_fixed = self.relative_to is not None
         return self if is_fixed else self.changed(points=self.curve.moved(transform)), selection

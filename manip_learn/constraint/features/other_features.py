@@ -1,4 +1,4 @@
-"""Features that are no rows of one frame: the centre of mass, the user's own functions, several maps stacked."""
+"""Features that are not rows of one frame: centre of mass, user functions, and several stacked maps."""
 
 from __future__ import annotations
 
@@ -34,38 +34,59 @@ class CentreOfMass(FeatureMap):
     def __init__(self, robot: Robot, axes: str | Sequence[str] = "xyz"):
         self.robot, self.nv, self.row_names = robot, robot.nv, parse_axes(axes)
         if any(n not in "xyz" for n in self.row_names):
-            raise FeatureError(f"the centre of mass has the axes x y z only, not {axes!r}")
+            raise FeatureError(f"the axes of the centre of mass must be x, y or z, got {axes!r}")
         if robot.mass <= 0.0:
             raise FeatureError(f"robot {robot.name!r} has no mass: its URDF gives no inertias")
         self.row_units = ("m/s",) * len(self.row_names)
         self._rows = ["xyz".index(n) for n in self.row_names]
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Return Phi(q), rows of the centre of mass's Jacobian [m/s a joint velocity]."""
+        """Return Phi(q), rows of the centre-of-mass Jacobian.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p, nv) [m/s per unit joint velocity].
+        """
         return self.value_and_derivative(q)[0]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Return Phi(q) and dPhi/dq in one pass."""
+        """Return Phi(q) and dPhi/dq in one pass.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            Phi (p, nv) and dPhi/dq (p, nv, nv).
+        """
         J, H = self.robot.centre_of_mass_jacobian_and_derivative(q)
         return J[self._rows], H[self._rows]
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return the centre of mass in the base frame [m], the chosen rows."""
+        """Return the selected coordinates of the centre of mass.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p,), base frame [m].
+        """
         return self.robot.centre_of_mass(q)[self._rows]
 
 
 @final
 class CustomFeatures(FeatureMap):
-    """Phi(q) from a function, e.g. polynomials of the state of a system that is no robot arm.
+    """Phi(q) from a function, e.g. polynomials of the state of a system that is not a robot arm.
 
     Args:
         function: q -> Phi, shape (p, nv).
-        row_names: One name a row.
-        nv: Number of velocities; taken from the robot if one is given.
-        derivative: q -> dPhi/dq, shape (p, nv, nv). Without it central differences are used (error about 1e-10).
+        row_names: One name per row.
+        nv: Number of velocities; None for the number of the robot.
+        derivative: q -> dPhi/dq, shape (p, nv, nv). Without it, central differences are used (error about 1e-10).
         coordinates: q -> r, shape (p,), with dr/dt = Phi u; only needed for attractor tasks.
-        row_units: One unit a row.
-        robot: The robot that q belongs to; without one q is a plain vector of size nv.
+        row_units: One unit per row; default: `"1"` for all.
+        robot: The robot of q; without a robot, q is a plain vector of size nv.
 
     Raises:
         FeatureError: No size, or a function that returns the wrong shape or values that are not finite.
@@ -96,6 +117,12 @@ class CustomFeatures(FeatureMap):
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
         """Return Phi(q), checked for shape and NaN.
 
+        Args:
+            q: State (nv,), or a configuration of the robot.
+
+        Returns:
+            shape (p, nv).
+
         Raises:
             FeatureError: Wrong shape or not finite.
         """
@@ -104,27 +131,44 @@ class CustomFeatures(FeatureMap):
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
         """Return dPhi/dq along tangent coordinates.
 
+        Args:
+            q: State (nv,), or a configuration of the robot.
+
+        Returns:
+            shape (p, nv, nv), by central differences if no derivative was passed.
+
         Raises:
             FeatureError: Wrong shape or not finite.
         """
         state = self._state(q)
         if self._derivative is not None:
             return self._checked(self._derivative(state), (self.n_rows, self.nv, self.nv), "dPhi/dq")
-        h = 1e-5  # of central differences: truncation h^2 meets rounding eps / h
+        h = 1e-5  # step of the central differences: balances truncation h^2 against rounding eps / h
         rises = [self(self._moved(state, step)) - self(self._moved(state, -step)) for step in h * np.eye(self.nv)]
         return np.stack(rises, axis=-1) / (2 * h)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return task coordinates r(q), if they were given.
+        """Return task coordinates r(q) from the function passed for them.
+
+        Args:
+            q: State (nv,), or a configuration of the robot.
+
+        Returns:
+            shape (p,).
 
         Raises:
-            FeatureError: They were not, or have the wrong shape.
+            FeatureError: No such function was passed, or it returned the wrong shape.
         """
         if self._coordinates is None:
             return super().coordinates(q)
         return self._checked(self._coordinates(self._state(q)), (self.n_rows,), "coordinates")
 
     def _checked(self, value: ArrayLike, shape: tuple[int, ...], what: str) -> np.ndarray:
+        """Return a function's value as an array of a shape.
+
+        Raises:
+            FeatureError: Wrong shape or not finite.
+        """
         array = np.asarray(value, dtype=np.float64)
         if array.shape != shape:
             raise FeatureError(f"{what} of {self!r} must have shape {shape}, the function returned {array.shape}")
@@ -162,32 +206,76 @@ class Stacked(FeatureMap):
         self.row_units = tuple(u for part in self.parts for u in part.row_units)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Return Phi(q), the parts' rows in order."""
+        """Return Phi(q), the parts' rows in order.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p, nv), p summed over the parts.
+        """
         return np.concatenate([part(q) for part in self.parts])
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """Return dPhi/dq, the parts' derivatives in order."""
+        """Return dPhi/dq, the parts' derivatives in order.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p, nv, nv).
+        """
         return np.concatenate([part.derivative(q) for part in self.parts])
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
-        """Return Phi at many configurations, each part in its own fast way."""
+        """Return Phi at n configurations, each part by its own fast method.
+
+        Args:
+            q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
+
+        Returns:
+            shape (n, p, nv).
+        """
         return np.concatenate([part.batch(q) for part in self.parts], axis=1)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return task coordinates of all parts."""
+        """Return task coordinates of all parts.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p,), in the parts' units.
+        """
         return np.concatenate([part.coordinates(q) for part in self.parts])
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Return rates of the coordinates, part by part."""
+        """Return rates of the coordinates, part by part.
+
+        Args:
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            shape (p, nv); None if it is Phi(q) for all parts.
+        """
         return self._stack([part.coordinates_jacobian(q) for part in self.parts], q)
 
     def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
-        """Return the displacement to a target and E, part by part (see the parts)."""
+        """Return the displacement to a target and E, part by part; errors as from the parts.
+
+        Args:
+            target: p coordinates in the order of the rows.
+            q: Joint configuration (nq,) or positions (nv,) [rad or m].
+
+        Returns:
+            e (p,), and E (p, nv) or None if it is Phi(q) for all parts.
+        """
         goals = np.split(self._goal(target), np.cumsum([part.n_rows for part in self.parts])[:-1])
-        both = [part.error_and_jacobian(own, q) for part, own in zip(self.parts, goals, strict=True)]
+        both = [part.error_and_jacobian(goal, q) for part, goal in zip(self.parts, goals, strict=True)]
         return np.concatenate([e for e, _ in both]), self._stack([E for _, E in both], q)
 
     def _stack(self, blocks: list[Float[np.ndarray, "k nv"] | None], q: ArrayLike) -> np.ndarray | None:
+        """Return the parts' blocks in order, with Phi(q) for None; None if all are None."""
         if all(block is None for block in blocks):
             return None
         return np.concatenate([p(q) if b is None else b for p, b in zip(self.parts, blocks, strict=True)])
@@ -201,20 +289,23 @@ class Stacked(FeatureMap):
 
 
 def described_features(described: Mapping[str, Any], robot: Robot) -> FeatureMap:
-    """Return the feature map that `describe` wrote down, for the robot that it belongs to.
+    """Build the feature map of a constraint file, for the robot of that constraint.
 
     Args:
-        described: What `describe` returned.
+        described: The output of `describe`.
         robot: The robot.
 
+    Returns:
+        The feature map.
+
     Raises:
-        FeatureError: A kind that this version does not know, or settings that this robot does not have.
+        FeatureError: A kind that this version does not know, or settings that do not fit this robot.
     """
     kind = described["kind"]
     if kind == Stacked.kind:
         return Stacked([described_features(part, robot) for part in described["parts"]])
-    made = (FrameJacobian, RelativeFrameJacobian, CentreOfMass, MechanismRows, CurveRows, PlaceRows)
-    make: Any = next((features for features in made if features.kind == kind), None)
+    classes = (FrameJacobian, RelativeFrameJacobian, CentreOfMass, MechanismRows, CurveRows, PlaceRows)
+    make: Any = next((features for features in classes if features.kind == kind), None)
     if make is None:
         raise FeatureError(f"unknown kind of features {kind!r}: this file comes from a newer version")
     optional = {name for name in ("relative_to", "radius") if described.get(name) is None}
