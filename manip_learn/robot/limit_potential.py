@@ -27,6 +27,6 @@ def ranges(robot: Robot) -> Float[np.ndarray, " nv"]:
     return robot.position_upper - robot.position_lower
 
 
-def room_of(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def joint_range_margin(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """1 - x^2, and 0 outside the limits."""
     return np.clip((1.0 - x) * (1.0 + x), 0.0, None)
