@@ -20,7 +20,7 @@ from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_from,
 from manip_learn.control.command import Vector
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, an
 from manip_learn.linalg import unit
-from manip_learn.robot.limit_potential import has_range, ranges, joint_range_margin
+from manip_learn.robot.limit_potential import has_range, joint_range_margin, ranges
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_vector
 
