@@ -85,12 +85,12 @@ def load_robot(
         path = path if path.is_file() else find_robot(name)
     for folder in folders:
         if not folder.is_dir():
-            raise RobotError(f"package folder {folder} does not exist; check the path", code="package-dir")
+            raise RobotError(f"package folder {folder}: there is no such folder; check the path", code="package-dir")
     if base not in ("fixed", *BASES):
         raise RobotError(f"base is {base!r}; it must be one of 'fixed', 'floating', 'planar'", code="base")
     root_joint = BASES[base]() if base in BASES else None
     if isinstance(xacro, Mapping) and path.suffix != ".xacro":
-        sentence = f"only .xacro files have arguments, and this is none: remove {', '.join(map(str, xacro))}"
+        sentence = f"this is not a .xacro file, so it has no arguments: remove {', '.join(map(str, xacro))}"
         raise RobotError(f"{path}: {sentence}", code="xacro-arg", path=path)
     find = partial(find_package, urdf=path, package_dirs=folders)
     content = expanded_xacro(path, xacro, folders, find) if path.suffix == ".xacro" else read_description(path)
