@@ -52,6 +52,9 @@ class RobotIdentity:
     def load(self) -> Robot:
         """Load the robot again, with the same joints locked and the same objects.
 
+        Returns:
+            The robot; changes of its file since then show in `differences`.
+
         Raises:
             ManipLearnError: Its file is missing, or no robot of its name is known on this machine.
         """

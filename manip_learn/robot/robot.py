@@ -222,10 +222,13 @@ class Robot:
         return out
 
     def checked_posture(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
-        """Check the size and the numbers of a posture and return it unchanged, configuration or joint positions.
+        """Check the size and the numbers of a posture.
 
         Args:
             q: Configuration (nq) or joint positions (nv) [rad or m].
+
+        Returns:
+            The same posture, as a float64 array.
 
         Raises:
             ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
@@ -236,10 +239,13 @@ class Robot:
         return self._checked(q, "a posture", 1, (self.nq, self.nv))
 
     def checked_postures(self, q: ArrayLike) -> Float[np.ndarray, "n width"]:
-        """Check a table of postures and return it unchanged; see `checked_posture`.
+        """Check a table of postures; see `checked_posture`.
 
         Args:
             q: Postures, one per row: configurations (nq) or joint positions (nv) [rad or m].
+
+        Returns:
+            The same table, as a float64 array.
 
         Raises:
             ConfigurationError: Not a table of nq or nv columns, NaN or infinity; names the first bad row and joint.
@@ -391,10 +397,13 @@ class Robot:
         return pin.difference(self.pinocchio_model, *both)[self._columns]
 
     def velocity(self, v: ArrayLike) -> Float[np.ndarray, " nv"]:
-        """Check a tangent velocity and return it.
+        """Check a tangent velocity.
 
         Args:
             v: Joint velocities (nv) [rad/s or m/s].
+
+        Returns:
+            The same velocity, as a float64 array.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
