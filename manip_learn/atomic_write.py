@@ -101,9 +101,7 @@ def check_folder(path: str | os.PathLike[str]) -> None:
     """
     folder = Path(path).expanduser().absolute().parent
     if not folder.is_dir():
-        raise OutputError(
-            f"make the folder first, mkdir -p '{folder}': {path} cannot be written, its folder does not exist"
-        )
+        raise OutputError(f"make the folder first, mkdir -p '{folder}': {path} cannot be written without it")
     if not os.access(folder, os.W_OK):
         raise OutputError(f"cannot write {path}: the folder {folder} is write-protected; choose another folder")
 

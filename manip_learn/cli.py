@@ -33,9 +33,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is not None:
         return _run(list(argv))
     signal.signal(signal.SIGINT, _interrupt)
-    while (
-        os.open(os.devnull, os.O_RDWR) < 2
-    ):  # reopen streams that the shell has closed, or the next file would get their numbers
+    # reopen streams that the shell has closed: otherwise the next file would get their numbers
+    while os.open(os.devnull, os.O_RDWR) < 2:
         continue
     sys.stdout, sys.stderr = sys.stdout or open(1, "w"), sys.stderr or open(2, "w")
     sys.unraisablehook = _unraisable

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 Style = Literal["page", "column"]
 HELD, FREE, GREY, SINGULAR = COLOURS["blue"], COLOURS["vermilion"], COLOURS["grey"], "#b00020"
 SIZES: dict[str, Any] = {"page": None, "column": (3.5, 2.3)}  # size of a new figure [in]; None: matplotlib's setting
-LETTERS = 8.0  # [pt] font size in a printed column
 
 
 def manipulability(
@@ -189,9 +188,9 @@ def _finish(ax: Axes, style: Style, ends: Mapping[str, tuple[float, str]] = Mapp
         if ends:
             ax.legend(frameon=False, fontsize="small")
         return ax
-    figure: Any = ax.figure
+    figure, size = cast(Any, ax.figure), 8.0  # [pt] font size in a printed column
     # height of a line of text in axes coordinates
-    room = 1.15 * LETTERS / (72.0 * ax.get_position().height * figure.get_figheight())
+    room = 1.15 * size / (72.0 * ax.get_position().height * figure.get_figheight())
     to_axes, lowest = ax.transData + ax.transAxes.inverted(), -1.0
     for name, (value, colour) in sorted(ends.items(), key=lambda end: end[1][0]):
         lowest = max(to_axes.transform((1.0, value))[1], lowest + room)
@@ -199,8 +198,8 @@ def _finish(ax: Axes, style: Style, ends: Mapping[str, tuple[float, str]] = Mapp
     for spine in ("top", "right"):
         ax.spines[spine].set_visible(False)
     for text in (ax.title, ax.xaxis.label, ax.yaxis.label, *ax.texts):
-        text.set_fontsize(LETTERS)
-    ax.tick_params(labelsize=LETTERS)
+        text.set_fontsize(size)
+    ax.tick_params(labelsize=size)
     return ax
 
 

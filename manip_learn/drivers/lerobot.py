@@ -167,13 +167,11 @@ class LeRobotDriver:
         self._held = self._held or {motor: positions[motor] for motor in self._others}
         return observation, positions
 
-    def _joint_values(
-        self, observation: Mapping[str, Any], kind: Literal["vel", "torque"]
-    ) -> Float[np.ndarray, " nv"] | None:
+    def _joint_values(self, seen: Mapping[str, Any], kind: Literal["vel", "torque"]) -> Float[np.ndarray, " nv"] | None:
         """Return velocities or torques of the joints; None if one is missing or its unit is unknown."""
         if kind == "vel" and any(scale.unit not in _RAD for scale in self._scales):
             return None
-        values = [_number(observation.get(f"{scale.motor}.{kind}")) for scale in self._scales]
+        values = [_number(seen.get(f"{scale.motor}.{kind}")) for scale in self._scales]
         factors = [scale.per_unit if kind == "vel" else math.copysign(1.0, scale.per_unit) for scale in self._scales]
         return np.multiply(factors, values) if all(map(math.isfinite, values)) else None
 
@@ -205,7 +203,7 @@ class LeRobotDriver:
                 self._held[motor] = 0.0 if word == "close" else 100.0
 
     def _send(self, goals: Mapping[str, float]) -> None:
-        """Send motor positions, and note by how much LeRobot reduces them."""
+        """Send motor positions, and note the reductions by LeRobot."""
         sent = self._arm.send_action(self._still | {f"{motor}.pos": value for motor, value in goals.items()})
         actual = sent if isinstance(sent, Mapping) else {}
         off = max((abs(_number(actual.get(f"{motor}.pos", value)) - value), motor) for motor, value in goals.items())

@@ -13,7 +13,6 @@ from html import escape as escape_markup
 from manip_learn.errors import printable
 
 WIDTH = 320  # [px] of a picture
-_CELL = "text-align:left;padding:1px 12px 1px 0;border:0;background:none"
 
 
 def escape(text: str) -> str:
@@ -65,14 +64,15 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]], most: int = 1
     """
     if not rows:
         return ""
-    head = "".join(f'<th scope="col" style="{_CELL};opacity:.75">{escape(name)}</th>' for name in header)
+    cell = "text-align:left;padding:1px 12px 1px 0;border:0;background:none"
+    head = "".join(f'<th scope="col" style="{cell};opacity:.75">{escape(name)}</th>' for name in header)
     body = ""
     for row in rows[:most]:
         texts = (
             f"{value:.4g}" if isinstance(value, float) else f"{value:,}" if type(value) is int else str(value)
             for value in row
         )
-        body += "<tr>" + "".join(f'<td style="{_CELL}">{escape(text)}</td>' for text in texts) + "</tr>"
+        body += "<tr>" + "".join(f'<td style="{cell}">{escape(text)}</td>' for text in texts) + "</tr>"
     omitted = len(rows) - most
     more = f"<p style='margin:0;opacity:.75'>and {omitted} more</p>" if omitted > 0 else ""
     thead = f"<thead><tr>{head}</tr></thead>" if any(header) else ""

@@ -163,10 +163,7 @@ def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossChe
         RobotError: The robot did not come from a URDF, or yourdfpy cannot read it; code `cross-check`.
     """
     if robot.description is None:
-        raise RobotError(
-            f"robot {robot.name!r} did not come from a URDF: there is no second reader to compare with",
-            code="cross-check",
-        )
+        raise RobotError(f"robot {robot.name!r} did not come from a URDF: nothing to compare with", code="cross-check")
     import yourdfpy
     from lxml import etree
 

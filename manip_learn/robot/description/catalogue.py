@@ -55,9 +55,9 @@ def find_robot(name: str) -> Path:
     def letters(text: str) -> str:
         return re.sub(r"[\W_]", "", text.lower())
 
-    choices, fetched = robot_names(), fetched_names()
-    if name not in choices:
-        name = next((other for other in choices if letters(other) == letters(name)), name)
+    names, fetched = robot_names(), fetched_names()
+    if name not in names:
+        name = next((other for other in names if letters(other) == letters(name)), name)
     if name in SHIPPED:
         return shipped_folder() / f"{name}.urdf"
     catalogue = example_robots()
@@ -72,11 +72,9 @@ def find_robot(name: str) -> Path:
         raise MissingExtraError(f"the robot {name!r}", "descriptions")
     # one more letter, or another number, is a different arm and not a typing error: ur and 5e in ur5e
     series, numbers = re.compile(r"^[^a-z]*([a-z]+)").findall, re.compile(r"\d+[a-z]?").findall
-    near = closest_names(name, choices) if numbers(name) else []
+    near = closest_names(name, names) if numbers(name) else []
     others = [n for n in near if numbers(n) != numbers(name) and series(n) == series(name.lower())]
-    raise UnknownNameError(
-        "robot", name, choices, "the list of robots (or give the path of a .urdf file)", others=others
-    )
+    raise UnknownNameError("robot", name, names, "the list of robots (or give the path of a .urdf file)", others=others)
 
 
 def robot_names() -> tuple[str, ...]:

@@ -207,9 +207,7 @@ class _Reader:
             ends = None
         elif ends is not None and limited != "true" and ends[0] >= ends[1]:
             if any(ends):  # 0 0 cancels the range of a class
-                node.warn(
-                    f"its range {ends[0]:g} ... {ends[1]:g} is ignored, as in MuJoCo; swap the two if it is a limit"
-                )
+                node.warn(f"its range {ends[0]:g} ... {ends[1]:g} is ignored, as in MuJoCo; swap the two for a limit")
             ends = None
         lower, upper = (-math.inf, math.inf) if ends is None else (ends[0] * scale, ends[1] * scale)
         limit, pose = urdf.UrdfLimit(lower, upper, math.inf), as_pose(T @ to_anchor @ zero)
@@ -221,9 +219,7 @@ class _Reader:
         Planes, fields and unreadable shapes are left out. In a scene, only the shapes that can be touched count.
         """
         touched = [g for g in geoms if any(g.attributes.get(c) != "0" for c in ("contype", "conaffinity"))]
-        drawn = [
-            g for g in geoms if g.attributes.get("group", "0") not in ("3", "4", "5")
-        ]  # the groups of collision shapes
+        drawn = [g for g in geoms if g.attributes.get("group", "0") not in ("3", "4", "5")]  # not of collision groups
         shapes = {"visual": touched} if self.scene else {"visual": drawn, "collision": touched or drawn}
         return [self._element(tag, geom) for tag, some in shapes.items() for geom in some]
 

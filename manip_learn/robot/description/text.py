@@ -37,9 +37,7 @@ UNREADABLE: dict[int, tuple[str, str]] = {
     errno.ENXIO: ("not-a-file", "not a regular file, but a device or a pipe such as <(); write it to a file first"),
     errno.EFBIG: ("file-too-large", "the file has {}; is it the right one?"),
     errno.ELOOP: ("unreadable", "cannot be opened, the symbolic link leads to itself; name the file"),
-    **dict.fromkeys(
-        (errno.EACCES, errno.EPERM), ("unreadable", "it cannot be read, permission denied; change its permissions")
-    ),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), ("unreadable", "permission denied; change its permissions")),
 }
 # error of expat -> code and remedy
 NOT_XML = {
@@ -294,12 +292,9 @@ def read_description(path: Path) -> bytes:
     try:
         return read_regular_file(path, MAX_BYTES)
     except OSError as error:
-        (code, sentence), inside = (
-            unreadable(error),
-            sorted(p.name for p in path.glob("*.urdf")) if path.is_dir() else [],
-        )
+        (code, words), inside = unreadable(error), sorted(p.name for p in path.glob("*.urdf")) if path.is_dir() else []
         more = f", e.g. {', '.join(inside[:NAMES_SHOWN])}" if inside else ""
-        raise RobotError(f"{path}: {sentence}{more}", code=code, path=path) from error
+        raise RobotError(f"{path}: {words}{more}", code=code, path=path) from error
 
 
 @final

@@ -61,10 +61,7 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     folder: Path | None = path
     while folder:  # run again with each package that was found
         command = [sys.executable, "-I", __file__, json.dumps(job)]
-        where, most = (
-            path.absolute().parent,
-            10 * EXPANSION_SECONDS,
-        )  # wall-clock time, for slow disks and busy machines
+        where, most = path.absolute().parent, 10 * EXPANSION_SECONDS  # [s] wall clock, for slow disks and busy machines
         try:
             process = subprocess.run(command, capture_output=True, cwd=where, timeout=most)
             is_late = os.name == "posix" and process.returncode == -signal.SIGXCPU
