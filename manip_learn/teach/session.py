@@ -444,7 +444,7 @@ class TeachingSession:
         """Reproduce the demonstrated task from shut furniture, planned by `repeat`."""
         if self._way is None:
             raise ManipLearnError(
-                "There is nothing to reproduce yet: learn from recordings that grasp and move something."
+                "There is nothing to reproduce yet: learn from recordings that move a grasped object."
             )
         self._doing, self._planned, self._outcome = "planning", None, None
         self.arm.shut()

@@ -476,7 +476,7 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
         code, fix = NOT_XML.get(reason, ("not-xml", "repair the XML at this line"))
         begins = content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff"))
         if code == "not-xml" and not begins:
-            fix = "a URDF file begins with '<'; give the robot first, by name or file, and other files after it"
+            fix = "a URDF file begins with '<'; name the robot here, by its name or its file, and other files after it"
         finding = f"not readable as XML ({reason}, column {error.offset + 1})"
         raise log.refusal(code, error.lineno, f"{finding}; {fix}") from error
     except (LookupError, ValueError) as error:  # unknown or unusable encoding
