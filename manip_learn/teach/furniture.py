@@ -63,11 +63,10 @@ def drawer_boards(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[
     """
     width, depth = float(np.clip(1.2 * travel, 0.26, 0.5)), travel + 0.08
     height = 0.42 * width
-    standoff = 0.045  # [m] room for the hand between the bar and the front
-    inner, face = width - 4.0 * BOARD, -standoff
+    inner, face = width - 4.0 * BOARD, -0.045  # [m] room for the hand between the bar and the front
     low = 0.5 * BOARD - 0.4 * height
     bar = 0.36 * width  # length of the bar that the hand holds
-    feet = ((x * 0.42 * bar, -0.5 * standoff, 0.0, 0.01, standoff, 0.01, HANDLE) for x in (-1.0, 1.0))
+    feet = ((x * 0.42 * bar, 0.5 * face, 0.0, 0.01, -face, 0.01, HANDLE) for x in (-1.0, 1.0))
     sides = (-0.5 * (inner - BOARD), 0.5 * (inner - BOARD))
     moving = (
         (0.0, 0.0, 0.0, bar, 0.014, 0.014, HANDLE),

@@ -443,9 +443,7 @@ class TeachingSession:
     def _run(self) -> None:
         """Reproduce the demonstrated task from shut furniture, planned by `repeat`."""
         if self._way is None:
-            raise ManipLearnError(
-                "There is nothing to reproduce yet: learn from recordings that move a grasped object."
-            )
+            raise ManipLearnError("Nothing to reproduce yet: learn from recordings that grasp and move something.")
         self._doing, self._planned, self._outcome = "planning", None, None
         self.arm.shut()
         self.arm.hold()
