@@ -384,9 +384,8 @@ class SelfCollision:
                 length += float(np.linalg.norm(model.jointPlacements[j].translation))
                 length += 0.0 if turns else float(np.minimum(slide, LARGE_BLOCK).sum())
         a, b = self._pair_table
-        levers = np.where(
-            (out[a] > 0.0) & (out[b] > 0.0), 0.0, out[a] + out[b]
-        )  # a joint that carries both shapes does not change their distance
+        # a joint that carries both shapes does not change their distance
+        levers = np.where((out[a] > 0.0) & (out[b] > 0.0), 0.0, out[a] + out[b])
         return levers if robot.coupling is None else levers @ np.abs(robot.coupling.lift)
 
     def solid(self, number: int, hull: bool = False) -> CollisionShape:
@@ -423,9 +422,8 @@ class SelfCollision:
                     return False
                 if coal.distance(*meshes, coal.DistanceRequest(), coal.DistanceResult()) <= distance:
                     return False
-        return not (
-            self._closed and self.closer_than(q, distance)
-        )  # a link inside a mesh touches none of its triangles
+        # a link inside a mesh touches none of its triangles
+        return not (self._closed and self.closer_than(q, distance))
 
     def closer_than(self, q: ArrayLike, distance: float, only: Sequence[int] | None = None) -> list[Proximity]:
         """Return all pairs of shapes within a distance, and their gradients.

@@ -80,10 +80,8 @@ def link_radii(model: pin.Model) -> Float[np.ndarray, " J"]:
     Args:
         model: Pinocchio model of the robot.
     """
-    thickness, taper = (
-        0.043,
-        0.55,
-    )  # radius at the base over the reach, as in real arms; at the last joint over the base
+    # radius at the base over the reach, as in real arms; radius at the last joint over the radius at the base
+    thickness, taper = 0.043, 0.55
     depth, reach = np.zeros(model.njoints), np.zeros(model.njoints)  # number of joints and path length from the base
     for i in range(1, model.njoints):
         depth[i] = depth[model.parents[i]] + 1

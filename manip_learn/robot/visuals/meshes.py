@@ -41,17 +41,17 @@ class MeshRoots:
     """Folders in which the meshes of one robot may be looked up, in this order.
 
     Attributes:
-        beside: Folders for relative addresses, the URDF's folder first.
-        above: Folders that may contain any package.
-        walked: Folders above the URDF; a package in them must contain the URDF or a package.xml, so that
+        relative: Folders for relative addresses, the URDF's folder first.
+        parents: Folders that may contain any package.
+        ancestors: Folders above the URDF; a package in them must contain the URDF or a package.xml, so that
             `package://etc/...` does not lead out of /.
-        own: Packages by the name in their package.xml, for folders that were renamed.
+        packages: Packages by the name in their package.xml, for folders that were renamed.
     """
 
-    beside: tuple[Path, ...]
-    above: tuple[Path, ...]
-    walked: tuple[Path, ...]
-    own: dict[str, Path]
+    relative: tuple[Path, ...]
+    parents: tuple[Path, ...]
+    ancestors: tuple[Path, ...]
+    packages: dict[str, Path]
 
 
 def mesh_roots(urdf: Path, package_dirs: Sequence[Path]) -> MeshRoots:
@@ -73,9 +73,9 @@ def mesh_roots(urdf: Path, package_dirs: Sequence[Path]) -> MeshRoots:
     # a package folder may be the package itself
     packages = {p.name: p for p in (*roots, *ros)}
     packages |= {name: p for p in [*ancestors, *roots, *ros] if (name := _package_name(p))}
-    above = [*roots, folder, *ros, *(p / "share" for p in prefixes), *filter(None, [example_package_dir()])]
-    beside = tuple(dict.fromkeys([folder, *roots, home]))
-    return MeshRoots(beside, tuple(dict.fromkeys(above)), tuple(ancestors), packages)
+    parents = [*roots, folder, *ros, *(p / "share" for p in prefixes), *filter(None, [example_package_dir()])]
+    relative = tuple(dict.fromkeys([folder, *roots, home]))
+    return MeshRoots(relative, tuple(dict.fromkeys(parents)), tuple(ancestors), packages)
 
 
 def _folders_of(variable: str) -> list[Path]:
@@ -127,7 +127,7 @@ def _split_address(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
     """Return the name of a mesh, and the folders to search."""
     scheme, separator, rest = uri.partition("://")
     if not separator or scheme == "file":
-        return unquote(rest) if separator else uri.replace("\\", "/"), roots.beside
+        return unquote(rest) if separator else uri.replace("\\", "/"), roots.relative
     if scheme not in ("package", "model"):
         sentence = f"addresses of the kind {scheme[:20]!r} are not supported; use package:// or a path"
         raise RobotError(f"mesh {uri[:200]!r}: {sentence}", code="mesh-scheme")
@@ -152,13 +152,13 @@ def find_package(package: str, urdf: Path, package_dirs: Sequence[Path]) -> Path
 
 def _package_folders(package: str, roots: MeshRoots) -> list[Path]:
     """Return the folders that may be the package, in order."""
-    folders = [roots.own[package]] if package in roots.own else []
-    folders += [d / package for d in roots.above]
-    walked = (d / package for d in roots.walked)
-    folders += [p for p in walked if roots.beside[0].is_relative_to(p) or (p / PACKAGE_FILE).is_file()]
-    if not folders[len(roots.above) :]:  # a package in a neighbouring repository, or one whose folder was renamed
+    folders = [roots.packages[package]] if package in roots.packages else []
+    folders += [d / package for d in roots.parents]
+    above = (d / package for d in roots.ancestors)
+    folders += [p for p in above if roots.relative[0].is_relative_to(p) or (p / PACKAGE_FILE).is_file()]
+    if not folders[len(roots.parents) :]:  # a package in a neighbouring repository, or one whose folder was renamed
         for depth in ("*", "*/*"):
-            files = roots.beside[-1].parent.glob(f"{depth}/{PACKAGE_FILE}")
+            files = roots.relative[-1].parent.glob(f"{depth}/{PACKAGE_FILE}")
             folders += [p.parent for p in files if package in (p.parent.name, _package_name(p.parent))]
     return folders
 
