@@ -20,7 +20,7 @@ from manip_learn.robot.description.catalogue import find_robot
 from manip_learn.robot.description.mjcf import validate_mjcf
 from manip_learn.robot.description.text import parse_xml, read_description
 from manip_learn.robot.description.urdf import UrdfFile, UrdfJoint, UrdfLink, as_matrix, as_pose
-from manip_learn.robot.description.xacro_expansion import expanded_xacro
+from manip_learn.robot.description.xacro_expansion import expand_xacro
 from manip_learn.robot.joints import COORDINATE_SUFFIXES
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import find_package
@@ -93,7 +93,7 @@ def load_robot(
         sentence = f"this is not a .xacro file, so it has no arguments: remove {', '.join(map(str, xacro))}"
         raise RobotError(f"{path}: {sentence}", code="xacro-arg", path=path)
     find = partial(find_package, urdf=path, package_dirs=folders)
-    content = expanded_xacro(path, xacro, folders, find) if path.suffix == ".xacro" else read_description(path)
+    content = expand_xacro(path, xacro, folders, find) if path.suffix == ".xacro" else read_description(path)
     return robot_from_text(content, path, package_dirs=folders, locked=locked, root_joint=root_joint, objects=objects)
 
 

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, RobotError, UnknownNameError, closest_names
-from manip_learn.robot.description.xacro_expansion import expanded_xacro
+from manip_learn.robot.description.xacro_expansion import expand_xacro
 
 DATA_PACKAGE = "example-robot-data"
 SHIPPED = ("planar3", "sawyer", "fr3", "ur5e", "ur10e")
@@ -115,7 +115,7 @@ def _fetch(name: str) -> Path:
     file = source.with_name(name + EXPANDED)
     if not file.exists():
         values = {**content.get("XACRO_ARGS", {}), **arguments}
-        write_atomically(file, expanded_xacro(source, values, [Path(content["REPOSITORY_PATH"])], lambda package: None))
+        write_atomically(file, expand_xacro(source, values, [Path(content["REPOSITORY_PATH"])], lambda package: None))
     return file
 
 

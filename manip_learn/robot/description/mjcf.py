@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description import urdf
-from manip_learn.robot.description.text import XmlNode, shortened
+from manip_learn.robot.description.text import XmlNode, shorten
 from manip_learn.robot.description.urdf import ZERO, Matrix4, UrdfJoint, UrdfLink, as_pose, near_vector, read_name
 from manip_learn.robot.joints import Mimic
 
@@ -195,7 +195,7 @@ class _Reader:
         node, kind = joint.node, joint.node.attributes.get("type", "hinge")
         if kind not in TYPES:
             fix = "replace it by three hinges" if kind == "ball" else "correct the type"
-            finding = f"its type is {shortened(kind)!r}; hinge, slide or free is expected"
+            finding = f"its type is {shorten(kind)!r}; hinge, slide or free is expected"
             raise node.refusal("joint-type", f"{finding}; {fix}")
         axis = urdf.unit_axis(node.vector("axis", 3) or (0.0, 0.0, 1.0), node)
         scale = self.angle if kind == "hinge" else 1.0
@@ -232,7 +232,7 @@ class _Reader:
             if self.scene:
                 raise
             return ""
-        rgba = "" if colour is None else f'<material name=""><color rgba="{urdf.spaced(colour)}"/></material>'
+        rgba = "" if colour is None else f'<material name=""><color rgba="{urdf.join_numbers(colour)}"/></material>'
         head = f"<{tag} name={quoteattr(geom.attributes.get('name', ''))}>{urdf.origin_text(as_pose(T))}"
         return f"{head}<geometry>{shape}</geometry>{rgba}</{tag}>"
 
@@ -246,7 +246,7 @@ class _Reader:
             geom.require("file" in asset.attributes, "mjcf-element", kind=kind)
             folder = self.settings.get("meshdir", self.settings.get("assetdir", ""))
             file = f"{folder.rstrip('/')}/{asset.attributes['file']}" if folder else asset.attributes["file"]
-            scale = urdf.spaced(asset.vector("scale", 3) or (1.0, 1.0, 1.0))
+            scale = urdf.join_numbers(asset.vector("scale", 3) or (1.0, 1.0, 1.0))
             return f'<mesh filename={quoteattr(file)} scale="{scale}"/>', T
         words = geom.attributes.get("size", "").split()
         a, b, c = (*(geom.vector("size", len(words)) or ()), *ZERO)[:3]
@@ -277,7 +277,7 @@ class _Reader:
             if node.attributes.get("active") == "false":
                 continue
             if node.tag != "joint":
-                finding = f"<equality><{shortened(node.tag)}> is ignored"
+                finding = f"<equality><{shorten(node.tag)}> is ignored"
                 root.log.warn(node.line, f"{finding}: closed chains are not supported")
                 continue
             words = (node.attributes.get("polycoef", "0 1 0 0 0").split() + ["0"] * 5)[:5]

@@ -167,10 +167,10 @@ def quoted(names: Sequence[str]) -> str:
     Args:
         names: Names; long ones are shortened.
     """
-    return few([repr(shortened(n)) for n in names], NAMES_SHOWN)
+    return few([repr(shorten(n)) for n in names], NAMES_SHOWN)
 
 
-def shortened(text: str, length: int = 80) -> str:
+def shorten(text: str, length: int = 80) -> str:
     """Shorten a text to a length that fits into a sentence.
 
     Args:
@@ -325,7 +325,7 @@ class XmlNode:
         """The link, joint, body or site that it is or belongs to, for messages."""
         name = self.attributes.get("name")
         if name and self.tag in ("link", "joint", "body", "site"):
-            return f"{self.tag} {shortened(name)!r}"
+            return f"{self.tag} {shorten(name)!r}"
         return "the robot" if self.parent is None else self.parent.where
 
     def all(self, tag: str) -> list[XmlNode]:
@@ -404,7 +404,7 @@ class XmlNode:
         words = text.split()
         if "${" not in text and len(words) != size:
             fix = "separate the numbers by spaces, not by commas" if "," in text else "write one number for each"
-            finding = f'{self.tag} {attribute}="{shortened(text)}" has {counted(len(words), "number")}'
+            finding = f'{self.tag} {attribute}="{shorten(text)}" has {counted(len(words), "number")}'
             raise self.refusal("vector-size", f"{finding}; {size} are expected; {fix}")
         return tuple(self._parse_number(word, attribute) for word in words)
 
@@ -425,7 +425,7 @@ class XmlNode:
             fix = 'for a joint without limits write type="continuous"' if self.tag == "limit" else fix
         elif re.fullmatch(r"[+-]?\d+,\d+", text):
             fix = "write a decimal point, not a comma"
-        raise self.refusal(code, f'{self.tag} {attribute}="{shortened(text)}"; {expected}; {fix}')
+        raise self.refusal(code, f'{self.tag} {attribute}="{shorten(text)}"; {expected}; {fix}')
 
 
 def parse_xml(content: bytes, path: Path) -> XmlNode:
@@ -453,7 +453,7 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
             raise refusal("xml-too-deep", "XML elements are nested deeper than 60 levels; URDF needs 6")
         for key, value in attributes.items():
             if len(value) > 100_000:  # no robot needs more than a few hundred
-                finding = f"attribute {shortened(key)!r} of <{shortened(tag)}> has {len(value)} characters"
+                finding = f"attribute {shorten(key)!r} of <{shorten(tag)}> has {len(value)} characters"
                 raise refusal("xml-too-large", f"{finding}, at most 100000 are read")
         line = parser.CurrentLineNumber if path.suffix != ".xacro" else None
         node = XmlNode(tag, attributes, line, log, stack[-1] if stack else None)

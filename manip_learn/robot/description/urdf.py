@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from manip_learn.errors import advice, closest_names
 from manip_learn.robot.description import text
-from manip_learn.robot.description.text import RULES, Diagnostics, XmlNode, quoted, shortened, suggest_name
+from manip_learn.robot.description.text import RULES, Diagnostics, XmlNode, quoted, shorten, suggest_name
 from manip_learn.robot.joints import Mimic
 
 Vector = tuple[float, float, float]
@@ -175,7 +175,7 @@ def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
     """
     if root.tag != "robot":
         kinds = {"sdf": "an SDF file", "mujoco": "an MJCF file", "COLLADA": "a mesh", "launch": "a ROS launch file"}
-        finding = f"the root element is <{shortened(root.tag)}>" + (f", {kinds[root.tag]}" if root.tag in kinds else "")
+        finding = f"the root element is <{shorten(root.tag)}>" + (f", {kinds[root.tag]}" if root.tag in kinds else "")
         raise root.log.refusal("not-urdf", root.line, f"{finding}; <robot> is expected; convert it to URDF")
     version = root.attributes.get("version", "1.0").strip()
     root.require(version in ("1", "1.0"), "urdf-version", version=version)
@@ -185,7 +185,7 @@ def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
         raise foreign[0].refusal("no-links", RULES["no-links.macros"].format(names=quoted(macros)))
     if foreign:
         fix = "expand it" + advice(", or name the file *.xacro and load it with {}", "xacro=True", "--xacro")
-        finding = f"<{shortened(foreign[0].tag)}> is xacro, not URDF; plain URDF is expected"
+        finding = f"<{shorten(foreign[0].tag)}> is xacro, not URDF; plain URDF is expected"
         raise foreign[0].refusal("xacro", f"{finding}; {fix}")
     _warn_of_unread(root)
     links = [read_link(node) for node in root.all("link")]
@@ -203,7 +203,7 @@ def robot_name(root: XmlNode, attribute: str = "name") -> str:
     """
     name = root.attributes.get(attribute, "").strip()
     if not name or not name.isprintable() or len(name) > LONGEST_NAME:
-        reason = "has no name" if not name else f"has the unusable name {shortened(name)!r}"
+        reason = "has no name" if not name else f"has the unusable name {shorten(name)!r}"
         name = "".join(c for c in root.log.path.stem if c.isprintable()) or "robot"
         root.log.warn(root.line, f"the robot {reason}; it is called {quoted([name])} after its file")
     return name
@@ -255,7 +255,7 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
     name, kind = read_name(node), node.attributes.get("type", "")
     _warn_of_unread(node)
     if kind not in DEGREES_OF_FREEDOM:
-        finding = f"its type is {shortened(kind)!r}" if kind else "it has no type"
+        finding = f"its type is {shorten(kind)!r}" if kind else "it has no type"
         fix = suggest_name(kind.strip().lower(), DEGREES_OF_FREEDOM, "correct the type")
         raise node.refusal("joint-type", f"{finding}; one of {', '.join(DEGREES_OF_FREEDOM)} is expected; {fix}")
     limits, limit = _only(node, "limit"), UrdfLimit()
@@ -403,8 +403,8 @@ def _warn_of_unread(node: XmlNode) -> XmlNode:
     tags = KNOWN_CHILDREN.get(node.tag, ())
     for child in [c for c in node.children if tags and c.tag not in tags]:
         is_reported = len(node.log.kept) < text.MAX_WARNINGS
-        near = closest_names(shortened(child.tag).lower(), tags, n=1) if is_reported else ()
-        child.warn(f"<{shortened(child.tag)}> is ignored" + (f"; did you mean <{near[0]}>?" if near else ""))
+        near = closest_names(shorten(child.tag).lower(), tags, n=1) if is_reported else ()
+        child.warn(f"<{shorten(child.tag)}> is ignored" + (f"; did you mean <{near[0]}>?" if near else ""))
     return node
 
 
@@ -611,12 +611,12 @@ def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None =
         parts.append(
             f'<joint name={quoteattr(joint.name)} type="{joint.type}">{origin_text(joint.pose)}'
             f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>"
-            f'<axis xyz="{spaced(joint.axis)}"/>{more}</joint>'
+            f'<axis xyz="{join_numbers(joint.axis)}"/>{more}</joint>'
         )
     return "\n".join([*parts, "</robot>"])
 
 
-def spaced(numbers: Iterable[float]) -> str:
+def join_numbers(numbers: Iterable[float]) -> str:
     """Return numbers as the text of an attribute, to the last bit.
 
     Args:
@@ -631,4 +631,4 @@ def origin_text(pose: Pose) -> str:
     Args:
         pose: Translation [m] and angles [rad].
     """
-    return f'<origin xyz="{spaced(pose.xyz)}" rpy="{spaced(pose.rpy)}"/>'
+    return f'<origin xyz="{join_numbers(pose.xyz)}" rpy="{join_numbers(pose.rpy)}"/>'

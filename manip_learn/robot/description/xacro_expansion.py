@@ -24,7 +24,7 @@ EXPANSION_MEMORY = 1_000_000_000  # [bytes] memory of the process; the libraries
 Finder = Callable[[str], Path | None]  # name of a package -> its folder, None if it is not found
 
 
-def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Sequence[Path], find: Finder) -> bytes:
+def expand_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Sequence[Path], find: Finder) -> bytes:
     """Return the text of the URDF that a xacro file expands to.
 
     Args:

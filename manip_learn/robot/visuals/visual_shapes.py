@@ -18,7 +18,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.errors import RobotError, few
-from manip_learn.robot.description.text import XmlNode, merge_similar, parse_xml, shortened
+from manip_learn.robot.description.text import XmlNode, merge_similar, parse_xml, shorten
 from manip_learn.robot.description.urdf import ZERO, Pose, Vector, as_matrix
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import GREY, Colour, Mesh, find_mesh, mesh_roots, read_meshes
@@ -145,7 +145,7 @@ def _geometry(node: XmlNode) -> Solid | MeshElement:
         case "cylinder" | "capsule" as kind:
             dimensions = (shape.number("radius"), shape.number("length"))
         case _:
-            raise _unusable(shape, f"the shape <{shortened(shape.tag)}> is unknown")
+            raise _unusable(shape, f"the shape <{shorten(shape.tag)}> is unknown")
     sizes = tuple(size or SHEET for size in dimensions if size is not None and 0.0 <= size <= LARGEST_SIZE)
     if len(sizes) < len(dimensions) or not any(dimensions):
         raise _unusable(shape, f"a size of its {shape.tag} is {next(size for size in dimensions if size not in sizes)}")
