@@ -167,13 +167,13 @@ def truth_content(scene: TeachingScene, constraint: Constraint | None) -> dict[s
             gap = float(np.linalg.norm(np.cross(handle.axis, np.asarray(mechanism.point) - handle.point)))
             errors.append(["place", f"{1e3 * gap:.2g} mm off"])
         if mechanism.type != handle.type:
-            errors.append(["kind", f"taken for a {mechanism.type}, is a {handle.type}"])
+            errors.append(["kind", f"learnt as a {mechanism.type}, is a {handle.type}"])
     axis, place = ("({:.3f}, {:.3f}, {:.3f})".format(*(x + 0.0)) for x in (handle.axis, handle.point))
     moves = {"line": "slides along", "plane": "stays across the normal", "hinge": f"turns, through {place}, about"}
-    how = f"{'firmly' if handle.firm else 'loosely'} held, with {1e3 * handle.play:.1f} mm of play"
+    how = f"{'firmly' if handle.firm else 'loosely'} grasped, with {1e3 * handle.play:.1f} mm of play"
     ends = np.array([handle.point - 0.4 * handle.axis, handle.point + 0.4 * handle.axis])
     return {
-        "sentence": f"In truth: the {handle.name} {moves[handle.type]} {axis}, {how}.",
+        "sentence": f"True mechanism: the {handle.name} {moves[handle.type]} {axis}, {how}.",
         "errors": errors,
         "lines": [] if handle.type == "plane" else [packed(ends, "<f4")],
     }
@@ -189,15 +189,15 @@ def refusal_content(why: str, recordings: int) -> dict[str, Any]:
     enough = 5  # number of recordings that the page asks for
     few = recordings < enough
     return {
-        "sentence": "This was not understood." if few else "Nothing holds the hand, as far as can be seen.",
+        "sentence": "No constraint was found." if few else "The recordings show no constraint on the hand.",
         "line": "",
         "refused": True,
         "evidence": why,
         **dict.fromkeys(("facts", "rows", "warnings", "odd", "phaseKinds"), []),
         "mechanism": None,
-        "next": f"Show it {counted(enough - recordings, 'time')} more, each time a little differently."
+        "next": f"Demonstrate it {counted(enough - recordings, 'time')} more, each time a little differently."
         if few
-        else "Nothing that you showed holds the hand firmly. Take hold of something, move it as far as it goes and "
+        else "Nothing in the demonstrations constrains the hand. Grasp something, move it through its whole range and "
         "back, and begin each time from another posture.",
         "offer": RECORD,
     }
