@@ -15,24 +15,28 @@ from manip_learn.errors import OutputError
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes | str) -> Path:
-    """Write `content` to `path`; whoever reads the path sees the old content or the new one, never a part of it.
+    """Write `content` to `path` completely or not at all: readers see the old content or the new content, never a mix.
 
-    The bytes go to a temporary file in the same folder, are flushed to the disk, and take the place of the old file in
-    one step. Missing folders are made. Text is written as UTF-8, line ends as they are. Temporary files for this name
-    whose writers were killed are removed.
+    The bytes go to a temporary file in the same folder and are flushed to the disk; then the file replaces the old one
+    in one step. Missing folders are created. Text is written as UTF-8 with its line ends unchanged. Temporary files of
+    killed writers of the same name are removed.
+
+    Args:
+        path: File to write; `~` is expanded, and a symbolic link stays a link: its target is replaced.
+        content: Bytes, or text.
 
     Returns:
-        The absolute path that was written.
+        The absolute path of the file.
 
     Raises:
         OutputError: The path is a folder or a device, the old file is write-protected, or the folder cannot be written.
     """
-    target = _checked_target(path)
+    target = _check_target(path)
     data = content.encode("utf-8") if isinstance(content, str) else bytes(content)
     temporary = None
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, temporary = _locked_beside(target)
+        descriptor, temporary = _open_locked_temporary(target)
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)
             file.flush()
@@ -60,42 +64,50 @@ def write_atomically(path: str | os.PathLike[str], content: bytes | str) -> Path
     return target
 
 
-def _locked_beside(target: Path) -> tuple[int, Path]:
-    """Open a new file beside the target, locked as long as it is open, and remove those that nobody has locked."""
-    start, random = f".{target.name[:20]}.", 6  # bytes of the name that are drawn
-    for left in target.parent.glob(f"{glob.escape(start)}{2 * random * '[0-9a-f]'}.tmp"):
-        with contextlib.suppress(OSError), left.open("rb") as file:
+def _open_locked_temporary(target: Path) -> tuple[int, Path]:
+    """Open a new locked file in the target's folder, and remove the temporary files that no writer has locked."""
+    start, random = f".{target.name[:20]}.", 6  # number of random bytes in the name
+    for leftover in target.parent.glob(f"{glob.escape(start)}{2 * random * '[0-9a-f]'}.tmp"):
+        with contextlib.suppress(OSError), leftover.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            left.unlink()
+            leftover.unlink()
     while True:
         temporary = target.with_name(f"{start}{secrets.token_hex(random)}.tmp")
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-        with contextlib.suppress(OSError):  # some disks of other machines have no locks, and nothing is removed there
+        with contextlib.suppress(OSError):  # some network disks have no locks; leftovers on them are never removed
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         if os.fstat(descriptor).st_nlink:
             return descriptor, temporary
-        os.close(descriptor)  # another writer took it for one that was left before it was locked
+        os.close(descriptor)  # another writer removed the file as a leftover before it was locked
 
 
 def has_no_room(error: OSError) -> bool:
-    """Whether the disk, the quota or the largest size of a file is exhausted."""
+    """Return True if an error means that the disk is full, the quota is used up or the file is too large.
+
+    Args:
+        error: Error of the operating system, as writing raised it.
+    """
     return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def check_folder(path: str | os.PathLike[str]) -> None:
-    """Refuse a path in a folder that is not there or not writable, before the work whose result it is to hold.
+    """Refuse a path whose folder does not exist or is not writable, before the work whose result goes there begins.
+
+    Args:
+        path: File that will be written later; `~` is expanded.
 
     Raises:
-        OutputError: Says how to make the folder.
+        OutputError: The folder does not exist or is write-protected; the message gives the command that creates it.
     """
     folder = Path(path).expanduser().absolute().parent
     if not folder.is_dir():
-        raise OutputError(f"make the folder first, mkdir -p '{folder}': {path} cannot be written where no folder is")
+        raise OutputError(f"make the folder first, mkdir -p '{folder}': {path} cannot be written without it")
     if not os.access(folder, os.W_OK):
-        raise OutputError(f"name another folder than {folder}, which is write-protected: {path} cannot be written")
+        raise OutputError(f"cannot write {path}: the folder {folder} is write-protected; choose another folder")
 
 
-def _checked_target(path: str | os.PathLike[str]) -> Path:
+def _check_target(path: str | os.PathLike[str]) -> Path:
+    """Return the absolute path of the file to write, with links resolved; refuse a path that cannot be written."""
     text = os.fspath(path)
     if not text:
         raise OutputError("cannot write to an empty path: give a file name")

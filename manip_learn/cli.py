@@ -1,7 +1,7 @@
 """The command line: argv in, exit code out; all work is done in `commands`.
 
-Nothing but the operating system is imported before Ctrl-C has a handler: whoever changes his mind in the first moment
-gets no traceback either.
+Only modules of the operating system are imported before Ctrl-C has a handler: Ctrl-C in the first moment gives no
+traceback either.
 """
 
 from __future__ import annotations
@@ -15,18 +15,26 @@ from typing import Any
 
 COMPLETION = "_MANIP_LEARN_COMPLETE"  # set by the shell that asks for completions
 INTERRUPTED = 130  # exit code of a shell for Ctrl-C
-_phase = "idle"  # "working" while a command may have something to clean up, "interrupted" once it was asked to end
+_phase = "idle"  # "working" while a command may have something to clean up, "interrupted" after the first Ctrl-C
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns 0, 2 for bad input, 1 for an internal error, 130 for Ctrl-C. No traceback."""
+    """Run the command line; no error ends in a traceback.
+
+    Args:
+        argv: Arguments without the name of the program; None reads `sys.argv`, handles Ctrl-C, and exits the process.
+
+    Returns:
+        Exit code: 0, 2 for bad input, 1 for an internal error, 130 for Ctrl-C.
+    """
     # before NumPy is loaded: threads on matrices this small cost more than they gain
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if argv is not None:
         return _run(list(argv))
     signal.signal(signal.SIGINT, _interrupt)
-    while os.open(os.devnull, os.O_RDWR) < 2:  # what a shell has closed, or the next file would get its number
+    # reopen streams that the shell has closed: otherwise the next file would get their numbers
+    while os.open(os.devnull, os.O_RDWR) < 2:
         continue
     sys.stdout, sys.stderr = sys.stdout or open(1, "w"), sys.stderr or open(2, "w")
     sys.unraisablehook = _unraisable
@@ -34,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _interrupt(signal_number: int = signal.SIGINT, frame: FrameType | None = None) -> None:
-    """Let a command clean up; leave at once where there is nothing to clean up, or if asked a second time."""
+    """Let a running command clean up; leave at once if no command runs, or at the second Ctrl-C."""
     global _phase
     if _phase == "working":
         _phase = "interrupted"
@@ -43,14 +51,15 @@ def _interrupt(signal_number: int = signal.SIGINT, frame: FrameType | None = Non
     os._exit(INTERRUPTED)
 
 
-def _unraisable(lost: Any) -> None:
-    """Where Python cannot raise, as in a destructor, it would print a traceback of Ctrl-C and go on."""
-    if isinstance(lost.exc_value, KeyboardInterrupt):
+def _unraisable(unraisable: Any) -> None:
+    """Handle Ctrl-C in a place where Python cannot raise, as in a destructor: it would print a traceback and go on."""
+    if isinstance(unraisable.exc_value, KeyboardInterrupt):
         _interrupt()
-    sys.__unraisablehook__(lost)
+    sys.__unraisablehook__(unraisable)
 
 
 def _run(arguments: list[str]) -> int:
+    """Run one command and return its exit code; refuse no command and removed ones."""
     global _phase
     from contextvars import copy_context
 
@@ -81,9 +90,9 @@ def _run(arguments: list[str]) -> int:
 
 
 def _exit_code(command: Callable[[], Any], as_json: bool) -> int:
-    """The exit code of a command, and the sentence that says why, where it did not work."""
+    """Run a command; return its exit code, and print the reason if it failed."""
     import typer
-    from typer._click.exceptions import UsageError  # of click's errors typer itself exports children alone
+    from typer._click.exceptions import UsageError  # typer itself exports only children of click's errors
 
     from manip_learn.commands.command_line import PROGRAM_NAME
     from manip_learn.commands.output import nobody_reads, refuse, refused_by_system
@@ -103,18 +112,18 @@ def _exit_code(command: Callable[[], Any], as_json: bool) -> int:
         return INTERRUPTED
     except BrokenPipeError:
         return nobody_reads()
-    except SystemExit as end:  # of a signal; of a completion; of rich and typer, for a pipe that nobody reads
+    except SystemExit as end:  # from a signal, from a completion, or from rich and typer for a closed pipe
         code = end.code if isinstance(end.code, int) else 1
         return code if code > 128 or COMPLETION in os.environ else nobody_reads()
     except MemoryError as error:
         fix = "take fewer or shorter recordings, a shorter --duration or a larger --dt"
-        return refuse(f"there is too little memory ({error or 'for small things, too'}): {fix}", as_json, "system")
+        return refuse(f"not enough memory ({error or 'even for small objects'}): {fix}", as_json, "system")
     except OSError as error:
-        if isinstance(error.__context__, SystemExit):  # SIGHUP: the terminal is gone that was to be tidied up
+        if isinstance(error.__context__, SystemExit):  # SIGHUP: the terminal to be restored has closed
             return int(error.__context__.code or 1)
         return refuse(refused_by_system(error), as_json, "system")
     except Exception as error:  # last resort: a sentence, not a traceback
-        if _phase == "interrupted":  # Ctrl-C in the middle of an import that reports its own failure
+        if _phase == "interrupted":  # Ctrl-C during an import that reports its own failure
             return INTERRUPTED
         sentence = f"internal error ({type(error).__name__}: {error}); please report it"
         return refuse(sentence, as_json, "internal", exit_code=1)

@@ -1,6 +1,6 @@
-"""Errors: one base, and a child for each thing that a caller can act on.
+"""Errors: one base class, and one child for each problem that a caller can act on.
 
-Every message says what is wrong, where, the value seen, the value wanted and what to do. The same facts are kept as
+Every message gives the problem, its place, the actual value, the expected value and a remedy. The same facts are
 attributes, so that a program need not parse the sentence.
 """
 
@@ -21,21 +21,28 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, SupportsInt, final
 
-# what Python, NumPy and zipfile raise for files that are broken, cut short, or of another kind
+# errors that Python, NumPy and zipfile raise for files that are broken, truncated, or of another kind
 DAMAGE: tuple[type[Exception], ...] = (
     *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError, RuntimeError, SyntaxError),
     *(TypeError, ValueError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError),
 )
-# line ends and tabs of a sentence may stay, where it is printed line by line
+# layout characters, which may stay in a sentence that is printed line by line
 _LAYOUT = frozenset("\n\t")
 FLAG = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
-# flags of the command that runs; None where the library is called from Python
+# flags of the running command; None if the library is called from Python
 _FLAGS: ContextVar[frozenset[str] | None] = ContextVar("flags of the command", default=None)
 
 
 @contextmanager
 def advice_for_command(flags: Iterable[str]) -> Iterator[None]:
-    """Within it, errors advise flags of the command line, and only those that the command at hand has."""
+    """Let errors within this context advise flags of the command line, and only flags of the running command.
+
+    Args:
+        flags: Flags that the command accepts, e.g. `"--constraints"`.
+
+    Yields:
+        None; the former state is restored at the end.
+    """
     token = _FLAGS.set(frozenset(flags))
     try:
         yield
@@ -44,9 +51,15 @@ def advice_for_command(flags: Iterable[str]) -> Iterator[None]:
 
 
 def advice(sentence: str, python: str, flag: str) -> str:
-    """The sentence with `{}` replaced by what the caller can write: the Python argument, or the flag with its value.
+    """Fill `{}` in a sentence with text that the caller can write: the Python argument, or the flag with its value.
 
-    Empty where a command runs that does not have the flags.
+    Args:
+        sentence: Sentence with `{}` for the argument or the flag.
+        python: Text for a call from Python, e.g. `"n_constraints=2"`.
+        flag: Text for a running command, e.g. `"--constraints 2"`.
+
+    Returns:
+        The sentence; an empty text if a command runs that lacks one of the flags.
     """
     flags = _FLAGS.get()
     if flags is None:
@@ -55,35 +68,45 @@ def advice(sentence: str, python: str, flag: str) -> str:
 
 
 def printable(text: object, layout: bool = False) -> str:
-    r"""A text in which no character can move the cursor, colour the terminal or turn the direction of reading.
+    r"""Return a text in which no character can move the cursor, colour the terminal or turn the direction of reading.
 
-    Names of files, columns, frames and joints are whatever their maker wrote. Control characters (C0, C1, escape),
-    marks of direction and halves of characters are written as Python writes them, e.g. `\x1b`.
+    Names of files, columns, frames and joints may contain any character. Control characters (C0, C1, escape), marks of
+    direction and halves of characters are written as Python writes them, e.g. `\x1b`.
 
     Args:
-        text: Anything that has a text.
-        layout: Line ends and tabs stay as they are.
+        text: Any object; it is converted by `str`.
+        layout: Keep line ends and tabs.
+
+    Returns:
+        The text; printable characters are unchanged.
     """
-    said = str(text)
-    if said.isprintable():
-        return said
-    return "".join(c if _is_safe(c) or (layout and c in _LAYOUT) else ascii(c)[1:-1] for c in said)
+    string = str(text)
+    if string.isprintable():
+        return string
+    return "".join(c if _is_safe(c) or (layout and c in _LAYOUT) else ascii(c)[1:-1] for c in string)
 
 
 def _is_safe(character: str) -> bool:
-    return character.isprintable() or unicodedata.category(character) == "Zs"  # a space that is none of ASCII
+    """Return True for a character that a terminal shows as it is."""
+    return character.isprintable() or unicodedata.category(character) == "Zs"  # a space outside ASCII
 
 
 def _printable_record(record: logging.LogRecord) -> bool:
+    """Make the text of a log record printable; keep every record."""
     record.msg, record.args = printable(record.getMessage(), layout=True), None
     return True
 
 
-logging.getLogger("manip_learn").addFilter(_printable_record)  # where all records of the library are made
+logging.getLogger("manip_learn").addFilter(_printable_record)  # the logger of all records of the library
 
 
 def counted(n: SupportsInt, noun: str) -> str:
-    """A number with its noun: "1 row", "2 trajectories", "3 stretches"."""
+    """Return a number with its noun: "1 row", "2 trajectories", "3 stretches".
+
+    Args:
+        n: Number; thousands are separated by commas.
+        noun: Noun in the singular.
+    """
     if int(n) == 1:
         return f"1 {noun}"
     if noun[-1] == "y" and noun[-2] not in "aeiou":
@@ -92,13 +115,26 @@ def counted(n: SupportsInt, noun: str) -> str:
 
 
 def named(noun: str, names: Iterable[str]) -> str:
-    """Names with their noun: "joint a", "joints a and b"."""
+    """Return names with their noun: "joint a", "joints a and b".
+
+    Args:
+        noun: Noun in the singular.
+        names: At least one name.
+
+    Returns:
+        The noun, in the plural for several names, and the names as `listed` joins them.
+    """
     words = list(names)
     return f"{counted(len(words), noun).partition(' ')[2]} {listed(words)}"
 
 
 def under_new_names(who: str, former: Mapping[str, str], renamed: Mapping[str, Any]) -> dict[str, Any]:
-    """Return arguments that were given under former names by those that they have now; until 0.4.
+    """Return arguments with former names under their present names; until 0.4.
+
+    Args:
+        who: Function or class that was called, for the error.
+        former: Former name -> present name.
+        renamed: Former name -> value, as the caller passed them.
 
     Raises:
         TypeError: There is no such argument.
@@ -110,7 +146,11 @@ def under_new_names(who: str, former: Mapping[str, str], renamed: Mapping[str, A
 
 
 def an(given: object) -> str:
-    """A value by its kind: `"a Robot"`, `"an ndarray of shape (7,)"`; `"None"`; a class as `"the class Robot"`."""
+    """Return the kind of a value: `"a Robot"`, `"an ndarray of shape (7,)"`; `"None"`; a class as `"the class Robot"`.
+
+    Args:
+        given: Any value; an attribute `shape` is included.
+    """
     if given is None:
         return "None"
     if isinstance(given, type):
@@ -122,31 +162,58 @@ def an(given: object) -> str:
 
 
 def error_in_words(value: float, unit: str) -> str:
-    """An uncertainty as it is said: `"0.0008 degrees"`, `"7.4 degrees"`."""
-    if value < 1e-4:  # nobody asks for more digits, and 3e-06 is no word
+    """Return an uncertainty in words: `"0.0008 degrees"`, `"7.4 degrees"`; at least `"better than 0.0001 degrees"`.
+
+    Args:
+        value: Uncertainty in that unit; it is rounded to one digit below 0.095, else to two.
+        unit: Name of the unit.
+    """
+    if value < 1e-4:  # more digits are useless, and 3e-06 is hard to read
         return f"better than 0.0001 {unit}"
     return f"{value:.1g} {unit}" if value < 0.095 else f"{value:.2g} {unit}"
 
 
 def listed(words: Iterable[str]) -> str:
-    """Words as said aloud: "a", "a and b", "a, b and c"."""
+    """Return words as an English list: "a", "a and b", "a, b and c".
+
+    Args:
+        words: At least one word.
+    """
     *most, last = words
     return f"{', '.join(most)} and {last}" if most else last
 
 
 def few(words: Sequence[str], most: int = 8, between: str = ", ") -> str:
-    """Return the first words, as many as an arm has joints, and how many more there are; "none" without any."""
+    """Return the first words and the number of the others, e.g. "a, b and 3 more"; "none" without any.
+
+    Args:
+        words: Words.
+        most: Number of words to show; the default is the number of joints of a typical arm.
+        between: Separator.
+    """
     more = f" and {len(words) - most} more" if len(words) > most else ""
     return between.join(words[:most]) + more or "none"
 
 
 def number_if_known(n: int) -> str:
-    """Advice to give the number of rows, as the end of a sentence."""
+    """Return the advice to set the number of rows, as the end of a sentence.
+
+    Args:
+        n: Number of rows in the example.
+
+    Returns:
+        Text that begins with a comma; the example is left out if the running command has no `--constraints`.
+    """
     return ", or give the number of rows if you know it" + advice(" ({})", f"n_constraints={n}", f"--constraints {n}")
 
 
 def spoken(python: str, command: str) -> str:
-    """The first text where the library is called from Python, the second where a command runs."""
+    """Return the text for the present caller, Python or the command line.
+
+    Args:
+        python: Text if the library is called from Python.
+        command: Text if a command runs.
+    """
     return python if _FLAGS.get() is None else command
 
 
@@ -165,21 +232,28 @@ class ManipLearnError(Exception):
             self.code = code
 
     def __reduce__(self):
-        return _rebuilt, (type(self), self.args, vars(self))  # the children take other arguments
+        return _rebuild, (type(self), self.args, vars(self))  # constructors of children take other arguments
 
     def facts(self) -> dict[str, object]:
-        """What the sentence says, for programs: values of its attributes that JSON can hold, without the code."""
-        kept = {key: value for key, value in vars(self).items() if key != "code" and value is not None}
-        return {key: str(value) if isinstance(value, Path) else value for key, value in kept.items()}
+        """Return the facts of the message for programs.
+
+        Returns:
+            Attribute -> value that JSON can hold, paths as texts; without the code and without None.
+        """
+        values = {key: value for key, value in vars(self).items() if key != "code" and value is not None}
+        return {key: str(value) if isinstance(value, Path) else value for key, value in values.items()}
 
 
-def _rebuilt(kind: type[ManipLearnError], args: tuple[Any, ...], facts: dict[str, Any]) -> ManipLearnError:
+def _rebuild(kind: type[ManipLearnError], args: tuple[Any, ...], facts: dict[str, Any]) -> ManipLearnError:
+    """Restore a pickled error without calling its constructor."""
     error = kind.__new__(kind, *args)
     vars(error).update(facts)
     return error
 
 
 class _InFileError(ManipLearnError):
+    """Base of errors about a file: its path, line and column."""
+
     def __init__(
         self,
         message: str,
@@ -209,8 +283,8 @@ class UnknownNameError(ManipLearnError):
     """A name that the robot does not have.
 
     Attributes:
-        kind: What was looked for: `"frame"`, `"joint"`, `"robot"`, ...
-        name: The name that was asked for.
+        kind: Kind of the missing thing: `"frame"`, `"joint"`, `"robot"`, ...
+        name: The unknown name.
         near: The closest names that exist.
     """
 
@@ -219,15 +293,15 @@ class UnknownNameError(ManipLearnError):
     def __init__(
         self, kind: str, name: str, known: Iterable[str], where: str = "", more: str = "", others: Iterable[str] = ()
     ):
-        """An error about a name; `others` are names that look alike and are known to be of another thing."""
-        names, unlike = sorted({str(n) for n in known}), [str(n) for n in others]
+        """Create an error about a name; `others` are similar names that belong to a different thing."""
+        names, different = sorted({str(n) for n in known}), [str(n) for n in others]
         self.kind = kind
         self.name = str(name)
-        self.near = () if unlike else tuple(closest_names(self.name, names))
+        self.near = () if different else tuple(closest_names(self.name, names))
         place = f" in {where}" if where else ""
-        if unlike:
+        if different:
             thing = "arm" if kind == "robot" else kind
-            hint = f"{listed(map(repr, unlike))} {'is' if len(unlike) == 1 else 'are'} not the same {thing}"
+            hint = f"{listed(map(repr, different))} {'is' if len(different) == 1 else 'are'} not the same {thing}"
         elif self.near:
             hint = f"did you mean {', '.join(repr(n) for n in self.near)}?"
         elif names:
@@ -238,11 +312,17 @@ class UnknownNameError(ManipLearnError):
 
 
 def closest_names(name: str, known: Iterable[str], n: int = 4) -> list[str]:
-    """Names of `known` that look like `name`: by similarity, then by containing it."""
-    known, lowered = list(known), name.lower()
-    by_letters = {k.lower(): k for k in known}
+    """Return the known names that look like a name: first by similarity, then names that contain it or are part of it.
+
+    Args:
+        name: Unknown name; case does not matter.
+        known: Names that exist.
+        n: Largest number of names to return.
+    """
+    choices, lowered = list(known), name.lower()
+    by_letters = {k.lower(): k for k in choices}
     near = [by_letters[k] for k in difflib.get_close_matches(lowered, by_letters, n=n, cutoff=0.55)]
-    near += [k for k in known if lowered and (lowered in k.lower() or k.lower() in lowered) and k not in near]
+    near += [k for k in choices if lowered and (lowered in k.lower() or k.lower() in lowered) and k not in near]
     return near[:n]
 
 
@@ -260,10 +340,10 @@ class FeatureError(ManipLearnError):
 
 @final
 class NumberOfConstraintsError(FeatureError):
-    """A number of constraints that the features cannot have.
+    """A number of constraints that is impossible for the features.
 
     Attributes:
-        given: The number asked for.
+        given: The number that was passed.
         most: The largest possible number; the smallest is 1.
         features: The features, in words.
     """
@@ -274,8 +354,8 @@ class NumberOfConstraintsError(FeatureError):
         self.given = given
         self.most = most
         self.features = features
-        asked = advice("{}", "n_constraints", "--constraints") or "the number of constraints"
-        super().__init__(f"{asked} must be between 1 and {most} for {features}, got {given}")
+        argument = advice("{}", "n_constraints", "--constraints") or "the number of constraints"
+        super().__init__(f"{argument} must be between 1 and {most} for {features}, got {given}")
 
 
 class ConstraintError(ManipLearnError):
@@ -308,8 +388,8 @@ class NotIdentifiableError(ManipLearnError):
 
     Attributes:
         code: Short stable name of the reason, e.g. `"weak-gap"`.
-        gaps: Number of rows -> the gap that supports it, where gaps were found: 10 is clear.
-        advice: What the data show, and what to try next.
+        gaps: Number of rows -> the gap that supports it, where gaps were computed: 10 is clear.
+        advice: Findings about the data, and next steps.
     """
 
     def __init__(
@@ -327,17 +407,17 @@ class NotIdentifiableError(ManipLearnError):
 
 @final
 class NotFittedError(ManipLearnError, AttributeError):
-    """What a learner has learnt is asked for before `fit`; an AttributeError too, so that `hasattr` works.
+    """A result of a learner is read before `fit`; an AttributeError too, so that `hasattr` works.
 
     Attributes:
-        name: The attribute that was asked for.
+        name: Name of the attribute.
     """
 
     code = "not-fitted"
 
     def __init__(self, name: str):
         AttributeError.__init__(self, name=name)
-        ManipLearnError.__init__(self, f"call learner.fit(demonstrations) first: there is no {name} before it")
+        ManipLearnError.__init__(self, f"call learner.fit(demonstrations) first: {name} exists only after it")
         self.name = name
 
     def __reduce__(self):
@@ -351,20 +431,20 @@ class TargetError(ManipLearnError):
 
 
 class SceneError(ManipLearnError):
-    """A thing that stands in the world cannot be used, or a file of such things cannot be read."""
+    """An obstacle cannot be used, or a scene file cannot be read."""
 
     code = "scene"
 
 
 @final
 class NoPlanError(ManipLearnError):
-    """A way cannot be done from any posture that was tried.
+    """The motion is infeasible from every posture that was tried.
 
     Attributes:
-        largest: How much of the way can be done [m or rad]; 0 where the hand cannot even take hold.
-        posture: Joint positions from which that much is done; None where there are none.
-        stopped_by: What stops the arm there, in words.
-        helps: What would let the whole way be done, in sentences; empty where nothing that was tried does.
+        largest: Feasible part of the motion [m or rad]; 0 if even the grasp pose is out of reach.
+        posture: Joint positions from which that part is feasible; None if there are none.
+        stopped_by: Reason for the stop there, in words.
+        helps: Changes that make the whole motion feasible, in sentences; empty if no change that was tried does.
     """
 
     code = "no-plan"
@@ -382,7 +462,7 @@ class NoPlanError(ManipLearnError):
         self.largest, self.posture, self.stopped_by, self.helps = largest, posture, stopped_by, tuple(helps)
 
     def facts(self) -> dict[str, object]:
-        """The facts of every error, with the posture as a list."""
+        """Return the facts of the message for programs, with the posture as a list."""
         return super().facts() | ({} if self.posture is None else {"posture": list(map(float, self.posture))})
 
 

@@ -1,6 +1,6 @@
-"""Linear algebra of constraint matrices, all from one singular value decomposition.
+"""Linear algebra of constraint matrices, mostly by singular value decompositions.
 
-Shapes: A (s, n) with s <= n in general, but nothing here needs it.
+Shapes: A (s, n), in general with s <= n, but no function here needs that.
 """
 
 from __future__ import annotations
@@ -21,7 +21,11 @@ EPS = float(np.finfo(np.float64).eps)
 
 @functools.cache
 def unit(size: int) -> Float[np.ndarray, "n n"]:
-    """The unit matrix, not to be written to."""
+    """Return the identity matrix, read-only and cached.
+
+    Args:
+        size: Number of rows n.
+    """
     matrix = np.eye(size)
     matrix.setflags(write=False)
     return matrix
@@ -30,13 +34,16 @@ def unit(size: int) -> Float[np.ndarray, "n n"]:
 def inverse_singular_values(
     sigma: Float[np.ndarray, " k"], shape: tuple[int, ...], inverse: Inverse = "exact"
 ) -> Float[np.ndarray, " k"]:
-    """1/sigma in the chosen sense, so that A^+ = V diag(1/sigma) U^T.
+    """Return 1/sigma, with zeros for dropped values, so that A^+ = V diag(1/sigma) U^T.
 
     Args:
         sigma: Singular values of A, in falling order.
-        shape: Of A.
+        shape: Shape of A.
         inverse: `"exact"` inverts every singular value above the smallest normal number, however small;
-            `"truncated"` drops those below Matlab's tolerance max(size(A)) * eps(norm(A)), as the paper does.
+            `"truncated"` drops values below Matlab's tolerance max(size(A)) * eps(norm(A)), as the paper does.
+
+    Raises:
+        ValueError: Another name of an inverse.
     """
     out = np.zeros_like(sigma)
     if inverse == "truncated":
@@ -44,13 +51,21 @@ def inverse_singular_values(
     elif inverse == "exact":
         keep = sigma > np.finfo(np.float64).tiny
     else:
-        raise ValueError(f"inverse must be 'exact' or 'truncated', not {inverse!r}")
+        raise ValueError(f"inverse must be 'exact' or 'truncated', got {inverse!r}")
     np.divide(1.0, sigma, out=out, where=keep)
     return out
 
 
 def finite(values: object, *shape: int) -> np.ndarray | None:
-    """The values as a float64 array of that shape; None if they are no numbers, not finite, or of another shape."""
+    """Convert values to a float64 array of one shape.
+
+    Args:
+        values: Anything that NumPy may convert to an array.
+        *shape: Expected shape; none for a scalar.
+
+    Returns:
+        The array; None if the values are not numbers, not finite, or of another shape.
+    """
     try:
         array = np.array(values)
     except (TypeError, ValueError):
@@ -61,12 +76,22 @@ def finite(values: object, *shape: int) -> np.ndarray | None:
 
 
 def matlab_tolerance(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> float:
-    """Matlab's pinv tolerance max(size(A)) * eps(norm(A))."""
+    """Compute the tolerance of Matlab's pinv, max(size(A)) * eps(norm(A)).
+
+    Args:
+        sigma: Singular values of A, in any order.
+        shape: Shape of A.
+    """
     return float(max(shape) * np.spacing(np.max(sigma, initial=0.0)))
 
 
 def rank_of(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> int:
-    """Number of singular values, in falling order, above Matlab's tolerance."""
+    """Return the numerical rank: the number of singular values above Matlab's tolerance.
+
+    Args:
+        sigma: Singular values of A, in falling order.
+        shape: Shape of A.
+    """
     values = sigma.tolist()
     least = max(shape) * math.ulp(values[0]) if values else 0.0
     rank = len(values)
@@ -76,66 +101,92 @@ def rank_of(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> int:
 
 
 def null_basis(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n k"]:
-    """Orthonormal basis Z of the null space of A (numerical rank by Matlab's tolerance)."""
+    """Return an orthonormal basis Z of the null space of A, one column per dimension.
+
+    Args:
+        A: Matrix of any shape; its numerical rank is by Matlab's tolerance.
+    """
     _, sigma, Vt = np.linalg.svd(A, full_matrices=True)
     return Vt[rank_of(sigma, A.shape) :].T
 
 
 def orthonormal_rows(M: Float[np.ndarray, "*n s p"]) -> Float[np.ndarray, "*n s p"]:
-    """Return the matrix with orthonormal rows closest to M (polar factor), of each matrix of a stack.
+    """Return the matrix with orthonormal rows closest to M (polar factor), for each matrix of a stack.
 
-    It keeps the row space, and the rows where it can. The rows of M must be independent.
+    It keeps the row space, and changes the rows as little as possible.
+
+    Args:
+        M: Matrices with independent rows.
     """
     U, _, Vt = np.linalg.svd(M, full_matrices=False)
     return U @ Vt
 
 
 def pivoted_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s p"]:
-    """Return orthonormal rows that depend on nothing but the row space of M, on any machine.
+    """Return orthonormal rows that depend only on the row space of M, on any machine.
 
-    The first is the projection of the axis that lies nearest to the row space, the next that of the axis that lies
-    nearest to what is left, and so on (Gram and Schmidt with pivoting). The rows of M must be independent.
+    The first row is the projection of the axis nearest to the row space, the next one the projection of the axis
+    nearest to the rest of it, and so on (Gram-Schmidt with pivoting).
+
+    Args:
+        M: Matrix with independent rows.
     """
     rows = np.linalg.svd(M, full_matrices=False)[2]
-    out, left = np.zeros((0, M.shape[1])), rows.T @ rows
+    out, rest = np.zeros((0, M.shape[1])), rows.T @ rows
     for _ in M:
-        sizes = np.round(np.diag(left), 9)
-        row = left[int(np.argmax(sizes))]
+        sizes = np.round(np.diag(rest), 9)
+        row = rest[int(np.argmax(sizes))]
         row = row - out.T @ (out @ row)
         out = np.concatenate([out, row[None] / np.linalg.norm(row)])
-        left = left - np.outer(out[-1], out[-1])
+        rest = rest - np.outer(out[-1], out[-1])
     return out
 
 
 def row_basis(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "r p"]:
-    """Orthonormal rows that span the row space of M (numerical rank by Matlab's tolerance)."""
+    """Return orthonormal rows that span the row space of M.
+
+    Args:
+        M: Matrix of any shape; its numerical rank is by Matlab's tolerance.
+    """
     _, sigma, Vt = np.linalg.svd(M, full_matrices=False)
     return Vt[: rank_of(sigma, M.shape)]
 
 
 def complement_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "k p"]:
-    """Orthonormal rows that span the orthogonal complement of the row space of M."""
+    """Return orthonormal rows that span the orthogonal complement of the row space of M.
+
+    Args:
+        M: Matrix of any shape; its numerical rank is by Matlab's tolerance.
+    """
     return null_basis(M).T
 
 
 def whitener(S: Float[np.ndarray, "n n"], least: float = 1e-12) -> Float[np.ndarray, "r n"]:
-    """W with W S W^T = I over what a symmetric S >= 0 determines; no rows if that is nothing.
+    """Return W with W S W^T = I on the directions that a symmetric S >= 0 determines.
 
     Args:
         S: Sum of products, or curvature; the unknowns may be in different units.
         least: Eigenvalue over the largest, each unknown scaled to its own size, below which a direction is rounding.
+
+    Returns:
+        One row per determined direction; no rows if there is none.
     """
     size = np.sqrt(np.maximum(np.diag(S), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     values, vectors = np.linalg.eigh(scale[:, None] * S * scale)
-    kept = values > least * np.max(values, initial=0.0)
-    return (vectors[:, kept] / np.sqrt(values[kept])).T * scale
+    is_determined = values > least * np.max(values, initial=0.0)
+    return (vectors[:, is_determined] / np.sqrt(values[is_determined])).T * scale
 
 
 def row_space_angle(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) -> float:
-    """Largest principal angle [rad] between two row spaces, accurate for tiny angles too; pi/2 if dimensions differ.
+    """Return the largest principal angle between two row spaces [rad], accurate for tiny angles too.
 
-    Rows may depend on each other or be zero: they add nothing to the space.
+    Args:
+        M1: Matrix; dependent rows and zero rows are allowed and do not change the space.
+        M2: Matrix with the same number of columns.
+
+    Returns:
+        The angle [rad]; pi/2 if the dimensions differ, 0 if both spaces are empty.
     """
     Q1, Q2 = row_basis(M1), row_basis(M2)
     if Q1.shape != Q2.shape:
@@ -144,19 +195,30 @@ def row_space_angle(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) 
 
 
 def row_space_angles(stack: Float[np.ndarray, "n s p"], M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, " n"]:
-    """Largest principal angle [rad] between the row space of M and each of a stack; all rows must be independent."""
+    """Return the largest principal angle between the row space of M and each row space of a stack [rad].
+
+    Args:
+        stack: Matrices with independent rows.
+        M: Matrix with independent rows.
+    """
     Q1, Q2 = np.linalg.qr(stack.transpose(0, 2, 1))[0].transpose(0, 2, 1), np.linalg.qr(M.T)[0].T
     shared = Q1 @ Q2.T
     cosines = np.linalg.svd(shared, compute_uv=False)
-    # both together are accurate for tiny angles and for right ones
+    # sines are accurate for small angles, cosines for angles near pi/2
     sines = np.linalg.svd(Q1 - shared @ Q2, compute_uv=False)
     return np.arctan2(sines[:, 0], cosines[:, -1])
 
 
 def batch_row_spaces(A: Float[np.ndarray, "n s nv"]) -> tuple[Float[np.ndarray, "n nv nv"], Float[np.ndarray, "n s s"]]:
-    """A_n^T = Q_n[:, :s] R_n for a stack of matrices, see `row_bases`: bases of row and null spaces.
+    """Compute bases of row and null spaces of a stack, A_n^T = Q_n[:, :s] R_n; see `row_bases`.
 
     The null basis is Z_n = Q_n[:, s:], the pseudo-inverse A_n^+ = Q_n[:, :s] R_n^{-T}.
+
+    Args:
+        A: Constraint matrices.
+
+    Returns:
+        The orthogonal matrices Q_n and the upper triangles R_n.
     """
     Q, R = row_bases(A.transpose(2, 1, 0), A.shape[2])
     return np.ascontiguousarray(Q.transpose(2, 0, 1)), np.ascontiguousarray(R.transpose(2, 0, 1))
@@ -165,14 +227,17 @@ def batch_row_spaces(A: Float[np.ndarray, "n s nv"]) -> tuple[Float[np.ndarray, 
 def row_bases(
     columns: Float[np.ndarray, "nv s n"], size: int | None = None
 ) -> tuple[Float[np.ndarray, "nv k n"], Float[np.ndarray, "s s n"]]:
-    """A_n^T = Q_n R_n with the matrices side by side in the last axis: bases of the row spaces.
+    """Compute bases of the row spaces, A_n^T = Q_n R_n, with the matrices side by side in the last axis.
 
-    By Householder reflections, vectorised over the matrices, where a LAPACK call for each would cost more in calls than
-    in arithmetic.
+    Householder reflections are vectorised over the matrices: for such small matrices, the overhead of separate LAPACK
+    calls would exceed the arithmetic.
 
     Args:
         columns: A_n^T.
-        size: Number of columns of Q_n: s by default; nv for the null bases behind them, at five times the cost.
+        size: Number of columns of Q_n: s by default; nv adds the null bases, at five times the cost.
+
+    Returns:
+        Q_n with orthonormal columns, and the upper triangles R_n.
     """
     nv, s, n = columns.shape
     work = np.array(columns, order="C")
@@ -198,23 +263,27 @@ def row_bases(
 
 @functools.cache
 def _libraries(with_scipy: bool) -> ThreadpoolController:
-    # looking for the loaded BLAS libraries takes milliseconds: once for NumPy's, and once more when SciPy's is there
+    # the search for loaded BLAS libraries takes milliseconds: run it once for NumPy's, and once more with SciPy's
     return ThreadpoolController()
 
 
 def one_thread() -> AbstractContextManager[Any]:
-    """A context in which BLAS and LAPACK use one thread; the number set before is restored at its end.
+    """Return a context in which BLAS and LAPACK use one thread; the former number of threads is restored at its end.
 
-    On matrices as small as a constraint's a second thread costs more than it brings, and sums that are split
-    differently differ in their last digits. What is loaded within it is not limited: what loads SciPy enters it again.
+    For matrices as small as a constraint's, a second thread costs more than it saves, and a different split of a sum
+    changes its last digits. Libraries loaded within the context are not limited: code that loads SciPy enters it again.
     """
     return _libraries("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas")
 
 
-def inverse_triangles_beside(work: Float[np.ndarray, "s s n"]) -> Float[np.ndarray, "s s n"]:
-    """Inverses of upper triangles that lie side by side in the last axis, as `row_bases` has them.
+def invert_triangles(work: Float[np.ndarray, "s s n"]) -> Float[np.ndarray, "s s n"]:
+    """Invert upper triangles that lie side by side in the last axis, as `row_bases` returns them.
 
-    Zero where a sample's constraint loses rank, so that it has no say.
+    Args:
+        work: Upper triangles R_n.
+
+    Returns:
+        The inverses; zero for a sample whose constraint loses rank, so that it has no influence.
     """
     s = len(work)
     if s == 0:
@@ -231,24 +300,39 @@ def inverse_triangles_beside(work: Float[np.ndarray, "s s n"]) -> Float[np.ndarr
 
 
 def along_axes(rows: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "k p"]:
-    """Orthonormal rows of the same space, turned towards single axes one after the other, largest first."""
+    """Return orthonormal rows of the same space, each aligned with one axis as far as possible.
+
+    Args:
+        rows: Orthonormal rows.
+
+    Returns:
+        The rows, sorted by the axis of their largest entry, which is positive; the axis with the largest share in the
+        space is aligned first.
+    """
     remaining, out = rows.copy(), []
     while remaining.shape[0]:
-        # the unit axis that lies deepest in what remains
+        # the unit axis with the largest share in the remaining space
         share = np.sum(remaining**2, axis=0)
         axis = int(np.argmax(share))
         direction = remaining[:, axis] / np.linalg.norm(remaining[:, axis])
         row = direction @ remaining
-        # the first of the largest entries, of which rounding does not decide
+        # take the first of tied entries so that rounding cannot decide
         first = int(np.argmax(np.abs(row) > np.max(np.abs(row)) - 1e-6))
         out.append(row if row[first] > 0 else -row)
         remaining = null_basis(direction[None, :]).T @ remaining if remaining.shape[0] > 1 else remaining[:0]
-    # in the order of the axes that they point along most
+    # sorted by the axis of the largest entry
     return np.array(sorted(out, key=lambda row: int(np.argmax(np.abs(row)))))
 
 
 def manipulability_of(A: Float[np.ndarray, "s nv"]) -> float:
-    """mu of a constraint matrix; 0 if it has more rows than columns."""
+    """Compute the manipulability mu = sqrt(det(A A^T)), equation (4), as the product of the singular values.
+
+    Args:
+        A: Constraint matrix.
+
+    Returns:
+        mu; 0 if A has more rows than columns.
+    """
     if A.shape[0] > A.shape[1]:
         return 0.0
     return float(np.prod(np.linalg.svd(A, compute_uv=False)))

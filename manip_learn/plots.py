@@ -1,4 +1,4 @@
-"""Plots of results, drawn with matplotlib (extra `plots`) on axes that are given, or on new ones.
+"""Plots of results, drawn with matplotlib (extra `plots`) on given axes or on new ones.
 
 `style="page"` is for screens, `style="column"` for a column of a printed paper: 3.5 in wide, 8 pt, names at the curves.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -24,18 +24,17 @@ if TYPE_CHECKING:
 
 Style = Literal["page", "column"]
 HELD, FREE, GREY, SINGULAR = COLOURS["blue"], COLOURS["vermilion"], COLOURS["grey"], "#b00020"
-SIZES: dict[str, Any] = {"page": None, "column": (3.5, 2.3)}  # of a new figure [in]; None: as matplotlib is set up
-LETTERS = 8.0  # [pt] in a printed column
+SIZES: dict[str, Any] = {"page": None, "column": (3.5, 2.3)}  # size of a new figure [in]; None: matplotlib's setting
 
 
 def manipulability(
     rollouts: Rollout | Sequence[Rollout] | Mapping[str, Rollout], ax: Axes | None = None, style: Style = "page"
 ) -> Axes:
-    """Draw mu over time along one rollout or several, with its status and the range in the recordings.
+    """Draw mu over time for one or several rollouts, with their status and the range of mu in the recordings.
 
-    The strip below has a row for each rollout that did not always move as asked: light where it was slowed down, dark
-    where it stood. The grey band is the range of mu of the same rows in the middle 90 % of the recorded postures, if
-    the first rollout knows them and its robot.
+    The strip below has a row for each rollout that was slowed down (light) or stopped (dark). The grey band is the
+    range of mu of the same rows in the middle 90 % of the recorded postures; it is drawn if the first rollout has these
+    postures and its robot.
 
     Args:
         rollouts: One, several, or name -> rollout.
@@ -50,21 +49,23 @@ def manipulability(
         MissingExtraError: matplotlib is not installed.
     """
     several = rollouts if isinstance(rollouts, Mapping | Sequence) else [rollouts]
-    named = dict(several if isinstance(several, Mapping) else {f"rollout {n + 1}": r for n, r in enumerate(several)})
-    wrong = next((each for each in named.values() if not isinstance(each, Rollout)), None)
-    if wrong is not None or not named:
+    by_name = dict(several if isinstance(several, Mapping) else {f"rollout {n + 1}": r for n, r in enumerate(several)})
+    wrong = next((each for each in by_name.values() if not isinstance(each, Rollout)), None)
+    if wrong is not None or not by_name:
         raise ManipLearnError(f"give plots.manipulability a rollout, several, or name -> rollout, not {an(wrong)}")
-    ax, first = _axes(ax, style), next(iter(named.values()))
-    colours = [colour for _, colour in rollout_colours(list(named), {})]
-    for (name, rollout), colour in zip(named.items(), colours, strict=True):
-        ax.plot(rollout.time, rollout.mu, color=colour, label=name if len(named) > 1 else None)
-    ends = {} if len(named) == 1 else {n: (r.mu[-1], c) for (n, r), c in zip(named.items(), colours, strict=True)}
-    if (band := _mu_shown(first)) is not None:
+    ax, first = _axes(ax, style), next(iter(by_name.values()))
+    colours = [colour for _, colour in rollout_colours(list(by_name), {})]
+    for (name, rollout), colour in zip(by_name.items(), colours, strict=True):
+        ax.plot(rollout.time, rollout.mu, color=colour, label=name if len(by_name) > 1 else None)
+    ends = {} if len(by_name) == 1 else {n: (r.mu[-1], c) for (n, r), c in zip(by_name.items(), colours, strict=True)}
+    if (band := _recorded_mu_range(first)) is not None:
         ax.axhspan(*band, color=GREY, alpha=0.15, linewidth=0, label="as shown")
         ends["as shown"] = (float(np.mean(band)), GREY)
     top = ax.get_ylim()[1]
     rows = [
-        (r, colour) for r, colour in zip(named.values(), colours, strict=True) if {s.effect for s in r.status} - {"ok"}
+        (r, colour)
+        for r, colour in zip(by_name.values(), colours, strict=True)
+        if {s.effect for s in r.status} - {"ok"}
     ]
     for k, (rollout, colour) in enumerate(rows):
         until = np.append(rollout.time[1:], rollout.time[-1])
@@ -78,16 +79,16 @@ def manipulability(
     ax.set_yticks([tick for tick in ax.get_yticks() if 0.0 <= tick <= top])
     strip = "\nstrip: light slowed, dark stopped" if rows else ""
     ax.set(xlabel=f"time [s]{strip}", ylabel=f"manipulability μ{_unit_of_mu(first)}")
-    return _finished(ax, style, ends | {"singular": (0.0, SINGULAR)})
+    return _finish(ax, style, ends | {"singular": (0.0, SINGULAR)})
 
 
 def gap(report: LearningReport, ax: Axes | None = None, style: Style = "page") -> Axes:
-    """Draw how much the recordings move along each direction, held ones and free ones, and the gap between them.
+    """Draw the motion of the recordings along each direction, held and free ones, and the gap between them.
 
-    The joint estimator has no such levels: there each number of rows has a bar, its gap.
+    The joint estimator has no such levels: for it, each number of rows has a bar, its gap.
 
     Args:
-        report: That of a learner, `learner.report_`.
+        report: Report of a learner, `learner.report_`.
         ax: Axes to draw on; None for new ones.
         style: `"page"`, or `"column"` for a printed column.
 
@@ -99,33 +100,35 @@ def gap(report: LearningReport, ax: Axes | None = None, style: Style = "page") -
         MissingExtraError: matplotlib is not installed.
     """
     ax, s, ends = _axes(ax, style, report), report.n_constraints, {}
-    said = f"gap {report.gap:.3g}"
+    label = f"gap {report.gap:.3g}"
     if report.levels:
         number = np.arange(1, len(report.levels) + 1)
         for rows, colour, name in ((slice(s), HELD, "held"), (slice(s, None), FREE, "free")):
             ax.plot(number[rows], report.levels[rows], "o", color=colour, label=name)
             ends |= {name: (level, colour)} if (level := max(report.levels[rows], default=0.0)) else {}
-        above = report.levels[s] if s < len(report.levels) else 1.0  # of a motion as strong in all joints
+        above = report.levels[s] if s < len(report.levels) else 1.0  # 1: the same motion in all joints
         ax.annotate(
             "", (s + 0.5, above), (s + 0.5, report.levels[s - 1]), arrowprops={"arrowstyle": "<->", "color": GREY}
         )
         middle = float(np.sqrt(above * report.levels[s - 1]))
-        ax.annotate(f" {said}\n ({CLEAR_GAP:g} is clear)", (s + 0.5, middle), va="center", fontsize="small")
+        ax.annotate(f" {label}\n ({CLEAR_GAP:g} is clear)", (s + 0.5, middle), va="center", fontsize="small")
         ax.set(xlabel="direction, least moved first", ylabel="motion [share of all joints']", xticks=number)
         ax.set_xlim(0.5, max(len(number), s + 1) + 0.7)
     else:
         counts, gaps = list(report.gap_table), list(report.gap_table.values())
         ax.bar(counts, gaps, color=[HELD if n == s else GREY for n in counts], width=0.6)
-        ax.set(xlabel="number of rows", ylabel=f"gap [ratio] ({s}: {said})", xticks=counts)
+        ax.set(xlabel="number of rows", ylabel=f"gap [ratio] ({s}: {label})", xticks=counts)
     ax.set_yscale("log")
-    return _finished(ax, style, ends)
+    return _finish(ax, style, ends)
 
 
 def evidence(report: LearningReport, ax: Axes | None = None, style: Style = "page") -> Axes:
-    """Draw how strongly each row is held, and the chance that it only seems to be (recombination test).
+    """Draw the strength of each row and its p-value (recombination test).
+
+    The p-value is the probability of so little motion along a row if the joints moved independently.
 
     Args:
-        report: That of a learner, `learner.report_`.
+        report: Report of a learner, `learner.report_`.
         ax: Axes to draw on; None for new ones.
         style: `"page"`, or `"column"` for a printed column.
 
@@ -154,12 +157,12 @@ def evidence(report: LearningReport, ax: Axes | None = None, style: Style = "pag
     ax.set(xlabel=f"strength [ratio], believed above {BELIEVED:g}", ylabel="row")
     ax.set_yticks(number, [f"{n}: {row.state}" for n, row in zip(number, rows, strict=True)])
     ax.invert_yaxis()
-    ax.set_xlim(1.0, 30.0 * max(BELIEVED, *(row.strength for row in rows)))  # room for the words
-    return _finished(ax, style)
+    ax.set_xlim(1.0, 30.0 * max(BELIEVED, *(row.strength for row in rows)))  # room for the labels
+    return _finish(ax, style)
 
 
 def _axes(ax: Axes | None, style: str, report: Any = None) -> Axes:
-    """Return the axes that were given, or new ones; the other arguments are checked first."""
+    """Check the other arguments, then return the given axes or new ones."""
     if report is not None and not isinstance(report, LearningReport):
         raise ManipLearnError(f"give the report of a learner, learner.report_, not {an(report)}")
     if style not in SIZES:
@@ -173,20 +176,21 @@ def _axes(ax: Axes | None, style: str, report: Any = None) -> Axes:
     return plt.subplots(figsize=SIZES[style], layout="constrained")[1]
 
 
-def _finished(ax: Axes, style: Style, ends: Mapping[str, tuple[float, str]] = MappingProxyType({})) -> Axes:
-    """Name what is drawn, in a legend, or in a column at the heights of the curves, and set the size of letters.
+def _finish(ax: Axes, style: Style, ends: Mapping[str, tuple[float, str]] = MappingProxyType({})) -> Axes:
+    """Name the curves, in a legend or, in a column, at their heights, and set the font size.
 
     Args:
         ax: The axes.
         style: As in the public functions.
-        ends: Name -> (value at which a curve ends or a band has its middle, colour); the names are those of the legend.
+        ends: Name in the legend -> (value at the end of a curve or in the middle of a band, colour).
     """
     if style == "page":
         if ends:
             ax.legend(frameon=False, fontsize="small")
         return ax
-    figure: Any = ax.figure
-    room = 1.15 * LETTERS / (72.0 * ax.get_position().height * figure.get_figheight())  # of a line of letters
+    figure, size = cast(Any, ax.figure), 8.0  # [pt] font size in a printed column
+    # height of a line of text in axes coordinates
+    room = 1.15 * size / (72.0 * ax.get_position().height * figure.get_figheight())
     to_axes, lowest = ax.transData + ax.transAxes.inverted(), -1.0
     for name, (value, colour) in sorted(ends.items(), key=lambda end: end[1][0]):
         lowest = max(to_axes.transform((1.0, value))[1], lowest + room)
@@ -194,13 +198,13 @@ def _finished(ax: Axes, style: Style, ends: Mapping[str, tuple[float, str]] = Ma
     for spine in ("top", "right"):
         ax.spines[spine].set_visible(False)
     for text in (ax.title, ax.xaxis.label, ax.yaxis.label, *ax.texts):
-        text.set_fontsize(LETTERS)
-    ax.tick_params(labelsize=LETTERS)
+        text.set_fontsize(size)
+    ax.tick_params(labelsize=size)
     return ax
 
 
 def _unit_of_mu(rollout: Rollout) -> str:
-    """Return the unit of mu, a radian counted as 1; nothing where metres and radians are mixed in a row."""
+    """Return the unit of mu, with a radian counted as 1; empty if a row mixes metres and radians."""
     content = rollout.constraint or {}
     units = content.get("row_units", ())
     rows = [
@@ -212,14 +216,14 @@ def _unit_of_mu(rollout: Rollout) -> str:
     return f" [m{'²³⁴⁵⁶'[metres - 2] if metres > 1 else ''}]" if metres else " [1]"
 
 
-def _mu_shown(rollout: Rollout) -> Float[np.ndarray, " 2"] | None:
-    """Return the range of mu in the middle 90 % of the recorded postures; None if they or the robot are unknown."""
+def _recorded_mu_range(rollout: Rollout) -> Float[np.ndarray, " 2"] | None:
+    """Return the range of mu in the middle 90 % of the recorded postures; None without these postures or the robot."""
     content = rollout.constraint or {}
     postures = content.get("provenance", {}).get("postures")
     if not postures or rollout.robot is None:
         return None
     try:
         constraint = Constraint.from_dict(content, rollout.robot.load())
-    except ManipLearnError:  # another machine, where the robot's file is not
+    except ManipLearnError:  # another machine, without the robot's file
         return None
     return np.quantile([constraint.manipulability(q) for q in postures], [0.05, 0.95])

@@ -105,7 +105,7 @@ def test_narrower_limits_of_safety_controllers_and_ros2_control_are_used(written
     notes = [w for w in robot.warnings if ("safety_controller" if is_safety else "ros2_control") + " allows" in w]
     assert is_safety or [w.split("of the ")[1].split()[0] for w in notes] == told
     assert len(notes) == len(told)
-    assert is_safety or all("joint 'j'" in w and w.endswith(" -2 ... 2: the narrower ones are used") for w in notes)
+    assert is_safety or all("joint 'j'" in w and w.endswith(" -2 ... 2: the narrower range is used") for w in notes)
 
 
 # by hand from the makers' Denavit-Hartenberg parameters, all joints at zero

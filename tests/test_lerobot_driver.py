@@ -139,10 +139,10 @@ REFUSED = {  # words of the sentence -> changes of the arm, and options of the d
     r"gripper of fake_follower moves no joint of planar3: .*others=\('gripper',\)": ({}, {"others": ()}),
     "has no motor elbow: its motors are joint1": ({}, {"motors": {"elbow": "joint1"}}),
     "joint1 has two motors, joint1 and joint2": ({}, {"motors": {"joint2": "joint1"}}),
-    "does not say in which unit motor joint1 is: give units=": ({"config": None}, {}),
+    "does not know the unit of motor joint1: set units=": ({"config": None}, {}),
     "joint1 is in degrees by LeRobot's own config": ({}, {"units": "radians"}),
     "units must be 'degrees'": ({}, {"units": "deg"}),
-    "takes x.speed: only positions": ({"action_features": FEATURE | {"x.speed": float}}, {}),
+    "expects x.speed: this driver can only send positions": ({"action_features": FEATURE | {"x.speed": float}}, {}),
     "does not observe the position of motors": ({"observation_features": {}}, {}),
     "period must be a positive number": ({}, {"period": 0.0}),
 }
@@ -164,7 +164,7 @@ def test_motors_and_joints_that_do_not_fit(planar3):
         ml.LeRobotDriver(Arm(np.zeros(5), (*SO101.joint_names, "gripper")), SO101, PERIOD)
     with pytest.raises(ConfigurationError, match="no motor of fake_follower moves joint joint3 of planar3: .*locked="):
         driver_of(Arm(motors=("joint1", "joint2", "gripper")), planar3)
-    words = {"sign": "sign must be 1 or -1", "span": "span a positive one", "zero": "zero a finite number"}
+    words = {"sign": "sign must be 1 or -1", "span": "span a positive number", "zero": "zero a finite number"}
     for name, value in (("sign", 2), ("span", 0.0), ("zero", np.nan)):
         with pytest.raises(ConfigurationError, match=words[name]):
             ml.LeRobotMotor("joint1", **{name: value})
@@ -216,7 +216,7 @@ def test_readings_that_are_no_numbers(value, planar3):
 
     arm.get_observation = observe  # type: ignore[method-assign]
     record = ml.run(loop, driver, 2.0)
-    assert "position of motor joint2, which is no finite number" in record.ended and not record.rollout.u[-1].any()
+    assert "position of motor joint2, which is not a finite number" in record.ended and not record.rollout.u[-1].any()
     arm.observed = 0
     del arm.values["gripper"]
     with pytest.raises(ConfigurationError, match="None as position of motor gripper"):
@@ -258,9 +258,7 @@ def test_actions_that_lerobot_cuts_are_told(planar3, caplog):
         for _ in range(3):
             driver.command(START, np.zeros(3))
     assert driver.cut == 2 and len(caplog.records) == 1
-    assert driver.notes[0].startswith(
-        "fake_follower sent less than it was given in 2 actions, motor joint2 by up to 0.02 degrees"
-    )
+    assert driver.notes[0].startswith("fake_follower reduced 2 actions, motor joint2 by up to 0.02 degrees")
     arm.send_action = lambda action: None  # type: ignore[method-assign,assignment,return-value]
     driver.command(START, np.zeros(3))
     assert driver.cut == 2

@@ -136,7 +136,7 @@ def test_robots_are_fetched_by_name(fetching, capsys):
 
 def test_a_robot_that_cannot_be_fetched(fetching, monkeypatch):
     """One sentence says that the net is needed once; without the package, which extra brings the arm."""
-    with pytest.raises(RobotError, match="offline is fetched from the net when it is first named, and cannot be"):
+    with pytest.raises(RobotError, match="offline is downloaded at its first use, and the download failed"):
         load_robot("offline")
     monkeypatch.setattr(catalogue, "fetched_names", frozenset)
     for name in ("xarm6", "Lite 6"):
@@ -285,7 +285,7 @@ def test_arguments_and_packages_of_xacro_files(tmp_path):
         (path, [tmp_path / "packages"], {"hieght": "0.25"}, "no argument 'hieght'; it has 'height'"),
         (path, [], True, "heights.*package_dirs"),
         (path, [], "ur5", "a mapping"),
-        ("planar3", [], {"height": "1"}, "no .xacro file"),
+        ("planar3", [], {"height": "1"}, "not a .xacro file"),
     ):
         with case(words), pytest.raises(RobotError, match=words):
             load_robot(name, package_dirs=folders, xacro=xacro)

@@ -118,7 +118,7 @@ def test_limits_are_those_of_mujoco(tmp_path, range_, limited):
     expected = model.jnt_range[0] if model.jnt_limited[0] else (-np.inf, np.inf)
     assert (robot.position_lower[0], robot.position_upper[0]) == tuple(expected)
     is_odd = range_ in ("1 0", "1 1") and limited != 'limited="false"'
-    assert any("is no limit" in w for w in robot.warnings) == is_odd
+    assert any("is ignored, as in MuJoCo" in w for w in robot.warnings) == is_odd
 
 
 def test_a_mesh_has_the_scale_of_its_class(tmp_path):

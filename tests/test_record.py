@@ -99,8 +99,8 @@ def test_the_key_begins_and_ends(tmp_path: Path):
     ("fault", "sentence"),
     [
         (OSError("port gone"), "the driver's read() failed: OSError: port gone"),
-        (np.array([0.1, np.nan, 0.2]), "the driver has given no posture for 1 s"),
-        ({"joint1": 0.3, "joint2": 0.1}, "the driver has given no posture for 1 s"),
+        (np.array([0.1, np.nan, 0.2]), "the driver has returned no posture for 1 s"),
+        ({"joint1": 0.3, "joint2": 0.1}, "the driver has returned no posture for 1 s"),
     ],
 )
 def test_whatever_a_driver_does_the_files_are_kept(fault: object, sentence: str, tmp_path: Path):
@@ -136,7 +136,7 @@ def test_a_hand_guided_mode_that_is_not_there_is_said(tmp_path: Path):
         with pytest.raises(ConfigurationError, match=words):
             record(lacking, tmp_path, duration=5.0)
     (tmp_path / "file").write_text("", encoding="utf-8")
-    with pytest.raises(OutputError, match="cannot make the folder"):
+    with pytest.raises(OutputError, match="cannot create the folder"):
         record(arm, tmp_path / "file" / "demos", duration=1.0)
     for name in ("../drawer", "a/b", "", ".."):
         with pytest.raises(OutputError, match="without a folder"):

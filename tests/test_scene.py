@@ -225,7 +225,7 @@ def test_descriptions_as_scenes(tmp_path):
     for name, text, error, words in (
         ("room.urdf", CABINET.replace("TYPE", "floating"), SceneError, "lamp_joint.*fix"),
         ("room.xml", ROOM.replace("JOINT", '<joint name="hinge"/>'), SceneError, "hinge.*fix"),
-        ("hills.xml", hills, RobotError, "'hfield' is not read"),
+        ("hills.xml", hills, RobotError, "'hfield' is not supported"),
     ):
         with pytest.raises(error, match=f"{name}.*{words}"):
             load(name, text)

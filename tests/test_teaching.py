@@ -25,7 +25,7 @@ from manip_learn.errors import ConfigurationError
 pytest.importorskip("mujoco")
 from manip_learn.robot.tips import default_tip  # noqa: E402
 from manip_learn.teach.arm import STRONGEST, TeachingArm  # noqa: E402
-from manip_learn.teach.files import taken_home  # noqa: E402
+from manip_learn.teach.files import write_export  # noqa: E402
 from manip_learn.teach.scene import FIRST_SEED, HARD_STARTS, TITLES, place_scene  # noqa: E402
 from manip_learn.teach.session import FEW, TeachingSession  # noqa: E402
 
@@ -54,7 +54,7 @@ def test_names_do_not_run_in_the_script(tmp_path, monkeypatch):
     robot = ml.load_robot(path, locked=[joint])
     ml.Constraint(np.eye(3)[:1], ml.FrameJacobian(robot, tip)).save(tmp_path / "constraint.json")
     lesson: dict[str, Any] = {"what": "script", "learnt": True, "files": [f"a/{EVIL}.csv"], "start": np.zeros(2)}
-    file, _ = taken_home(robot, tip, lambda step, share: None, file=str(tmp_path / "constraint.json"), **lesson)
+    file, _ = write_export(robot, tip, lambda step, share: None, file=str(tmp_path / "constraint.json"), **lesson)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "manip_learn", library := MagicMock())
     exec(compile(file.read_text(encoding="utf-8"), file, "exec"), {})
@@ -233,7 +233,7 @@ def test_recordings_are_renamed_deleted_replayed_and_dropped(sawyer, tmp_path):
         yield from person.press(do="replay", name="my drawer")
         assert person.slots["ghosts"]["kind"] == "replay"
         yield from person.press(do="drop", name="planar.csv", text=planar)
-        assert "planar.csv is no recording of" in person.state["said"] and "right_j0" in person.state["said"]
+        assert "planar.csv is not a recording of" in person.state["said"] and "right_j0" in person.state["said"]
         text = (person.session.folder / "my drawer.csv").read_text()
         yield from person.press(do="drop", name="../../again.csv", text=text)
         assert [one["name"] for one in person.state["recordings"]][2:] == ["again"]
@@ -247,7 +247,7 @@ def test_recordings_are_renamed_deleted_replayed_and_dropped(sawyer, tmp_path):
         yield from person.press(do="release")
         yield from person.press(do="record")
         yield from person.wait_for(lambda: person.state["wrong"])
-        assert "took hold of nothing" in person.state["said"]
+        assert "grasped nothing" in person.state["said"]
         kept = sorted(p.name for p in tmp_path.rglob("*.csv"))
         assert kept == sorted(path.name for path in person.session.files) and len(kept) == 2
         arm, handle = person.session.arm, person.session.arm.scene.handle
@@ -381,7 +381,7 @@ def test_a_robot_without_masses_and_limits_is_taught_with_defaults_that_are_told
         arm.wait()
     assert np.all(np.isfinite(arm.q)) and np.linalg.norm(arm.q - scene.start) > 1e-3
     path.write_text(NO_LIMITS.replace('name="b" type="continuous"', 'name="b" type="floating"'))
-    with pytest.raises(ConfigurationError, match="'b' does neither; lock it"):
+    with pytest.raises(ConfigurationError, match="'b' is neither; lock it"):
         place_scene("drawer", ml.load_robot(str(path)), "tip", np.random.default_rng(0))
 
 

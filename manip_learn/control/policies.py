@@ -20,7 +20,7 @@ from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_from,
 from manip_learn.control.command import Vector
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, an
 from manip_learn.linalg import unit
-from manip_learn.robot.limit_potential import has_range, ranges, room_of
+from manip_learn.robot.limit_potential import has_range, joint_range_margin, ranges
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_vector
 
@@ -171,7 +171,7 @@ class JointLimitAvoidance(NullSpacePolicy):
             ConfigurationError: q has the wrong size or is not finite.
         """
         x = (self.robot.positions(q) - self._middle) * self._per_half
-        room, pull = room_of(x), self._strength * x
+        room, pull = joint_range_margin(x), self._strength * x
         # multiplied by room^2 above and below: finite at the limits
         return -pull / np.hypot(room * room, pull / self._longest)
 
@@ -334,7 +334,7 @@ class RoomAscent(_Ascent):
     def _slope(self, q: ArrayLike, decomposition: Decomposition, vjp: Vjp) -> Vector:
         U, sigma, Vt = decomposition
         x = 2.0 * (self._robot.positions(q)[self._limited] - self._middle) / self._width
-        room = np.maximum(room_of(x), 1e-4)  # of a range: the slope of a joint at its limit stays finite
+        room = np.maximum(joint_range_margin(x), 1e-4)  # of a range: the slope of a joint at its limit stays finite
         shares = np.concatenate([(1.0 + self._enough / sigma) ** 2, 1.0 / room**2])
         shares /= shares.sum()
         rates = shares[: len(sigma)] * self._enough / ((sigma + self._enough) * sigma)

@@ -1,1 +1,1 @@
-"""Arms behind the protocol of `run`, and what records them."""
+"""Arms behind the protocol of `run`, and their recording."""

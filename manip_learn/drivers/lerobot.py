@@ -1,4 +1,4 @@
-"""A robot of LeRobot as the driver of `run`: its motors in degrees or -100 .. 100, our joints in rad."""
+"""A LeRobot robot as the driver of `run`: its motors in degrees or -100 .. 100, our joints in rad."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from manip_learn.errors import ConfigurationError, counted, listed, named
 from manip_learn.recordings.options import Units
 from manip_learn.robot.robot import Robot
 
-_ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may be beyond it: what conversions there and back leave
-CUT = 1e-4  # in a motor's own unit: LeRobot's own bound, from which on it says that it has cut an action
-# what LeRobot's buses call the units of a motor (MotorNormMode): [rad] per unit, or lowest and highest value of a range
+# units of a motor by their names on LeRobot's buses (MotorNormMode): [rad] per unit, or ends of a range
 _RAD = {"degrees": math.pi / 180.0, "radians": 1.0}
 _RANGES = {"range_m100_100": (-100.0, 100.0), "range_0_100": (0.0, 100.0)}
 _LOGGER = logging.getLogger("manip_learn")
@@ -29,12 +27,12 @@ class LeRobotMotor:
     """The joint that a motor moves: joint position = zero + sign * motor position.
 
     Attributes:
-        joint: Its name in the robot's description.
-        sign: -1 where the motor turns against the joint.
+        joint: Name of the joint in the robot's description.
+        sign: -1 if the motor turns against the joint.
         zero: Joint position where the motor reads 0, or 50 if it reads 0 .. 100 [rad or m]. None is 0, or the middle of
-            the joint's limits where those are the span.
-        span: How far the joint moves while the motor reads -100 .. 100, or 0 .. 100 [rad or m]. None is the range of
-            the arm's calibration, or of the joint's limits where it has none. Degrees need no span.
+            the joint's limits if these are the span.
+        span: Motion of the joint while the motor reads -100 .. 100, or 0 .. 100 [rad or m]. None is the range of the
+            arm's calibration, or of the joint's limits without one. Degrees need no span.
     """
 
     joint: str
@@ -43,16 +41,16 @@ class LeRobotMotor:
     span: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse numbers that are none.
+        """Refuse invalid numbers.
 
         Raises:
-            ConfigurationError: The sign, the zero or the span.
+            ConfigurationError: The sign, the zero or the span is invalid.
         """
         span_is_wrong = self.span is not None and not 0.0 < self.span < math.inf
         if self.sign not in (1, -1) or span_is_wrong or not math.isfinite(self.zero or 0.0):
             raise ConfigurationError(
                 f"motor of joint {self.joint}: the sign must be 1 or -1, the zero a finite number and the "
-                f"span a positive one [rad], got sign={self.sign!r}, zero={self.zero!r}, span={self.span!r}"
+                f"span a positive number [rad], got sign={self.sign!r}, zero={self.zero!r}, span={self.span!r}"
             )
 
 
@@ -60,28 +58,28 @@ class LeRobotMotor:
 class LeRobotDriver:
     """The driver of a LeRobot robot, for `run`; LeRobot itself is not imported.
 
-    Efforts are read from `"<motor>.torque"`, which CAN arms have in N m; currents and loads are none. Velocities are
-    read from `"<motor>.vel"` of motors in degrees. Action features `.vel` and `.torque` are sent 0.
+    Efforts are read from `"<motor>.torque"`, which CAN arms report in N m; currents and loads are not used. Velocities
+    are read from `"<motor>.vel"` of motors in degrees. Action features `.vel` and `.torque` are set to 0.
 
     Args:
-        arm: A connected LeRobot `Robot`: of it `observation_features`, `action_features`, `is_connected`,
-            `get_observation` and `send_action` are asked.
+        arm: A connected LeRobot `Robot`; the driver uses its `observation_features`, `action_features`, `is_connected`,
+            `get_observation` and `send_action`.
         robot: The robot whose joints it moves; locked joints need no motor.
-        period: Between two commands [s].
-        motors: Motor -> its joint, or a `LeRobotMotor`. A motor that is not named moves the joint of its name.
-        others: Motors that move no joint, as that of a gripper: held where they were first read. One that reads 0 to
-            100 shuts at 0 and opens at 100, see `gripper`.
-        units: Of motor positions. LeRobot knows them of most arms (`bus.motors`, `config.use_degrees`); give them for
+        period: Time between two commands [s].
+        motors: Motor -> its joint, or a `LeRobotMotor`. A motor without an entry moves the joint of its name.
+        others: Motors that move no joint, e.g. of a gripper: they keep their first position. A motor that reads 0 to
+            100 closes at 0 and opens at 100, see `gripper`.
+        units: Unit of motor positions. LeRobot knows it for most arms (`bus.motors`, `config.use_degrees`); set it for
             the others.
 
     Attributes:
-        period: Between two commands [s].
-        joint_names: Those of the robot.
-        cut: Number of actions of which LeRobot has sent less than it was given.
+        period: Time between two commands [s].
+        joint_names: Joints of the robot.
+        cut: Number of actions that LeRobot has reduced.
 
     Raises:
         ConfigurationError: The arm is not connected, a motor without a joint, a joint without a motor, or units that
-            are not known or contradict LeRobot's.
+            are unknown or contradict LeRobot's.
     """
 
     def __init__(
@@ -97,25 +95,25 @@ class LeRobotDriver:
         if not 0.0 < period < math.inf:
             raise ConfigurationError(f"the period must be a positive number of seconds, got {period!r}")
         if not arm.is_connected:
-            raise ConfigurationError(f"{self._name} is not connected: call its connect() before")
+            raise ConfigurationError(f"{self._name} is not connected: call its connect() first")
         self.period, self.joint_names = period, robot.joint_names
         self._others = (others,) if isinstance(others, str) else tuple(others)
         keys = arm.action_features
         self._motors: tuple[str, ...] = tuple(key.removesuffix(".pos") for key in keys if key.endswith(".pos"))
-        self._still = {key: 0.0 for key in keys if not key.endswith(".pos")}  # goes with them: no speed and no torque
+        self._still = {key: 0.0 for key in keys if not key.endswith(".pos")}  # zero speed and torque, sent every time
         if wrong := [key for key in self._still if not key.endswith((".vel", ".torque"))]:
             raise ConfigurationError(
-                f"{self._name} takes {listed(wrong)}: only positions of motors (.pos) are known here"
+                f"{self._name} expects {listed(wrong)}: this driver can only send positions of motors (.pos)"
             )
         if unseen := [motor for motor in self._motors if f"{motor}.pos" not in arm.observation_features]:
             raise ConfigurationError(f"{self._name} does not observe the position of {named('motor', unseen)}")
-        assigned = self._assigned(robot, dict(motors or {}))
+        assigned = self._assign(robot, dict(motors or {}))
         self._scales = [_scale(arm, robot, *assigned[joint], units) for joint in self.joint_names]
         self._held: dict[str, float] = {}
-        self.cut, self._largest_cut = 0, (0.0, "")  # and its motor
+        self.cut, self._largest_cut = 0, (0.0, "")  # with its motor
 
-    def _assigned(self, robot: Robot, given: dict[str, str | LeRobotMotor]) -> dict[str, tuple[str, LeRobotMotor]]:
-        """Joint -> its motor, by name and as described."""
+    def _assign(self, robot: Robot, given: dict[str, str | LeRobotMotor]) -> dict[str, tuple[str, LeRobotMotor]]:
+        """Return for each joint its motor, by name and with its `LeRobotMotor`."""
         if unknown := [motor for motor in (*given, *self._others) if motor not in self._motors]:
             raise ConfigurationError(
                 f"{self._name} has no {named('motor', unknown)}: its motors are {listed(self._motors)}"
@@ -127,8 +125,8 @@ class LeRobotDriver:
             if described.joint not in robot.joint_names:
                 locked = " (that joint is locked)" if described.joint in robot.locked else ""
                 raise ConfigurationError(
-                    f"motor {motor} of {self._name} moves no joint of {robot.name}{locked}: give its joint, "
-                    f"motors={{{motor!r}: NAME}}, or hold it still, others=({motor!r},)"
+                    f"motor {motor} of {self._name} moves no joint of {robot.name}{locked}: name its joint, "
+                    f"motors={{{motor!r}: NAME}}, or keep it still, others=({motor!r},)"
                 )
             if described.joint in assigned:
                 raise ConfigurationError(
@@ -138,39 +136,39 @@ class LeRobotDriver:
             assigned[described.joint] = motor, described
         if missing := [joint for joint in robot.joint_names if joint not in assigned]:
             raise ConfigurationError(
-                f"no motor of {self._name} moves {named('joint', missing)} of {robot.name}: give it in motors, or load "
+                f"no motor of {self._name} moves {named('joint', missing)} of {robot.name}: add it to motors, or load "
                 f"the robot with locked=({', '.join(map(repr, missing))},)"
             )
         return assigned
 
     def read(self) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"] | None, Float[np.ndarray, " nv"] | None]:
-        """Return the joint positions [rad or m], and velocities [rad/s] and efforts [N m] of arms that measure them.
+        """Return the joint positions [rad or m], and velocities [rad/s] and efforts [N m] if the arm measures them.
 
         Raises:
-            ConfigurationError: A position is missing or no finite number.
+            ConfigurationError: A position is missing or not a finite number.
         """
-        seen, values = self._observed()
+        observation, values = self._observe()
         q = np.array([scale.joint(values[scale.motor]) for scale in self._scales])
-        return q, self._beside(seen, "vel"), self._beside(seen, "torque")
+        return q, self._joint_values(observation, "vel"), self._joint_values(observation, "torque")
 
-    def _observed(self) -> tuple[Mapping[str, Any], dict[str, float]]:
-        """What the arm reports, and motor -> its position, in its own unit; the others are held where they were first.
+    def _observe(self) -> tuple[Mapping[str, Any], dict[str, float]]:
+        """Return the arm's observation, and motor -> position in its own unit; note the others' first positions.
 
         Raises:
-            ConfigurationError: A position is missing or no finite number.
+            ConfigurationError: A position is missing or not a finite number.
         """
-        seen = self._arm.get_observation()
-        positions = {motor: _number(seen.get(f"{motor}.pos")) for motor in self._motors}
+        observation = self._arm.get_observation()
+        positions = {motor: _number(observation.get(f"{motor}.pos")) for motor in self._motors}
         if bad := [motor for motor, value in positions.items() if not math.isfinite(value)]:
             raise ConfigurationError(
-                f"{self._name} reports {seen.get(f'{bad[0]}.pos')!r:.40} as position of motor {bad[0]}, which is no "
-                "finite number: look at its cable and its power"
+                f"{self._name} reports {observation.get(f'{bad[0]}.pos')!r:.40} as position of motor {bad[0]}, which "
+                "is not a finite number: check its cable and its power"
             )
         self._held = self._held or {motor: positions[motor] for motor in self._others}
-        return seen, positions
+        return observation, positions
 
-    def _beside(self, seen: Mapping[str, Any], kind: Literal["vel", "torque"]) -> Float[np.ndarray, " nv"] | None:
-        """Velocities or torques of the joints; None where one is missing or its unit is not known."""
+    def _joint_values(self, seen: Mapping[str, Any], kind: Literal["vel", "torque"]) -> Float[np.ndarray, " nv"] | None:
+        """Return velocities or torques of the joints; None if one is missing or its unit is unknown."""
         if kind == "vel" and any(scale.unit not in _RAD for scale in self._scales):
             return None
         values = [_number(seen.get(f"{scale.motor}.{kind}")) for scale in self._scales]
@@ -178,48 +176,56 @@ class LeRobotDriver:
         return np.multiply(factors, values) if all(map(math.isfinite, values)) else None
 
     def command(self, q: Float[np.ndarray, " nv"], u: Float[np.ndarray, " nv"]) -> None:
-        """Go to joint positions [rad or m]; nothing is sent where one is outside the calibration or the limits.
+        """Send joint positions; nothing is sent if one is outside the calibration or the limits.
+
+        Args:
+            q: Joint positions [rad or m].
+            u: Joint velocities; not used.
 
         Raises:
             ConfigurationError: A position is outside.
         """
         goals = {scale.motor: scale.motor_position(position) for scale, position in zip(self._scales, q, strict=True)}
         if self._others and not self._held:
-            self._observed()
+            self._observe()
         self._send(goals | self._held)
 
     def gripper(self, word: Literal["close", "open"]) -> None:
-        """Send the motors of grippers among the others to 0, or to 100, from the next command on."""
+        """Close or open the grippers among the other motors, from the next command on: 0 is closed, 100 is open.
+
+        Args:
+            word: `"close"` or `"open"`.
+        """
         if not self._held:
-            self._observed()
+            self._observe()
         for motor in self._held:
-            if _stated(self._arm, "bus", "motors", motor, "norm_mode", "value") == "range_0_100":
+            if _look_up(self._arm, "bus", "motors", motor, "norm_mode", "value") == "range_0_100":
                 self._held[motor] = 0.0 if word == "close" else 100.0
 
     def _send(self, goals: Mapping[str, float]) -> None:
-        """Send motor positions, and take note of what LeRobot makes of them."""
+        """Send motor positions, and note the reductions by LeRobot."""
         sent = self._arm.send_action(self._still | {f"{motor}.pos": value for motor, value in goals.items()})
-        left = sent if isinstance(sent, Mapping) else {}
-        off = max((abs(_number(left.get(f"{motor}.pos", value)) - value), motor) for motor, value in goals.items())
-        if off[0] > CUT:
+        actual = sent if isinstance(sent, Mapping) else {}
+        off = max((abs(_number(actual.get(f"{motor}.pos", value)) - value), motor) for motor, value in goals.items())
+        if off[0] > 1e-4:  # in the motor's unit; LeRobot itself reports larger reductions
             self.cut, self._largest_cut = self.cut + 1, max(self._largest_cut, off)
             if self.cut == 1:
                 _LOGGER.warning(*self.notes)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the arm was not given in full, in a sentence; empty if LeRobot has sent everything."""
+        """A sentence on reduced actions; empty if LeRobot has sent everything in full."""
         if not self.cut:
             return ()
         most, motor = self._largest_cut
-        unit = next((scale.unit for scale in self._scales if scale.motor == motor), "of its own unit")
+        unit = next((scale.unit for scale in self._scales if scale.motor == motor), "in its own unit")
         return (
-            f"{self._name} sent less than it was given in {counted(self.cut, 'action')}, motor {motor} by up to "
-            f"{most:.3g} {unit}: go slower, or raise max_relative_target or joint_limits in its config",
+            f"{self._name} reduced {counted(self.cut, 'action')}, motor {motor} by up to {most:.3g} {unit}: "
+            f"go slower, or raise max_relative_target or joint_limits in its config",
         )
 
     def release(self) -> None:
-        """Switch off the torque of the joints' motors, so that a person can guide the arm: hold it, it falls.
+        """Switch off the torque of the joints' motors, so that a person can guide the arm. Support the arm: it falls.
 
         Raises:
             ConfigurationError: LeRobot cannot do that with this arm.
@@ -227,23 +233,25 @@ class LeRobotDriver:
         self._torque("disable_torque", "guide it with its teleoperator (lerobot-teleoperate) instead")
 
     def hold(self) -> None:
-        """Hold the arm where it is: goals first, then torque, so that it does not go to where it was sent before.
+        """Hold the arm at its present position: send goals first, then torque, so that it does not go to an old goal.
 
         Raises:
             ConfigurationError: LeRobot cannot do that with this arm.
         """
-        _, positions = self._observed()
+        _, positions = self._observe()
         self._send(positions | self._held)
         self._torque("enable_torque", "switch it on with its own software")
 
     def _torque(self, name: str, instead: str) -> None:
-        # most arms have it on their bus, some themselves, some nowhere: LeRobot's Robot does not promise it
-        if (of_motors := _stated(self._arm, "bus", name)) is not None:
-            of_motors([scale.motor for scale in self._scales])
-        elif (of_arm := getattr(self._arm, name, None)) is not None:
-            of_arm()
+        """Call a method for the torque of the joints' motors, of the bus or of the arm."""
+        # the method is on the bus for most arms, on the arm for some, missing for others: LeRobot's Robot does not
+        # promise it
+        if (bus_method := _look_up(self._arm, "bus", name)) is not None:
+            bus_method([scale.motor for scale in self._scales])
+        elif (arm_method := getattr(self._arm, name, None)) is not None:
+            arm_method()
         else:
-            raise ConfigurationError(f"{self._name} has no {name}(), neither itself nor on its bus: {instead}")
+            raise ConfigurationError(f"{self._name} has no {name}(), neither on the arm nor on its bus: {instead}")
 
     def __repr__(self) -> str:
         return f"LeRobotDriver({self._name}, {len(self._scales)} joints, {1e3 * self.period:g} ms)"
@@ -252,15 +260,15 @@ class LeRobotDriver:
 @final
 @dataclass(frozen=True)
 class _Scale:
-    """From a motor's position to its joint's and back.
+    """The conversion between a motor's position and its joint's.
 
     Attributes:
-        motor: Its name.
+        motor: Name of the motor.
         unit: A key of `_RAD`, or % of a range.
-        centre: Motor position that is the joint's zero.
+        centre: Motor position at the joint position `zero`.
         zero: That joint position [rad or m].
-        per_unit: Of the joint, negative where the motor turns against it [rad or m].
-        bounds: (lowest, highest, what says so) of motor positions.
+        per_unit: Joint motion per unit of the motor, negative if the motor turns against the joint [rad or m].
+        bounds: (lowest, highest, source) of motor positions.
     """
 
     motor: str
@@ -271,16 +279,24 @@ class _Scale:
     bounds: tuple[tuple[float, float, str], ...]
 
     def joint(self, value: float) -> float:
-        """Return the joint position of a motor position."""
+        """Return the joint position of a motor position [rad or m].
+
+        Args:
+            value: Motor position in its unit.
+        """
         return self.zero + self.per_unit * (value - self.centre)
 
     def motor_position(self, position: float) -> float:
-        """Return the motor position of a joint position.
+        """Return the motor position of a joint position, within the bounds.
+
+        Args:
+            position: Joint position [rad or m].
 
         Raises:
             ConfigurationError: It is outside the bounds.
         """
-        value, rounding = self.centre + (float(position) - self.zero) / self.per_unit, _ROUNDING / abs(self.per_unit)
+        rounding = 1e-6 / abs(self.per_unit)  # [rad or m] / unit: tolerance at the limits, for round-trip conversion
+        value = self.centre + (float(position) - self.zero) / self.per_unit
         for low, high, what in self.bounds:
             if not low - rounding <= value <= high + rounding or not math.isfinite(value):
                 raise ConfigurationError(
@@ -292,15 +308,15 @@ class _Scale:
 
 
 def _scale(arm: Any, robot: Robot, motor: str, described: LeRobotMotor, units: Units | None) -> _Scale:
-    """The scale of a motor, by LeRobot, by the robot's description and as given."""
+    """Return the scale of a motor, from LeRobot, the robot's description and the user's settings."""
     unit = _unit(arm, motor, units)
     joint = robot.joint_index(described.joint)
     lower, upper = float(robot.position_lower[joint]), float(robot.position_upper[joint])
     low, high = _RANGES.get(unit, (-math.inf, math.inf))
     zero, centre = described.zero, 0.0
-    calibration = _stated(arm, "calibration", motor)
-    steps = _stated(arm, "bus", "model_resolution_table", str(_stated(arm, "bus", "motors", motor, "model")))
-    span = None  # [rad] calibrated; one turn is the last step less the first, as LeRobot counts it
+    calibration = _look_up(arm, "calibration", motor)
+    steps = _look_up(arm, "bus", "model_resolution_table", str(_look_up(arm, "bus", "motors", motor, "model")))
+    span = None  # [rad] calibrated range; LeRobot counts a turn as steps - 1
     if calibration is not None and steps is not None:
         span = 2.0 * math.pi * (calibration.range_max - calibration.range_min) / (steps - 1)
     if unit in _RAD:
@@ -318,8 +334,8 @@ def _scale(arm: Any, robot: Robot, motor: str, described: LeRobotMotor, units: U
             span, zero = upper - lower, 0.5 * (lower + upper) if zero is None else zero
         if not math.isfinite(span):
             raise ConfigurationError(
-                f"motor {motor} reads {low:g} .. {high:g} and neither a calibration nor joint limits say how far "
-                f"that is: give LeRobotMotor({described.joint!r}, span=...) [rad]"
+                f"motor {motor} reads {low:g} .. {high:g} and neither a calibration nor joint limits give "
+                f"its span: set LeRobotMotor({described.joint!r}, span=...) [rad]"
             )
         size, centre = span / (high - low), 0.5 * (low + high)
     per_unit, zero = described.sign * size, zero or 0.0
@@ -329,37 +345,37 @@ def _scale(arm: Any, robot: Robot, motor: str, described: LeRobotMotor, units: U
 
 
 def _unit(arm: Any, motor: str, given: Units | None) -> str:
-    """A motor's unit by LeRobot, or as given."""
+    """Return a motor's unit, from LeRobot or the user's setting."""
     if given not in (None, *get_args(Units)):
         raise ConfigurationError(f"units must be 'degrees', 'normalised' or 'radians', got {given!r}")
-    asked = "range_m100_100" if given == "normalised" else given
-    # the bus knows each motor's unit; arms without LeRobot's bus may still say it in their config
-    known = _stated(arm, "bus", "motors", motor, "norm_mode", "value")
-    if known not in (*_RAD, *_RANGES):
-        in_degrees = _stated(arm, "config", "use_degrees")
-        known = None if in_degrees is None else "degrees" if in_degrees else "range_m100_100"
-    if known is None and asked is None:
+    setting = "range_m100_100" if given == "normalised" else given
+    # the bus knows each motor's unit; arms without LeRobot's bus may have it in their config
+    stated = _look_up(arm, "bus", "motors", motor, "norm_mode", "value")
+    if stated not in (*_RAD, *_RANGES):
+        in_degrees = _look_up(arm, "config", "use_degrees")
+        stated = None if in_degrees is None else "degrees" if in_degrees else "range_m100_100"
+    if stated is None and setting is None:
         raise ConfigurationError(
-            f"LeRobot does not say in which unit motor {motor} is: give units='degrees', 'normalised' (-100 .. "
-            "100) or 'radians'; print the arm's get_observation() and move it to see which"
+            f"LeRobot does not know the unit of motor {motor}: set units='degrees', 'normalised' (-100 .. "
+            "100) or 'radians'; print the arm's get_observation() while you move it to see which"
         )
-    if known in ("degrees", "range_m100_100") and asked not in (None, known):
+    if stated in ("degrees", "range_m100_100") and setting not in (None, stated):
         raise ConfigurationError(
-            f"motor {motor} is in {'degrees' if known == 'degrees' else '-100 .. 100'} by LeRobot's own config, "
-            f"units={given!r} were given: leave units out"
+            f"motor {motor} is in {'degrees' if stated == 'degrees' else '-100 .. 100'} by LeRobot's own config, "
+            f"but units={given!r}: leave units out"
         )
-    return known or asked or ""
+    return stated or setting or ""
 
 
-def _stated(thing: Any, *names: Any) -> Any:
-    """An attribute of an attribute, or an entry of a mapping; None where LeRobot's robot does not have it."""
+def _look_up(thing: Any, *names: Any) -> Any:
+    """Return an attribute of an attribute, or an entry of a mapping; None if LeRobot's robot does not have it."""
     for name in names:
         thing = thing.get(name) if isinstance(thing, Mapping) else getattr(thing, name, None)
     return thing
 
 
 def _number(value: Any) -> float:
-    """A scalar of whichever kind, NaN if it is none."""
+    """Return any kind of scalar as a float, NaN for other values."""
     try:
         return float(value)
     except (TypeError, ValueError):

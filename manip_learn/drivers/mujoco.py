@@ -15,42 +15,40 @@ from numpy.typing import ArrayLike
 from manip_learn.control.contact import STIFFNESS
 from manip_learn.errors import ConfigurationError, MissingExtraError, under_new_names
 
-STICKS = (0.9999, 0.99999, 0.001, 0.5, 2.0)  # MuJoCo's solimp of dry friction: by its default joints creep under it
-STABLE = 3.0  # time steps in a radian of a servo's own oscillation at the least: an explicit spring needs half of that
+STICKS = (0.9999, 0.99999, 0.001, 0.5, 2.0)  # MuJoCo's solimp of dry friction; with its default, joints creep
 
 _FORMER = {"play": "backlash", "delay": "latency", "step": "encoder_resolution"}  # names of arguments, until 0.4
 
 
 @final
 class MuJoCoDriver:
-    """Joints of a MuJoCo model with position servos, as a `Driver`; its clock is that of the simulation.
+    """Joints of a MuJoCo model with position servos, as a `Driver`; its clock is the clock of the simulation.
 
     Each joint has a spring to the commanded position, critically damped against the commanded velocity, and the drives
     carry the arm's weight, friction and inertia. Actuators that the model has on these joints are switched off; joints
-    whose rotors are lighter than the servo can move at this time step get as much inertia (0.07 kg m2 for 2,000 N m/rad
-    at 2 ms, that of a common drive). After `release` the joints are free but for friction, and `hand` may push them;
-    `hold` has the servos hold the arm where it is then.
+    whose rotors are too light for the servo at this time step get as much inertia as it needs (0.07 kg m^2 for 2,000
+    N m/rad at 2 ms, a common drive's inertia). After `release` the joints are free except for friction, and `hand` may
+    push them; `hold` makes the servos hold the arm at its present position.
 
     By default the servos are ideal. `friction`, `backlash`, `latency`, `encoder_resolution`, `noise` and
-    `feedforward=False` make them as those of real arms are.
+    `feedforward=False` make them like the servos of real arms.
 
     Args:
         model: A `mujoco.MjModel`; the driver keeps it and changes it.
-        joint_names: Joints of the arm, as the model calls them.
+        joint_names: Joints of the arm, by their names in the model.
         q: shape (n,), first positions [rad or m].
-        period: Between two commands [s]; None for one time step of the model.
-        stiffness: shape (n,) or a number, of the servos [N m/rad or N/m].
-        friction: shape (n,) or a number: dry friction beside the model's own, which the drives know nothing of [N m or
-            N].
-        backlash: shape (n,) or a number: how far a joint turns to and fro without its motor, which exerts nothing
-            meanwhile but what carries the weight [rad or m].
-        latency: From a command to the reading that shows it, a multiple of the period; half on each way [s].
+        period: Time between two commands [s]; None for one time step of the model.
+        stiffness: shape (n,) or a number, stiffness of the servos [N m/rad or N/m].
+        friction: shape (n,) or a number: dry friction in addition to the model's own, unknown to the drives [N m or N].
+        backlash: shape (n,) or a number: free motion of a joint without its motor, which meanwhile only carries the
+            weight [rad or m].
+        latency: Time from a command to the reading that shows it, a multiple of the period; half in each direction [s].
         encoder_resolution: shape (n,) or a number, step of the encoders [rad or m].
-        feedforward: Whether the drives add what inertia, dampers and the model's own friction will take.
-        hand: Called before each step of the physics with model and data: what else acts on the arm, e.g. a person's
-            hand that adds to `data.qfrc_applied`.
+        feedforward: True for drives that compensate inertia, dampers and the model's own friction.
+        hand: Called before each step of the physics with model and data: other forces on the arm, e.g. a person's hand
+            that adds to `data.qfrc_applied`.
         noise: Standard deviation of the encoders [rad or m].
-        rng: Source of that noise; needed where there is some.
+        rng: Source of that noise; None for no noise.
         **renamed: Former names of arguments, valid until 0.4: `play`, `delay`, `step`.
 
     Attributes:
@@ -58,8 +56,8 @@ class MuJoCoDriver:
         data: Its state, `mujoco.MjData`.
 
     Raises:
-        ConfigurationError: A joint that the model lacks, or that is not a hinge or a slide, a period that is no
-            multiple of the time step, or a latency that is none of the period.
+        ConfigurationError: A joint that the model lacks, or that is not a hinge or a slide, a period that is not a
+            multiple of the time step, or a latency that is not a multiple of the period.
         MissingExtraError: MuJoCo is not installed.
     """
 
@@ -91,11 +89,11 @@ class MuJoCoDriver:
             raise MissingExtraError("the MuJoCo driver", "physics") from error
         self._mujoco, self.model, self.data = mujoco, model, mujoco.MjData(model)
         self.joint_names, self.period = tuple(joint_names), model.opt.timestep if period is None else float(period)
-        self._steps = _multiple("period", self.period, "model's time step", model.opt.timestep, least=1)
-        known = [model.joint(i).name for i in range(model.njnt)]
-        missing = [name for name in self.joint_names if name not in known]
+        self._steps = _count_steps("period", self.period, "model's time step", model.opt.timestep, least=1)
+        model_joints = [model.joint(i).name for i in range(model.njnt)]
+        missing = [name for name in self.joint_names if name not in model_joints]
         if missing:
-            raise ConfigurationError(f"the model has no joint {', '.join(missing)}; it has {', '.join(known)}")
+            raise ConfigurationError(f"the model has no joint {', '.join(missing)}; it has {', '.join(model_joints)}")
         joints = [model.joint(name) for name in self.joint_names]
         if any(model.jnt_type[joint.id] < int(mujoco.mjtJoint.mjJNT_SLIDE) for joint in joints):
             raise ConfigurationError("each joint of the arm must be a hinge or a slide")
@@ -105,12 +103,13 @@ class MuJoCoDriver:
         )
         model.actuator_gainprm[on_joints] = model.actuator_biasprm[on_joints] = 0.0
         self.data.qpos[self._q] = np.array(q, dtype=np.float64)
-        n, periods = len(joints), _multiple("latency", now["latency"], "period", self.period, least=0)
+        n, periods = len(joints), _count_steps("latency", now["latency"], "period", self.period, least=0)
         numbers = (stiffness, friction, now["backlash"], now["encoder_resolution"])
         self._stiffness, self._friction, self._backlash, self._resolution = (
             np.array(np.broadcast_to(np.asarray(x, dtype=np.float64), (n,))) for x in numbers
         )
-        least = self._stiffness * (STABLE * model.opt.timestep) ** 2
+        # an explicit spring is stable with 1.5 time steps per radian of the servo's own oscillation; take 3
+        least = self._stiffness * (3.0 * model.opt.timestep) ** 2
         model.dof_armature[self._u] = np.maximum(model.dof_armature[self._u], least)
         self._known_friction = model.dof_frictionloss[self._u].copy()
         model.dof_frictionloss[self._u] += self._friction
@@ -120,15 +119,15 @@ class MuJoCoDriver:
         self._hand, self._noise, self._rng, self._feedforward = hand, float(noise), rng, feedforward
         self._holds, self._effort, back = True, np.zeros(n), periods - periods // 2
         self._sent: deque[np.ndarray] = deque(maxlen=periods // 2 + 1)  # commands on their way, oldest first
-        self._stand(self.data.qpos[self._q].copy())
+        self._reset_goal(self.data.qpos[self._q].copy())
         self._seen = deque([self._state() for _ in range(back + 1)], back + 1)
 
     def read(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Return the joint positions with the noise of their encoders, velocities, and what the servos exert."""
+        """Return the joint positions, with encoder noise, the velocities, and the efforts of the servos."""
         return self._seen[0]
 
     def _state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What the encoders see now, velocities and efforts."""
+        """Return the present positions of the encoders, velocities and efforts."""
         q = self.data.qpos[self._q]
         if self._rng is not None:
             q = q + self._rng.normal(0.0, self._noise, len(q))
@@ -137,24 +136,29 @@ class MuJoCoDriver:
         return q, self.data.qvel[self._u].copy(), self._effort.copy()
 
     def command(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " n"]) -> None:
-        """Send the servos to positions, and let one period pass."""
+        """Send the servos to positions, and let one period pass.
+
+        Args:
+            q: Joint positions [rad or m].
+            u: Joint velocities; not used.
+        """
         self._sent.append(np.array(q, dtype=np.float64))
         start, self._goal = self._goal, self._sent[0]
         rate = (self._goal - start) / self.period
         self._ahead = self._inertia() @ ((rate - self._rate) / self.period) if self._feedforward else self._ahead
         self._rate = rate
-        for k in range(self._steps):  # where the arm is to be at the beginning of each step, as its state is then
+        for k in range(self._steps):  # the goal at the beginning of each step, like the state
             self._step(start + (k / self._steps) * (self._goal - start), rate)
         self._seen.append(self._state())
 
     @property
     def goal(self) -> Float[np.ndarray, " n"]:
-        """Where the servos were last sent, or hold the arm."""
+        """The latest goal of the servos [rad or m]."""
         return self._goal.copy()
 
     def wait(self) -> None:
         """Let one period pass without a command: the servos hold, or the arm is guided."""
-        self._stand(self._goal)
+        self._reset_goal(self._goal)
         for _ in range(self._steps):
             self._step(self._goal, self._rate)
         self._seen.append(self._state())
@@ -164,31 +168,32 @@ class MuJoCoDriver:
         self._holds = False
 
     def hold(self) -> None:
-        """Hold the arm where it is."""
+        """Hold the arm at its present position."""
         self._holds = True
-        self._stand(self.data.qpos[self._q].copy())
+        self._reset_goal(self.data.qpos[self._q].copy())
 
-    def _stand(self, goal: np.ndarray) -> None:
-        """Nothing is on its way but this goal."""
-        # last commanded velocities, and efforts for accelerations
+    def _reset_goal(self, goal: np.ndarray) -> None:
+        """Replace all goals by this one, at rest."""
+        # goal, last commanded velocities, and efforts for accelerations
         self._goal, self._rate, self._ahead = goal, np.zeros(len(goal)), np.zeros(len(goal))
         self._sent.extend([goal] * (self._sent.maxlen or 1))
 
     def _inertia(self) -> Float[np.ndarray, "n n"]:
-        """Of the arm's joints, the rotors' included [kg m2 or kg]."""
+        """Return the inertia matrix of the arm's joints, rotors included [kg m^2 or kg]."""
         whole = np.zeros((self.model.nv, self.model.nv))
         self._mujoco.mj_fullM(self.model, self.data, whole)
         return whole[np.ix_(self._u, self._u)]
 
     def _step(self, goal: np.ndarray, rate: np.ndarray) -> None:
+        """Run one step of the physics with the servos' efforts."""
         data, joints = self.data, self._u
         self._mujoco.mj_step1(self.model, data)
         self._effort = data.qfrc_bias[joints] - data.qfrc_gravcomp[joints]
         if self._holds:
             away = goal - data.qpos[self._q]
-            held = np.maximum(np.abs(away) - 0.5 * self._backlash, 0.0)
-            spring = self._stiffness * np.copysign(held, away) + self._damping * (rate - data.qvel[joints])
-            self._effort = data.qfrc_bias[joints] + np.where((held > 0.0) | (self._backlash == 0.0), spring, 0.0)
+            travel = np.maximum(np.abs(away) - 0.5 * self._backlash, 0.0)
+            spring = self._stiffness * np.copysign(travel, away) + self._damping * (rate - data.qvel[joints])
+            self._effort = data.qfrc_bias[joints] + np.where((travel > 0.0) | (self._backlash == 0.0), spring, 0.0)
             if self._feedforward:
                 self._effort += self._known_friction * np.sign(rate) - data.qfrc_passive[joints] + self._ahead
         data.qfrc_applied[:] = 0.0
@@ -198,8 +203,8 @@ class MuJoCoDriver:
         self._mujoco.mj_step2(self.model, data)
 
 
-def _multiple(what: str, time: float, whose: str, step: float, least: int) -> int:
-    """Return how many steps a time is [s]."""
+def _count_steps(what: str, time: float, whose: str, step: float, least: int) -> int:
+    """Return the number of steps in a time [s]."""
     n = round(time / step)
     if n < least or abs(n * step - time) > 1e-9:
         raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""Record an arm that a person guides: samples go to the disk as they come, from motion to rest, file after file."""
+"""Recording of an arm that a person guides: samples go to the disk at once, a file for each motion."""
 
 from __future__ import annotations
 
@@ -25,16 +25,11 @@ from manip_learn.linalg import finite
 from manip_learn.recordings.saved_motion import column_line
 from manip_learn.recordings.trajectory import EFFORT_SUFFIX, VELOCITY_SUFFIX
 
-LOOK = 0.5  # [s] before a motion begins that are recorded too: derivatives need samples on both sides
-# [rad or m] within `LOOK` by which an arm moves that is guided: encoders and a hand that waits stay below a tenth of it
+LOOK = 0.5  # [s] recorded before a motion begins: derivatives need samples on both sides
+# [rad or m] motion within `LOOK` of a guided arm: encoder noise and a waiting hand stay below a tenth of it
 MOVES = 0.02
-RESTS = 1.5  # [s] in which an arm whose motion is over does not move by that much: a person who thinks takes less
-FLUSHED = 0.02  # [s] between two writes: what a killed program loses
-SYNCED = 1.0  # [s] between two waits for the disk itself: what a power cut loses
-SILENT = 1.0  # [s] without a posture after which recording ends
-_PATIENCE = 0.5  # [s] in a period after which a signal gives up what the driver, or who is told of the sample, does
-_JUMP, _FASTEST = 0.1, 20.0  # [rad or m], [rad/s or m/s] by which a joint is elsewhere that no hand has moved there
-_LATE = 1.5  # periods from one sample to the next from which on one was lost
+RESTS = 1.5  # [s] of rest, without motion by `MOVES`, that end a motion: a hesitating person takes less
+_LATE = 1.5  # periods between two samples from which on a sample counts as lost
 By = Literal["motion", "key"]
 Key = Literal["", "start or stop", "end"]
 Shown = Callable[[Mapping[str, float], bool], object]
@@ -44,16 +39,16 @@ Began = Callable[[Path | None], object]
 @final
 @dataclass(frozen=True)
 class RecordedFiles:
-    """What `record` did.
+    """Outcome of `record`.
 
     Attributes:
         files: One per motion, in order.
-        samples: Number of samples of all of them.
-        lost: Number of periods in which no sample came while a motion was recorded.
-        longest_gap: Between two samples of a motion [s].
-        ended: Why it ended, a sentence.
-        ordered: Whether it ended as it was meant to.
-        notes: What else there is to know, in sentences.
+        samples: Total number of samples.
+        lost: Number of periods without a sample during a motion.
+        longest_gap: Longest time between two samples of a motion [s].
+        ended: Reason for the end, a sentence.
+        ordered: True if it ended as intended.
+        notes: Further remarks, in sentences.
         joint_names: Joints of the files' columns.
     """
 
@@ -68,7 +63,7 @@ class RecordedFiles:
 
     @property
     def sentence(self) -> str:
-        """How much was recorded, and how much was lost."""
+        """The amount of recorded and lost samples in a sentence."""
         gap = f", {1e3 * self.longest_gap:.3g} ms at most between two" if self.files else ""
         lost = counted(self.lost, "sample") if self.lost else "none"
         return (
@@ -95,32 +90,32 @@ def record(
 ) -> RecordedFiles:
     """Record motions of an arm that is guided by hand, a CSV file each: `NAME_01.csv`, `NAME_02.csv`, ...
 
-    The arm is released first, where the driver can do that, and held where it is at the end, however recording ends. By
-    motion, a file begins half a second before a joint moves, and ends when the arm has rested for 1.5 s. Nothing is
-    overwritten: numbers go on where a folder has some. Each file is written as its samples come, so that a killed
-    program loses 0.02 s of them, and a full disk the sample that it had no room for. `load_demonstrations` reads
-    them. Ctrl-C, SIGTERM and SIGHUP end a recording in order; the last two then end the program as they end `run`.
+    The arm is released first, if the driver can do that, and held at its position at the end, however recording ends.
+    By motion, a file begins half a second before a joint moves, and ends when the arm has rested for 1.5 s. No file is
+    overwritten: numbers continue in a folder that has some. Samples are written at once: a killed program loses 0.02 s
+    of them, and a full disk only the sample that did not fit. `load_demonstrations` reads the files. Ctrl-C, SIGTERM
+    and SIGHUP end a recording in order; the last two then end the program as they end `run`.
 
     Args:
-        driver: The arm; the last posture that it was sent to is where it is held until `release`. A simulated one needs
-            `wait()`, in which a period passes.
-        out: Folder; made if it is missing.
-        name: What the files are called.
-        by: What begins and ends a file: motion and rest, or the key.
-        motions: Number of files after which recording ends; None for no such end.
-        duration: Time after which it ends [s]; None for no such end. Ctrl-C ends it in any case.
-        release: Whether the driver's `release` is called.
-        key: Asked in each period: `"start or stop"`, `"end"` or nothing.
-        shown: Told of each sample: joint positions by name [rad or m], and whether they are recorded.
-        began: Told of the file that begins, and of None when it ends.
+        driver: The arm; until `release` it is held at its last commanded posture. A simulated one needs `wait()`, in
+            which a period passes.
+        out: Folder; created if it is missing.
+        name: Beginning of the file names.
+        by: `"motion"`: a file begins with motion and ends with rest; `"key"`: the key begins and ends it.
+        motions: Number of files after which recording ends; None for no limit.
+        duration: Time after which it ends [s]; None for no limit. Ctrl-C ends it in any case.
+        release: True to call the driver's `release`.
+        key: Called in each period: returns `"start or stop"`, `"end"` or an empty text.
+        shown: Called with each sample: joint positions by name [rad or m], and True if they are recorded.
+        began: Called with the file that begins, and with None when it ends.
         clock: As for `run`.
 
     Returns:
-        The files, and how many samples were lost.
+        The files, and the number of lost samples.
 
     Raises:
         ConfigurationError: Neither the driver nor its readings name the joints; or a simulated driver without `wait`.
-        OutputError: The folder cannot be made or written to, or the name leads out of it.
+        OutputError: The folder cannot be created or written to, or the name leads out of it.
     """
     folder = Path(out).expanduser()
     if name in ("", "..") or Path(name).name != name or "\0" in name:
@@ -128,20 +123,21 @@ def record(
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"cannot make the folder {folder}: {error.strerror or error}; name another") from error
+        raise OutputError(f"cannot create the folder {folder}: {error.strerror or error}; choose another") from error
     check_folder(folder / name)
     if getattr(driver, "simulated", False) and getattr(driver, "wait", None) is None:
         raise ConfigurationError("a simulated driver needs wait(), in which a period passes without a command")
     clock = clock or ComputerClock()
-    ending = OrderlyEnd(driver, lambda: None, _PATIENCE, clock)
+    patience = 0.5  # [s] in a period after which a signal interrupts the driver or a callback
+    ending = OrderlyEnd(driver, lambda: None, patience, clock)
     session = _Session(driver, ending, partial(_GrowingFile, folder, name), by, motions)
     with ending:
         try:
             with ending.waiting("release"):
-                session.let_go(release)
+                session.release_arm(release)
             hooks = key or (lambda: ""), shown or (lambda _q, _recorded: None), began or (lambda _file: None)
             session.run(math.inf if duration is None else duration, Pace(driver, clock), *hooks)
-        except KeyboardInterrupt:  # in the driver or in who is told of samples
+        except KeyboardInterrupt:  # in the driver or in a callback
             ending.stop("Ctrl-C", True)
         finally:
             session.finish()
@@ -157,9 +153,14 @@ class _Sample(NamedTuple):
     effort: Float[np.ndarray, " n"] | None
 
     def is_near(self, later: _Sample) -> bool:
-        """Return whether an arm can have gone from here to a later sample."""
+        """Return True if an arm can move from here to a later sample.
+
+        Args:
+            later: The later sample.
+        """
+        jump, fastest = 0.1, 20.0  # [rad or m], [rad/s or m/s] of a hand that moves a joint
         far = float(np.max(np.abs(later.q - self.q), initial=0.0))
-        return far <= _JUMP + _FASTEST * (later.time - self.time)
+        return far <= jump + fastest * (later.time - self.time)
 
 
 @final
@@ -171,19 +172,23 @@ class _Session:
     ):
         self._driver, self._ending, self._opened, self._by, self._motions = driver, ending, opened, by, motions
         self._names: tuple[str, ...] = tuple(getattr(driver, "joint_names", None) or ())
-        self._parts: list[str] = []  # of a sample, that are columns of the file
-        self._before: list[_Sample] = []  # the last seconds, whether they are recorded or not
+        self._parts: list[str] = []  # parts of a sample that are columns of the file
+        self._before: list[_Sample] = []  # the last seconds, recorded or not
         self._file: _GrowingFile | None = None
         self._files: list[Path] = []
-        # the newest sample, and one since then that no arm can have gone to unless the next is there too
+        # the newest sample, and a later one that is out of reach unless the next sample confirms it
         self._good: _Sample | None = None
         self._doubted: _Sample | None = None
-        self._written = self._gap = 0.0  # when a sample was last written down, and the longest time without [s]
+        self._written = self._gap = 0.0  # [s] time of the last sample that was written, and the longest gap
         self._samples = self._lost = 0
         self._notes: list[str] = []
 
-    def let_go(self, wanted: bool) -> None:
-        """Let a person guide the arm, where the driver can do that."""
+    def release_arm(self, wanted: bool) -> None:
+        """Let a person guide the arm, if the driver can do that.
+
+        Args:
+            wanted: False to leave the arm as it is.
+        """
         try:
             if wanted and (release := getattr(self._driver, "release", None)) is not None:
                 release()
@@ -191,21 +196,30 @@ class _Session:
             self._notes.append(str(error))
 
     def run(self, duration: float, pace: Pace, key: Callable[[], Key], shown: Shown, began: Began) -> None:
-        """Run until there is a reason to end."""
+        """Run until there is a reason to end.
+
+        Args:
+            duration: Time after which it ends [s].
+            pace: Gives the time of each period.
+            key: As for `record`.
+            shown: As for `record`.
+            began: As for `record`.
+        """
         self._shown, self._began, ending, heard = shown, began, self._ending, 0.0
+        silent = 1.0  # [s] without a posture after which recording ends
         while not ending.reason:
             t = pace.wait()
             with ending.waiting("read"):
                 sample = self._read(t)
                 heard = heard if sample is None else pace.time  # reading may have taken long
-                if pace.time - heard > SILENT:
-                    ending.stop(f"the driver has given no posture for {SILENT:g} s")
+                if pace.time - heard > silent:
+                    ending.stop(f"the driver has returned no posture for {silent:g} s")
                 pressed = key()
                 if pressed == "end":
                     ending.stop("ended by key", True)
                 if t >= duration:
                     ending.stop(f"the {duration:g} s were over", True)
-                for one in self._believed(sample):
+                for one in self._plausible(sample):
                     self._take(one, pressed == "start or stop")
                     pressed = ""
                 if pace.simulated and not ending.reason:
@@ -213,32 +227,32 @@ class _Session:
             pace.cycles += 1
 
     def _read(self, t: float) -> _Sample | None:
-        """A reading at a time [s]; None where it is no posture."""
+        """Read a sample at a time [s]; None without a posture."""
         try:
             q, u, effort = self._driver.read()
-        except Exception as error:  # whatever a driver raises, the files are kept and the arm is held
+        except Exception as error:  # after any error of a driver, the files are kept and the arm is held
             self._ending.stop(f"the driver's read() failed: {type(error).__name__}: {error}")
             return None
         if q is None:
             return None
         names = self._names = self._names or (tuple(q) if isinstance(q, Mapping) else ())
         if not names:
-            raise ConfigurationError("the driver names no joints: give it joint_names, or read() a mapping from names")
+            raise ConfigurationError("the driver names no joints: set its joint_names, or let read() return mappings")
         parts = ([x.get(name, np.nan) for name in names] if isinstance(x, Mapping) else x for x in (q, u, effort))
-        x, *others = (finite(part, len(names)) for part in parts)  # None where there are none, or some are not finite
+        x, *others = (finite(part, len(names)) for part in parts)  # None if missing or not finite
         return None if x is None else _Sample(t, x, *others)
 
-    def _believed(self, sample: _Sample | None) -> list[_Sample]:
-        """A sample at once, or with the next one where no arm can have gone there so fast."""
+    def _plausible(self, sample: _Sample | None) -> list[_Sample]:
+        """Return a plausible sample, with a doubtful one before it that it confirms; none for a doubtful sample."""
         if sample is None:
             return []
         before = [self._doubted] if self._doubted is not None and self._doubted.is_near(sample) else []
-        is_believed = bool(before) or self._good is None or self._good.is_near(sample)
-        self._good, self._doubted = (sample, None) if is_believed else (self._good, sample)
-        return [*before, sample] if is_believed else []
+        is_plausible = bool(before) or self._good is None or self._good.is_near(sample)
+        self._good, self._doubted = (sample, None) if is_plausible else (self._good, sample)
+        return [*before, sample] if is_plausible else []
 
     def _take(self, sample: _Sample, pressed: bool) -> None:
-        """Begin, go on with or end a file: it is complete by key, after a rest, or where it has no room."""
+        """Begin, continue or complete a file: it is complete by key, after a rest, or when the disk is full."""
         self._before = before = [s for s in (*self._before, sample) if sample.time - s.time <= RESTS]
         file = self._file
         if file is not None:
@@ -251,13 +265,13 @@ class _Session:
         self._shown(dict(zip(self._names, sample.q.tolist(), strict=True)), file is not None)
 
     def _moved(self, within: float) -> bool:
-        """Whether a joint has moved in a time before now [s]."""
+        """Return True if a joint has moved within the last seconds [s]."""
         now = self._before[-1]
         recent = np.array([s.q for s in self._before if now.time - s.time <= within])
         return bool(np.any(np.abs(recent - now.q) > MOVES))
 
     def _begin(self, first: list[_Sample]) -> None:
-        """Open a file, and write down the samples before."""
+        """Open a file, and write the samples before."""
         suffixes = {"q": "", "u": VELOCITY_SUFFIX, "effort": EFFORT_SUFFIX}
         self._parts = [part for part in suffixes if getattr(first[-1], part) is not None]
         columns = {part: [name + suffixes[part] for name in self._names] for part in self._parts}
@@ -273,6 +287,7 @@ class _Session:
             self._write(one)
 
     def _write(self, sample: _Sample) -> None:
+        """Write a sample, or count it as lost."""
         values = [getattr(sample, part) for part in self._parts]
         if self._file is None or any(part is None for part in values):
             self._lost += 1
@@ -290,13 +305,13 @@ class _Session:
         file.close()
         if file.error is not None:
             self._ending.stop(f"{file.error}; the samples before are kept in {file.path}")
-        self._file, self._before = None, []  # a motion begins anew
+        self._file, self._before = None, []  # the next motion begins with new samples
         self._began(None)
         if self._motions is not None and len(self._files) >= self._motions:
             self._ending.stop(f"{counted(self._motions, 'motion')} recorded", True)
 
     def record(self) -> RecordedFiles:
-        """Return the files and numbers, and what went wrong when the arm was to hold itself."""
+        """Return the outcome, with a note if the arm could not be held."""
         ending, numbers = self._ending, (self._samples, self._lost, self._gap)
         notes = (*self._notes, *(words for call, words in ending.failed.items() if call == "hold"))
         return RecordedFiles(tuple(self._files), *numbers, ending.reason, ending.ordered, notes, self._names)
@@ -304,14 +319,14 @@ class _Session:
 
 @final
 class _GrowingFile:
-    """Lines that a thread of its own appends to a new file, whole lines only.
+    """A new file to which a thread appends lines, whole lines only.
 
     Attributes:
         path: The file.
-        error: What went wrong, in words; None so far.
+        error: Error of writing, in words; None without one.
 
     Raises:
-        OSError: It cannot be made.
+        OSError: It cannot be created.
     """
 
     def __init__(self, folder: Path, name: str, header: str):
@@ -326,26 +341,33 @@ class _GrowingFile:
         self._thread.start()
 
     def add(self, line: str) -> None:
-        """Add a line with its end; returns at once."""
+        """Add a line without waiting for the disk.
+
+        Args:
+            line: The line with its end.
+        """
         self._waiting.append(line)
 
     def close(self) -> None:
-        """Write the lines that wait."""
+        """Write the pending lines and end the thread."""
         self._closing.set()
         self._thread.join()
 
     def _feed(self) -> None:
+        """Write pending lines until the file is closed; after an error, cut the file to whole lines."""
+        # [s] between two writes, lost by a killed program; [s] between two syncs of the disk, lost by a power cut
+        write_period, sync_period = 0.02, 1.0
         synced, whole, is_last = time.monotonic(), 0, False  # whole: bytes of whole lines
         with self._file as file:
             try:
                 while not is_last:
-                    is_last = self._closing.wait(FLUSHED)
+                    is_last = self._closing.wait(write_period)
                     lines = [self._waiting.popleft() for _ in range(len(self._waiting))]
-                    content, done, begun = "".join(lines).encode(), 0, whole
-                    while done < len(content):
-                        done += file.write(content[done:])
-                        whole = begun + content.rfind(b"\n", 0, done) + 1
-                    if is_last or time.monotonic() - synced > SYNCED:
+                    content, n_written, begun = "".join(lines).encode(), 0, whole
+                    while n_written < len(content):
+                        n_written += file.write(content[n_written:])
+                        whole = begun + content.rfind(b"\n", 0, n_written) + 1
+                    if is_last or time.monotonic() - synced > sync_period:
                         os.fsync(file)
                         synced = time.monotonic()
             except OSError as error:

@@ -49,7 +49,7 @@ from scipy.spatial import cKDTree
 from manip_learn.errors import NotIdentifiableError, advice, counted
 from manip_learn.learning.fit import STATED, Errors, angles, levels_on, solve
 from manip_learn.learning.table import CLEAR_GAP, LEAST_GAIN, NONE, WEAK_GAP, Settings, Table, View
-from manip_learn.linalg import inverse_triangles_beside, null_basis, orthonormal_rows, row_bases
+from manip_learn.linalg import invert_triangles, null_basis, orthonormal_rows, row_bases
 
 POLYNOMIALS = ("constant", "affine", "quadratic", "cubic", "quartic", "quintic")
 # grades of each policy model; "affine-offset" has a rest posture for each recording; those of "auto" are taken in this
@@ -164,7 +164,7 @@ class PolicyFit:
         Q, R = row_bases((rows @ d.Phi).transpose(2, 1, 0))
         Q = Q.transpose(2, 0, 1)
         N = np.eye(nv) - Q @ Q.transpose(0, 2, 1)
-        duals = inverse_triangles_beside(R).transpose(2, 0, 1) @ Q.transpose(0, 2, 1)  # A^{+T} (n, s, nv)
+        duals = invert_triangles(R).transpose(2, 0, 1) @ Q.transpose(0, 2, 1)  # A^{+T} (n, s, nv)
         free = N @ (self.perp @ d.Phi).transpose(0, 2, 1)  # N (Lambda_perp Phi)^T (n, nv, k)
         self.N, self.n_driven = (np.eye(nv) - N, nv - len(rows)) if held else (N, len(rows))
         self.n_residuals, self.m = n * (nv - self.n_driven), len(rows) * len(self.perp)

@@ -1,8 +1,8 @@
-"""Kinematics of one frame at one posture or at many: its pose, its Jacobian and the derivative, by Pinocchio.
+"""Kinematics of one frame at one posture or many, by Pinocchio: its pose, its Jacobian and the derivative.
 
-Pinocchio 4.1 hands `getFrameKinematicHessian` out with the right shape (6, nv, nv) and scrambled entries: a
-column-major buffer read as row-major. It is put into the right order behind a self-test. `closed_form` needs no
-Hessian: it serves as the judge, as the substitute should Pinocchio change the memory order, and for many postures.
+Pinocchio 4.1 returns `getFrameKinematicHessian` with the right shape (6, nv, nv) but scrambled entries: a column-major
+buffer read as row-major. A self-test checks the reordering. `closed_form` needs no Hessian: it is the reference of the
+self-test, the substitute if Pinocchio changes the memory order, and the method for many postures.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ from numpy.typing import ArrayLike
 from manip_learn.robot.joints import CarryingJoints, Frame, carrying_joints
 
 PINOCCHIO_REFERENCES = {"world": pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, "local": pin.ReferenceFrame.LOCAL}
-DOUBLE = np.dtype(np.float64)  # of this machine's byte order
-ALL_ROWS = (0, 1, 2, 3, 4, 5)  # of a twist
-KEPT_POSTURES = 32_768  # largest table whose numbers are kept, 16 MB for 7 joints
-DERIVATIVE_CHUNK = 256  # postures; dJ/dq has as many numbers for each column as the chain has joints
+DOUBLE = np.dtype(np.float64)  # in this machine's byte order
+ALL_ROWS = (0, 1, 2, 3, 4, 5)  # all rows of a twist
+DERIVATIVE_CHUNK = 256  # postures per chunk; limits the memory of dJ/dq
 
 
 def closed_form(
@@ -31,7 +30,7 @@ def closed_form(
     reference: str,
     rows: Sequence[int] = ALL_ROWS,
 ) -> Float[np.ndarray, "*n p nv nv"]:
-    """Return dJ_i/dq_k from the Jacobian's own columns; entry [i, j, k] = d J_ij / d q_k.
+    """Compute dJ_i/dq_k from the Jacobian's own columns; entry [i, j, k] = d J_ij / d q_k.
 
     With columns (v_i, w_i) at the frame's origin along world axes, for joint k at or above joint i on the chain:
     d v_i / d q_k = w_k x v_i and d w_i / d q_k = w_k x w_i; for k below i: d v_i / d q_k = w_i x v_k, d w_i = 0.
@@ -41,10 +40,10 @@ def closed_form(
         J: Frame Jacobians, linear rows first.
         joint_of_column: Pinocchio joint id of each column; columns outside the frame's chain are zero in J.
         reference: `"world"` (LOCAL_WORLD_ALIGNED) or `"local"`.
-        rows: Which of x y z rx ry rz, as 0 .. 5.
+        rows: Rows to compute: x y z rx ry rz as 0 .. 5.
 
     Returns:
-        The rows of one derivative for each Jacobian, laid out in memory with the Jacobians last.
+        The rows of one derivative for each Jacobian, with the Jacobians last in memory.
     """
     columns = np.ascontiguousarray(np.moveaxis(J, (-2, -1), (0, 1)))
     v, w, nv = columns[:3], columns[3:], columns.shape[1]
@@ -66,9 +65,15 @@ def centre_of_mass_derivative(
     w: Float[np.ndarray, "nv 3"],
     joint_of_column: Int[np.ndarray, " nv"],
 ) -> Float[np.ndarray, "3 nv nv"]:
-    """dJc_i/dq_k of the centre of mass's Jacobian Jc, with the joints' angular columns w along the base axes.
+    """Compute dJc_i/dq_k of the centre of mass's Jacobian Jc; entry [i, j, k] = d Jc_ij / d q_k.
 
     For joint k at or above joint i: d Jc_i / d q_k = w_k x Jc_i; for k below i: w_i x Jc_k; else 0.
+
+    Args:
+        model: Pinocchio model of the robot.
+        Jc: Jacobian of the centre of mass along the base axes.
+        w: Angular column of each joint along the base axes.
+        joint_of_column: Pinocchio joint id of each column.
     """
     owner, c = joint_of_column, Jc.T
     is_above = np.zeros((model.njoints, model.njoints), dtype=bool)
@@ -81,13 +86,25 @@ def centre_of_mass_derivative(
     return H.transpose(2, 0, 1)
 
 
-def reordered(H: np.ndarray, nv: int) -> Float[np.ndarray, "6 nv nv"]:
-    """Entries [i, j, k] = d J_ij / d q_k out of Pinocchio's mislabelled buffer."""
+def reorder_hessian(H: np.ndarray, nv: int) -> Float[np.ndarray, "6 nv nv"]:
+    """Return Pinocchio's Hessian in the right order: entries [i, j, k] = d J_ij / d q_k.
+
+    Args:
+        H: Result of `getFrameKinematicHessian`, with scrambled entries.
+        nv: Number of columns of the Jacobian.
+    """
     return H.reshape(nv, nv, 6).transpose(2, 1, 0)
 
 
 def pinocchio_order_is_known(model: pin.Model) -> bool:
-    """True if `reordered` gives the closed form on this model: checked once per robot, in every reference frame."""
+    """Return True if `reorder_hessian` agrees with the closed form on this model, in every reference frame.
+
+    Args:
+        model: Pinocchio model; the check takes its deepest frame at a random posture.
+
+    Returns:
+        False also for a model without joints.
+    """
     if model.nv == 0:
         return False
     data = model.createData()
@@ -101,13 +118,17 @@ def pinocchio_order_is_known(model: pin.Model) -> bool:
         H = pin.getFrameKinematicHessian(model, data, index, reference)
         if H.size != 6 * model.nv**2:
             return False
-        if not np.allclose(reordered(H, model.nv), closed_form(J, joint_of_column, name), rtol=0.0, atol=1e-9):
+        if not np.allclose(reorder_hessian(H, model.nv), closed_form(J, joint_of_column, name), rtol=0.0, atol=1e-9):
             return False
     return True
 
 
 def columns_to_joints(model: pin.Model) -> Int[np.ndarray, " nv"]:
-    """Pinocchio joint id of each tangent coordinate."""
+    """Return the Pinocchio joint id of each tangent coordinate.
+
+    Args:
+        model: Pinocchio model.
+    """
     owner = np.zeros(model.nv, dtype=np.int64)
     for j in range(1, model.njoints):
         joint = model.joints[j]
@@ -117,11 +138,11 @@ def columns_to_joints(model: pin.Model) -> Int[np.ndarray, " nv"]:
 
 @final
 class _Pass:
-    """Last results of one thread; no number depends on what was asked before."""
+    """Latest results of one thread; they are a cache and change no result."""
 
     def __init__(self, model: pin.Model, index: int):
         self.data = model.createData()
-        self.posture: bytes | None = None  # that the frame was placed for; b"" is one, of a robot without joints
+        self.posture: bytes | None = None  # posture of the frame's placement; b"" for a robot without joints
         placement = self.data.oMf[index]
         # views into Pinocchio's own memory: they follow every pass
         self.position, self.rotation = placement.translation, placement.rotation
@@ -132,10 +153,10 @@ class _Pass:
 class FrameKinematics:
     """Pose, Jacobian and dJ/dq of one frame, see `Robot.pose`, `Robot.jacobian`, `Robot.jacobian_and_derivative`.
 
-    Where all joints between the base and the frame have one degree of freedom, only these are computed: a hand beside
-    the chain, or a second arm, costs nothing. The placement of the posture asked for last is kept: a task that asks for
-    the pose where the Jacobian has just been computed gets it without another pass. So are the Jacobians and poses of
-    the last table of postures, which come from one pass.
+    If all joints between the base and the frame have one degree of freedom, only these joints are computed: a hand
+    beside the chain, or a second arm, costs nothing. The placement of the latest posture is cached: a task that needs
+    the pose right after the Jacobian gets it without another pass. The Jacobians and poses of the latest table of
+    postures are cached too; they come from one pass.
 
     One object can be used from many threads: each has its own Pinocchio data.
 
@@ -144,7 +165,7 @@ class FrameKinematics:
         frame: One of its frames.
 
     Attributes:
-        chain: The joints that carry the frame; None where one of them has more than one degree of freedom.
+        chain: The joints that carry the frame; None if one of them has more than one degree of freedom.
         model: Pinocchio model of these joints, or of the whole robot.
     """
 
@@ -163,13 +184,13 @@ class FrameKinematics:
             self.model, self._index, lift = self.chain.model, self.chain.index, self.chain.lift
             if np.array_equal(lift, np.eye(robot.nv)) and not self.chain.offset.any():
                 lift = None
-        self._lift = lift  # from the robot's velocities to the model's; None where they are the same
+        self._lift = lift  # maps the robot's velocities to the model's; None for the identity
         self._fast_hessian = pinocchio_order_is_known(self.model)
         self._columns_to_joints = columns_to_joints(self.model)
         self._local = threading.local()
 
     def _configuration(self, q: np.ndarray) -> Float[np.ndarray, " n"]:
-        """Configuration of the model from a checked posture."""
+        """Return the configuration of the model for a checked posture."""
         chain, robot = self.chain, self._robot
         if chain is None:
             return robot.pinocchio_configuration(q)
@@ -177,6 +198,7 @@ class FrameKinematics:
         return positions if self._lift is None else chain.lift.dot(positions) + chain.offset
 
     def _pass(self) -> _Pass:
+        """Return the cache of this thread."""
         try:
             return self._local.last
         except AttributeError:
@@ -185,8 +207,8 @@ class FrameKinematics:
 
     # ---- one posture ------------------------------------------------------------------------------------------------
 
-    def _placed(self, q: Any) -> _Pass:
-        """The pass of a posture, with the frame placed."""
+    def _pass_at(self, q: Any) -> _Pass:
+        """Return the cache of this thread, with the frame placed at a posture."""
         last = self._pass()
         if not (type(q) is np.ndarray and q.dtype is DOUBLE and q.tobytes() == last.posture):
             q = self._robot.checked_posture(q)
@@ -197,36 +219,62 @@ class FrameKinematics:
         return last
 
     def position(self, q: ArrayLike) -> Float[np.ndarray, " 3"]:
-        """Return the origin of the frame in the robot's base [m]."""
-        return self._placed(q).position.copy()
+        """Return the origin of the frame in the robot's base [m].
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+        """
+        return self._pass_at(q).position.copy()
 
     def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-        """Return the origin of the frame in the base [m] and its rotation to the base, valid until the next call."""
-        last = self._placed(q)
+        """Return the origin of the frame in the base [m] and its rotation to the base.
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+
+        Returns:
+            Views that are valid until the next call.
+        """
+        last = self._pass_at(q)
         return last.position, last.rotation
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Return the homogeneous transform from the frame to the robot's base [m]."""
-        last, out = self._placed(q), np.eye(4)
+        """Return the homogeneous transform from the frame to the robot's base [m].
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+        """
+        last, out = self._pass_at(q), np.eye(4)
         out[:3, :3], out[:3, 3] = last.rotation, last.position
         return out
 
     def jacobian(self, q: ArrayLike, reference: str) -> Float[np.ndarray, "6 nv"]:
-        """Return the frame Jacobian, linear rows first; an array of its own."""
+        """Return a new array with the frame Jacobian, linear rows first [m/s, rad/s per unit joint velocity].
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+            reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
+        """
         J = self._model_jacobian(q, reference)
         return J if self._lift is None else J.dot(self._lift)
 
     def _model_jacobian(self, q: Any, reference: str) -> Float[np.ndarray, "6 n"]:
+        """Compute the Jacobian with respect to the model's velocities."""
         last, checked = self._pass(), self._robot.checked_posture(q)
         last.posture = None
         x = self._configuration(checked)
         J = pin.computeFrameJacobian(self.model, last.data, x, self._index, PINOCCHIO_REFERENCES[reference])
-        if reference == "world":  # which places the frame, too
+        if reference == "world":  # this Jacobian also updates the frame's placement
             last.posture = checked.tobytes()
         return J if J.ndim == 2 else J.reshape(6, 1)  # nv == 1
 
     def jacobian_and_derivative(self, q: ArrayLike, reference: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return J (6, nv) and dJ/dq (6, nv, nv)."""
+        """Return J (6, nv) and dJ/dq (6, nv, nv); entry [i, j, k] = d J_ij / d q_k along tangent coordinate k, exact.
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+            reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
+        """
         if self._fast_hessian:
             model, index, ref = self.model, self._index, PINOCCHIO_REFERENCES[reference]
             last, checked = self._pass(), self._robot.checked_posture(q)
@@ -235,8 +283,8 @@ class FrameKinematics:
             pin.updateFramePlacement(model, last.data, index)
             last.posture = checked.tobytes()
             J = pin.getFrameJacobian(model, last.data, index, ref).reshape(6, -1)  # nv == 1
-            H = reordered(pin.getFrameKinematicHessian(model, last.data, index, ref), model.nv)
-        else:  # a robot without joints, too, for which Pinocchio's getters crash
+            H = reorder_hessian(pin.getFrameKinematicHessian(model, last.data, index, ref), model.nv)
+        else:  # this also covers robots without joints, for which Pinocchio's getters crash
             J = self._model_jacobian(q, reference)
             H = closed_form(J, self._columns_to_joints, reference)
         return (J, H) if self._lift is None else (J @ self._lift, self._lift.T @ (H @ self._lift))
@@ -250,7 +298,7 @@ class FrameKinematics:
         return iter(table if self._lift is None else table @ self.chain.lift.T + self.chain.offset)
 
     def _sweep(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n 6 m"], Float[np.ndarray, "n 4 4"]]:
-        """Jacobians of the model along the base axes, and poses, at each posture."""
+        """Compute the Jacobians of the model along the base axes, and the poses, at each posture."""
         table, last = self._robot.checked_postures(q), self._pass()
         if table.shape == last.table.shape and np.array_equal(table, last.table):
             return last.swept
@@ -259,9 +307,9 @@ class FrameKinematics:
         J, T = np.zeros((len(table), 6, model.nv)), np.tile(np.eye(4), (len(table), 1, 1))
         R, p, last.posture = T[:, :3, :3], T[:, :3, 3], None
         for i, x in enumerate(self._configurations(table)):
-            J[i] = pin.computeFrameJacobian(model, data, x, index, world).reshape(6, -1)  # which places the frame, too
+            J[i] = pin.computeFrameJacobian(model, data, x, index, world).reshape(6, -1)  # also places the frame
             R[i], p[i] = last.rotation, last.position
-        if len(table) <= KEPT_POSTURES:
+        if len(table) <= 32_768:  # postures: 16 MB for 7 joints
             last.table, last.swept = table.copy(), (J, T)
         return J, T
 
@@ -284,16 +332,16 @@ class FrameKinematics:
         Args:
             q: Postures, one per row: configurations (nq) or joint positions (nv) [rad or m].
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
-            rows: Which of x y z rx ry rz, as 0 .. 5.
+            rows: Rows to return: x y z rx ry rz as 0 .. 5.
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        J = self._referred(*self._sweep(q), reference)[:, list(rows)]
+        J = self._rotate_to(*self._sweep(q), reference)[:, list(rows)]
         return J if self._lift is None else J @ self._lift
 
-    def _referred(self, J: Float[np.ndarray, "n 6 m"], T: Float[np.ndarray, "n 4 4"], reference: str) -> np.ndarray:
-        """Jacobians along the base axes, seen along those of a reference."""
+    def _rotate_to(self, J: Float[np.ndarray, "n 6 m"], T: Float[np.ndarray, "n 4 4"], reference: str) -> np.ndarray:
+        """Rotate Jacobians along the base axes into the axes of a reference."""
         if reference == "world":
             return J
         return (T[:, None, :3, :3].swapaxes(2, 3) @ J.reshape(len(J), 2, 3, -1)).reshape(J.shape)
@@ -303,40 +351,45 @@ class FrameKinematics:
     ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Return frame Jacobians J and dJ/dq; entry [n, i, j, k] = d J_ij / d q_k along tangent coordinate k, exact.
 
-        Arguments and errors as for `jacobians`.
+        Args:
+            q: Postures, one per row: configurations (nq) or joint positions (nv) [rad or m].
+            reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
+            rows: Rows to return: x y z rx ry rz as 0 .. 5.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        J, chosen = self._referred(*self._sweep(q), reference), list(rows)
+        J, selected = self._rotate_to(*self._sweep(q), reference), list(rows)
         parts = [J[i : i + DERIVATIVE_CHUNK] for i in range(0, max(len(J), 1), DERIVATIVE_CHUNK)]
-        H = np.concatenate([closed_form(part, self._columns_to_joints, reference, chosen) for part in parts])
+        H = np.concatenate([closed_form(part, self._columns_to_joints, reference, selected) for part in parts])
         lift = self._lift
-        return (J[:, chosen], H) if lift is None else (J[:, chosen] @ lift, lift.T @ (H @ lift))
+        return (J[:, selected], H) if lift is None else (J[:, selected] @ lift, lift.T @ (H @ lift))
 
     def link_twists(self, q: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "l n 6 6"] | None:
-        """Return the twists of the frame that unit errors of each of the l links on its chain make.
+        """Return the twists of the frame caused by unit errors of each of the l links on its chain.
 
         Args:
             q: Joint positions, one posture per row [rad or m].
 
         Returns:
-            Twists along the base's axes and at the frame's origin: of three displacements of the link's end along the
-            axes of its joint, and of three turns about them. None where other joints than those that turn or slide
-            carry the frame.
+            Twists along the base axes at the frame's origin: first for three displacements of the link's end along the
+            axes of its joint, then for three rotations about these axes. None if `chain` is None.
         """
         if self.chain is None:
             return None
         model, data = self.model, self._pass().data
         self._pass().posture = None
         joints = [(data.oMi[j].rotation, data.oMi[j].translation) for j in range(1, model.njoints)]
-        turn, place = np.empty((len(joints), len(q), 3, 3)), np.empty((len(joints), len(q), 3))
+        rotations, positions = np.empty((len(joints), len(q), 3, 3)), np.empty((len(joints), len(q), 3))
         for i, x in enumerate(self._configurations(q)):
             pin.forwardKinematics(model, data, x)
             for j, (rotation, translation) in enumerate(joints):
-                turn[j, i], place[j, i] = rotation, translation
+                rotations[j, i], positions[j, i] = rotation, translation
         tip = self.poses(q)[:, :3, 3]
-        lever = tip - np.concatenate([place[1:], tip[None]])  # of a link, its end is where the next joint is
+        lever = tip - np.concatenate([positions[1:], tip[None]])  # a link ends at the next joint
         twists = np.zeros((len(joints), len(q), 6, 6))
-        twists[..., :3, :3] = twists[..., 3:, 3:] = turn
-        twists[..., :3, 3:] = np.cross(turn, lever[..., None], axisa=2, axisb=2, axisc=2)
+        twists[..., :3, :3] = twists[..., 3:, 3:] = rotations
+        twists[..., :3, 3:] = np.cross(rotations, lever[..., None], axisa=2, axisb=2, axisc=2)
         return twists
 
     def __getstate__(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""Cards that notebooks show of objects: a title, facts and tables. One look for all of the library.
+"""HTML cards for objects in notebooks: a title, facts and tables, with one look for the whole library.
 
-Colours are those of the page around it, so that light and dark notebooks can both be read. It stands in the lowest room
-that shows something, because every room above has objects to show.
+Cards use the colours of the surrounding page, so that they are readable in light and dark notebooks. This module is in
+the lowest room that displays objects, since every room above displays some too.
 """
 
 from __future__ import annotations
@@ -12,90 +12,132 @@ from html import escape as escape_markup
 
 from manip_learn.errors import printable
 
-MOST_TABLE_ROWS = 12  # of a table
-WIDTH, HEIGHT, LINE = 320, 64, 16  # [px] of a picture, of a curve in it, of a bar
-_CELL = "text-align:left;padding:1px 12px 1px 0;border:0;background:none"
+WIDTH = 320  # [px] of a picture
 
 
 def escape(text: str) -> str:
-    """A text as HTML, in which no character is markup or moves what is around it."""
+    """Return a text as HTML, without markup and without characters that affect the text around it.
+
+    Args:
+        text: Plain text.
+    """
     return escape_markup(printable(text, layout=True))
 
 
 def card(title: str, *parts: str) -> str:
-    """A titled block of parts that are HTML already; parts without content are left out."""
+    """Return a block of HTML with a title.
+
+    Args:
+        title: Plain text.
+        *parts: HTML; empty parts are left out.
+    """
     inner = "".join(part for part in parts if part)
     return f'<div style="font-size:13px;line-height:1.45"><b>{escape(title)}</b>{inner}</div>'
 
 
 def sentence(text: str) -> str:
-    """A paragraph of plain text."""
+    """Return a paragraph of HTML; empty for an empty text.
+
+    Args:
+        text: Plain text.
+    """
     return f'<p style="margin:2px 0;max-width:60em">{escape(text)}</p>' if text else ""
 
 
 def warnings(texts: Iterable[str]) -> str:
-    """A list of warnings, one item per sentence."""
+    """Return a list of warnings as HTML, one item per sentence; empty without any.
+
+    Args:
+        texts: Plain texts.
+    """
     items = "".join(f"<li>{escape(text)}</li>" for text in texts)
     return f'<ul style="margin:2px 0;padding-left:1.2em"><b>Warnings</b>{items}</ul>' if items else ""
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table; of long ones the first rows, and how many there are more."""
+def table(header: Sequence[str], rows: Sequence[Sequence[object]], most: int = 12) -> str:
+    """Return a table as HTML; a long one is cut, with the number of rows left out.
+
+    Args:
+        header: Names of the columns; all empty for no header.
+        rows: Values of each row; floats are shown with 4 digits, integers with commas.
+        most: Largest number of rows.
+    """
     if not rows:
         return ""
-    head = "".join(f'<th scope="col" style="{_CELL};opacity:.75">{escape(name)}</th>' for name in header)
+    cell = "text-align:left;padding:1px 12px 1px 0;border:0;background:none"
+    head = "".join(f'<th scope="col" style="{cell};opacity:.75">{escape(name)}</th>' for name in header)
     body = ""
-    for row in rows[:MOST_TABLE_ROWS]:
+    for row in rows[:most]:
         texts = (
             f"{value:.4g}" if isinstance(value, float) else f"{value:,}" if type(value) is int else str(value)
             for value in row
         )
-        body += "<tr>" + "".join(f'<td style="{_CELL}">{escape(text)}</td>' for text in texts) + "</tr>"
-    left = len(rows) - MOST_TABLE_ROWS
-    more = f"<p style='margin:0;opacity:.75'>and {left} more</p>" if left > 0 else ""
+        body += "<tr>" + "".join(f'<td style="{cell}">{escape(text)}</td>' for text in texts) + "</tr>"
+    omitted = len(rows) - most
+    more = f"<p style='margin:0;opacity:.75'>and {omitted} more</p>" if omitted > 0 else ""
     thead = f"<thead><tr>{head}</tr></thead>" if any(header) else ""
     style = "border-collapse:collapse;margin:4px 0;font-size:13px"
     return f'<table style="{style}">{thead}<tbody>{body}</tbody></table>{more}'
 
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
-    """A table of names and values; None is left out."""
+    """Return a table of names and values as HTML.
+
+    Args:
+        pairs: Name and value; pairs with None are left out.
+    """
     return table(("", ""), [(name, value) for name, value in pairs if value is not None])
 
 
 def curve(x: Sequence[float], y: Sequence[float], label: str) -> str:
-    """A small curve above zero, in the colour of the text; values that are not finite are gaps."""
+    """Return a small curve above zero as an SVG picture in the colour of the text; empty without a positive value.
+
+    Args:
+        x: Abscissae, ascending.
+        y: Values; values that are not finite are gaps.
+        label: Plain text below the picture, which screen readers read out.
+    """
+    height = 64  # [px] of the curve
     high, first = max(filter(math.isfinite, y), default=0.0), min(x, default=0.0)
-    span = max(max(x, default=0.0) - first, 1e-12)  # of a single moment, too
+    span = max(max(x, default=0.0) - first, 1e-12)  # positive for a single sample, too
     if high <= 0.0:
         return ""
     step = max(1, len(x) // WIDTH)
     points = [
-        f"{WIDTH * (a - first) / span:.1f},{HEIGHT * (1.0 - b / high):.1f}" if math.isfinite(b) else " "
+        f"{WIDTH * (a - first) / span:.1f},{height * (1.0 - b / high):.1f}" if math.isfinite(b) else " "
         for a, b in zip(x[::step], y[::step], strict=True)
     ]
     parts = [f'<polyline points="{p}"/>' for p in " ".join(points).split("   ") if p.strip()]
-    ground = f'<path opacity=".4" stroke-width="1" d="M0 {HEIGHT}h{WIDTH}"/>'
-    return _picture(ground + "".join(parts), HEIGHT, label)
+    ground = f'<path opacity=".4" stroke-width="1" d="M0 {height}h{WIDTH}"/>'
+    return _picture(ground + "".join(parts), height, label)
 
 
 def bars(values: Sequence[tuple[str, float]], label: str) -> str:
-    """A bar with its name for each positive value, on a scale by powers of ten that begins a tenth below the least."""
-    known = [(name, math.log10(value)) for name, value in values if value > 0.0 and math.isfinite(value)]
-    if not known:
+    """Return a bar chart as an SVG picture, on a logarithmic scale that begins at a tenth of the smallest value.
+
+    Args:
+        values: Name and value of each bar; values that are not positive and finite are left out.
+        label: Plain text below the picture, which screen readers read out.
+
+    Returns:
+        HTML; empty without a bar.
+    """
+    line = 16  # [px] height of a bar
+    levels = [(name, math.log10(value)) for name, value in values if value > 0.0 and math.isfinite(value)]
+    if not levels:
         return ""
-    low, high = min(v for _, v in known) - 1.0, max(v for _, v in known)
+    low, high = min(v for _, v in levels) - 1.0, max(v for _, v in levels)
     lines = [
-        f'<path stroke-width="8" d="M0 {LINE * (i + 0.5)}h{0.6 * WIDTH * (v - low) / (high - low):.1f}"/>'
-        f'<text x="{0.6 * WIDTH * (v - low) / (high - low) + 6:.1f}" y="{LINE * (i + 0.5) + 4}" fill="currentColor"'
+        f'<path stroke-width="8" d="M0 {line * (i + 0.5)}h{0.6 * WIDTH * (v - low) / (high - low):.1f}"/>'
+        f'<text x="{0.6 * WIDTH * (v - low) / (high - low) + 6:.1f}" y="{line * (i + 0.5) + 4}" fill="currentColor"'
         f' stroke="none" font-size="11">{escape(name)}</text>'
-        for i, (name, v) in enumerate(known)
+        for i, (name, v) in enumerate(levels)
     ]
-    return _picture("".join(lines), LINE * len(known), label)
+    return _picture("".join(lines), line * len(levels), label)
 
 
 def _picture(inner: str, height: int, label: str) -> str:
-    """Shapes as a picture with its title below, which is what a screen reader says."""
+    """Return shapes as a picture with its label below."""
     return (
         f'<svg role="img" aria-label="{escape(label)}" width="{WIDTH}" height="{height + 4}" viewBox="0 -2 {WIDTH} '
         f'{height + 4}" fill="none" stroke="currentColor" stroke-width="1.5" style="display:block;margin-top:6px">'
@@ -104,5 +146,10 @@ def _picture(inner: str, height: int, label: str) -> str:
 
 
 def folded(summary: str, inner: str) -> str:
-    """Parts that are shown when the reader asks for them."""
+    """Return parts that are hidden until the reader unfolds them; empty without parts.
+
+    Args:
+        summary: Plain text that is always visible.
+        inner: HTML.
+    """
     return f"<details><summary>{escape(summary)}</summary>{inner}</details>" if inner else ""

@@ -1,4 +1,4 @@
-"""The independent joints of a robot: their slices of the vectors, their limits, and those that follow or carry."""
+"""The independent joints of a robot: their slices of the vectors, their limits, mimic joints, and chains to a frame."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ class Frame:
     parent_joint: int
 
 
-FrameLike = str | Frame  # what every method of `Robot` takes; a `Frame` saves the look-up
+FrameLike = str | Frame  # argument type of the methods of `Robot`; a `Frame` saves the look-up
 
 
 @final
 @dataclass(frozen=True)
 class Mimic:
-    """One mimic joint: position = multiplier * position of `leader` + offset."""
+    """A mimic joint: position = multiplier * position of `leader` + offset."""
 
     joint: str
     leader: str
@@ -57,7 +57,7 @@ class Coupling:
     positions_all = lift @ positions + offset;  velocities_all = lift @ velocities.
 
     Attributes:
-        lift: shape (nv_all, nv).
+        lift: shape (nv_all, nv), from independent velocities to all.
         offset: shape (nv_all,) [rad or m].
     """
 
@@ -76,7 +76,7 @@ class JointBlock:
 
     Attributes:
         name: Joint name in the URDF.
-        kind: What moves.
+        kind: Type of the joint.
         index: Pinocchio joint id.
         q: Slice in the public configuration (size nq).
         v: Slice in the public tangent vector (size nv).
@@ -94,7 +94,7 @@ class JointBlock:
 
     @property
     def direction(self) -> slice:
-        """The part of a configuration that has length 1, of a continuous, floating or planar joint."""
+        """The slice of a configuration that has length 1, for a continuous, floating or planar joint."""
         return slice(self.q.stop - (4 if self.kind == "floating" else 2), self.q.stop)
 
     @property
@@ -108,14 +108,19 @@ class JointBlock:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of each tangent coordinate, `"rad"` or `"m"`."""
+        """The unit of each tangent coordinate, `"rad"` or `"m"`."""
         if self.kind in COORDINATE_SUFFIXES:
             return tuple("rad" if "r" in suffix else "m" for suffix in COORDINATE_SUFFIXES[self.kind])
         return ("m" if self.kind == "prismatic" else "rad",) * (self.v.stop - self.v.start)
 
 
 def joint_blocks(model: pin.Model, mimics: Sequence[Mimic]) -> tuple[JointBlock, ...]:
-    """Return the independent joints of a model in its order, those that move and follow no other."""
+    """Return the independent joints of a model in its order: joints that move and do not follow another joint.
+
+    Args:
+        model: Pinocchio model, in which mimic joints are joints of their own.
+        mimics: Mimic joints.
+    """
     kinds: tuple[tuple[str, JointKind], ...] = (
         ("JointModelRUB", "continuous"),
         ("JointModelRevoluteUnbounded", "continuous"),
@@ -124,23 +129,23 @@ def joint_blocks(model: pin.Model, mimics: Sequence[Mimic]) -> tuple[JointBlock,
         ("JointModelP", "prismatic"),
         ("JointModelFreeFlyer", "floating"),
         ("", "other"),
-    )  # of Pinocchio's short names by how they begin, the first that fits
+    )  # prefixes of Pinocchio's short names; the first match counts
     followers, blocks, nq, nv = {m.joint for m in mimics}, list[JointBlock](), 0, 0
     for index in range(1, model.njoints):
         joint, name = model.joints[index], model.names[index]
         if name in followers or joint.nv == 0:
             continue
         kind: JointKind = next(k for begin, k in kinds if joint.shortname().startswith(begin))
-        own = slice(nq, nq + joint.nq), slice(nv, nv + joint.nv)
+        slices = slice(nq, nq + joint.nq), slice(nv, nv + joint.nv)
         of_model = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
-        blocks.append(JointBlock(name, kind, index, *own, *of_model))
-        nq, nv = own[0].stop, own[1].stop
+        blocks.append(JointBlock(name, kind, index, *slices, *of_model))
+        nq, nv = slices[0].stop, slices[1].stop
     return tuple(blocks)
 
 
 @final
 class JointLimits(NamedTuple):
-    """One entry per degree of freedom.
+    """Limits of each degree of freedom.
 
     Attributes:
         lower: shape (nv,) [rad or m], -inf where there is no limit.
@@ -156,10 +161,15 @@ class JointLimits(NamedTuple):
 def joint_limits(
     model: pin.Model, blocks: Sequence[JointBlock], mimics: Sequence[Mimic]
 ) -> tuple[JointLimits, tuple[str, ...]]:
-    """Limits of a model in which mimic joints are joints of their own, bound to their leaders.
+    """Return the limits of the independent joints, narrowed by their followers.
+
+    Args:
+        model: Pinocchio model, in which mimic joints are joints of their own.
+        blocks: Its independent joints.
+        mimics: Its mimic joints.
 
     Returns:
-        The limits, read-only, and warnings: where followers narrow the limits of their leaders, or contradict them.
+        The limits, read-only, and a warning for each follower that narrows or contradicts the limits of its leader.
     """
     nv = sum(b.v.stop - b.v.start for b in blocks)
     limits = JointLimits(np.full(nv, -np.inf), np.full(nv, np.inf), np.full(nv, np.inf))
@@ -170,14 +180,14 @@ def joint_limits(
         velocity = np.asarray(model.velocityLimit[b.pin_v])
         limits.velocity[b.v] = np.where(velocity > 0, velocity, np.inf)
     leaders = {b.name: b for b in blocks}
-    warnings = [sentence for m in mimics for sentence in _bind(m, leaders[m.leader], model, limits)]
+    warnings = [sentence for m in mimics for sentence in _narrow_leader(m, leaders[m.leader], model, limits)]
     for array in limits:
         array.setflags(write=False)
     return limits, tuple(warnings)
 
 
-def _bind(m: Mimic, leader: JointBlock, model: pin.Model, limits: JointLimits) -> list[str]:
-    """A follower's limits bind its leader, seen through the multiplier."""
+def _narrow_leader(m: Mimic, leader: JointBlock, model: pin.Model, limits: JointLimits) -> list[str]:
+    """Narrow a leader's limits by its follower's, divided by the multiplier; return warnings."""
     joint, k = model.joints[model.getJointId(m.joint)], leader.v.start
     if m.multiplier == 0.0:
         return []
@@ -206,7 +216,13 @@ def _bind(m: Mimic, leader: JointBlock, model: pin.Model, limits: JointLimits) -
 
 
 def full_coupling(model: pin.Model, blocks: Sequence[JointBlock], mimics: Sequence[Mimic]) -> Coupling:
-    """The affine map from the independent joints to all joints of a model, without mimic joints a permutation."""
+    """Return the affine map from the independent joints to all joints of a model; a permutation without mimic joints.
+
+    Args:
+        model: Pinocchio model, in which mimic joints are joints of their own.
+        blocks: Its independent joints.
+        mimics: Its mimic joints.
+    """
     lift, offset = np.zeros((model.nv, sum(b.v.stop - b.v.start for b in blocks))), np.zeros(model.nv)
     for b in blocks:
         lift[b.pin_v, b.v] = np.eye(b.v.stop - b.v.start)
@@ -240,9 +256,16 @@ class CarryingJoints(NamedTuple):
 def carrying_joints(
     model: pin.Model, frame: Frame, blocks: tuple[JointBlock, ...], coupling: Coupling | None
 ) -> CarryingJoints | None:
-    """Return the joints between the base and a frame.
+    """Return the chain of joints between the base and a frame.
 
-    None if there are none, or one of them does not just turn or slide (a floating base).
+    Args:
+        model: Pinocchio model, in which mimic joints are joints of their own.
+        frame: One of its frames.
+        blocks: Its independent joints.
+        coupling: Map from the independent joints to all; None without mimic joints.
+
+    Returns:
+        None if there are no such joints, or one of them is neither revolute nor prismatic (e.g. a floating base).
     """
     chain = [j for j in model.supports[frame.parent_joint] if j > 0]
     motions = joint_motions(model)
@@ -252,7 +275,7 @@ def carrying_joints(
             return None
         kind, axis = motion
         aligned = np.flatnonzero(np.all(axis == np.eye(3), axis=1))
-        if aligned.size:  # these keep the last digit, and are faster
+        if aligned.size:  # joints along x, y or z are exact to the last digit, and faster
             joint = getattr(pin, f"JointModel{kind}{'XYZ'[aligned[0]]}")()
         else:
             joint = pin.JointModelPrismaticUnaligned(axis) if kind == "P" else pin.JointModelRevoluteUnaligned(axis)
@@ -267,9 +290,13 @@ def carrying_joints(
 
 
 def joint_motions(model: pin.Model) -> list[tuple[Literal["R", "P"], Float[np.ndarray, " 3"]] | None]:
-    """Return whether each joint of a model turns ("R") or slides ("P"), and along which axis of its own frame.
+    """Return for each joint of a model whether it turns ("R") or slides ("P"), and its axis in its own frame.
 
-    None for the world, for a joint of more degrees of freedom, and where a turn slides as well.
+    Args:
+        model: Pinocchio model.
+
+    Returns:
+        One entry per Pinocchio joint id; None for the world, for a joint of more degrees of freedom, and for a screw.
     """
     data, out = model.createData(), list[tuple[Literal["R", "P"], np.ndarray] | None]([None])
     pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))

@@ -1,4 +1,4 @@
-"""The potential that grows without bound towards the joint limits, and what is finite of it at the limits.
+"""The potential that grows without bound towards the joint limits, and its margin, which stays finite at the limits.
 
     h(q) = sum_j (u_j - l_j)^2 / (4 (u_j - q_j) (q_j - l_j)),    l_j, u_j the position limits of joint j
 
@@ -17,16 +17,28 @@ from manip_learn.robot.robot import Robot
 
 
 def has_range(robot: Robot) -> np.ndarray:
-    """Which joints are limited on both sides, with room between the limits; shape (nv,)."""
+    """Return True for each joint that is limited on both sides, with the lower limit below the upper; shape (nv,).
+
+    Args:
+        robot: A loaded robot.
+    """
     width = ranges(robot)
     return np.isfinite(width) & (width > 0.0)
 
 
 def ranges(robot: Robot) -> Float[np.ndarray, " nv"]:
-    """u_j - l_j [rad or m], infinite where a limit is missing."""
+    """Return the joint ranges u_j - l_j [rad or m], infinite for a missing limit.
+
+    Args:
+        robot: A loaded robot.
+    """
     return robot.position_upper - robot.position_lower
 
 
-def room_of(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """1 - x^2, and 0 outside the limits."""
+def joint_range_margin(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Return 1 - x^2, and 0 outside the limits.
+
+    Args:
+        x: Positions scaled to their range: -1 at the lower limit, 1 at the upper.
+    """
     return np.clip((1.0 - x) * (1.0 + x), 0.0, None)

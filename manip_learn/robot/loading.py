@@ -1,4 +1,4 @@
-"""Names and files -> `Robot`."""
+"""Robots by name or from files -> `Robot`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from manip_learn.robot.description.catalogue import find_robot
 from manip_learn.robot.description.mjcf import validate_mjcf
 from manip_learn.robot.description.text import parse_xml, read_description
 from manip_learn.robot.description.urdf import UrdfFile, UrdfJoint, UrdfLink, as_matrix, as_pose
-from manip_learn.robot.description.xacro_expansion import expanded_xacro
+from manip_learn.robot.description.xacro_expansion import expand_xacro
 from manip_learn.robot.joints import COORDINATE_SUFFIXES
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import find_package
@@ -29,7 +29,7 @@ Base = Literal["fixed", "floating", "planar"]
 Locked = Sequence[str] | Mapping[str, float | None]
 DESCRIPTION_SUFFIXES = (".urdf", ".xml", ".xacro", ".mjcf")
 BASES = {"floating": pin.JointModelFreeFlyer, "planar": pin.JointModelPlanar}
-# numbers of a description, between quotes or spaces
+# a number of a description, between quotes or spaces
 DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
 
 
@@ -42,22 +42,25 @@ def load_robot(
     xacro: bool | Mapping[str, str] = False,
     objects: Sequence[str] = (),
 ) -> Robot:
-    """Load a robot by its name or from a file; what is repaired or ignored is listed in `Robot.warnings`.
+    """Load a robot by its name or from a file; `Robot.warnings` lists repaired and ignored parts.
 
     Args:
         name: `"planar3"`, `"sawyer"`, a robot of example-robot-data such as `"panda"`, or the path of a URDF or MJCF
-            file. What exists as a file, or ends in .urdf, .xml, .mjcf or .xacro, is a path.
+            file. A name of an existing file, or one that ends in .urdf, .xml, .mjcf or .xacro, is a path.
         package_dirs: Folders that contain the packages of `package://` meshes and of `$(find ...)` in xacro files.
-            Kinematics of a URDF needs none.
-        locked: Joints to hold still, at zero or the limit nearest to it; or a mapping joint -> position [rad or m],
-            None for that same place.
-        base: Whether the root link is `"fixed"`, or free to move in space (`"floating"`) or in the plane (`"planar"`).
-        xacro: Whether a .xacro file may be expanded: True, or the values of its arguments, e.g. `{"ur_type": "ur5e"}`.
-            Off by default, since expanding runs its author's expressions.
-        objects: Names of things whose pose is recorded beside the joints, e.g. `("box",)`: each becomes a link of that
-            name on a floating joint of that name, which hangs on the root link, six more degrees of freedom
+            The kinematics of a URDF need none.
+        locked: Joints to lock, at zero or the limit nearest to it; or a mapping joint -> position [rad or m], with None
+            for that default.
+        base: `"fixed"` fixes the root link; `"floating"` lets it move in space, `"planar"` in the plane.
+        xacro: True, or the values of its arguments, e.g. `{"ur_type": "ur5e"}`, to expand a .xacro file. Off by
+            default, since the expansion runs expressions of the file's author.
+        objects: Names of objects whose pose is recorded together with the joints, e.g. `("box",)`: each becomes a link
+            on a floating joint, both of that name, attached to the root link, with six more degrees of freedom
             `box.x box.y box.z box.rx box.ry box.rz` (position [m] and rotation vector [rad] in the root link's frame)
-            without limits. No motor moves them: a controller that is given such a robot commands their twist too.
+            without limits. No motor moves them: a controller for such a robot commands their twist too.
+
+    Returns:
+        The robot.
 
     Raises:
         UnknownNameError: No such robot, or a locked joint that does not exist; lists near matches.
@@ -71,12 +74,12 @@ def load_robot(
         (7, 'right_j0')
     """
     if isinstance(name, str) and not name.strip():
-        raise RobotError("no robot is named; give a name such as 'panda' or the path of a URDF file", code="missing")
-    given = [package_dirs] if isinstance(package_dirs, str | os.PathLike) else package_dirs
+        raise RobotError("no robot is named; pass a name such as 'panda' or the path of a URDF file", code="missing")
+    package_folders = [package_dirs] if isinstance(package_dirs, str | os.PathLike) else package_dirs
     try:
-        path, *folders = (Path(place).expanduser() for place in (name, *given))
+        path, *folders = (Path(place).expanduser() for place in (name, *package_folders))
     except RuntimeError as error:  # ~user without a home directory here
-        places = ", ".join(os.fspath(place) for place in (name, *given))
+        places = ", ".join(os.fspath(place) for place in (name, *package_folders))
         raise RobotError(f"{places}: {error}; write the path out", code="missing") from error
     if isinstance(name, str) and path.suffix not in DESCRIPTION_SUFFIXES and os.sep not in name:
         path = path if path.is_file() else find_robot(name)
@@ -87,10 +90,10 @@ def load_robot(
         raise RobotError(f"base is {base!r}; it must be one of 'fixed', 'floating', 'planar'", code="base")
     root_joint = BASES[base]() if base in BASES else None
     if isinstance(xacro, Mapping) and path.suffix != ".xacro":
-        sentence = f"this is no .xacro file, so it has no arguments: leave {', '.join(map(str, xacro))} out"
+        sentence = f"this is not a .xacro file, so it has no arguments: remove {', '.join(map(str, xacro))}"
         raise RobotError(f"{path}: {sentence}", code="xacro-arg", path=path)
     find = partial(find_package, urdf=path, package_dirs=folders)
-    content = expanded_xacro(path, xacro, folders, find) if path.suffix == ".xacro" else read_description(path)
+    content = expand_xacro(path, xacro, folders, find) if path.suffix == ".xacro" else read_description(path)
     return robot_from_text(content, path, package_dirs=folders, locked=locked, root_joint=root_joint, objects=objects)
 
 
@@ -103,32 +106,35 @@ def robot_from_text(
     root_joint: pin.JointModel | None = None,
     objects: Sequence[str] = (),
 ) -> Robot:
-    """Robot from the text of a URDF (xacro expanded) or an MJCF file.
+    """Build a robot from the text of a URDF (xacro expanded) or an MJCF file.
 
     Args:
-        content: The text; of a URDF it is kept as the robot's description, of an MJCF file the URDF that it stands for.
-        path: Where it came from.
+        content: The text. The robot's description is this text for a URDF, and the equivalent URDF for an MJCF file.
+        path: File of the text.
         package_dirs: Folders of mesh packages.
-        locked: Joints to hold still; names, or names -> positions [rad or m].
+        locked: Joints to lock; names, or names -> positions [rad or m].
         root_joint: Joint between the world and the root link; None if it is fixed.
-        objects: Names of things whose pose is recorded, see `load_robot`.
+        objects: Names of objects whose pose is recorded, see `load_robot`.
+
+    Returns:
+        The robot.
 
     Raises:
         RobotError: The description is invalid, Pinocchio refuses it, a joint cannot be locked, or an object has the
             name of a link or joint.
         UnknownNameError: A locked joint that does not exist.
     """
-    given = [locked] if isinstance(locked, str) else locked  # a single string counts as one name
-    asked = {str(name): locked[name] if isinstance(locked, Mapping) else None for name in given}
+    joints = [locked] if isinstance(locked, str) else locked  # a single string counts as one name
+    requested = {str(name): locked[name] if isinstance(locked, Mapping) else None for name in joints}
     root = parse_xml(content, path)
     is_mjcf = root.tag == "mujoco"
-    urdf, content = validate_mjcf(root, asked) if is_mjcf else (plain.validate_urdf(root, asked), content)
+    urdf, content = validate_mjcf(root, requested) if is_mjcf else (plain.validate_urdf(root, requested), content)
     names = (objects,) if isinstance(objects, str) else tuple(objects)
     urdf = with_objects(urdf, names) if names else urdf
     if root_joint is not None and any(j.name == "root_joint" for j in urdf.joints):
         sentence = f"{path}: a joint is called 'root_joint', the name of the moving base; rename it"
         raise RobotError(sentence, code="name-reserved", path=path)
-    still = locked_positions(urdf, asked) if asked or urdf.resting else {}
+    still = locked_positions(urdf, requested) if requested or urdf.resting else {}
     text = plain.kinematic_urdf(with_fixed(urdf, still) if still else urdf)
     try:
         model = pin.buildModelFromXML(text) if root_joint is None else pin.buildModelFromXML(text, root_joint)
@@ -154,8 +160,9 @@ def robot_from_text(
 
 
 def _fingerprint(urdf: UrdfFile, still: dict[str, float], root_joint: pin.JointModel | None) -> str:
-    """Hash of kinematics and masses: comments, meshes, colours, the order of elements and the last digit, which
-    differs between machines, do not count.
+    """Return the hash of kinematics and masses.
+
+    Comments, meshes, colours, the order of elements and the last digit, which differs between machines, do not count.
     """
     lines = sorted(plain.kinematic_urdf(urdf).splitlines())
     lines += sorted(f'locked {name} "{position!r}"' for name, position in still.items())
@@ -166,7 +173,7 @@ def _fingerprint(urdf: UrdfFile, still: dict[str, float], root_joint: pin.JointM
 
 
 def locked_positions(urdf: UrdfFile, asked: Mapping[str, float | None]) -> dict[str, float]:
-    """Return the position of every joint that stands still: locked ones, their followers, and those of fixed joints.
+    """Return the position of every joint at rest: locked joints, their followers, and followers of fixed joints.
 
     Args:
         urdf: The robot.
@@ -176,7 +183,7 @@ def locked_positions(urdf: UrdfFile, asked: Mapping[str, float | None]) -> dict[
         Joint name -> position [rad or m], in file order; 0 for floating and planar joints, which is accepted again.
 
     Raises:
-        UnknownNameError: A name that is no joint.
+        UnknownNameError: A name that is not a joint's.
         RobotError: Codes `locked-follower`, `locked-position`.
     """
     by_name = {j.name: j for j in urdf.joints}
@@ -196,8 +203,9 @@ def locked_positions(urdf: UrdfFile, asked: Mapping[str, float | None]) -> dict[
 
 
 def _position(joint: UrdfJoint, value: float | None) -> float:
+    """Return the position at which a joint is locked [rad or m], within its limits."""
     limit, lower, upper = joint.limit, -math.inf, math.inf
-    if joint.type != "continuous" and limit.lower <= limit.upper:  # else they are not given, or say nothing
+    if joint.type != "continuous" and limit.lower <= limit.upper:  # otherwise they are missing or contradictory
         lower, upper = limit.lower, limit.upper
     try:
         position = min(max(0.0, lower), upper) if value is None else float(value)
@@ -206,16 +214,20 @@ def _position(joint: UrdfJoint, value: float | None) -> float:
         raise RobotError(sentence, code="locked-position") from error
     sentence = f"joint {joint.name!r}: locked at {position:g}, outside its limits {lower:g} ... {upper:g}"
     if joint.nv != 1 and position != 0.0:
-        sentence = f"joint {joint.name!r} is {joint.type} and can be locked only where it is: give no position"
+        sentence = f"joint {joint.name!r} is {joint.type} and can be locked only at its zero: give no position"
     elif lower <= position <= upper:
         return position
     raise RobotError(sentence, code="locked-position")
 
 
 def with_fixed(urdf: UrdfFile, still: Mapping[str, float]) -> UrdfFile:
-    """Return the robot with some joints fixed where they stand.
+    """Return the robot with some joints fixed at their positions.
 
-    Pinocchio's own reduction of a model leaves frames with parents that lead in a circle.
+    Pinocchio's own reduction of a model leaves frames whose parents form a circle.
+
+    Args:
+        urdf: The robot.
+        still: Joint -> position [rad or m].
     """
     joints = list(urdf.joints)
     for i, joint in enumerate(joints):
@@ -227,17 +239,21 @@ def with_fixed(urdf: UrdfFile, still: Mapping[str, float]) -> UrdfFile:
 
 
 def with_objects(urdf: UrdfFile, objects: Sequence[str]) -> UrdfFile:
-    """Return the robot with a link on a floating joint of the same name for each object, which hangs on the root link.
+    """Return the robot with a link on a floating joint of the same name for each object, attached to the root link.
+
+    Args:
+        urdf: The robot.
+        objects: Names of the objects.
 
     Raises:
-        RobotError: Code `object-name`: no name, an unprintable one, or the same twice; or a link, joint or coordinate
-            of the robot has the name.
+        RobotError: Code `object-name`: an empty, unprintable or repeated name; or the name of a link, joint or
+            coordinate of the robot.
     """
-    taken = {link.name for link in urdf.links} | {joint.name for joint in urdf.joints}
+    used = {link.name for link in urdf.links} | {joint.name for joint in urdf.joints}
     suffixes = ("", *COORDINATE_SUFFIXES["floating"])
     for i, name in enumerate(objects):
         usable = isinstance(name, str) and name.strip() == name and name.isprintable() and name not in plain.RESERVED
-        clash = next((n for n in (f"{name}{suffix}" for suffix in suffixes) if n in taken), None)
+        clash = next((n for n in (f"{name}{suffix}" for suffix in suffixes) if n in used), None)
         sentence = f"object {name!r}: robot {urdf.name!r} has a link or joint {clash!r}; give the object another name"
         if not usable or not 0 < len(name) <= plain.LONGEST_NAME:
             sentence = f"objects: {name!r} cannot be the name of an object"

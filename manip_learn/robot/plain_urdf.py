@@ -1,7 +1,7 @@
-"""A robot and solids about it as a URDF of plain names, for programs that read nothing else.
+"""A robot and solids around it as a URDF with plain names, for programs that read only such files.
 
-Joint 7 is called j007 and carries the link l007, whatever it is called in the robot's file and whichever kind of file
-that is; each solid has a link of its own.
+Joint 7 is called j007 and carries the link l007, whatever its name in the robot's file and the kind of that file; each
+solid has a link of its own.
 """
 
 from __future__ import annotations
@@ -22,12 +22,16 @@ from manip_learn.robot.joints import joint_motions
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.visual_shapes import Solid
 
-# corners of a solid about the ball of radius 1: its faces are 0.8866 away where its corners are at 1
+# corners of a polyhedron that contains the ball of radius 1: with corners at 1 its faces would be at 0.8866
 BALL_CORNERS = np.array([np.divide(d, 0.8866 * np.linalg.norm(d)) for d in product((-1, 0, 1), repeat=3) if any(d)])
 
 
 def joint_name(index: int) -> str:
-    """What the joint with that Pinocchio id is called."""
+    """Return the plain name of a joint.
+
+    Args:
+        index: Pinocchio id of the joint.
+    """
     return f"j{index:03}"
 
 
@@ -38,18 +42,21 @@ def plain_urdf(
     solids: Mapping[str, tuple[CollisionShape, float]],
     folder: Path,
 ) -> str:
-    """The text of the URDF.
+    """Write a robot with solids as the text of a URDF; meshes go to files.
 
     Args:
         robot: The robot.
         lower: Lowest positions of its joints [rad or m].
-        upper: Highest positions.
-        solids: Name -> a shape on a joint of this robot, and by how much it is larger all round [m]; convex meshes, at
-            their corners, by up to an eighth more.
-        folder: Where meshes are written.
+        upper: Highest positions of its joints [rad or m].
+        solids: Name -> a shape on a joint of this robot, and the margin by which it grows on all sides [m]; convex
+            meshes grow at their corners by up to an eighth more.
+        folder: Folder for the meshes.
+
+    Returns:
+        The text.
 
     Raises:
-        ValueError: A joint that neither turns nor slides, or does both.
+        ValueError: A joint that is neither revolute nor prismatic.
     """
     model, out = robot.pinocchio_model, ["<robot name='copy'><link name='l000'/>"]
     mimics, motions = {m.joint: m for m in robot.mimics}, joint_motions(model)
@@ -57,39 +64,41 @@ def plain_urdf(
     for j, name in list(enumerate(model.names))[1:]:
         if (along := motions[j]) is None:
             raise ValueError(f"joint {name!r} does more than turn or slide")
-        least, most = ends.get(name, (-1e3, 1e3))  # a joint that follows another has its limits
+        least, most = ends.get(name, (-1e3, 1e3))  # limits of a mimic joint come from its leader
         inside = f"<axis xyz='{_words(along[1])}'/><limit lower='{least}' upper='{most}' velocity='1' effort='1'/>"
         if (m := mimics.get(name)) is not None:
             leader = joint_name(model.getJointId(m.leader))
             inside += f"<mimic joint='{leader}' multiplier='{m.multiplier}' offset='{m.offset}'/>"
-        head = joint_name(j), "revolute" if along[0] == "R" else "prismatic", model.parents[j], f"l{j:03}"
-        out.append(f"<link name='l{j:03}'/>{_joint(*head, model.jointPlacements[j], inside)}")
+        fields = joint_name(j), "revolute" if along[0] == "R" else "prismatic", model.parents[j], f"l{j:03}"
+        out.append(f"<link name='l{j:03}'/>{_joint(*fields, model.jointPlacements[j], inside)}")
     out += [_link(name, solid, larger, folder) for name, (solid, larger) in solids.items()]
     return "".join([*out, "</robot>"])
 
 
 def _words(values: Any) -> str:
+    """Return numbers separated by spaces, to the last bit."""
     return " ".join(map(repr, np.asarray(values, dtype=np.float64).tolist()))
 
 
 def _joint(name: str, kind: str, parent: int, child: str, place: pin.SE3, inside: str = "") -> str:
+    """Return a joint element."""
     inside += f"<origin xyz='{_words(place.translation)}' rpy='{_words(pin.rpy.matrixToRpy(place.rotation))}'/>"
     return f"<joint name='{name}' type='{kind}'><parent link='l{parent:03}'/><child link='{child}'/>{inside}</joint>"
 
 
 def _link(name: str, thing: CollisionShape, larger: float, folder: Path) -> str:
-    """One shape, larger all round by a length [m], on a link of its own."""
+    """Return a link with one shape, enlarged on all sides by a margin [m], on a joint of its own."""
     mark = ""
     match thing.shape:
         case Solid("box", size):
             form = f"<box size='{_words(2.0 * (0.5 * np.array(size) + larger))}'/>"
         case Solid("cylinder", (radius, length)):
             form = f"<cylinder radius='{radius + larger}' length='{2.0 * (0.5 * length + larger)}'/>"
-        case Solid(_, (radius, *length)):  # a capsule is no element of URDF: Pinocchio has a mark for it
+        case Solid(_, (radius, *length)):  # URDF has no capsules: Pinocchio has a mark for them
             form, mark = f"<cylinder radius='{radius + larger}' length='{sum(length, 0.0)}'/>", "capsule"
         case mesh:
             mark = "convex" if isinstance(thing.geometry, coal.ConvexBase) else ""
-            points, faces = _larger(mesh, larger, bool(mark))
+            points, faces = _enlarge(mesh, larger, bool(mark))
             lines = [f"v {_words(p)}\n" for p in points] + [f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist()]
             (folder / f"{name}.obj").write_text("".join(lines))
             form = f"<mesh filename='{folder / name}.obj'/>"
@@ -98,8 +107,8 @@ def _link(name: str, thing: CollisionShape, larger: float, folder: Path) -> str:
     return link + _joint(f"{name}_fixed", "fixed", thing.joint, name, pin.SE3(thing.placement))
 
 
-def _larger(mesh: Any, larger: float, is_convex: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Corners and triangles of a mesh of trimesh's that is larger all round [m]."""
+def _enlarge(mesh: Any, larger: float, is_convex: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return corners and triangles of a mesh of trimesh, enlarged on all sides by a margin [m]."""
     points, faces = np.array(mesh.vertices), np.array(mesh.faces)
     if is_convex:
         hull = ConvexHull((points[:, None] + larger * BALL_CORNERS[: 26 if larger else 1]).reshape(-1, 3))

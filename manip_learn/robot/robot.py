@@ -1,4 +1,4 @@
-"""A robot: configuration -> Jacobians and their derivatives in a named reference frame."""
+"""A robot: kinematics from a configuration to Jacobians and their derivatives in a named reference frame."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ from manip_learn.robot.joints import (
 )
 
 Reference = Literal["world", "local"]
-MOST_NAMES = 14  # of joints that a `repr` shows
 
 
 @final
@@ -38,9 +37,8 @@ class Robot:
 
     Two vectors describe a posture, and every method takes either: the *configuration* q (nq), in which a continuous
     joint is (cos, sin) and a floating base has a quaternion; and the *joint positions* (nv), one number per joint [rad
-    or m] as recordings hold them. They are the same thing for arms with limited joints only. Velocities are tangent
-    vectors (nv) [rad/s or m/s]. Everything that moves is counted: mimic joints are driven by their leaders and do not
-    count as degrees of freedom.
+    or m] as in recordings. They are the same for arms that have only limited joints. Velocities are tangent vectors
+    (nv) [rad/s or m/s]. All moving joints count as degrees of freedom, except mimic joints, which follow their leaders.
 
     One robot can be used from many threads: each has its own Pinocchio data (see `FrameKinematics`).
 
@@ -51,20 +49,20 @@ class Robot:
         joint_names: One name per degree of freedom, in Pinocchio's order (depth first, siblings by name).
         frame_names: Names that `FrameJacobian` accepts.
         position_lower: shape (nv,) [rad or m], -inf where there is no limit.
-        position_upper: shape (nv,) [rad or m].
+        position_upper: shape (nv,) [rad or m], inf where there is no limit.
         velocity_limit: shape (nv,) [rad/s or m/s], inf where there is none.
         mimics: Mimic joints, resolved.
         source: File that the robot was read from, or None.
         package_dirs: Folders in which `package://` meshes are looked up.
-        fingerprint: SHA-256 of what was read, with the locked joints: identifies the robot.
-        warnings: What was repaired or ignored while loading, one sentence each.
+        fingerprint: SHA-256 of its kinematics and masses, with the locked joints: identifies the robot.
+        warnings: Repaired and ignored parts of the description, one sentence each.
         description: Text of the URDF as it was read, xacro expanded; None if there was none.
-        locked: Joints that are held still, and where [rad or m].
+        locked: Locked joint -> position [rad or m].
         pinocchio_model: The underlying Pinocchio model. It has mimic joints as joints of their own; do not change it.
         blocks: The independent joints, with their slices of the vectors.
-        coupling: How mimic joints follow, in Pinocchio's joint order; None without mimic joints.
-        objects: Names of things that are no part of the robot and whose pose is recorded: floating joints.
-        payload: What its hand carries, see `with_payload` [kg].
+        coupling: Affine map from the independent joints to all, in Pinocchio's order; None without mimic joints.
+        objects: Names of objects outside the robot whose pose is recorded, each on a floating joint.
+        payload: Mass that the hand carries [kg], see `with_payload`.
 
     Example:
         >>> import manip_learn as ml
@@ -106,7 +104,7 @@ class Robot:
         self._places, self._columns = (
             np.array([i for part in parts for i in range(part.start, part.stop)], dtype=np.intp)
             for parts in ([b.pin_q for b in blocks], [b.pin_v for b in blocks])
-        )  # of the independent joints in Pinocchio's configuration and velocity
+        )  # indices of the independent joints in Pinocchio's configuration and velocity
         self.coupling = full_coupling(model, blocks, self.mimics) if self.mimics else None
         joints = [model.joints[model.getJointId(m.joint)] for m in self.mimics]
         self._followers = [(joint.idx_v, slice(joint.idx_q, joint.idx_q + joint.nq)) for joint in joints]
@@ -114,12 +112,12 @@ class Robot:
         self._plain = nq == nv == model.nq and self.coupling is None
         self.positions_add_up = all(b.kind not in ("floating", "planar", "other") for b in blocks)
         self._unit_blocks = tuple(b for b in blocks if b.kind in ("continuous", "floating", "planar"))
-        limits, said = joint_limits(model, blocks, self.mimics)
+        limits, narrowed = joint_limits(model, blocks, self.mimics)
         self.position_lower, self.position_upper, self.velocity_limit = limits
-        self.warnings = tuple(map(printable, (*warnings, *said)))
+        self.warnings = tuple(map(printable, (*warnings, *narrowed)))
         self._frames: dict[str, Frame] = {}
         for index, f in enumerate(model.frames):
-            # a link and a joint may share a name: the link is meant
+            # a link and a joint may share a name: the link counts
             if f.name != "universe" and (f.name not in self._frames or f.type == pin.FrameType.BODY):
                 self._frames[f.name] = Frame(f.name, index, int(f.parentJoint))
         self.frame_names: tuple[str, ...] = tuple(self._frames)
@@ -129,7 +127,10 @@ class Robot:
     # ---- names ----------------------------------------------------------------------------------------------------
 
     def frame(self, name: FrameLike) -> Frame:
-        """The frame of that name; a `Frame` is handed back.
+        """Return the frame of a name.
+
+        Args:
+            name: Name of a link or joint; a `Frame` is returned as it is.
 
         Raises:
             UnknownNameError: No such frame; lists near matches.
@@ -142,11 +143,14 @@ class Robot:
 
     @property
     def joint_units(self) -> tuple[str, ...]:
-        """Unit of each joint position, `"rad"` or `"m"`; one per velocity."""
+        """The unit of each joint position, `"rad"` or `"m"`; one per velocity."""
         return tuple(unit for block in self.blocks for unit in block.units)
 
     def joint_index(self, name: str) -> int:
-        """Tangent coordinate of the joint of that name.
+        """Return the tangent coordinate of a joint.
+
+        Args:
+            name: One of `joint_names`.
 
         Raises:
             UnknownNameError: No such joint; lists near matches.
@@ -156,17 +160,28 @@ class Robot:
         raise UnknownNameError("joint", name, self.joint_names, f"robot {self.name!r}")
 
     def reach(self, frame: FrameLike) -> float:
-        """A distance from the base that no place of a frame exceeds [m]: its links, laid end to end."""
-        known, model = self.frame(frame), self.pinocchio_model
-        links = [model.jointPlacements[j].translation for j in model.supports[known.parent_joint] if j]
-        links.append(model.frames[known.index].placement.translation)
+        """Return an upper bound of the distance between the base and a frame [m]: the links, laid end to end.
+
+        Args:
+            frame: Name of the frame, or the frame.
+
+        Raises:
+            UnknownNameError: No such frame; lists near matches.
+        """
+        tip, model = self.frame(frame), self.pinocchio_model
+        links = [model.jointPlacements[j].translation for j in model.supports[tip.parent_joint] if j]
+        links.append(model.frames[tip.index].placement.translation)
         ends = np.maximum(np.abs(self.position_lower), np.abs(self.position_upper)).tolist()
         joints = zip(self.joint_names, self.joint_units, ends, strict=True)
-        slides = sum(end for name, unit, end in joints if unit == "m" and self.moves(name, known))
+        slides = sum(end for name, unit, end in joints if unit == "m" and self.moves(name, tip))
         return float(np.sum(np.linalg.norm(links, axis=1)) + slides)
 
     def moves(self, joint: str, frame: FrameLike) -> bool:
-        """Whether a joint, or one that mimics it, lies between the base and a frame.
+        """Return True if a joint, or its follower, lies between the base and a frame.
+
+        Args:
+            joint: One of `joint_names`.
+            frame: Name of the frame, or the frame.
 
         Raises:
             UnknownNameError: No such joint or frame; lists near matches.
@@ -180,7 +195,10 @@ class Robot:
     # ---- configurations -------------------------------------------------------------------------------------------
 
     def configuration(self, q: ArrayLike) -> Float[np.ndarray, " nq"]:
-        """Configuration (nq) from a configuration (nq) or from joint positions (nv); unit parts are normalised.
+        """Return the configuration of a posture, with unit parts normalised.
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
 
         Raises:
             ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
@@ -204,7 +222,13 @@ class Robot:
         return out
 
     def checked_posture(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
-        """Return a posture as it is, configuration or joint positions, once its size and its numbers have been checked.
+        """Check the size and the numbers of a posture.
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+
+        Returns:
+            The same posture, as a float64 array.
 
         Raises:
             ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
@@ -215,7 +239,13 @@ class Robot:
         return self._checked(q, "a posture", 1, (self.nq, self.nv))
 
     def checked_postures(self, q: ArrayLike) -> Float[np.ndarray, "n width"]:
-        """Return postures, one per row, once they have been checked; see `checked_posture`.
+        """Check a table of postures; see `checked_posture`.
+
+        Args:
+            q: Postures, one per row: configurations (nq) or joint positions (nv) [rad or m].
+
+        Returns:
+            The same table, as a float64 array.
 
         Raises:
             ConfigurationError: Not a table of nq or nv columns, NaN or infinity; names the first bad row and joint.
@@ -223,6 +253,7 @@ class Robot:
         return self._checked(q, "a table of postures", 2, (self.nq, self.nv))
 
     def _checked(self, values: ArrayLike, what: str, n_axes: int, sizes: tuple[int, ...]) -> np.ndarray:
+        """Return values as a contiguous float64 array, or refuse them with the first fault."""
         try:
             out = np.ascontiguousarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -243,7 +274,7 @@ class Robot:
         for b in self._unit_blocks if is_configuration else ():
             if fault is not None:
                 break
-            short = np.flatnonzero(np.linalg.norm(table[:, b.direction], axis=1) < 1e-6)  # which has no direction
+            short = np.flatnonzero(np.linalg.norm(table[:, b.direction], axis=1) < 1e-6)  # too short for a direction
             if short.size:
                 part = "quaternion" if b.kind == "floating" else "(cos, sin)"
                 fault = int(short[0]), f"joint {b.name!r}: its {part} is {table[short[0], b.direction]}, without length"
@@ -253,14 +284,21 @@ class Robot:
         return out
 
     def _normalised(self, q: np.ndarray) -> np.ndarray:
+        """Return a configuration with unit parts of length 1."""
         q = q.copy()
         for b in self._unit_blocks:
             q[b.direction] /= np.linalg.norm(q[b.direction])
         return q
 
     def positions(self, q: ArrayLike) -> Float[np.ndarray, " nv"]:
-        """Joint positions (nv) [rad or m] of a posture; continuous joints in (-pi, pi], orientations as rotation
-        vectors. Joint positions are handed back as they are, with their full turns.
+        """Return the joint positions of a posture [rad or m].
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+
+        Returns:
+            Continuous joints in (-pi, pi], orientations as rotation vectors. Joint positions are returned unchanged,
+            with their full turns.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
@@ -283,7 +321,7 @@ class Robot:
         return out
 
     def unwrapped(self, q: ArrayLike) -> Float[np.ndarray, "n nv"]:
-        """Return the joint positions of a motion, without jumps by full turns where configurations have none.
+        """Return the joint positions of a motion [rad or m]; a motion of configurations gets no jumps by full turns.
 
         Args:
             q: Configurations (nq) or joint positions (nv), one posture per row, in order of time.
@@ -297,19 +335,26 @@ class Robot:
         return np.unwrap(np.array([self.positions(row) for row in table]).reshape(-1, self.nv), axis=0)
 
     def neutral(self) -> Float[np.ndarray, " nq"]:
-        """A posture inside the limits: zero where that is allowed, else the middle of the range."""
+        """Return a configuration inside the limits: zero where that is allowed, else the middle of the range."""
         positions = np.zeros(self.nv)
         outside = (self.position_lower > 0.0) | (self.position_upper < 0.0)
         lower, upper = self.position_lower[outside], self.position_upper[outside]
         middle = 0.5 * (lower + upper)
-        nearest = np.where(lower > 0.0, lower, upper)  # a joint limited on one side only stands at that limit
+        nearest = np.where(lower > 0.0, lower, upper)  # with a limit on one side only, take that limit
         positions[outside] = np.where(np.isfinite(middle), middle, nearest)
         return self.configuration(positions)
 
     def random_configuration(self, rng: np.random.Generator) -> Float[np.ndarray, " nq"]:
-        """A configuration sampled uniformly within the limits; unlimited joints within half a turn or 1 m."""
+        """Sample a configuration uniformly within the limits; unlimited joints within half a turn or 1 m.
+
+        Args:
+            rng: Source of random numbers.
+
+        Returns:
+            The configuration.
+        """
         below, above = np.isfinite(self.position_lower), np.isfinite(self.position_upper)
-        ends = np.where(above, self.position_upper - 2 * np.pi, -np.pi)  # limited on one side: within a turn of it
+        ends = np.where(above, self.position_upper - 2 * np.pi, -np.pi)  # with one limit: within a full turn of it
         lower = np.where(below, self.position_lower, ends)
         positions = rng.uniform(lower, np.where(above, self.position_upper, lower + 2 * np.pi))
         for b in self.blocks:
@@ -318,7 +363,14 @@ class Robot:
         return self.configuration(positions)
 
     def integrate(self, q: ArrayLike, v: ArrayLike) -> Float[np.ndarray, " n"]:
-        """Posture after the displacement v (nv) in the tangent space; same kind of vector as q.
+        """Return the posture after a displacement in the tangent space.
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+            v: Displacement (nv) [rad or m].
+
+        Returns:
+            The same kind of vector as q.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
@@ -332,7 +384,11 @@ class Robot:
         return self.positions(out) if vector.shape[0] == self.nv else out
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Float[np.ndarray, " nv"]:
-        """Tangent vector (nv) that leads from q0 to q1 along the shortest path.
+        """Return the tangent vector from one posture to another along the shortest path [rad or m].
+
+        Args:
+            q0: Configuration (nq) or joint positions (nv) at the start.
+            q1: Configuration (nq) or joint positions (nv) at the end.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
@@ -341,7 +397,13 @@ class Robot:
         return pin.difference(self.pinocchio_model, *both)[self._columns]
 
     def velocity(self, v: ArrayLike) -> Float[np.ndarray, " nv"]:
-        """A checked tangent velocity (nv).
+        """Check a tangent velocity.
+
+        Args:
+            v: Joint velocities (nv) [rad/s or m/s].
+
+        Returns:
+            The same velocity, as a float64 array.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
@@ -349,14 +411,22 @@ class Robot:
         return self._checked(v, "a velocity", 1, (self.nv,))
 
     def pinocchio_configuration(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
-        """Configuration of the underlying Pinocchio model, mimic joints included."""
+        """Return the configuration of the underlying Pinocchio model, mimic joints included.
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
         vector = self.checked_posture(q)
         if self._plain:
             return vector
-        # of joint positions the full turns count: a follower at half speed is elsewhere after one
+        # full turns of joint positions count: a follower with multiplier 0.5 is half a turn further after one
         return self._expanded(self.configuration(vector), vector if vector.shape[0] == self.nv else None)
 
     def _expanded(self, q: np.ndarray, positions: np.ndarray | None = None) -> np.ndarray:
+        """Return Pinocchio's configuration for a configuration of the independent joints."""
         if self.coupling is None:
             return q
         full = np.empty(self.pinocchio_model.nq)
@@ -371,52 +441,86 @@ class Robot:
     # ---- kinematics -----------------------------------------------------------------------------------------------
 
     def frame_kinematics(self, frame: FrameLike) -> FrameKinematics:
-        """Kinematics of one frame alone: the same numbers as `pose`, `jacobian` and so on, without looking it up."""
+        """Return the kinematics of one frame: the same results as `pose`, `jacobian` and so on, without the look-up.
+
+        Args:
+            frame: Name of the frame, or the frame.
+
+        Raises:
+            UnknownNameError: No such frame; lists near matches.
+        """
         if type(frame) is not Frame:
             frame = self.frame(frame)
-        found = self._frame_kinematics.get(frame.index)
-        return found or self._frame_kinematics.setdefault(frame.index, FrameKinematics(self, frame))
+        kinematics = self._frame_kinematics.get(frame.index)
+        return kinematics or self._frame_kinematics.setdefault(frame.index, FrameKinematics(self, frame))
 
     def pose(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, "4 4"]:
-        """Homogeneous transform from the frame to the robot's base [m].
+        """Return the homogeneous transform from the frame to the robot's base [m].
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+            frame: Name of the frame, or the frame.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
+            UnknownNameError: No such frame; lists near matches.
         """
         return self.frame_kinematics(frame).pose(q)
 
-    forward_kinematics = pose  # its other name, under which it is looked for
+    forward_kinematics = pose  # its common name in other libraries
 
     def position(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, " 3"]:
-        """Origin of the frame in the robot's base [m]: the last column of `pose`.
+        """Return the origin of the frame in the robot's base [m]: the last column of `pose`.
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+            frame: Name of the frame, or the frame.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
+            UnknownNameError: No such frame; lists near matches.
         """
         return self.frame_kinematics(frame).position(q)
 
     def jacobian(self, q: ArrayLike, frame: FrameLike, reference: Reference = "world") -> Float[np.ndarray, "6 nv"]:
-        """Frame Jacobian, linear rows first: velocity of the frame's origin [m/s] and angular velocity [rad/s] per
-        unit joint velocity, along the base axes (`"world"`) or along the frame's own axes (`"local"`).
+        """Return the frame Jacobian, linear rows first.
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+            frame: Name of the frame, or the frame.
+            reference: Along the base axes (`"world"`) or along the frame's own axes (`"local"`).
+
+        Returns:
+            Velocity of the frame's origin [m/s] and angular velocity [rad/s] per unit joint velocity.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
+            UnknownNameError: No such frame; lists near matches.
         """
         return self.frame_kinematics(frame).jacobian(q, reference)
 
     def jacobian_and_derivative(
         self, q: ArrayLike, frame: FrameLike, reference: Reference = "world"
     ) -> tuple[Float[np.ndarray, "6 nv"], Float[np.ndarray, "6 nv nv"]]:
-        """Frame Jacobian J and dJ/dq, entry [i, j, k] = d J_ij / d q_k, the derivative taken along tangent
-        coordinate k. Exact.
+        """Return the frame Jacobian J and its exact derivative dJ/dq.
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+            frame: Name of the frame, or the frame.
+            reference: Along the base axes (`"world"`) or along the frame's own axes (`"local"`).
+
+        Returns:
+            J, and dJ/dq with entry [i, j, k] = d J_ij / d q_k along tangent coordinate k.
 
         Raises:
             ConfigurationError: Wrong size or not finite.
+            UnknownNameError: No such frame; lists near matches.
         """
         return self.frame_kinematics(frame).jacobian_and_derivative(q, reference)
 
     @property
     def _data(self) -> pin.Data:
+        """Pinocchio's data of this thread."""
         try:
             return self._local.data
         except AttributeError:
@@ -429,18 +533,34 @@ class Robot:
 
     @property
     def mass(self) -> float:
-        """Mass of the links that joints move [kg]; what is fixed to the base does not count."""
+        """The mass of the moving links [kg]; links fixed to the base do not count."""
         return float(pin.computeTotalMass(self.pinocchio_model))
 
     def centre_of_mass(self, q: ArrayLike) -> Float[np.ndarray, " 3"]:
-        """Centre of mass in the base frame [m], of the links that joints move."""
+        """Return the centre of mass of the moving links in the base frame [m].
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+        """
         return pin.centerOfMass(self.pinocchio_model, self._data, self.pinocchio_configuration(q)).copy()
 
     def centre_of_mass_jacobian_and_derivative(
         self, q: ArrayLike
     ) -> tuple[Float[np.ndarray, "3 nv"], Float[np.ndarray, "3 nv nv"]]:
-        """Jacobian of the centre of mass [m/s per unit joint velocity] and its exact derivative along tangent
-        coordinates.
+        """Return the Jacobian of the centre of mass and its exact derivative.
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+
+        Returns:
+            Jacobian along the base axes [m/s per unit joint velocity], and its derivative with entry [i, j, k] =
+            d J_ij / d q_k along tangent coordinate k.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
         """
         model, data = self.pinocchio_model, self._data
         Jc = np.array(pin.jacobianCenterOfMass(model, data, self.pinocchio_configuration(q))).reshape(3, model.nv)
@@ -452,9 +572,17 @@ class Robot:
         return Jc, H
 
     def inertial_effort(self, q: ArrayLike, acceleration: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
-        """M(q) a: what the joints must exert to accelerate the links from rest, gravity aside [N m or N].
+        """Return M(q) a: the joint efforts that accelerate the links from rest, without gravity [N m or N].
 
-        Zero for a description without masses.
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+            acceleration: Joint accelerations a [rad/s^2 or m/s^2].
+
+        Returns:
+            Efforts (nv); zero for a description without masses.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
         """
         model, data, x, a = self.pinocchio_model, self._data, self.pinocchio_configuration(q), acceleration
         lift = None if self.coupling is None else self.coupling.lift
@@ -463,11 +591,11 @@ class Robot:
         return effort if lift is None else lift.T @ effort
 
     def with_payload(self, mass: float, frame: FrameLike, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Robot:
-        """This robot with a mass in its hand, which its inertia and its weight then include.
+        """Return this robot with a mass in its hand, which adds to its inertia and its weight.
 
         Args:
-            mass: What the hand carries [kg]; a payload that it carries already is put down.
-            frame: Of the hand.
+            mass: Mass that the hand carries [kg]; it replaces a former payload.
+            frame: Frame of the hand.
             centre: shape (3,), centre of the mass in that frame [m].
 
         Raises:
@@ -481,38 +609,56 @@ class Robot:
             )
         other = copy.copy(self)
         other.pinocchio_model, other.payload, other._bare = self._bare.copy(), float(mass), self._bare
-        known = self._bare.frames[self.frame(frame).index]
-        load = pin.Inertia(float(mass), known.placement.act(place), np.zeros((3, 3)))
-        other.pinocchio_model.inertias[known.parentJoint] = other.pinocchio_model.inertias[known.parentJoint] + load
+        hand = self._bare.frames[self.frame(frame).index]
+        load = pin.Inertia(float(mass), hand.placement.act(place), np.zeros((3, 3)))
+        other.pinocchio_model.inertias[hand.parentJoint] = other.pinocchio_model.inertias[hand.parentJoint] + load
         return other
 
     def weight_effort(self, q: ArrayLike) -> Float[np.ndarray, " nv"]:
-        """What the joints must exert to carry the links at rest, of a base that stands upright [N m or N].
+        """Return the joint efforts that hold the links against gravity, for an upright base [N m or N].
 
-        Zero for a description without masses.
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+
+        Returns:
+            Efforts (nv); zero for a description without masses.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
         """
         effort = pin.computeGeneralizedGravity(self.pinocchio_model, self._data, self.pinocchio_configuration(q))
         return effort.copy() if self.coupling is None else self.coupling.lift.T @ effort
 
     def hand_inertia(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, "6 6"] | None:
-        """(J M(q)^-1 J^T)^-1, the inertia that a frame's origin has for forces and moments along the axes of the base.
+        """Return (J M(q)^-1 J^T)^-1, the inertia of a frame's origin for forces and moments along the base axes.
 
-        O. Khatib, "A unified approach for motion and force control of robot manipulators", 1987. None where a link that
-        a joint carries was described without a mass.
+        O. Khatib, "A unified approach for motion and force control of robot manipulators", 1987.
+
+        Args:
+            q: Configuration (nq) or joint positions (nv) [rad or m].
+            frame: Name of the frame, or the frame.
+
+        Returns:
+            The inertia, linear rows first; None if a moving link was described without a mass.
+
+        Raises:
+            ConfigurationError: Wrong size or not finite.
+            UnknownNameError: No such frame; lists near matches.
         """
         if not all(inertia.mass > 0.0 for inertia in list(self.pinocchio_model.inertias)[1:]):
             return None
         M = np.array([self.inertial_effort(q, a) for a in np.eye(self.nv)])
         J = self.jacobian(q, frame)
-        most = 1e3  # [kg or kg m2] in directions in which the arm cannot move: more than any arm weighs
+        most = 1e3  # [kg or kg m^2] inertia in directions in which the arm cannot move: more than any arm weighs
         return np.linalg.inv(J @ np.linalg.solve(M, J.T) + np.eye(6) / most)
 
     # ---- internals -------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        shown = printable(", ".join(self.joint_names[:MOST_NAMES]))
-        more = f" and {self.nv - MOST_NAMES} more" if self.nv > MOST_NAMES else ""
-        return f"Robot({self.name!r}, nq={self.nq}, nv={self.nv}, joints={shown}{more})"
+        most = 14  # number of joint names to show
+        names = printable(", ".join(self.joint_names[:most]))
+        more = f" and {self.nv - most} more" if self.nv > most else ""
+        return f"Robot({self.name!r}, nq={self.nq}, nv={self.nv}, joints={names}{more})"
 
     def _repr_html_(self) -> str:
         kinds = [block.kind for block in self.blocks for _ in block.units]
@@ -521,10 +667,10 @@ class Robot:
         rows = [
             (n, kind, f"{low:.4g} to {high:.4g} {u}", f"{fast:.4g} {u}/s") for n, kind, u, low, high, fast in joints
         ]
-        held = "; ".join(f"{name} at {value:.4g}" for name, value in self.locked.items())
+        locked_joints = "; ".join(f"{name} at {value:.4g}" for name, value in self.locked.items())
         return html_card.card(
             f"Robot {self.name}",
-            html_card.sentence(f"{self.nv} joints move" + (f"; locked: {held}" if held else "")),
+            html_card.sentence(f"{self.nv} joints move" + (f"; locked: {locked_joints}" if locked_joints else "")),
             html_card.warnings(self.warnings),
             html_card.table(("joint", "kind", "position", "velocity"), rows),
             html_card.folded(f"Frames ({len(self.frame_names)})", html_card.sentence(", ".join(self.frame_names))),

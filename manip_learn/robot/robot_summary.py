@@ -18,9 +18,6 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import likely_tips
 from manip_learn.robot.visuals.visual_shapes import resolve_meshes, shape_faults
 
-# largest difference of an entry of two poses [m, and no unit]; rounding along 100 joints stays below
-AGREEMENT = 1e-9
-
 
 @final
 @dataclass(frozen=True)
@@ -29,10 +26,10 @@ class JointSummary:
 
     Attributes:
         name: Joint name; `base.x`, `base.rz`, ... for one coordinate of a floating or planar joint.
-        kind: What moves.
+        kind: Type of the joint.
         unit: `"rad"` or `"m"`.
         lower: Lower limit in that unit, -inf without one.
-        upper: Upper limit, inf without one.
+        upper: Upper limit in that unit, inf without one.
         velocity: Velocity limit in that unit per second, inf without one.
     """
 
@@ -47,14 +44,15 @@ class JointSummary:
 @final
 @dataclass(frozen=True)
 class CrossCheck:
-    """How far two readers of one URDF are apart.
+    """Difference between two readers of one URDF.
 
     Attributes:
-        largest_difference: Of all entries of the 4x4 poses of all links relative to their parents [m, and no unit].
-        link: Where it was found.
+        largest_difference: Largest difference of an entry of the 4x4 poses of links relative to their parents, over all
+            links and postures [m, and no unit].
+        link: Link with the largest difference.
         postures: Number of random postures.
         links: Number of links compared.
-        left_out: What was not compared, in a sentence; empty if everything was.
+        left_out: Parts that were not compared, in a sentence; empty if everything was.
     """
 
     largest_difference: float
@@ -65,8 +63,8 @@ class CrossCheck:
 
     @property
     def agrees(self) -> bool:
-        """True up to 1e-9."""
-        return self.largest_difference <= AGREEMENT
+        """True if no entry differs by more than 1e-9."""
+        return self.largest_difference <= 1e-9  # [m, and no unit] rounding along 100 joints stays below
 
 
 @final
@@ -81,13 +79,13 @@ class RobotSummary:
         nv: Degrees of freedom.
         joints: One entry per degree of freedom.
         frames: Names of frames.
-        mimics: Joints that follow others.
-        locked: Joints held still -> position [rad or m].
+        mimics: Mimic joints.
+        locked: Locked joint -> position [rad or m].
         tips: Likely tip frames, best first; with more than one, the user must choose.
         moving_tip: Joints that move the first of them.
-        shapes: Which shapes count for collisions, in a sentence.
-        warnings: What was ignored or repaired, and meshes that cannot be used.
-        cross_check: Independent check of forward kinematics; None if there is none, and the last warning says why.
+        shapes: Sentence on the shapes that count for collisions.
+        warnings: Ignored and repaired parts, and unusable meshes.
+        cross_check: Independent check of forward kinematics; None if it failed, with the reason as the last warning.
         meshes_found: Address in the URDF -> file.
         meshes_missing: Address in the URDF -> reason.
         fingerprint: Hash of the kinematics.
@@ -116,10 +114,13 @@ def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSumma
 
     Args:
         robot: A loaded robot.
-        seed: Of the postures.
-        postures: Their number.
+        seed: Seed of the random postures.
+        postures: Number of random postures.
+
+    Returns:
+        The summary; its warnings include a failed or impossible check.
     """
-    found, missing = resolve_meshes(robot)
+    files, missing = resolve_meshes(robot)
     missing |= resolve_meshes(robot, "collision")[1]
     warnings, check = [*robot.warnings, *shape_faults(robot, "collision", "visual")], None
     try:
@@ -142,23 +143,31 @@ def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSumma
         shapes=describe_shapes(robot),
         warnings=tuple(warnings),
         cross_check=check,
-        meshes_found=found,
+        meshes_found=files,
         meshes_missing=missing,
     )
 
 
 def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossCheck:
-    """Compare the pose of every link at n random postures with what yourdfpy makes of the same URDF.
+    """Compare the pose of every link at random postures with yourdfpy's pose from the same URDF.
+
+    Args:
+        robot: A loaded robot.
+        rng: Source of the postures.
+        n: Number of postures.
+
+    Returns:
+        The largest difference and its link.
 
     Raises:
-        RobotError: The robot did not come from a URDF (`cross-check`), or yourdfpy cannot read it.
+        RobotError: The robot did not come from a URDF, or yourdfpy cannot read it; code `cross-check`.
     """
     if robot.description is None:
         raise RobotError(f"robot {robot.name!r} did not come from a URDF: nothing to compare with", code="cross-check")
     import yourdfpy
     from lxml import etree
 
-    logger = logging.getLogger("yourdfpy.urdf")  # its warnings concern meshes and mimics, which validation has handled
+    logger = logging.getLogger("yourdfpy.urdf")  # it warns of meshes and mimics, which validation has already handled
     before, logger.disabled = logger.disabled, True
     try:
         bare = {"build_scene_graph": False, "build_collision_scene_graph": False, "load_meshes": False}
@@ -168,10 +177,10 @@ def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossChe
         for link in parsed.links:
             link.visuals, link.collisions = [], []
         joints = {j.name: j for j in parsed.joints}
-        for j in parsed.joints:  # yourdfpy does not move these, yet counts their coordinates for those of leaders
+        for j in parsed.joints:  # yourdfpy does not move these, but counts their coordinates as coordinates of leaders
             j.type = "fixed" if j.type in ("floating", "planar") else j.type
         for j in (j for j in parsed.joints if j.mimic is not None):
-            if j.mimic.joint not in joints:  # else validation would have failed: it is locked
+            if j.mimic.joint not in joints:  # its leader is locked: otherwise validation would have failed
                 j.mimic = None
                 continue
             # yourdfpy takes a mimic of a mimic for a mimic of a joint at rest: shorten the chains for it
@@ -179,15 +188,16 @@ def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossChe
                 j.mimic.offset += j.mimic.multiplier * leader.mimic.offset
                 j.mimic.multiplier *= leader.mimic.multiplier
                 j.mimic.joint = leader.mimic.joint
-        return _compared(yourdfpy.URDF(robot=parsed, **(bare | {"build_scene_graph": True})), robot, rng, n)
+        return _compare(yourdfpy.URDF(robot=parsed, **(bare | {"build_scene_graph": True})), robot, rng, n)
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, yourdfpy.urdf.URDFError) as error:
-        said = f"({type(error).__name__}: {str(error)[:200]})"
-        raise RobotError(f"yourdfpy cannot read robot {robot.name!r} {said}", code="cross-check") from error
+        reason = f"({type(error).__name__}: {str(error)[:200]})"
+        raise RobotError(f"yourdfpy cannot read robot {robot.name!r} {reason}", code="cross-check") from error
     finally:
         logger.disabled = before
 
 
-def _compared(other: Any, robot: Robot, rng: np.random.Generator, n: int) -> CrossCheck:
+def _compare(other: Any, robot: Robot, rng: np.random.Generator, n: int) -> CrossCheck:
+    """Return the largest difference between a robot and yourdfpy's model of it at n random postures."""
     skipped = [b.name for b in robot.blocks if b.kind not in ("revolute", "prismatic", "continuous")]
     moves = np.array([b.name not in skipped for b in robot.blocks for _ in b.coordinate_names])
     largest, where = 0.0, other.base_link
@@ -196,7 +206,7 @@ def _compared(other: Any, robot: Robot, rng: np.random.Generator, n: int) -> Cro
         by_name = dict(zip(robot.joint_names, positions.tolist(), strict=True)) | robot.locked
         other.update_cfg({name: by_name.get(name, 0.0) for name in other.actuated_joint_names})
         poses = {link: robot.pose(positions, link) for link in other.link_map}
-        for j in other.robot.joints:  # link by link: asking for the pose of each in the base takes n^3
+        for j in other.robot.joints:  # compare link by link: computing each pose in the base takes n^3
             ours = np.linalg.solve(poses[j.parent], poses[j.child])
             difference = float(np.abs(ours - other.get_transform(frame_to=j.child, frame_from=j.parent)).max())
             if not difference <= largest:

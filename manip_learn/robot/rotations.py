@@ -1,9 +1,10 @@
-"""Rotation matrices and rotation vectors of single poses, in plain numbers: a few microseconds, many times per second.
+"""Rotation matrices and rotation vectors of single poses in plain floats: a few microseconds each, for control loops.
 
-Rates of rotation vectors too: the left Jacobian of SO(3) and its inverse (J. Sola et al., "A micro Lie theory for state
-estimation in robotics", equations (145) and (146)). The right Jacobian of a vector is the left one of its negative.
+Also rates of rotation vectors: the left Jacobian of SO(3) and its inverse (J. Sola et al., "A micro Lie theory for
+state estimation in robotics", equations (145) and (146)). The right Jacobian of a vector is the left one of its
+negative.
 
-(SciPy's Rotation takes 10 times that for one; Pinocchio's logarithm loses digits close to half a turn.)
+(For one rotation SciPy's Rotation takes 10 times as long; Pinocchio's logarithm loses digits close to half a turn.)
 """
 
 from __future__ import annotations
@@ -13,13 +14,20 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-SMALL_ANGLE = 0.1  # [rad] below it the coefficients are taken from their series, which is exact to 1e-15 there
+SMALL_ANGLE = 0.1  # [rad] below it the coefficients come from their series, which are exact to 1e-15 there
 
 
 def rotation_vector(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 3"]:
-    """Axis times angle [rad] of a rotation matrix, angle in [0, pi]; accurate to 1e-15 at every angle."""
+    """Return axis times angle of a rotation matrix [rad], accurate to 1e-15 at every angle.
+
+    Args:
+        R: Rotation matrix.
+
+    Returns:
+        The rotation vector; its length is the angle, in [0, pi].
+    """
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    # the quaternion by its largest part, so that nothing is divided by something small
+    # compute the quaternion from its largest part to avoid small divisors
     parts = (a + e + i, a - e - i, e - a - i, i - a - e)
     largest = parts.index(max(parts))
     if largest == 0:
@@ -40,10 +48,14 @@ def rotation_vector(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 3"]:
 
 
 def rotation_vectors(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """`rotation_vector` of many rotation matrices at once."""
+    """Return `rotation_vector` for many rotation matrices at once [rad].
+
+    Args:
+        R: Rotation matrices.
+    """
     (a, b, c), (d, e, f), (g, h, i) = R.transpose(1, 2, 0)
     x, y, z, xy, xz, yz = h - f, c - g, d - b, b + d, c + g, f + h
-    # four times the quaternion (w, x, y, z) times each of its parts: that of the largest part has no cancellation
+    # four times the quaternion (w, x, y, z) times each of its parts: the row of the largest part has no cancellation
     products = np.array(
         [
             [1.0 + a + e + i, x, y, z],
@@ -61,12 +73,21 @@ def rotation_vectors(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
 
 
 def angles_between(one: Float[np.ndarray, "3 3"], others: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
-    """By how much each of the others is turned from one orientation [rad]."""
+    """Return the angle between one orientation and each of the others [rad].
+
+    Args:
+        one: Rotation matrix.
+        others: Rotation matrices.
+    """
     return np.linalg.norm(rotation_vectors(others @ one.T), axis=1)
 
 
 def rotation_matrix(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Rotation matrix of axis times angle [rad]."""
+    """Return the rotation matrix of a rotation vector.
+
+    Args:
+        vector: Axis times angle [rad].
+    """
     x, y, z = vector.tolist()
     angle = math.hypot(x, y, z)
     half = math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
@@ -81,15 +102,22 @@ def rotation_matrix(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]
 
 
 def skew(v: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """The matrix of u -> v x u."""
+    """Return the matrix of u -> v x u.
+
+    Args:
+        v: First factor of the cross product.
+    """
     x, y, z = v.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def left_jacobian(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """J with w = J dr/dt, where R = exp([r]x) turns with the angular velocity w (in the axes in which r is given).
+    """Return J with w = J dr/dt, where R = exp([r]x) rotates with the angular velocity w (in the axes of r).
 
-    J = I + (1 - cos a) / a^2 [r]x + (a - sin a) / a^3 [r]x^2, a = |r|.
+    J = I + (1 - cos a) / a^2 [r]x + (a - sin a) / a^3 [r]x^2, a = |r|; equation (145) of Sola et al.
+
+    Args:
+        vector: Rotation vector r [rad].
     """
     square = float(vector.dot(vector))
     angle = math.sqrt(square)
@@ -103,9 +131,13 @@ def left_jacobian(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
 
 
 def left_jacobian_inverse(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """The inverse of `left_jacobian`, dr/dt = J^-1 w; finite for angles below a full turn, half a turn included.
+    """Return the inverse of `left_jacobian`, dr/dt = J^-1 w; finite for angles below a full turn, half a turn included.
 
-    J^-1 = I - [r]x / 2 + (1 - (a / 2) cot(a / 2)) / a^2 [r]x^2, a = |r|;  [r]x^2 = r r^T - a^2 I.
+    J^-1 = I - [r]x / 2 + (1 - (a / 2) cot(a / 2)) / a^2 [r]x^2, a = |r|;  [r]x^2 = r r^T - a^2 I; equation (146) of
+    Sola et al.
+
+    Args:
+        vector: Rotation vector r [rad].
     """
     x, y, z = vector.tolist()
     square = x * x + y * y + z * z

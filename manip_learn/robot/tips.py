@@ -1,4 +1,4 @@
-"""Frames that look like the tip of an arm."""
+"""Detection of frames that are likely tips of an arm."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pinocchio as pin
 from manip_learn.robot.joints import joint_motions
 from manip_learn.robot.robot import Robot
 
-# By priority: the first kind that occurs at the end of a chain decides.
+# by priority: the first pattern that matches a link at the end of a chain decides
 TIP_NAMES = (
     re.compile(r"(^|_|-)(tcp|tool_?cent(er|re)_?point|pinch(_site)?|grasp(ing)?(_?(frame|link|point|target))?)($|_|-)"),
     re.compile(r"(^|_|-)(tool_?(0|link|frame|tip)?|tip|eef?|eff|end_?_?effector|endeff)($|_|-)|attachment_site"),
@@ -25,11 +25,14 @@ FINGER = re.compile(r"finger|thumb|knuckle|jaw|claw")
 
 
 def likely_tips(robot: Robot) -> tuple[str, ...]:
-    """Links that may be the tip, the most likely first; with more than one, the user must choose.
+    """Return links that may be the tip, the most likely first; with more than one, the user must choose.
 
-    Candidates are links at the end of a chain of joints, fingers left out unless the robot is a gripper: of all chains
-    those named like a tool centre point, else like a tool, else like a hand; without such names, the ends of the chains
-    that count the most joints. A link above another one of them is not a candidate, nor a copy of the link above it.
+    Candidates are links at the ends of chains, without fingers unless the robot is a gripper: links named like a tool
+    centre point, else like a tool, else like a hand; without such names, the ends of the chains with the most joints. A
+    link above another candidate is not a candidate, and neither is a copy of the link above it.
+
+    Args:
+        robot: A loaded robot.
     """
     movers = _joints_above(robot)
     moving = {n: joints for n, joints in movers.items() if joints and not NOT_A_TIP.search(n.lower())}
@@ -37,21 +40,22 @@ def likely_tips(robot: Robot) -> tuple[str, ...]:
     moving = {n: joints for n, joints in moving.items() if not joints & fingers} or moving
     ends = [n for n, joints in moving.items() if not any(joints < longer for longer in moving.values())]
     # a frame between two finger tips is better than one of them
-    named = ([n for n in ends if kind.search(n.lower()) and "finger" not in n.lower()] for kind in TIP_NAMES)
-    candidates = next(filter(None, named), [])
+    matches = ([n for n in ends if kind.search(n.lower()) and "finger" not in n.lower()] for kind in TIP_NAMES)
+    candidates = next(filter(None, matches), [])
     if not candidates:
         deepest, frames = max((len(moving[n]) for n in ends), default=0), robot.pinocchio_model.frames
         places = {n: frames[robot.frame(n).index] for n in ends if len(moving[n]) == deepest}
         first = {(f.parentJoint, *f.placement.homogeneous.round(9).flat): n for n, f in reversed(places.items())}
-        candidates = list(first.values())  # of links in one place, the other ones are copies
+        candidates = list(first.values())  # links at the same place are copies
     return tuple(sorted(_lowest(robot, candidates), key=lambda n: (-len(movers[n]), n)))
 
 
 def _finger_joints(robot: Robot, movers: dict[str, frozenset[int]]) -> set[int]:
-    """The joints that open and close grippers, of those that move links.
+    """Return the joints that open and close grippers, among the joints that move links.
 
-    These are called fingers; or the last one of a chain, called so by its link, or moving in a gripper; or they are
-    alike, hang on one link, and are fewer than the joints above them.
+    A finger joint is named like a finger; or it is the last one of a chain, and its link is named like a finger or the
+    joint belongs to a gripper; or it is one of several similar joints on one link, with a chain shorter than the chain
+    above it.
     """
     model, followers = robot.pinocchio_model, {m.joint for m in robot.mimics}
     joints, kinds = frozenset[int]().union(*movers.values()), [m and m[0] for m in joint_motions(model)]
@@ -71,11 +75,16 @@ def _finger_joints(robot: Robot, movers: dict[str, frozenset[int]]) -> set[int]:
 
 
 def default_tip(robot: Robot) -> str:
-    """The frame taken for the tip if none is named: the first of `likely_tips`.
+    """Return the default for the tip frame: the first of `likely_tips`.
 
-    That is the only one where there is only one, as in `manip-learn learn` without --frame; of several, the one moved
-    by the most joints, by name among equals. Without any: the last link of those with the most joints above them; an
-    empty string for a robot without frames.
+    If there is only one, it is also the frame of `manip-learn learn` without --frame; of several, it is the one moved
+    by the most joints, then the first by name. Without any, it is the last link with the most joints above it.
+
+    Args:
+        robot: A loaded robot.
+
+    Returns:
+        Name of the frame; an empty string for a robot without frames.
     """
     above = _joints_above(robot)
     last = max(reversed(above), key=lambda name: len(above[name]), default=next(iter(robot.frame_names), ""))
@@ -83,13 +92,20 @@ def default_tip(robot: Robot) -> str:
 
 
 def distance_to_last_joint(robot: Robot, frame: str) -> float:
-    """Distance from the origin of a frame to that of the last moving joint above it [m]; the same at every posture."""
+    """Return the distance from the origin of a frame to the origin of the last moving joint above it [m].
+
+    It is the same at every posture.
+
+    Args:
+        robot: A loaded robot.
+        frame: Name of the frame.
+    """
     placement = robot.pinocchio_model.frames[robot.frame(frame).index].placement
     return float(np.linalg.norm(placement.translation))
 
 
 def _joints_above(robot: Robot) -> dict[str, frozenset[int]]:
-    """Of each link of the robot itself the joints that move it."""
+    """Return for each link of the robot itself the joints that move it."""
     model = robot.pinocchio_model
     return {
         f.name: frozenset(model.supports[f.parentJoint]) - {0}
@@ -99,9 +115,9 @@ def _joints_above(robot: Robot) -> dict[str, frozenset[int]]:
 
 
 def _lowest(robot: Robot, names: list[str]) -> list[str]:
-    """The names that have none of the other names below them in the tree."""
+    """Return the names of frames that have no other named frame below them in the tree."""
     frames, places, above = robot.pinocchio_model.frames, {robot.frame(n).index: n for n in names}, set[int]()
-    for index in reversed(range(len(frames))):  # what is below comes after what is above
+    for index in reversed(range(len(frames))):  # children come after their parents
         if index in places or index in above:
             above.add(frames[index].parentFrame)
     return [name for index, name in places.items() if index not in above]

@@ -1,1 +1,1 @@
-"""An arm in a simulated scene that is taken by the hand, shown a task, and watched while it does it."""
+"""A simulated arm that a person guides by hand, that learns the demonstrated task and reproduces it."""

@@ -1,4 +1,4 @@
-"""What a person takes home: the constraint, the recordings, the replay as one file, and a script of the same steps."""
+"""Files to take home: the constraint, the recordings, the replay as one file, and a script of the same steps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.robot import Robot
 
-# every word that comes from outside is written by repr: a robot's name or a file's may hold quotes
+# values from outside are written by repr: the name of a robot or a file may contain quotes
 SCRIPT = '''"""The same steps as on the teaching page. Run it in the folder of the recordings."""
 
 import manip_learn as ml
@@ -44,7 +44,7 @@ print(again)
 # 3. and in the browser
 ml.replay(robot, {{"as shown": again.rollout}}, html="again.html")
 """
-# what -> what it is
+# kind of file -> its description
 HOMES = {
     "constraint": "what was learnt, for `manip-learn control` and `ml.Constraint.load`",
     "csv": "the recordings, one CSV file each",
@@ -54,7 +54,7 @@ HOMES = {
 }
 
 
-def taken_home(
+def write_export(
     robot: Robot,
     tip: str,
     said: Progress,
@@ -65,63 +65,66 @@ def taken_home(
     learnt: bool,
     start: Float[np.ndarray, " nv"] | None,
 ) -> tuple[Path, str]:
-    """Write a file to take home into the folder of the constraint's file, and return it and what it is.
+    """Write a file to take home into the folder of the constraint's file.
 
     Args:
         robot: The arm.
-        tip: Its frame that was guided.
-        said: Told how far it is.
+        tip: Its guided frame.
+        said: Called with the progress.
         what: constraint, csv, lerobot, replay or script.
         files: The recordings, in that folder.
-        file: Of the constraint.
-        learnt: Whether there is one.
-        start: shape (nv,), posture in which the arm stood before it did the task [rad or m]; None where there is none.
+        file: File of the constraint.
+        learnt: True if there is one.
+        start: shape (nv,), start posture of the arm for the task [rad or m]; None for no start.
+
+    Returns:
+        The file, and its description.
 
     Raises:
-        OutputError: Nothing was learnt that could be taken, or a word that is none of these.
+        OutputError: The file needs a constraint and none was learnt yet, or an unknown kind of file.
     """
     if what not in HOMES:
-        raise OutputError(f"what can be taken home is {', '.join(HOMES)}, not {what!r}")
+        raise OutputError(f"the files to take home are {', '.join(HOMES)}, not {what!r}")
     if not learnt and what not in ("csv", "lerobot"):
-        raise OutputError("nothing has been learnt yet: press Learn first; the recordings can be taken as they are")
+        raise OutputError("nothing has been learnt yet: press Learn first; recordings can be taken now")
     said("writing", 0.3)
-    made, out = Path(file), Path(file).parent
+    result, out = Path(file), Path(file).parent
     match what:
         case "csv":
-            made = _zipped(out, what, map(Path, files))
+            result = _write_archive(out, what, map(Path, files))
         case "lerobot":
             from manip_learn.recordings.writers.lerobot_writer import write_lerobot
 
-            shutil.rmtree(folder := out / "lerobot", ignore_errors=True)  # of a press before
+            shutil.rmtree(folder := out / "lerobot", ignore_errors=True)  # left by an earlier request
             write_lerobot(folder, [motion_of_trajectory(t, robot) for t in load_demonstrations(files, robot)])
-            made = _zipped(out, what, (path for path in sorted(folder.rglob("*")) if path.is_file()))
+            result = _write_archive(out, what, (path for path in sorted(folder.rglob("*")) if path.is_file()))
         case "replay":
             from manip_learn.planning.repeat import repeat
             from manip_learn.playback.replay_page import replay
 
-            skill, made = Skill.load(file, robot), out / "replay.html"
+            skill, result = Skill.load(file, robot), out / "replay.html"
             if start is None:
                 recordings = load_demonstrations(files, robot)
-                shown = {Path(f).stem: t for f, t in zip(files, recordings, strict=True)}
-                replay(robot, shown, made, tip=tip, constraint=skill.constraints, open_browser=False)
+                motions = {Path(f).stem: t for f, t in zip(files, recordings, strict=True)}
+                replay(robot, motions, result, tip=tip, constraint=skill.constraints, open_browser=False)
             else:
-                replay(robot, {"as shown": repeat(skill, start).rollout}, made, tip=tip, open_browser=False)
+                replay(robot, {"as shown": repeat(skill, start).rollout}, result, tip=tip, open_browser=False)
         case "script":
-            found = Constraint.load(file, robot).mechanism
+            mechanism = Constraint.load(file, robot).mechanism
             text = SCRIPT.format(
                 robot=known_as(robot.source) or str(robot.source or robot.name),
                 locked=f", locked={dict(robot.locked)!r}" if robot.locked else "",
                 files=[Path(f).name for f in files],
                 tip=tip,
-                axes="pose" if found is not None and found.grip == "firm" else "xyz",
+                axes="pose" if mechanism is not None and mechanism.grip == "firm" else "xyz",
                 run="" if start is None else RUN.format(start=np.round(start, 4).tolist()),
             )
-            made = write_atomically(out / "taught.py", text)
-    return made, HOMES[what].format(out)
+            result = write_atomically(out / "taught.py", text)
+    return result, HOMES[what].format(out)
 
 
-def _zipped(out: Path, kind: str, files: Iterable[Path]) -> Path:
-    """Write files in a folder into one archive there, under their places in the folder."""
+def _write_archive(out: Path, kind: str, files: Iterable[Path]) -> Path:
+    """Write files of a folder into one archive there, with their paths in the folder."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in files:

@@ -1,7 +1,7 @@
 """Furniture of the teaching page as boxes: a chest and a cupboard.
 
-Frames are those of the handle where it is shut: x right or away from the hinge, y the way it opens, z up or the axis
-about which it opens, right-handed.
+Frames are handle frames of closed furniture: x right or away from the hinge, y the opening direction, z up or the
+axis of the hinge, right-handed.
 """
 
 from __future__ import annotations
@@ -9,14 +9,19 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-UPRIGHT = 0.98  # cosine of the tilt up to which a chest stands on the floor
-BOARD, STANDOFF = 0.016, 0.045  # thickness of a board, and of the hand in front of it [m]
+UPRIGHT = 0.98  # cosine of the largest tilt of a chest that stands on the floor
+BOARD = 0.016  # [m] thickness of a board
 _FRONT, BODY, HANDLE = "front", "body", "handle"
-Board = tuple[float, float, float, float, float, float, str]  # centre x, y, z, size x, y, z [m], and what it is
+Board = tuple[float, float, float, float, float, float, str]  # centre x, y, z, size x, y, z [m], and its part
 
 
 def facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
-    """Return the pose of a handle that moves along a direction, upright unless that is vertical."""
+    """Return the pose of a handle that moves along a direction, upright unless that is vertical.
+
+    Args:
+        out: shape (3,), unit vector of the opening direction, in the base frame.
+        handle: shape (3,), position of the handle in the base frame [m].
+    """
     up = np.array([0.0, 0.0, 1.0]) if abs(out[2]) < UPRIGHT else np.array([1.0, 0.0, 0.0])
     right = np.cross(out, up) / np.linalg.norm(np.cross(out, up))
     pose = np.eye(4)
@@ -27,15 +32,18 @@ def facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Flo
 def hinged(
     out: Float[np.ndarray, " 3"], axis: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"], radius: float
 ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 3"]]:
-    """Pose of a handle that turns about an axis, and where that is in its frame; the leaf reaches to the axis.
+    """Return the pose of a handle that turns about an axis, for a leaf that reaches to the axis.
 
     Args:
-        out: shape (3,), the way in which it opens, square to the axis.
-        axis: shape (3,), unit vector.
-        handle: shape (3,), its place [m].
-        radius: From the axis to the handle [m].
+        out: shape (3,), unit vector of the opening direction, perpendicular to the axis, in the base frame.
+        axis: shape (3,), unit vector in the base frame.
+        handle: shape (3,), position of the handle in the base frame [m].
+        radius: Distance from the axis to the handle [m].
+
+    Returns:
+        Pose of the handle in the base frame [m], and the position of the axis in the handle's frame [m].
     """
-    right, sine = np.cross(out, axis), min(0.03 / radius, 0.5)  # [m] from the leaf to the handle
+    right, sine = np.cross(out, axis), min(0.03 / radius, 0.5)  # the handle is 0.03 m in front of the leaf
     cosine = float(np.sqrt(1.0 - sine**2))
     pose = np.eye(4)
     pose[:3, :3] = np.column_stack([cosine * right - sine * out, sine * right + cosine * out, axis])
@@ -44,13 +52,21 @@ def hinged(
 
 
 def drawer_boards(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Board, ...], tuple[Board, ...]]:
-    """A chest, on the floor if it is upright, and its drawer, deep enough to be pulled so far."""
+    """Return a chest, on the floor if it is upright, and its drawer, deep enough for its travel.
+
+    Args:
+        travel: Travel of the drawer [m].
+        pose: shape (4, 4), pose of the handle in the base frame [m].
+
+    Returns:
+        Boxes of the chest, and boxes of the drawer, in the handle's frame.
+    """
     width, depth = float(np.clip(1.2 * travel, 0.26, 0.5)), travel + 0.08
     height = 0.42 * width
-    inner, face = width - 4.0 * BOARD, -STANDOFF
+    inner, face = width - 4.0 * BOARD, -0.045  # [m] room for the hand between the bar and the front
     low = 0.5 * BOARD - 0.4 * height
-    bar = 0.36 * width  # across, at which the hand is
-    feet = ((x * 0.42 * bar, -0.5 * STANDOFF, 0.0, 0.01, STANDOFF, 0.01, HANDLE) for x in (-1.0, 1.0))
+    bar = 0.36 * width  # length of the bar that the hand holds
+    feet = ((x * 0.42 * bar, 0.5 * face, 0.0, 0.01, -face, 0.01, HANDLE) for x in (-1.0, 1.0))
     sides = (-0.5 * (inner - BOARD), 0.5 * (inner - BOARD))
     moving = (
         (0.0, 0.0, 0.0, bar, 0.014, 0.014, HANDLE),
@@ -69,19 +85,26 @@ def drawer_boards(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[
 
 
 def door_boards(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Board, ...], tuple[Board, ...]]:
-    """A cupboard and its door, from the axis to a little beyond the handle."""
-    left, face = float(pivot[0]), float(pivot[1])
-    right, half = -0.18 * left + 0.03, float(np.clip(-0.7 * left, 0.14, 0.4))
+    """Return a cupboard and its door, from the axis to a little beyond the handle.
+
+    Args:
+        pivot: shape (3,), position of the axis in the handle's frame [m].
+
+    Returns:
+        Boxes of the cupboard, and boxes of the door, in the handle's frame.
+    """
+    hinge_x, face = float(pivot[0]), float(pivot[1])
+    right, half = -0.18 * hinge_x + 0.03, float(np.clip(-0.7 * hinge_x, 0.14, 0.4))
     bar = 0.35 * half
     feet = ((0.0, 0.5 * face, z * 0.8 * bar, 0.01, -face, 0.01, HANDLE) for z in (-1.0, 1.0))
-    leaf = (0.5 * (left + right), face - 0.5 * BOARD, 0.0, right - left, BOARD, 2.0 * half, _FRONT)
-    case = _case(left, right, -half, half, 0.05 - 0.5 * left, face - BOARD)
-    hinge = (left, face, 0.0, 0.016, 0.016, 2.0 * half, HANDLE)
+    leaf = (0.5 * (hinge_x + right), face - 0.5 * BOARD, 0.0, right - hinge_x, BOARD, 2.0 * half, _FRONT)
+    case = _case(hinge_x, right, -half, half, 0.05 - 0.5 * hinge_x, face - BOARD)
+    hinge = (hinge_x, face, 0.0, 0.016, 0.016, 2.0 * half, HANDLE)
     return (*case, hinge), (leaf, (0.0, 0.0, 0.0, 0.014, 0.014, 2.0 * bar, HANDLE), *feet)
 
 
 def _case(left: float, right: float, low: float, high: float, depth: float, front: float) -> tuple[Board, ...]:
-    """Five boards that are open in front, around an inner box [m]."""
+    """Return five boards around an inner box that is open in front [m]."""
     x, z, y = 0.5 * (left + right), 0.5 * (low + high), front - 0.5 * depth
     wide, tall = right - left + 2.0 * BOARD, high - low
     return (

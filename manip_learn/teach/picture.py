@@ -21,10 +21,9 @@ from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import TeachingArm
 from manip_learn.teach.scene import MOVES, TITLES, TeachingScene
 
-ENOUGH = 5  # recordings that a person is asked for
-RECORD = {"say": "Record another one", "said": {"do": "record"}}  # button, and what it says to the program
+RECORD = {"say": "Record another one", "said": {"do": "record"}}  # label of a button, and its message
 
-# type of a mechanism -> the answer in a line
+# type of a mechanism -> the answer in one line
 LINES = {
     "line": "The hand slides along a straight line, like a drawer",
     "hinge": "The hand turns about an axis, like a door",
@@ -35,13 +34,13 @@ LINES = {
 }
 _FOLDER = Path(__file__).with_name("page")
 _PARTS = "link pointing hand furniture drawing recordings answer ghosts take panel teach"
-NOT_TAUGHT_WITH = ("shown.js", "legend.js", "live.js", "main.js")  # of a replay's program
+_REPLAY_ONLY = ("shown.js", "legend.js", "live.js", "main.js")  # files of the replay's program
 TEACH = replace(
     REPLAY,
     mode="teach",
     style=(*REPLAY.style, _FOLDER / "teach.css"),
     program=(
-        *(file for file in REPLAY.program if file.name not in NOT_TAUGHT_WITH),
+        *(file for file in REPLAY.program if file.name not in _REPLAY_ONLY),
         *(_FOLDER / f"{name}.js" for name in _PARTS.split()),
     ),
     markup=(_FOLDER / "teach.html",),
@@ -49,12 +48,12 @@ TEACH = replace(
 
 
 def teaching_page(robot: Robot, name: str, token: str) -> str:
-    """HTML of the page for `manip-learn teach`, self-contained; it speaks to the server that it came from alone.
+    """Return the HTML of the page for `manip-learn teach`, self-contained; it connects only to its own server.
 
     Args:
         robot: The robot; its poses, furniture and recordings arrive as events.
         name: Headline.
-        token: Of the address under which it is served.
+        token: Token in the address of the page.
 
     Raises:
         OutputError: Meshcat's viewer is missing.
@@ -64,41 +63,41 @@ def teaching_page(robot: Robot, name: str, token: str) -> str:
 
 @final
 class TeachingPicture:
-    """What the page is told of one arm, picture by picture.
+    """Pictures of one arm for the page.
 
     Args:
         robot: The arm.
-        tip: Its frame that is guided.
+        tip: Its guided frame.
     """
 
     def __init__(self, robot: Robot, tip: str):
         self._robot, self._tip = robot, tip
         rng = np.random.default_rng(0)
-        # directions in which the tip can move at all, in any of 20 random postures: two for an arm in a plane
-        drawn = (robot.random_configuration(rng) for _ in range(20))
-        self._rank = int(np.linalg.matrix_rank(np.hstack([robot.jacobian(q, tip)[:3] for q in drawn]), tol=1e-9))
+        # number of directions in which the tip can move, over 20 random postures: two for a planar arm
+        postures = (robot.random_configuration(rng) for _ in range(20))
+        self._rank = int(np.linalg.matrix_rank(np.hstack([robot.jacobian(q, tip)[:3] for q in postures]), tol=1e-9))
 
     def pose(self, arm: TeachingArm, constraint: Constraint | None, rows: Constraint | None) -> dict[str, Any]:
-        """One picture: vectors in the base, SI units.
+        """Return one picture as plain data: vectors in the base frame, SI units.
 
         Args:
-            arm: The arm now.
-            constraint: The learnt one, or None.
-            rows: Rows whose manipulability counts, or None for the tip's translation.
+            arm: The arm in its present state.
+            constraint: The learnt constraint, or None.
+            rows: Constraint whose manipulability counts, or None for the tip's translation.
         """
         robot, hand, q = self._robot, arm.hand, arm.q
         U, sizes, _ = np.linalg.svd(robot.jacobian(q, self._tip)[:3], full_matrices=False)
         last = min(self._rank, len(sizes)) - 1
-        # of the tip's translation, least over largest singular value: below 0.2 the weak direction is drawn
+        # smallest over largest singular value of the tip's translation: below 0.2 the weak direction is drawn
         share = float(sizes[last] / max(sizes[0], 1e-12))
-        held = hand.pull and {
+        grasp = hand.pull and {
             "at": hand.at.tolist(),
             "to": hand.pull.to.tolist(),
             "force": float(np.linalg.norm(hand.force)),
             "limited": bool(hand.limited),
         }
         touches = [at.pos.tolist() for at in arm.data.contact[: arm.data.ncon] if at.dist < 0.0]
-        # [rad or m] from a joint's limit: within 0.01 the arm feels it
+        # [rad or m] distance of each joint to its limits; below 0.01 a joint counts as at its limit
         gaps = np.minimum(q - robot.position_lower, robot.position_upper - q)
         return {
             "time": arm.time,
@@ -106,33 +105,38 @@ class TeachingPicture:
             "furniture": [[*arm.handle_place.tolist(), *arm.data.body("handle").xquat.tolist()]],  # real part first
             "held": [arm.held],
             "near": 0 if arm.is_near else None,
-            "hand": held,
+            "hand": grasp,
             "weak": {"direction": U[:, last].tolist(), "share": share} if share < 0.2 else None,
             "mu": float(np.prod(sizes[: last + 1])) if rows is None else float(manipulability(rows, q)),
             "marks": None if constraint is None else self._marks(constraint, q, arm.place),
             "limit": [name for name, gap in zip(robot.joint_names, gaps, strict=True) if gap < 0.01],
             "opening": [arm.opening],
-            "touches": touches[:3],  # an edge gives a dozen
+            "touches": touches[:3],  # an edge has a dozen contacts
         }
 
     def _marks(self, constraint: Constraint, q: np.ndarray, place: np.ndarray) -> dict[str, Any] | None:
-        """Directions held and free at the tip now."""
-        told = held_directions(constraint, place[None])
-        if told is None:
+        """Return the held and free directions at the tip; None if unknown."""
+        marks = held_directions(constraint, place[None])
+        if marks is None:
             return None
-        axes = np.eye(3) if told.axes is None else self._robot.pose(q, told.axes)[:3, :3]
-        parts = {"held": told.held, "free": told.free, "fixed": told.held_turns, "turns": told.free_turns}
+        axes = np.eye(3) if marks.axes is None else self._robot.pose(q, marks.axes)[:3, :3]
+        parts = {"held": marks.held, "free": marks.free, "fixed": marks.held_turns, "turns": marks.free_turns}
         return {name: (_directions(part) @ axes.T).tolist() for name, part in parts.items()}
 
 
 def _directions(projector: Float[np.ndarray, "..."]) -> Float[np.ndarray, "k 3"]:
-    """Orthonormal rows that span what a projector keeps."""
+    """Return orthonormal rows that span the range of a projector."""
     values, vectors = np.linalg.eigh(np.asarray(projector).reshape(-1, 3, 3)[0])
     return vectors[:, values > 0.5].T
 
 
 def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
-    """The furniture for the page."""
+    """Return the furniture and its texts for the page, as plain data.
+
+    Args:
+        scene: The scene.
+        number: Number of the scene in this session.
+    """
     handle, (move, task) = scene.handle, MOVES[scene.handle.type]
     at, unit = handle.pose[:3, 3].tolist(), "rad" if handle.turns else "m"
     return {
@@ -149,60 +153,70 @@ def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
 
 
 def truth_content(scene: TeachingScene, constraint: Constraint | None) -> dict[str, Any]:
-    """Return what the physics have, and how far off the learnt mechanism is."""
-    handle, known, errors = scene.handle, None if constraint is None else constraint.mechanism, []
-    if known is not None and known.axis is not None:
-        axis = np.asarray(known.axis)
+    """Return the true mechanism of the physics, and the errors of the learnt one, as plain data.
+
+    Args:
+        scene: The scene.
+        constraint: The learnt constraint, or None.
+    """
+    handle, mechanism, errors = scene.handle, None if constraint is None else constraint.mechanism, []
+    if mechanism is not None and mechanism.axis is not None:
+        axis = np.asarray(mechanism.axis)
         errors.append(["axis", f"{np.degrees(np.arccos(min(1.0, abs(float(axis @ handle.axis))))):.2g} degrees off"])
-        if known.point is not None and handle.turns:
-            gap = float(np.linalg.norm(np.cross(handle.axis, np.asarray(known.point) - handle.point)))
+        if mechanism.point is not None and handle.turns:
+            gap = float(np.linalg.norm(np.cross(handle.axis, np.asarray(mechanism.point) - handle.point)))
             errors.append(["place", f"{1e3 * gap:.2g} mm off"])
-        if known.type != handle.type:
-            errors.append(["kind", f"taken for a {known.type}, is a {handle.type}"])
+        if mechanism.type != handle.type:
+            errors.append(["kind", f"learnt as a {mechanism.type}, is a {handle.type}"])
     axis, place = ("({:.3f}, {:.3f}, {:.3f})".format(*(x + 0.0)) for x in (handle.axis, handle.point))
     moves = {"line": "slides along", "plane": "stays across the normal", "hinge": f"turns, through {place}, about"}
-    how = f"{'firmly' if handle.firm else 'loosely'} held, with {1e3 * handle.play:.1f} mm of play"
+    how = f"{'firmly' if handle.firm else 'loosely'} grasped, with {1e3 * handle.play:.1f} mm of play"
     ends = np.array([handle.point - 0.4 * handle.axis, handle.point + 0.4 * handle.axis])
     return {
-        "sentence": f"In truth: the {handle.name} {moves[handle.type]} {axis}, {how}.",
+        "sentence": f"True mechanism: the {handle.name} {moves[handle.type]} {axis}, {how}.",
         "errors": errors,
         "lines": [] if handle.type == "plane" else [to_base64(ends, "<f4")],
     }
 
 
 def refusal_content(why: str, recordings: int) -> dict[str, Any]:
-    """What the page says where nothing was learnt, and what to do next.
+    """Return the texts of the page after learning failed, with the next step, as plain data.
 
     Args:
         why: The learner's reason.
-        recordings: How many there were.
+        recordings: Number of recordings.
     """
-    few = recordings < ENOUGH
+    enough = 5  # number of recordings that the page asks for
+    few = recordings < enough
     return {
-        "sentence": "This was not understood." if few else "Nothing holds the hand, as far as can be seen.",
+        "sentence": "No constraint was found." if few else "The recordings show no constraint on the hand.",
         "line": "",
         "refused": True,
         "evidence": why,
         **dict.fromkeys(("facts", "rows", "warnings", "odd", "phaseKinds"), []),
         "mechanism": None,
-        "next": f"Show it {counted(ENOUGH - recordings, 'time')} more, each time a little differently."
+        "next": f"Demonstrate it {counted(enough - recordings, 'time')} more, each time a little differently."
         if few
-        else "Nothing that you showed holds the hand firmly. Take hold of something, move it as far as it goes and "
+        else "Nothing in the demonstrations constrains the hand. Grasp something, move it through its whole range and "
         "back, and begin each time from another posture.",
         "offer": RECORD,
     }
 
 
 def answer_content(content: Mapping[str, Any]) -> dict[str, Any]:
-    """What the page says of what the worker learnt, and what to do next."""
+    """Return the texts of the page about a learnt constraint, with the next step, as plain data.
+
+    Args:
+        content: Result of the job `learn`.
+    """
     uncertain, answer = content["uncertainty"], content["answer"]
-    known = uncertain is not None and uncertain <= 1.0  # [degrees], which are 9 mm at 0.5 m
-    sure = known and not answer["warnings"]
-    told = "" if uncertain is None else f"; known to {uncertain:.2g}°"
+    precise = uncertain is not None and uncertain <= 1.0  # [degrees]: 9 mm at 0.5 m
+    sure = precise and not answer["warnings"]
+    accuracy = "" if uncertain is None else f"; known to {uncertain:.2g}°"
     kind, further = LINES.get((answer["mechanism"] or {}).get("type", "")), "Show it once more, from another posture, "
     then = "let the arm do it." if sure else "read the warnings before you let the arm do it."
     return answer | {
-        "line": answer["sentence"] if kind is None else f"{kind}{told}.",
-        "next": f"It is known well enough: {then}" if known else f"{further}until it is known to 1 degree.",
+        "line": answer["sentence"] if kind is None else f"{kind}{accuracy}.",
+        "next": f"It is known well enough: {then}" if precise else f"{further}until it is known to 1 degree.",
         "offer": None if sure else RECORD,
     }

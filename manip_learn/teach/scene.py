@@ -1,7 +1,7 @@
-"""What an arm is taught on: a drawer, a door, a table at random places within its reach, as MuJoCo's physics.
+"""Teaching scenes: a drawer, a door or a table at a random place within the arm's reach, as MuJoCo's physics.
 
-The true mechanism is joints with friction and play; nothing of the learner's models is in it. What stands still of the
-furniture stops the arm's links, but for the hand; what is moved does not.
+The true mechanism consists of joints with friction and play; it shares nothing with the learner's models. The fixed
+furniture stops the arm's links except its hand; the moving furniture does not.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -36,48 +36,49 @@ TITLES: dict[Kind, str] = {
     "loose-door": "A door, held by a finger",
     "table": "A table to wipe",
 }
-# type of a handle -> what to do with it, and with the whole scene
+# type of a handle -> instructions for the handle, and for the whole scene
 MOVES = {
     "line": ("Pull it open", "Take the hand to the handle, pull the drawer open and push it shut."),
     "hinge": ("Swing it open", "Take the hand to the handle, swing the door open and shut it."),
     "plane": ("Wipe to and fro", "Take the hand to the sponge and wipe the table to and fro, in both directions."),
 }
 
-FIRST_SEED = 3  # of the first scenes: what stands there stands beside the arm, so that neither hides the other
-# robot and scene -> posture with the hand at the handle of the first scene [rad], from which the law without a
-# null-space policy stops after less than a third of the way, and a plan does all of it. Found among random postures at
-# the handle, clear of the furniture and of the arm's own links, those of the least manipulability first: each was
-# simulated for the recordings of two scripted persons, and the first one taken whose plan follows a recording.
+FIRST_SEED = 3  # seed of the first scenes: the furniture is at the arm's side, so that neither hides the other
+# robot and scene -> posture with the hand at the handle of the first scene [rad], from which the control law without a
+# null-space policy stops within a third of the motion, and a plan completes it. Candidates were random postures at the
+# handle, clear of the furniture and of the arm's own links, by increasing manipulability: each was simulated for the
+# recordings of two scripted persons, and the first one whose plan follows a recording was chosen.
 HARD_STARTS: dict[tuple[str, Kind], tuple[float, ...]] = {
     ("sawyer", "door"): (-2.021, -1.637, 2.097, 2.281, 2.91, -0.662, -3.783),
     ("sawyer", "drawer"): (-0.845, 0.408, -0.439, -1.315, -1.141, 2.838, -4.571),
 }
 
 TIMESTEP = 0.002  # [s], 500 steps a second
-STIFF = 2.0 * TIMESTEP  # [s] in which stops and grips settle: the firmest that the time step allows
-# share of a load that stops and grips take, least and most, over 1 mm: below 1 as MuJoCo demands, and so near that a
-# person's 60 N moves them by less than encoders tell
+STIFF = 2.0 * TIMESTEP  # [s] settling time of stops and grips: the shortest that the time step allows
+# MuJoCo's solimp of stops and grips: impedance from least to most over 1 mm. MuJoCo needs it below 1; it is so close
+# to 1 that a person's 60 N moves them by less than the encoders resolve
 STIFF_SOLIMP = (0.9999, 0.99999, 0.001, 0.5, 2.0)
-LEAST_MASS = 0.05  # [kg] where a description has none: lighter links need a shorter step
-REACHES = 0.03  # [m] from the handle within which the gripper can close: the opening of a common gripper
+LEAST_MASS = 0.05  # [kg] smallest mass of a link: lighter links need a shorter time step
+REACHES = 0.03  # [m] largest distance from the handle at which the gripper can close: a common gripper's opening
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """Something to take hold of, and how it moves; vectors in the robot's base.
+    """An object to grasp, and its motion; vectors in the robot's base frame.
 
     Attributes:
-        name: What it is, e.g. `"drawer"`.
-        type: What the learner calls it: `"line"`, `"plane"` or `"hinge"`.
+        name: Name of the object, e.g. `"drawer"`.
+        type: Type of the mechanism, as the learner calls it: `"line"`, `"plane"` or `"hinge"`.
         pose: shape (4, 4), the handle at rest [m].
-        axis: shape (3,), unit vector: of the line, of the turn, or the plane's normal.
+        axis: shape (3,), unit vector: direction of the line, axis of the hinge, or normal of the plane.
         point: shape (3,), on the axis or in the plane [m].
-        firm: Whether the hand turns with the handle.
-        travel: How far it moves [m or rad]; in a plane to either side.
-        play: Sideways in its rails or bearings [m].
-        friction: Dry [N or N m].
-        fixed, moving: Boxes in the frame of the handle at rest, as furniture is drawn.
+        firm: True if the hand turns with the handle.
+        travel: Range of its motion [m or rad]; in a plane to either side.
+        play: Sideways play in its rails or bearings [m].
+        friction: Dry friction [N or N m].
+        fixed: Fixed boxes in the frame of the handle at rest.
+        moving: Moving boxes in the frame of the handle at rest.
     """
 
     name: str
@@ -94,11 +95,16 @@ class Handle:
 
     @property
     def turns(self) -> bool:
-        """Whether it turns rather than slides."""
+        """True for a hinge, False if it slides."""
         return self.type == "hinge"
 
     def moved(self, by: float, beside: float = 0.0) -> Float[np.ndarray, "4 4"]:
-        """The handle's pose when it has moved by some way [m or rad], and in a plane by another beside that [m]."""
+        """Return the handle's pose after a motion, in the base frame [m].
+
+        Args:
+            by: Displacement [m or rad]; in a plane along its first direction.
+            beside: In a plane, displacement along its second direction [m].
+        """
         pose = self.pose.copy()
         if self.turns:
             turn = rotation_matrix(by * self.axis)
@@ -111,18 +117,18 @@ class Handle:
         return pose
 
     @property
-    def around(self) -> Scene:
-        """What stands still and stops an arm, in the base; its hand may touch that."""
+    def surroundings(self) -> Scene:
+        """The fixed furniture that stops an arm, in the base frame; the hand may touch it."""
         boxes = []
-        for *at, wide, deep, high, what in self.fixed:
-            if what != HANDLE:
+        for *at, wide, deep, high, part in self.fixed:
+            if part != HANDLE:
                 pose = self.pose.copy()
                 pose[:3, 3] += pose[:3, :3] @ at
                 boxes.append(Box((wide, deep, high), pose, f"{self.name} {len(boxes) + 1}"))
         return Scene(boxes=boxes, handled=[box.name for box in boxes])
 
     def stations(self) -> list[Float[np.ndarray, "4 4"]]:
-        """Poses all over its motion, each near the one before."""
+        """Return poses along the whole motion in the base frame [m], each near the previous one."""
         if self.type == "plane":
             angles = np.linspace(0.0, 2.0 * np.pi, 25)
             return [self.moved(self.travel * np.sin(x), self.travel * np.sin(2.0 * x)) for x in angles]
@@ -132,15 +138,15 @@ class Handle:
 @final
 @dataclass(frozen=True, eq=False)
 class TeachingScene:
-    """An arm and what stands around it.
+    """An arm and its surroundings.
 
     Attributes:
-        kind: Which scene.
+        kind: Kind of the scene.
         robot: The arm.
-        tip: Its frame that takes hold.
-        handle: What there is to take hold of.
+        tip: Its frame that grasps.
+        handle: The object to grasp.
         start: shape (nv,), first posture [rad or m].
-        notes: What had to be assumed of the robot, a sentence each.
+        notes: Assumptions about the robot, a sentence each.
     """
 
     kind: Kind
@@ -152,7 +158,7 @@ class TeachingScene:
 
     @property
     def hard_start(self) -> tuple[float, ...] | None:
-        """Posture at the handle from which only a planned motion does the task [rad]; None where none is known."""
+        """Posture at the handle from which only a planned motion completes the task [rad]; None without a known one."""
         if (start := HARD_STARTS.get((self.robot.name, self.kind))) is None:
             return None
         gap = self.robot.position(start, self.tip) - self.handle.pose[:3, 3]
@@ -160,74 +166,76 @@ class TeachingScene:
 
 
 def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) -> TeachingScene:
-    """A scene of a kind at a random place where the arm can do the whole task, away from limits and singularities.
+    """Return a scene at a random place where the arm can do the whole task, away from limits and singularities.
 
     Args:
-        kind: Which scene.
-        robot: The arm: joints that turn or slide, on a fixed base.
-        tip: The frame that takes hold.
+        kind: Kind of the scene.
+        robot: The arm: revolute or prismatic joints on a fixed base.
+        tip: The frame that grasps.
         rng: Source of places, sizes, friction and play.
 
     Raises:
-        ConfigurationError: An unknown kind, a robot with other joints, or no place was found within reach.
+        ConfigurationError: An unknown kind, a robot with other joints, or no place within reach.
     """
     if kind not in TITLES:
         raise ConfigurationError(f"there is no scene {kind!r}: use one of {', '.join(TITLES)}")
     odd = [joint.name for joint in kinematic_tree(robot)[1:] if joint.motion == "free"]
     if odd:
         raise ConfigurationError(
-            f"only arms on a fixed base can be taught here, of joints that turn or slide: {odd[0]!r} does neither; "
+            f"only arms on a fixed base with revolute or prismatic joints can be taught here: {odd[0]!r} is neither; "
             "lock it, or load the robot without it"
         )
     reach = _Reach(robot, tip, rng)
     for _ in range(400):  # random places: one in three to one in thirty are within reach
         if (placed := reach.place(kind)) is not None:
-            return TeachingScene(kind, robot, tip, *placed, tuple(_assumed(robot)))
+            return TeachingScene(kind, robot, tip, *placed, tuple(_assumptions(robot)))
     raise ConfigurationError(
         f"no place was found where {robot.name!r} can do this with {tip!r}: {TITLES[kind].lower()}; try another scene, "
         "or another frame with --frame"
     )
 
 
-def _assumed(robot: Robot) -> Iterator[str]:
+def _assumptions(robot: Robot) -> Iterator[str]:
+    """Yield the assumptions about a robot, a sentence each."""
     model = robot.pinocchio_model
     light = [model.names[i] for i in range(1, model.njoints) if model.inertias[i].mass < LEAST_MASS]
     if known_shapes(robot) == "links":
-        yield "no shapes: capsules along the links are stopped by the furniture"
+        yield "no shapes: the furniture stops capsules along the links instead"
     if light:
-        yield f"{counted(len(light), 'link')} without mass ({few(light)}): taken as {LEAST_MASS:g} kg"
+        yield f"{counted(len(light), 'link')} without mass ({few(light)}): {LEAST_MASS:g} kg assumed"
     unlimited = [n for n, v in zip(robot.joint_names, robot.velocity_limit, strict=True) if not np.isfinite(v)]
     if unlimited:
-        yield f"{counted(len(unlimited), 'joint')} without a velocity limit ({few(unlimited)}): taken as 1.5 rad/s"
+        yield f"{counted(len(unlimited), 'joint')} without a velocity limit ({few(unlimited)}): 1.5 rad/s assumed"
 
 
 @final
 class _Reach:
-    """Where an arm can go."""
+    """The reach of an arm, and the search for a scene within it."""
 
     def __init__(self, robot: Robot, tip: str, rng: np.random.Generator):
         self._robot, self._tip, self._rng = robot, tip, rng
         self._links, self._hand = links_of(robot)[0], hand_of(robot, robot.frame(tip))
-        places = np.array([robot.position(self._drawn(), tip) for _ in range(200)])
+        places = np.array([robot.position(self._sample_posture(), tip) for _ in range(200)])
         self._far = float(np.quantile(np.linalg.norm(places, axis=1), 0.95))
         self._flat = bool(np.ptp(places[:, 2]) < 1e-6)
-        frames = robot.pinocchio_model.frames  # all moving links but the first are to be above the floor
+        frames = robot.pinocchio_model.frames  # all moving links except the first must be above the floor
         self._links_above = [f.name for f in frames if f.parentJoint > 1 and f.name in robot.frame_names]
         hand = robot.pinocchio_model.frames[robot.frame(tip).index].placement
         far = float(np.linalg.norm(hand.translation))
-        # the way that a hand points: from its last joint to the tip, or along z where the tip is on the joint
+        # pointing direction of the hand: from its last joint to the tip, or along z if the tip is on the joint
         self._points = hand.rotation.T @ (hand.translation / far if far > 0.01 else np.array([0.0, 0.0, 1.0]))
         low, high = robot.position_lower, robot.position_upper
-        # room that each joint keeps from its limits along the whole motion
+        # margin of each joint to its limits along the whole motion
         self._margin = np.where(np.isfinite(high - low), 0.06 * (high - low), 0.0)
 
-    def _drawn(self) -> Float[np.ndarray, " nv"]:
+    def _sample_posture(self) -> Float[np.ndarray, " nv"]:
+        """Sample a random posture."""
         return self._robot.positions(self._robot.random_configuration(self._rng))
 
     def _posture(self, down: bool) -> Float[np.ndarray, " nv"]:
-        """A random posture at a comfortable distance, above the floor, the hand pointing down or ahead."""
+        """Return a random posture at a comfortable distance, above the floor, with the hand pointing down or ahead."""
         while True:
-            q = self._drawn()
+            q = self._sample_posture()
             pose = self._robot.pose(q, self._tip)
             x, points = pose[:3, 3], pose[:3, :3] @ self._points
             if not 0.4 * self._far < np.linalg.norm(x) < 0.85 * self._far or self._margin_of(q) < 0.0:
@@ -242,30 +250,38 @@ class _Reach:
                 return q
 
     def _margin_of(self, q: np.ndarray) -> float:
+        """Return the smallest margin of a joint to its limits, less the required one [rad or m]."""
         robot = self._robot
         return float(np.min(np.minimum(q - robot.position_lower, robot.position_upper - q) - self._margin))
 
     def place(self, kind: Kind) -> tuple[Handle, Float[np.ndarray, " nv"]] | None:
-        """A handle at the tip of a random posture, and where the arm begins; None if it cannot be done."""
+        """Place a handle at the tip of a random posture.
+
+        Args:
+            kind: Kind of the scene.
+
+        Returns:
+            The handle and the start posture; None if the arm cannot do the task there.
+        """
         q = self._posture(down=kind == "table")
         pose = self._robot.pose(q, self._tip)
         handle, away = self._handle(kind, pose[:3, 3], pose[:3, :3] @ self._points)
         way, grip = [q], np.linalg.inv(handle.pose) @ pose
         for station in handle.stations():
-            if (found := self._posture_at(way[-1], station @ grip, handle.firm)) is None:
+            if (posture := self._posture_at(way[-1], station @ grip, handle.firm)) is None:
                 return None
-            way.append(found)
-        begin = pose.copy()
-        begin[:3, 3] += 0.16 * away  # [m], so that a recording has a way to the handle
-        if (start := self._posture_at(q, begin, False)) is None:
+            way.append(posture)
+        start_pose = pose.copy()
+        start_pose[:3, 3] += 0.16 * away  # [m] distance to the handle, so that a recording contains an approach
+        if (start := self._posture_at(q, start_pose, False)) is None:
             return None
-        solids = handle.around.obstacles(self._robot)
+        solids = handle.surroundings.obstacles(self._robot)
         clear = self._links.with_obstacles([replace(one, may_touch=self._hand) for one in solids], False)
-        # [m] of room while the hand moves it: a person's elbow swings by more
+        # keep 0.01 m of clearance along the motion
         return (handle, start) if all(clear.is_clear(x, 0.01) for x in (*way, start)) else None
 
     def _handle(self, kind: Kind, at: np.ndarray, points: np.ndarray) -> tuple[Handle, Float[np.ndarray, " 3"]]:
-        """A mechanism of random size with its handle at a place, in front of a hand; and the way off it."""
+        """Return a mechanism of random size with its handle in front of a hand, and the direction away from it."""
         rng, size = self._rng, min(self._far, 1.0)
         play, up = float(rng.uniform(1e-4, 3e-4)), np.array([0.0, 0.0, 1.0])
         level = points - (points @ up) * up
@@ -292,44 +308,48 @@ class _Reach:
     def _posture_at(
         self, q: Float[np.ndarray, " nv"], wanted: Float[np.ndarray, "4 4"], firm: bool
     ) -> Float[np.ndarray, " nv"] | None:
-        """The next posture with the tip at a pose, by Newton steps; None near limits, singularities, or out of reach.
+        """Return a posture with the tip at a pose, by Newton steps; None near limits, singularities, or out of reach.
 
         Args:
-            q: From where.
-            wanted: Pose of the tip in the base [m].
-            firm: Whether the hand is turned as well; else its place alone counts.
+            q: First guess.
+            wanted: Pose of the tip in the base frame [m].
+            firm: True if the orientation counts too; otherwise only the position counts.
         """
         for _ in range(12):
             error = pose_error(self._robot.pose(q, self._tip), wanted, own_axes=False)[: 6 if firm else 3]
             rows = self._robot.jacobian(q, self._tip)[: len(error)]
             step, _, _, sizes = np.linalg.lstsq(rows, error, rcond=1e-3)
-            if np.linalg.norm(error) < 1e-4:  # [m or rad]: below what encoders tell
-                least = sizes[min(len(sizes), 2 if self._flat else 6) - 1]  # an arm in a plane can go two ways only
+            if np.linalg.norm(error) < 1e-4:  # [m or rad]: below the resolution of encoders
+                least = sizes[min(len(sizes), 2 if self._flat else 6) - 1]  # a planar arm moves in two directions only
                 return q if least >= 0.075 and self._margin_of(q) >= 0.0 else None  # [m/rad]
-            q = q + step * min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-12))  # [rad]: linearised, near enough
+            q = q + step * min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-12))  # [rad] largest accurate step
         return None
 
 
-# ---- as MuJoCo sees it --------------------------------------------------------------------------------------------
+# ---- MuJoCo model -------------------------------------------------------------------------------------------------
 
 
 def physics() -> ModuleType:
-    """MuJoCo.
+    """Return the module MuJoCo.
 
     Raises:
         MissingExtraError: It is not installed.
     """
     try:
         import mujoco
-        from mujoco import MjSpec  # noqa: F401  # a version without it, or folders that an uninstalled one has left
+        from mujoco import MjSpec  # noqa: F401  # missing in old versions, and in folders left by an uninstalled one
     except ImportError as error:
         raise MissingExtraError("teaching in the browser", "physics") from error
     return mujoco
 
 
 def scene_model(scene: TeachingScene) -> object:
-    """The scene as a `mujoco.MjModel`: the arm's joints by their names, then the body `handle`, which the
-    equality `grip` can hold at the site `tip`.
+    """Return the scene as a `mujoco.MjModel`.
+
+    It has the arm's joints by their names, and the body `handle`, which the equality `grip` can hold at the site `tip`.
+
+    Args:
+        scene: The scene.
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
@@ -341,13 +361,14 @@ def scene_model(scene: TeachingScene) -> object:
     spec.option.tolerance = 1e-10
     _add_arm(mujoco, spec, scene)
     _add_handle(mujoco, spec, scene.handle)
-    for box in scene.handle.around.boxes:
-        made = _add_geom(mujoco, spec, spec.worldbody, np.asarray(box.pose), box.shape, box.name)
-        made.contype, made.conaffinity = 0, 1
+    for box in scene.handle.surroundings.boxes:
+        geom = _add_geom(mujoco, spec, spec.worldbody, np.asarray(box.pose), box.shape, box.name)
+        geom.contype, geom.conaffinity = 0, 1
     return spec.compile()
 
 
 def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
+    """Add the arm's links, joints, collision shapes and mimic joints, and the site `tip`."""
     robot, model = scene.robot, scene.robot.pinocchio_model
     bodies = [spec.worldbody]
     limits = dict(zip(robot.joint_names, zip(robot.position_lower, robot.position_upper, strict=True), strict=True))
@@ -360,24 +381,24 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
         body.mass, body.ipos, body.explicitinertial = max(inertia.mass, LEAST_MASS), inertia.lever, True
         moments, axes = np.linalg.eigh(inertia.inertia)  # smallest first
         moments = np.maximum(moments, 1e-4)  # [kg m2]
-        body.inertia = np.minimum(moments, moments[0] + moments[1])  # none of a body is above the sum of the others
+        body.inertia = np.minimum(moments, moments[0] + moments[1])  # no moment of a body exceeds the sum of the others
         body.iquat = _quaternion(axes * np.linalg.det(axes))
         kind = mujoco.mjtJoint.mjJNT_HINGE if joint.motion == "revolute" else mujoco.mjtJoint.mjJNT_SLIDE
-        made = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
-        left = len(chain) - chain.index(i) if i in chain else 1  # joints from here to the tip
-        # damping [N m s/rad], dry friction [N m], rotor inertia [kg m2] as guided arms have; the last ones of a slide
-        revolute = (1.0, 0.1, 0.02) if left <= 3 else (3.0, 0.3, 0.10) if left <= 5 else (4.0, 0.5, 0.10)
-        damping, made.frictionloss, made.armature = (40.0, 4.0, 2.0) if joint.motion == "prismatic" else revolute
-        _set_damping(made, damping)
+        new = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
+        n_to_tip = len(chain) - chain.index(i) if i in chain else 1  # number of joints from here to the tip
+        # damping [N m s/rad], dry friction [N m] and rotor inertia [kg m^2] of guided arms; then of a prismatic joint
+        revolute = (1.0, 0.1, 0.02) if n_to_tip <= 3 else (3.0, 0.3, 0.10) if n_to_tip <= 5 else (4.0, 0.5, 0.10)
+        damping, new.frictionloss, new.armature = (40.0, 4.0, 2.0) if joint.motion == "prismatic" else revolute
+        _set_damping(new, damping)
         low, high = limits.get(joint.name, (-np.inf, np.inf))
         if np.isfinite(low) and np.isfinite(high):
-            made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
+            new.limited, new.range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
         bodies.append(body)
     hand = hand_of(robot, robot.frame(scene.tip))
     shapes = collision_shapes(robot, known_shapes(robot))
     for k, shape in enumerate(one for one in shapes if one.joint and one.link not in hand):
-        made = _add_geom(mujoco, spec, bodies[shape.joint], shape.placement, shape.shape, f"link_{k}")
-        made.contype, made.conaffinity = 1, 0
+        geom = _add_geom(mujoco, spec, bodies[shape.joint], shape.placement, shape.shape, f"link_{k}")
+        geom.contype, geom.conaffinity = 1, 0
     for mimic in robot.mimics:
         led = spec.add_equality(name=f"{mimic.joint}_follows", type=mujoco.mjtEq.mjEQ_JOINT)
         led.objtype, led.name1, led.name2 = mujoco.mjtObj.mjOBJ_JOINT, mimic.joint, mimic.leader
@@ -387,6 +408,7 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
 
 
 def _add_handle(mujoco: Any, spec: Any, handle: Handle) -> None:
+    """Add the body `handle` with its joints, its play, and the equality `grip`."""
     name, axes = "handle", handle.pose[:3, :3]
     body = spec.worldbody.add_body(name=name, pos=handle.pose[:3, 3], quat=_quaternion(axes))
     body.mass, body.inertia, body.explicitinertial, body.gravcomp = 1.5, np.full(3, 0.01), True, 1.0
@@ -394,19 +416,19 @@ def _add_handle(mujoco: Any, spec: Any, handle: Handle) -> None:
     axis, point = axes.T @ handle.axis, axes.T @ (handle.point - handle.pose[:3, 3])
 
     def joint(kind: Any, along: np.ndarray, label: str, friction: float, reach: tuple[float, float] | None) -> None:
-        made = body.add_joint(name=f"{name}_{label}", type=kind, axis=along, pos=point)
-        _set_damping(made, 4.0 if kind == slide else 0.2)
-        made.frictionloss = friction
+        new = body.add_joint(name=f"{name}_{label}", type=kind, axis=along, pos=point)
+        _set_damping(new, 4.0 if kind == slide else 0.2)
+        new.frictionloss = friction
         if reach is not None:
-            made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, reach
-            made.solref_limit, made.solimp_limit = (STIFF, 1.0), STIFF_SOLIMP
+            new.limited, new.range = mujoco.mjtLimited.mjLIMITED_TRUE, reach
+            new.solref_limit, new.solimp_limit = (STIFF, 1.0), STIFF_SOLIMP
 
     for k, side in enumerate([axis] if handle.type == "plane" else across(axis)):
         joint(slide, side, f"play_{k}", 0.0, (-handle.play, handle.play))
     if handle.type == "plane":
         joint(slide, np.array([1.0, 0.0, 0.0]), "x", handle.friction, None)
         joint(slide, np.array([0.0, 1.0, 0.0]), "y", handle.friction, None)
-    else:  # it stops where it is shut, and a little beyond where it is open
+    else:  # stops at the shut position, and a little beyond the open one
         joint(hinge if handle.turns else slide, axis, "x", handle.friction, (0.0, 1.1 * handle.travel))
     body.add_site(name=name)
     grip = spec.add_equality(name="grip", type=mujoco.mjtEq.mjEQ_WELD if handle.firm else mujoco.mjtEq.mjEQ_CONNECT)
@@ -419,29 +441,29 @@ def _add_geom(mujoco: Any, spec: Any, body: Any, at: Float[np.ndarray, "4 4"], s
 
     Args:
         mujoco: The module.
-        spec: The model that is made.
-        body: Of that model.
+        spec: The model under construction.
+        body: Body of that model.
         at: Pose of the shape in the body's frame [m].
-        shape: As `CollisionShape.shape` and `Thing.shape` have it.
-        name: Of its mesh.
+        shape: As `CollisionShape.shape` and `Thing.shape`.
+        name: Name of its mesh.
     """
-    made = body.add_geom(pos=at[:3, 3], quat=_quaternion(at[:3, :3]))
+    geom = body.add_geom(pos=at[:3, 3], quat=_quaternion(at[:3, :3]))
     if not isinstance(shape, Solid):
         spec.add_mesh(name=name, uservert=np.array(shape.vertices).ravel())
-        made.type, made.meshname = mujoco.mjtGeom.mjGEOM_MESH, name
-        return made
-    made.type = getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}")
-    halves = np.array(shape.size)  # MuJoCo has half lengths, and a whole radius
+        geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, name
+        return geom
+    geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}")
+    halves = np.array(shape.size)  # MuJoCo takes half lengths, but the radius itself
     halves[slice(None) if shape.kind == "box" else slice(1, None)] *= 0.5
-    made.size[: len(halves)] = halves
-    return made
+    geom.size[: len(halves)] = halves
+    return geom
 
 
 def _quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 4"]:
-    """As MuJoCo writes it, the real part first."""
+    """Return the quaternion of a rotation as MuJoCo writes it, the real part first."""
     return Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
 
 
 def _set_damping(joint: Any, damping: float) -> None:
-    """Linear damping [N m s/rad or N s/m]; MuJoCo 4 keeps three coefficients a joint, MuJoCo 3 one."""
+    """Set linear damping [N m s/rad or N s/m]; MuJoCo 4 has three coefficients per joint, MuJoCo 3 one."""
     joint.damping = damping if isinstance(joint.damping, float) else [damping] + [0.0] * (len(joint.damping) - 1)

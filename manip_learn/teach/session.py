@@ -1,4 +1,4 @@
-"""What a person does on the teaching page, and what becomes of it: show, record, learn, run, take home."""
+"""The teaching page's session: demonstrate, record, learn, run, take home."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ from manip_learn.teach.picture import TeachingPicture, answer_content, refusal_c
 from manip_learn.teach.scene import MOVES, Kind, place_scene
 from manip_learn.teach.worker import TeachingWorker, distance_in_words, first_way, ghost
 
-LEFT = 30.0  # [s] without a page after which the program ends: who pressed Back by mistake comes back in less
-FEW = 3  # recordings below which no evidence can be had
+LEFT = 30.0  # [s] without a page after which the program ends: after Back by mistake a person returns in less
+FEW = 3  # smallest number of recordings from which constraints can be learnt
 
 
 @final
@@ -51,9 +51,9 @@ class TaughtRecording:
 
     Attributes:
         path: The file.
-        motion: What it shows.
+        motion: Its trajectory.
         phases: Start [s], end [s] and number of the constraint, -1 for free motion.
-        odd: Why it does not agree with the others.
+        odd: Reason why it disagrees with the others, or empty.
     """
 
     path: Path
@@ -62,7 +62,7 @@ class TaughtRecording:
     odd: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the recording for the page, with times from its first sample on."""
+        """Return the recording for the page, with times relative to its first sample."""
         first = float(self.motion.time[0])
         phases = [[start - first, end - first, k] for start, end, k in self.phases]
         numbers = {"seconds": round(self.motion.duration, 2), "samples": len(self.motion)}
@@ -73,16 +73,17 @@ class TaughtRecording:
 class TeachingSession:
     """One arm, one scene at a time, and the person's recordings of it.
 
-    `hear` may be called from any thread; all else happens in the thread of `run`, between two periods of the physics.
+    `hear` may be called from any thread; everything else runs in the thread of `run`, between two periods of the
+    physics.
 
     Args:
         robot: The arm.
-        tip: Its frame that is guided.
-        keep: Folder for all that is recorded and learnt.
-        kind: First scene.
-        seed: Of places and noise: the first scene of each kind has this one, the next ones those after it.
-        shows: Where pictures and words go.
-        in_real_time: Whether the physics wait for the clock.
+        tip: Its guided frame.
+        keep: Folder for recordings and learnt constraints.
+        kind: Kind of the first scene.
+        seed: Seed of places and noise: the first scene of each kind has this one, the next ones the following seeds.
+        shows: Process that shows pictures and texts.
+        in_real_time: True to run the physics in real time.
 
     Raises:
         ManipLearnError: A robot that cannot be taught, or a scene that it cannot reach.
@@ -103,7 +104,7 @@ class TeachingSession:
         self._doing, self._sentence, self._wrong = "idle", "", False
         self._ended = self._stop = False
         self._seq = self._number = 0
-        self._numbers = count(1)  # of ghosts and files, in their order
+        self._numbers = count(1)  # numbers of ghosts and files, in their order
         self._put: dict[str, str] = {}
         self._looked = self._began = 0.0
         self._acts: dict[str, Callable[[Mapping[str, Any]], None]] = {
@@ -134,7 +135,11 @@ class TeachingSession:
     # ---- the thread of the physics --------------------------------------------------------------------------------
 
     def hear(self, heard: Mapping[str, Any]) -> None:
-        """Take what a page or the server said; from any thread."""
+        """Accept a message of a page or the server; from any thread.
+
+        Args:
+            heard: The message.
+        """
         self._heard.put(heard)
 
     def end(self) -> None:
@@ -152,7 +157,7 @@ class TeachingSession:
         return "" if self._answer is None else str(self._answer["sentence"])
 
     def run(self) -> None:
-        """Go on until the last page is closed, or `end`."""
+        """Run until the last page is closed, or `end` is called."""
         try:
             while not self._ended:
                 mode, self._mode, self._stop = self._mode or self._idle, None, False
@@ -165,35 +170,37 @@ class TeachingSession:
             self._worker.close()
 
     def _idle(self) -> None:
+        """Let the arm be guided until the next mode."""
         self._doing = "idle"
         self.arm.release()
         while self._mode is None and not self._ended:
             self.arm.wait()
 
     def _period(self) -> None:
-        """Hear and show, between two periods of the physics."""
+        """Handle messages and show a picture, between two periods of the physics."""
         while not self._heard.empty():
             heard = self._heard.get()
             self._ended |= "end" in heard
             if "pages" in heard:
-                self._pages_are(heard["pages"])
+                self._set_pages(heard["pages"])
             self._obey(str(heard.get("page", "")), heard.get("said"))
         self._touched |= self.arm.held
         self._ended |= time.monotonic() - self._left > LEFT
         self._stop |= self._ended
         for kind, what in self._worker.heard():
-            self._answered(kind, what)
+            self._handle_answer(kind, what)
         if self.arm.hand.pull is not None and self._doing in ("idle", "recording") and self.arm.close_when_near():
-            self._gripped()
+            self._report_grasp()
         pose = self._picture.pose(self.arm, self.constraint, self._rows)
         pose |= {"seq": self._seq, "trail": self._doing == "recording"}
         self._shows.put(lambda: json.dumps(pose, allow_nan=False), "pose")
         now = time.monotonic()
-        if now - self._looked > 0.1 or not self._real:  # [s] between two states: only a pose is needed more often
+        if now - self._looked > 0.1 or not self._real:  # [s] between two states: only poses are sent more often
             self._looked = now
             self._show_state()
 
-    def _pages_are(self, pages: list[str]) -> None:
+    def _set_pages(self, pages: list[str]) -> None:
+        """Note the open pages, the first of which leads if the leader has closed."""
         if pages or self._pages:
             self._left = np.inf if pages else time.monotonic()
         self._pages = pages
@@ -203,12 +210,13 @@ class TeachingSession:
             self._leader = pages[0] if pages else ""
 
     def _say(self, sentence: str, wrong: bool = False) -> None:
+        """Show a sentence on the page."""
         self._sentence, self._wrong = sentence, wrong
 
-    # ---- what a person says ---------------------------------------------------------------------------------------
+    # ---- requests of the page -------------------------------------------------------------------------------------
 
     def _obey(self, page: str, said: Any) -> None:
-        """Do what a page asks, if it is the one that leads."""
+        """Do what a page requests, if it is the leading page."""
         do = said.get("do") if isinstance(said, Mapping) else None
         if do == "lead" and page in self._pages:
             self.arm.let_go()
@@ -222,13 +230,14 @@ class TeachingSession:
         except ManipLearnError as refusal:
             self._say(str(refusal), wrong=True)
         except (KeyError, TypeError, ValueError, OSError) as error:
-            self._say(f"The page asked for {do!r} in a way that is not understood: {error}", wrong=True)
+            self._say(f"The page sent an invalid request {do!r}: {error}", wrong=True)
 
     def _begin(self, mode: Callable[[], None]) -> None:
-        """Stop, and do this next."""
+        """Stop the present mode, and begin this one."""
         self._stop, self._mode = True, mode
 
     def _pull(self, said: Mapping[str, Any]) -> None:
+        """Pull the arm to a target."""
         link, turn = said.get("link"), said.get("turn")
         at = None if link is None else _three(said["at"])
         to, turn = _three(said["to"]), None if turn is None else _three(turn)
@@ -236,36 +245,42 @@ class TeachingSession:
         self.arm.pull(link, at, to, turn)
 
     def _grip(self, said: Mapping[str, Any]) -> None:
+        """Close or open the gripper."""
         if not said["closed"]:
             self.arm.grip(False)
             self._say("The gripper is open.")
         elif self.arm.grip(True):
-            self._gripped()
+            self._report_grasp()
         else:
             self._say("No handle is within reach of the gripper: take the hand to one first.")
 
-    def _gripped(self) -> None:
+    def _report_grasp(self) -> None:
+        """Show that the gripper holds the handle."""
         handle = self.arm.scene.handle
         self._say(f"Holding the {handle.name}. {MOVES[handle.type][0]}.")
 
     def _start_or_stop(self) -> None:
+        """Start a recording, or stop it."""
         if self._doing == "recording":
             self._stop = True
         else:
             self._begin(self._record)
 
-    def _shown_by(self, name: Any) -> TaughtRecording:
+    def _recording_by_name(self, name: Any) -> TaughtRecording:
+        """Return the recording of a name."""
         for one in self._recordings:
             if one.path.stem == name:
                 return one
         raise ValueError(f"there is no recording {name!r}")
 
     def _read(self, path: Path) -> TaughtRecording:
+        """Read a recording and add it."""
         self._recordings.append(one := TaughtRecording(path, load_demonstrations([str(path)], self.robot)[0]))
         return one
 
     def _rename(self, said: Mapping[str, Any]) -> None:
-        one, to = self._shown_by(said["name"]), str(said["to"]).strip()
+        """Rename a recording."""
+        one, to = self._recording_by_name(said["name"]), str(said["to"]).strip()
         path = one.path.with_name(f"{to}.csv")
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,60}", to):
             raise ManipLearnError("A name has letters, digits, spaces, dots and dashes, up to 60 of them.")
@@ -274,18 +289,20 @@ class TeachingSession:
         one.path = one.path.rename(path)
 
     def _delete(self, said: Mapping[str, Any]) -> None:
-        one = self._shown_by(said["name"])
+        """Delete a recording."""
+        one = self._recording_by_name(said["name"])
         one.path.unlink(missing_ok=True)
         self._recordings.remove(one)
         self._say(f"{one.path.stem} is deleted.")
 
     def _replay(self, said: Mapping[str, Any]) -> None:
-        one = self._shown_by(said["name"])
-        shown = ghost(self.robot, one.path.stem, COLOURS["vermilion"], one.motion.time, one.motion.q)
-        self._show_ghosts("replay", [shown])
+        """Show a recording as a ghost."""
+        one = self._recording_by_name(said["name"])
+        motion_ghost = ghost(self.robot, one.path.stem, COLOURS["vermilion"], one.motion.time, one.motion.q)
+        self._show_ghosts("replay", [motion_ghost])
 
     def _drop(self, said: Mapping[str, Any]) -> None:
-        """Add a recording that was dropped on the page, if it is one of this robot."""
+        """Add a recording that was dropped on the page, if it belongs to this robot."""
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", Path(str(said["name"])).stem)[:60].lstrip(".") or "dropped"
         self.folder.mkdir(parents=True, exist_ok=True)
         path, number = self.folder / f"{stem}.csv", 2
@@ -296,13 +313,13 @@ class TeachingSession:
             one = self._read(path)
         except ManipLearnError as refusal:
             path.unlink()
-            raise ManipLearnError(f"{said['name']} is no recording of {self.robot.name!r}: {refusal}") from refusal
+            raise ManipLearnError(f"{said['name']} is not a recording of {self.robot.name!r}: {refusal}") from refusal
         self._say(f"{path.stem} is added: {counted(len(one.motion), 'sample')}.")
 
     # ---- scene ----------------------------------------------------------------------------------------------------
 
     def _place(self, kind: Kind) -> None:
-        """Begin another scene of a kind; recordings and answers of the one before stay on the disk."""
+        """Begin another scene of a kind; recordings and answers of the former scene stay on the disk."""
         rng = np.random.default_rng(self._seed + self._placed[kind])  # the first of each kind is always the same
         scene = place_scene(kind, self.robot, self.tip, rng)
         self._placed[kind] += 1
@@ -325,26 +342,26 @@ class TeachingSession:
         self._show("ghosts", None)
 
     def _forget(self, answer: dict[str, Any] | None = None) -> None:
-        """Know nothing of the scene but this answer."""
+        """Forget all results of the scene except this answer."""
         self._answer, self._outcome = answer, None
         self.constraint: Constraint | None = None
-        self._way: Constraint | None = None  # what the arm can do by itself
-        self._rows: Constraint | None = None  # whose manipulability counts then
+        self._way: Constraint | None = None  # constraint whose motion the arm can reproduce
+        self._rows: Constraint | None = None  # constraint whose manipulability counts in it
 
     def _home(self) -> None:
-        """Take the arm back to where it began, and shut everything."""
+        """Move the arm back to its start, and shut everything."""
         self._doing, self._outcome = "moving", None
         self.arm.shut()
         limits = Limits(self.robot)
-        task = JointMotion(limits, [self.arm.q, self.arm.scene.start], 0.5)  # of the joints' speeds, beside people
+        task = JointMotion(limits, [self.arm.q, self.arm.scene.start], 0.5)  # share of joint speed limits near people
         law = ResolvedRateController(every_joint(self.robot), task, limits=limits, dt=PERIOD)
         self._drive(LawSequence(law), task.duration)
-        self._say("Everything is as it was at first.")
+        self._say("Everything is back at its start.")
 
     # ---- show -----------------------------------------------------------------------------------------------------
 
     def _record(self) -> None:
-        """Record until the person stops; the file grows as it goes, and begins with everything shut."""
+        """Record until the person stops, from shut furniture; the file grows meanwhile."""
         if not self.arm.held:
             self.arm.shut()
         self._doing, self._began, self._touched = "recording", self.arm.time, self.arm.held
@@ -354,42 +371,43 @@ class TeachingSession:
         def key() -> Any:
             return "end" if self._ended else "start or stop" if self._stop else next(first, "")
 
-        done = record(self.arm, self.folder, "shown", by="key", motions=1, key=key)
-        self._ended |= done.ended == "Ctrl-C"
-        if not done.files or done.samples < 2:
+        recorded = record(self.arm, self.folder, "shown", by="key", motions=1, key=key)
+        self._ended |= recorded.ended == "Ctrl-C"
+        if not recorded.files or recorded.samples < 2:
             raise ManipLearnError("Nothing was recorded.")
         if not self._touched:
-            done.files[0].unlink()
-            raise ManipLearnError("The gripper took hold of nothing, so this was not kept. Record again.")
-        one = self._read(done.files[0])
-        self._say(f"{one.path.stem} is kept, {one.motion.duration:.1f} s.")
+            recorded.files[0].unlink()
+            raise ManipLearnError("The gripper grasped nothing, so this recording was deleted. Record again.")
+        one = self._read(recorded.files[0])
+        self._say(f"{one.path.stem} is saved, {one.motion.duration:.1f} s.")
 
     # ---- learn ----------------------------------------------------------------------------------------------------
 
     def _ask(self, job: str, step: str, **what: Any) -> None:
-        """Give the worker a job about what was learnt, which takes a while."""
+        """Give the worker a job that takes a while."""
         self._worker.ask(job, file=str(self._file), **what)
         self._progress = {"step": step, "share": 0.0}
 
     def _learn(self) -> None:
+        """Learn from the recordings, if there are enough."""
         if not self._recordings:
             raise ManipLearnError("There is nothing to learn from yet: record the task first.")
         if len(self._recordings) < FEW:
-            self._refused(f"From fewer than {FEW} recordings what is held cannot be told from how a person moves.")
+            self._show_refusal(f"Fewer than {FEW} recordings cannot tell a held direction from a habit of the person.")
         else:
             self._learnt_from = list(self._recordings)
             self._ask("learn", "reading", files=list(map(str, self.files)))
             self._say("Learning from " + counted(len(self._recordings), "recording") + ".")
 
-    def _answered(self, kind: str, what: Any) -> None:
-        """Take what the worker says."""
+    def _handle_answer(self, kind: str, what: Any) -> None:
+        """Handle a message of the worker."""
         if kind == "progress":
             self._progress = {"step": what[0], "share": what[1]}
             return
         job, answer = what
         self._progress = None
         if job == "learn":
-            (self._learnt if kind == "done" else self._refused)(answer)
+            (self._adopt_answer if kind == "done" else self._show_refusal)(answer)
         elif kind == "failed":
             self._say(answer, wrong=True)
         elif job == "repeat":
@@ -403,11 +421,13 @@ class TeachingSession:
             self._show_ghosts(job, answer["rollouts"])
             self._say(answer["sentence"])
 
-    def _refused(self, why: str) -> None:
+    def _show_refusal(self, why: str) -> None:
+        """Show why learning failed, and the next step."""
         self._forget(refusal_content(why, len(self._recordings)))
         self._say(cast(Any, self._answer)["next"], wrong=True)
 
-    def _learnt(self, content: Mapping[str, Any]) -> None:
+    def _adopt_answer(self, content: Mapping[str, Any]) -> None:
+        """Take over a learnt skill, and show the answer."""
         skill, answer = Skill.load(self._file, self.robot), answer_content(content)
         self._forget(answer)
         self.constraint, self._way = skill.constraints[0], first_way(skill)
@@ -421,14 +441,14 @@ class TeachingSession:
     # ---- run ------------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        """Do again what was shown, with everything shut at first, planned as `repeat` does it."""
+        """Reproduce the demonstrated task from shut furniture, planned by `repeat`."""
         if self._way is None:
-            raise ManipLearnError("There is no way to do yet: learn from recordings that hold something and move it.")
+            raise ManipLearnError("Nothing to reproduce yet: learn from recordings that grasp and move something.")
         self._doing, self._planned, self._outcome = "planning", None, None
         self.arm.shut()
         self.arm.hold()
         self._say("Planning the whole motion.")
-        self._ask("repeat", "planning", start=self.arm.q, scene=self.arm.scene.handle.around)
+        self._ask("repeat", "planning", start=self.arm.q, scene=self.arm.scene.handle.surroundings)
         while self._worker.busy and not self._stop:
             self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
         again = self._planned
@@ -440,51 +460,54 @@ class TeachingSession:
         self._say(f"The arm does it by itself: {again.pace}.")
         why, ordered = self._drive(again.controller, float(again.rollout.time[-1]))
         outcome = self._outcome or {"done": 0.0, "wanted": 0.0, "unit": "m"}
-        done, wanted = (distance_in_words(outcome[name], outcome["unit"]) for name in ("done", "wanted"))
+        way_done, way_wanted = (distance_in_words(outcome[name], outcome["unit"]) for name in ("done", "wanted"))
         why = why if ordered else f"it was pushed off its path and stopped: {why}"
         self._outcome = outcome | {"ended": why, "ordered": ordered, "notes": list(again.notes)}
-        self._say(f"Moved {done} of {wanted}: {why}.", wrong=not ordered)
+        self._say(f"Moved {way_done} of {way_wanted}: {why}.", wrong=not ordered)
 
     def _drive(self, controller: LawSequence, seconds: float) -> tuple[str, bool]:
-        """Run a controller until its motion is over, something trips, or the person stops it.
+        """Run a controller until its motion is over, a limit trips, or the person stops it.
 
-        The loop yields to a person, not to friction or to its own acceleration; the servos are those of `MuJoCoDriver`.
+        The loop yields to a person, but not to friction or to its own acceleration; the servos are simulated by
+        `MuJoCoDriver`.
 
         Args:
-            controller: From where the arm is.
-            seconds: Duration of its motion, where nothing slows it down [s].
+            controller: Controller that starts at the arm's posture.
+            seconds: Duration of its motion if nothing slows it down [s].
 
         Returns:
-            Why it ended, and True if that was in order.
+            Reason for the end, and True if it ended in order.
         """
-        # [N] at the hand on which the arm lets go; [rad/s2] with which it moves by itself
+        # [N] force at the hand at which the arm relaxes; [rad/s^2] acceleration of its own motion
         contact = Contact(max_lateral_force=45.0, max_axial_force=45.0, stiffness=STIFFNESS)
         loop, began = ServoLoop(controller, dt=PERIOD, acceleration_limit=2.0, contact=contact), self.arm.time
 
         def over() -> str:
             laws, task = cast(LawSequence, loop.controller), cast(LawSequence, loop.controller).law.task
             if isinstance(task, FreeDirection):
-                done, wanted = abs(task.progress(self.arm.q)), abs(task.wanted)
-                self._outcome = {"done": done, "wanted": wanted, "unit": task.unit, "ended": "", "ordered": True}
+                way, goal = abs(task.progress(self.arm.q)), abs(task.wanted)
+                self._outcome = {"done": way, "wanted": goal, "unit": task.unit, "ended": "", "ordered": True}
             if self._stop:
                 return "stopped by hand"
             if laws.gripper == "close" and not self.arm.held:
                 return "the gripper found no handle: reset the arm, and try again"
             at_rest = float(np.max(np.abs(loop.state.velocity))) < 1e-3  # [rad/s or m/s]
             is_last = laws.number == len(laws.laws) - 1
-            return "all of it is done" if is_last and at_rest and self.arm.time - began > seconds else ""
+            return "the motion is complete" if is_last and at_rest and self.arm.time - began > seconds else ""
 
         self.arm.hold()
-        done = run(loop, self.arm, duration=2.0 * seconds + 5.0, until=over)  # a person may push against it
-        self._ended |= done.ended.startswith("Ctrl-C")
-        return done.ended, done.ordered
+        outcome = run(loop, self.arm, duration=2.0 * seconds + 5.0, until=over)  # longer: a person may push against it
+        self._ended |= outcome.ended.startswith("Ctrl-C")
+        return outcome.ended, outcome.ordered
 
     def _compare(self) -> None:
+        """Compare the task without and with the learnt manipulability."""
         if self._way is None or (start := self.arm.scene.hard_start) is None:
             raise ManipLearnError("There is nothing to compare yet: learn first.")
-        self._ask("compare", "planning", start=start, scene=self.arm.scene.handle.around)
+        self._ask("compare", "planning", start=start, scene=self.arm.scene.handle.surroundings)
 
     def _take(self, said: Mapping[str, Any]) -> None:
+        """Write a file to take home."""
         if not self._recordings:
             raise ManipLearnError("There is nothing to take home yet: record the task first.")
         start = None if self._way is None else self.arm.scene.start
@@ -494,16 +517,18 @@ class TeachingSession:
     # ---- pictures -------------------------------------------------------------------------------------------------
 
     def _show(self, slot: str, content: Any) -> None:
-        """Send a slot if it says something new."""
+        """Send content to a slot of the page, if it has changed."""
         text = json.dumps(content, allow_nan=False)
         if self._put.get(slot) != text:
             self._put[slot] = text
             self._shows.put(lambda: text, slot)
 
     def _show_ghosts(self, kind: str, rollouts: list[dict[str, Any]]) -> None:
+        """Show motions beside the arm."""
         self._show("ghosts", {"number": next(self._numbers), "kind": kind, "rollouts": rollouts})
 
     def _show_state(self) -> None:
+        """Send the state of the session to the page."""
         arm, can_run = self.arm, self._way is not None
         recording = {"name": "recording", "seconds": round(arm.time - self._began, 1)}
         self._show(
@@ -531,8 +556,8 @@ def _three(values: object) -> Float[np.ndarray, " 3"]:
     """Return a vector that a page has sent.
 
     Raises:
-        ValueError: Not three finite numbers, or one above 100 m or rad: no arm reaches so far, and its square is still
-            a number.
+        ValueError: Not three finite numbers, or one above 100 m or rad: that is out of any arm's reach, and its square
+            is still finite.
     """
     if (vector := finite(values, 3)) is None or np.max(np.abs(vector)) > 100.0:
         raise ValueError(f"three numbers up to 100 are needed, not {values!r:.60}")

@@ -1,4 +1,4 @@
-"""What takes seconds while the arm goes on moving: learning, planning, simulating; in a process of its own."""
+"""Learning, planning and simulation in a separate process, which take seconds while the arm keeps moving."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from manip_learn.errors import ManipLearnError
 from manip_learn.playback.live_server import end_with_parent
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
-from manip_learn.teach.files import taken_home
+from manip_learn.teach.files import write_export
 
-STEP = 0.01  # [s] of a simulation, as the arm's period
+STEP = 0.01  # [s] time step of simulations, equal to the arm's period
 
 
 @final
@@ -31,7 +31,7 @@ class TeachingWorker:
 
     Args:
         robot: The robot.
-        tip: Its frame that is guided.
+        tip: Its guided frame.
     """
 
     def __init__(self, robot: Robot, tip: str):
@@ -39,6 +39,7 @@ class TeachingWorker:
         self._start()
 
     def _start(self) -> None:
+        """Start the process."""
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
@@ -49,30 +50,34 @@ class TeachingWorker:
         self.busy = ""
 
     def ask(self, job: str, **what: Any) -> None:
-        """Begin a job; what came before is given up.
+        """Begin a job, and cancel the former one.
 
         Args:
             job: Name of a function of `JOBS`.
-            what: Its keywords.
+            **what: Its keyword arguments.
         """
         self.give_up()
         self.busy = job
         self._pipe.send((job, what))
 
     def give_up(self) -> None:
-        """Give up the job, if there is one."""
+        """Drop the job, if there is one."""
         if self.busy:
             self.close()
             self._start()
 
     def heard(self) -> list[tuple[str, Any]]:
-        """What has come since: ("progress", (step, share)), ("done", (job, answer)) or ("failed", (job, sentence))."""
+        """Return the messages since the last call.
+
+        Returns:
+            ("progress", (step, share)), ("done", (job, answer)) or ("failed", (job, sentence)).
+        """
         out: list[tuple[str, Any]] = []
         try:
             while self._pipe.poll():
                 out.append(self._pipe.recv())
         except (EOFError, OSError):
-            out.append(("failed", (self.busy, "the process that learns has ended: is there memory for it?")))
+            out.append(("failed", (self.busy, "the learning process has ended: is there enough memory?")))
             self.close()
             self._start()
         if any(kind != "progress" for kind, _ in out):
@@ -80,9 +85,9 @@ class TeachingWorker:
         return out
 
     def close(self) -> None:
-        """End the process, whatever it does."""
+        """Stop the process, even in the middle of a job."""
         self._process.terminate()
-        self._process.join(1.0)  # [s] to end by itself
+        self._process.join(1.0)  # [s] for an orderly end
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
@@ -90,13 +95,13 @@ class TeachingWorker:
 
 
 def _serve(pipe: Connection, robot: Robot, tip: str, parent: int) -> None:
-    """The process: job after job until the pipe closes or the parent is gone."""
+    """Run job after job in the process until the pipe closes or the parent ends."""
     threading.Thread(target=end_with_parent, args=(parent,), daemon=True).start()
-    with open(os.devnull, "w") as nowhere:  # its warnings are part of the answers
+    with open(os.devnull, "w") as nowhere:  # warnings are part of the answers
         sys.stdout = sys.stderr = nowhere
         if (nice := getattr(os, "nice", None)) is not None:  # Windows has none
-            nice(10)  # on one core the physics go first
-        from manip_learn import learning  # noqa: F401  # now, and not when somebody waits
+            nice(10)  # on one core the physics have priority
+        from manip_learn import learning  # noqa: F401  # load it now, before a person waits
 
         def said(step: str, share: float) -> None:
             pipe.send(("progress", (step, float(share))))
@@ -112,7 +117,7 @@ def _serve(pipe: Connection, robot: Robot, tip: str, parent: int) -> None:
                 pipe.send(("failed", (job, str(error))))
             except KeyboardInterrupt:
                 return
-            except Exception as error:  # the arm goes on: whatever failed here is a sentence there
+            except Exception as error:  # the arm keeps moving: any failure becomes a sentence on the page
                 pipe.send(("failed", (job, f"{type(error).__name__}: {error}")))
 
 
@@ -120,10 +125,17 @@ def _serve(pipe: Connection, robot: Robot, tip: str, parent: int) -> None:
 
 
 def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], file: str) -> dict[str, Any]:
-    """Learn from recordings; the skill goes to a file.
+    """Learn from recordings, and save the skill.
+
+    Args:
+        robot: The robot.
+        tip: Its guided frame.
+        said: Called with the progress.
+        files: The recordings.
+        file: File for the skill.
 
     Returns:
-        The answer as the page shows it, and the phases of the recordings by their file names.
+        The answer for the page, and the phases of the recordings by their file names.
     """
     from manip_learn.constraint.features import FrameJacobian
     from manip_learn.learning import ConstraintLearner
@@ -139,12 +151,12 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], file: str
     skill = with_gripper(learner.skill_)
     skill.save(file)
     names = [c.mechanism.type if c.mechanism is not None else "" for c in learner.constraints_]
-    evidence, mechanism, shown = evidence_of(report), report.mechanism, skill.constraints[0].shown
+    evidence, mechanism, example = evidence_of(report), report.mechanism, skill.constraints[0].shown
     uncertain, drawn = report.uncertainty_deg, None
     if mechanism is not None:
         uncertain = mechanism.uncertainty.get("axis") if uncertain is None else uncertain
-        places = [robot.position(q, tip) for t in demos for q in t.q[::50]] if shown is None else shown.points
-        drawn = mechanism_drawing(mechanism, np.array(places), shown).to_dict()
+        places = [robot.position(q, tip) for t in demos for q in t.q[::50]] if example is None else example.points
+        drawn = mechanism_drawing(mechanism, np.array(places), example).to_dict()
     answer = {
         **{name: evidence[name] for name in ("facts", "rows", "warnings", "odd")},
         "sentence": report.sentence,
@@ -158,7 +170,11 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], file: str
 
 
 def with_gripper(skill: Skill) -> Skill:
-    """Return a skill whose ways begin with a gripper that closes, and end with one that opens, as a person has done."""
+    """Return a skill that closes the gripper at the start of a motion step, and opens it at its end, as the person did.
+
+    Args:
+        skill: The learnt skill.
+    """
     steps = [replace(step, gripper="close" if step.kind == "way" else None) for step in skill.steps]
     for k in (k for k in range(1, len(steps)) if steps[k - 1].kind == "way" and steps[k].kind == "reach"):
         steps[k] = replace(steps[k], gripper="open")
@@ -166,13 +182,13 @@ def with_gripper(skill: Skill) -> Skill:
 
 
 def first_way(skill: Skill) -> Constraint | None:
-    """Return the constraint of the first way of a skill, with what was shown along it; None where none is long enough.
+    """Return the constraint of the first motion step of a skill that is long enough, with its demonstrated motion.
 
     Args:
-        skill: As learnt.
+        skill: The learnt skill.
 
     Returns:
-        A way of 2 cm, or of 3 degrees, or more.
+        A constraint with a motion of more than 0.02 m or 0.05 rad; None without one.
     """
     for way in (step.as_shown for step in skill.steps if step.kind == "way"):
         if way is not None and way.shown is not None and way.shown.extent > {"m": 0.02, "rad": 0.05}[way.shown.unit]:
@@ -181,30 +197,35 @@ def first_way(skill: Skill) -> Constraint | None:
 
 
 def distance_in_words(distance: float, unit: str) -> str:
-    """Return a distance [m] or an angle [rad] as `"23.4 cm"` or `"41 degrees"`."""
+    """Return a distance as `"23.4 cm"`, or an angle as `"41 degrees"`.
+
+    Args:
+        distance: Distance or angle [m or rad].
+        unit: `"m"` or `"rad"`.
+    """
     return f"{100.0 * distance:.1f} cm" if unit == "m" else f"{np.degrees(distance):.0f} degrees"
 
 
 def _limits(robot: Robot, tip: str) -> Any:
-    """Return the limits of what the arm does by itself: at the tip the reduced speed beside people of ISO 10218-1."""
+    """Return the limits of the arm's own motion: at the tip, the reduced speed near people of ISO 10218-1."""
     from manip_learn.control.limits import Limits
     from manip_learn.control.tasks.motion import APPROACH_SPEED
 
-    # [rad/s or m/s] of joints whose description has no limit, in units of which a plan counts its margin
+    # [rad/s or m/s] 1.5 for joints without a limit in the description; a plan needs a limit as the scale of its margin
     velocity = np.where(np.isfinite(robot.velocity_limit), robot.velocity_limit, 1.5)
     return Limits(robot, velocity=velocity, tip_speed=APPROACH_SPEED, frames=tip)
 
 
 def _repeat(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayLike, scene: Any) -> Any:
-    """Return what `repeat` makes of a skill's file.
+    """Return the result of `repeat` for a skill.
 
     Args:
         robot: The robot.
-        tip: Its frame that is guided.
+        tip: Its guided frame.
         said: As for `repeat`.
-        file: Of the skill.
+        file: File of the skill.
         start: shape (nv,), posture of the arm [rad or m].
-        scene: What stands around it.
+        scene: Its surroundings.
     """
     from manip_learn.planning.repeat import repeat
 
@@ -214,8 +235,8 @@ def _repeat(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayLi
 def _compare(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayLike, scene: Any) -> dict[str, Any]:
     """Return ghosts of the task without and with the learnt manipulability, from one start; and both in a sentence.
 
-    Without: the resolved-rate law whose null-space policy is zero. With: as `repeat` plans the way. In both a hand that
-    slides keeps its orientation, as a gripper does that has closed on a bar. Arguments as for `_repeat`.
+    Without: the resolved-rate law whose null-space policy is zero. With: the plan of `repeat`. In both, a hand that
+    slides keeps its orientation, like a gripper that has closed on a bar. Arguments as for `_repeat`.
     """
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.policies import ZeroPolicy
@@ -237,42 +258,42 @@ def _compare(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayL
         far = distance_in_words(abs(end.done), end.unit)
         words.append(f"all {far}" if end.is_done else f"stops after {far}")
         why = "" if end.is_done else f": {end.stopped_by}"
-        made = ghost(robot, name, colour, rollout.time, rollout.q, rollout.manipulability, words[-1] + why)
-        ghosts.append(made | {"share": end.done / end.wanted})
+        content = ghost(robot, name, colour, rollout.time, rollout.q, rollout.manipulability, words[-1] + why)
+        ghosts.append(content | {"share": end.done / end.wanted})
     return {"rollouts": ghosts, "sentence": "Without: {}. With: {}.".format(*words)}
 
 
 def ghost(
     robot: Robot, name: str, colour: str, time: Any, q: Any, curve: Any = None, ended: str = ""
 ) -> dict[str, Any]:
-    """A motion as the page plays it beside the arm.
+    """Return a motion that the page plays beside the arm, as plain data.
 
     Args:
         robot: The robot.
-        name: In the legend.
+        name: Name in the legend.
         colour: Hexadecimal value.
-        time: shape (T,) [s].
-        q: shape (T, nv), postures.
+        time: shape (T,), time of each sample [s].
+        q: shape (T, nq) or (T, nv), postures.
         curve: shape (T,), manipulability, or None.
-        ended: How it ended, in words.
+        ended: Reason for the end, in words.
     """
     from manip_learn.playback.appearance import joint_tracks
     from manip_learn.playback.page_writer import to_base64
     from manip_learn.recordings.trajectory import evenly
 
-    kept = evenly(len(time), 400)  # 60 a second for seven seconds
-    times = np.asarray(time)[kept] - time[0]
-    mu = np.zeros(0) if curve is None else np.asarray(curve)[kept]
+    indices = evenly(len(time), 400)  # 60 per second for seven seconds
+    times = np.asarray(time)[indices] - time[0]
+    mu = np.zeros(0) if curve is None else np.asarray(curve)[indices]
     return {
         "name": name,
         "colour": colour,
         "duration": float(times[-1]),
         "keyTimes": to_base64(times, "<f8"),
-        "tracks": to_base64(joint_tracks(robot, np.asarray(q)[kept]), "<f8"),
+        "tracks": to_base64(joint_tracks(robot, np.asarray(q)[indices]), "<f8"),
         "curveTimes": to_base64(times if len(mu) else mu, "<f8"),
         "curve": to_base64(mu, "<f8"),
         "ended": ended,
     }
 
 
-JOBS: dict[str, Callable[..., Any]] = {"learn": learn, "repeat": _repeat, "compare": _compare, "take": taken_home}
+JOBS: dict[str, Callable[..., Any]] = {"learn": learn, "repeat": _repeat, "compare": _compare, "take": write_export}

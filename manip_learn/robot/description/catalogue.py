@@ -1,4 +1,4 @@
-"""Names of robots -> files."""
+"""Names of robots -> description files."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from pathlib import Path, PurePosixPath
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, RobotError, UnknownNameError, closest_names
-from manip_learn.robot.description.xacro_expansion import expanded_xacro
+from manip_learn.robot.description.xacro_expansion import expand_xacro
 
 DATA_PACKAGE = "example-robot-data"
 SHIPPED = ("planar3", "sawyer", "fr3", "ur5e", "ur10e")
-FETCHING = "robot_descriptions"  # a package that clones descriptions from the net when they are first asked for
-EXPANDED = ".manip_learn.urdf"  # ending of what its xacro files are expanded to, beside them
-# arms that it has as a variant of another: name -> that one, and the arguments of its xacro file
+FETCHING = "robot_descriptions"  # a package that clones a description from the internet at its first use
+EXPANDED = ".manip_learn.urdf"  # ending of a URDF expanded from one of its xacro files, in the same folder
+# arms that this package describes as a variant of another: name -> the other, and the arguments of its xacro file
 VARIANTS: dict[str, tuple[str, Mapping[str, str]]] = {"lite6": ("xarm6", {"robot_type": "lite"})}
 
-# Names that are not, or not only, the stem of a file.
+# names that differ from the stem of a file, or whose stem is ambiguous
 SHORT_NAMES = {
     "anymal": "anymal_b_simple_description/robots/anymal.urdf",
     "anymal_c": "anymal_c_simple_description/urdf/anymal.urdf",
@@ -41,9 +41,10 @@ SHORT_NAMES = {
 
 
 def find_robot(name: str) -> Path:
-    """File of a robot by its name: one that is shipped, else of example-robot-data, else fetched from the net.
+    """Return the description file of a robot by its name: shipped, from example-robot-data, or fetched.
 
-    Capitals, hyphens and spaces do not count: `SO-101` is `so101`.
+    Args:
+        name: Name of the robot; capitals, hyphens and spaces do not count: `SO-101` is `so101`.
 
     Raises:
         UnknownNameError: No such robot; lists near matches.
@@ -54,9 +55,9 @@ def find_robot(name: str) -> Path:
     def letters(text: str) -> str:
         return re.sub(r"[\W_]", "", text.lower())
 
-    known, fetched = robot_names(), fetched_names()
-    if name not in known:
-        name = next((other for other in known if letters(other) == letters(name)), name)
+    names, fetched = robot_names(), fetched_names()
+    if name not in names:
+        name = next((other for other in names if letters(other) == letters(name)), name)
     if name in SHIPPED:
         return shipped_folder() / f"{name}.urdf"
     catalogue = example_robots()
@@ -66,24 +67,24 @@ def find_robot(name: str) -> Path:
     if not catalogue and (name in SHORT_NAMES or re.fullmatch(often_named, name)):
         raise MissingExtraError(f"the robot {name!r}", "robots")
     if name in fetched:
-        return _fetched(name)
+        return _fetch(name)
     if not fetched and letters(name) in ("xarm6", *VARIANTS):
         raise MissingExtraError(f"the robot {name!r}", "descriptions")
-    # a letter more, or another number, is another arm and no typing error: ur and 5e in ur5e
+    # one more letter, or another number, is a different arm and not a typing error: ur and 5e in ur5e
     series, numbers = re.compile(r"^[^a-z]*([a-z]+)").findall, re.compile(r"\d+[a-z]?").findall
-    near = closest_names(name, known) if numbers(name) else []
+    near = closest_names(name, names) if numbers(name) else []
     others = [n for n in near if numbers(n) != numbers(name) and series(n) == series(name.lower())]
-    raise UnknownNameError("robot", name, known, "the list of robots (or give the path of a .urdf file)", others=others)
+    raise UnknownNameError("robot", name, names, "the list of robots (or give the path of a .urdf file)", others=others)
 
 
 def robot_names() -> tuple[str, ...]:
-    """Every name that `load_robot` knows here and now."""
+    """Return every name that `load_robot` knows in this installation, sorted."""
     return tuple(sorted({*SHIPPED, *example_robots(), *fetched_names()}))
 
 
 @functools.cache
 def fetched_names() -> frozenset[str]:
-    """Names of the robots that robot_descriptions fetches; empty if it is not installed."""
+    """Return the names of the robots that robot_descriptions fetches; empty if it is not installed."""
     package = find_spec(FETCHING)
     modules = pkgutil.iter_modules((package and package.submodule_search_locations) or ())
     matches = (re.fullmatch(r"([^_].*)(?<!_mj)_description", module.name) for module in modules)
@@ -91,35 +92,42 @@ def fetched_names() -> frozenset[str]:
     return frozenset(names | {name for name, (other, _) in VARIANTS.items() if other in names})
 
 
-def _fetched(name: str) -> Path:
-    """The file of a robot that is fetched; later calls find it in the package's cache, without the net.
+def _fetch(name: str) -> Path:
+    """Return the file of a fetched robot; later calls find it in the package's cache, without the internet.
 
     Raises:
         RobotError: It cannot be fetched.
         MissingExtraError: It has to be expanded, and xacrodoc is not installed.
     """
-    from git.exc import GitError  # type: ignore[import-not-found]  # of GitPython, which robot_descriptions needs
+    from git.exc import GitError  # type: ignore[import-not-found]  # GitPython, which robot_descriptions needs
 
     other, arguments = VARIANTS.get(name, (name, {}))
     try:
-        with contextlib.redirect_stdout(sys.stderr):  # it tells what it clones
-            found = vars(importlib.import_module(f"{FETCHING}.{other}_description"))
+        with contextlib.redirect_stdout(sys.stderr):  # it prints the repositories that it clones
+            content = vars(importlib.import_module(f"{FETCHING}.{other}_description"))
     except (ImportError, OSError, GitError) as error:
-        seen = f"{name} is fetched from the net when it is first named, and cannot be: {type(error).__name__}"
+        reason = f"{name} is downloaded at its first use, and the download failed: {type(error).__name__}"
         fix = "connect this machine once, or give the path of a URDF file"
-        raise RobotError(f"{seen}; {fix}", code="missing") from error
-    if "URDF_PATH" in found:
-        return Path(found["URDF_PATH"])
-    source = Path(found["XACRO_PATH"])
+        raise RobotError(f"{reason}; {fix}", code="missing") from error
+    if "URDF_PATH" in content:
+        return Path(content["URDF_PATH"])
+    source = Path(content["XACRO_PATH"])
     file = source.with_name(name + EXPANDED)
     if not file.exists():
-        values = {**found.get("XACRO_ARGS", {}), **arguments}
-        write_atomically(file, expanded_xacro(source, values, [Path(found["REPOSITORY_PATH"])], lambda package: None))
+        values = {**content.get("XACRO_ARGS", {}), **arguments}
+        write_atomically(file, expand_xacro(source, values, [Path(content["REPOSITORY_PATH"])], lambda package: None))
     return file
 
 
 def known_as(source: Path | None) -> str | None:
-    """The shortest name by which `load_robot` finds this file; None for a file of one's own."""
+    """Return the shortest name by which `load_robot` finds a file.
+
+    Args:
+        source: File of a description, or None.
+
+    Returns:
+        The name; None for the user's own file.
+    """
     if source is not None and source.parent == shipped_folder() and source.stem in SHIPPED:
         return source.stem
     if source is not None and source.name.endswith(EXPANDED):
@@ -128,33 +136,37 @@ def known_as(source: Path | None) -> str | None:
 
 
 def shipped_folder() -> Path:
-    """Folder of the robots that come with this package, in an installed wheel or in a checkout."""
+    """Return the folder of the robots that come with this package, in an installed wheel or in a checkout."""
     installed = Path(str(importlib.resources.files("manip_learn"))) / "_robots"
     return installed if installed.is_dir() else Path(__file__).resolve().parents[3] / "robots"
 
 
 @functools.cache
 def example_robots() -> dict[str, Path]:
-    """Names and URDF files of example-robot-data; empty if it is not installed."""
+    """Return the names and URDF files of example-robot-data; empty if it is not installed."""
     try:
         package = importlib.metadata.distribution(DATA_PACKAGE)
     except importlib.metadata.PackageNotFoundError:
         return {}
-    # off the record: `Distribution.files` makes paths of a thousand meshes first
+    # read the RECORD file directly: `Distribution.files` would create paths of a thousand meshes
     rows = csv.reader(line for line in (package.read_text("RECORD") or "").splitlines() if ".urdf" in line)
     names = {row[0]: PurePosixPath(row[0]).parts for row in rows if row[0].endswith(".urdf")}
     files = {"/".join(p[p.index("robots") + 1 :] if "robots" in p else p[-1:]): name for name, p in names.items()}
     stems = {key: PurePosixPath(key).stem for key in files}
     number = Counter(stems.values())
-    chosen = {stem: key for key, stem in stems.items() if number[stem] == 1}
-    # ur5_robot is the ur5, and ur5_joint_limited_robot the ur5_limited
-    shorter = {stem: stem.replace("_joint_limited", "_limited").removesuffix("_robot") for stem in chosen}
-    chosen |= {shorter[stem]: key for stem, key in chosen.items()}
-    chosen |= {short: key for short, key in SHORT_NAMES.items() if key in files}
-    return {name: Path(str(package.locate_file(files[key]))) for name, key in chosen.items()}
+    key_of_name = {stem: key for key, stem in stems.items() if number[stem] == 1}
+    # ur5_robot is also called ur5, and ur5_joint_limited_robot is also called ur5_limited
+    shorter = {stem: stem.replace("_joint_limited", "_limited").removesuffix("_robot") for stem in key_of_name}
+    key_of_name |= {shorter[stem]: key for stem, key in key_of_name.items()}
+    key_of_name |= {short: key for short, key in SHORT_NAMES.items() if key in files}
+    return {name: Path(str(package.locate_file(files[key]))) for name, key in key_of_name.items()}
 
 
 def example_package_dir() -> Path | None:
-    """Folder that contains the package example-robot-data, for `package://example-robot-data/...`; None without it."""
+    """Return the folder that contains the package example-robot-data, for `package://example-robot-data/...`.
+
+    Returns:
+        The folder; None if the package is not installed.
+    """
     folders = (folder for path in example_robots().values() for folder in path.parents)
     return next((folder.parent for folder in folders if folder.name == DATA_PACKAGE), None)

@@ -1,7 +1,7 @@
 """MJCF files -> the links and joints that a URDF would have.
 
-Pinocchio's own reader garbles some files in silence, and MuJoCo's needs the meshes; here a file is read without them,
-and refused with the line of its fault.
+Pinocchio's own reader silently garbles some files, and MuJoCo's needs the meshes; this reader needs no meshes, and
+refuses a file with the line of its fault.
 """
 
 from __future__ import annotations
@@ -19,33 +19,43 @@ from jaxtyping import Float
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description import urdf
-from manip_learn.robot.description.text import XmlNode, shortened
+from manip_learn.robot.description.text import XmlNode, shorten
 from manip_learn.robot.description.urdf import ZERO, Matrix4, UrdfJoint, UrdfLink, as_pose, near_vector, read_name
 from manip_learn.robot.joints import Mimic
 
 WORLD, MAIN = "world", "main"
-ORIENTATIONS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}  # how many numbers each has
-PLANE = 20.0  # [m] edge of the box that stands for a plane in a scene
+ORIENTATIONS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}  # size of each
 TYPES = {"hinge": "revolute", "slide": "prismatic"}
 Attributes = dict[str, dict[str, str]]
 
 
 def read_defaults(root: XmlNode) -> dict[str, Attributes]:
-    """Read the default attributes of each class, inheritance done: class -> tag -> attributes; outermost is `main`."""
+    """Read the default attributes of each class, with inherited ones.
+
+    Args:
+        root: Root element of the file.
+
+    Returns:
+        Class -> tag -> attributes; the outermost class is `main`.
+    """
     classes: dict[str, Attributes] = {MAIN: {}}
     pending = [(top, top.attributes.get("class", MAIN), MAIN) for top in root.all("default")]
-    for node, name, outer in pending:  # which grows meanwhile
-        own = dict(classes[outer])
+    for node, name, outer in pending:  # the list grows during the loop
+        defaults = dict(classes[outer])
         for child in node.children:
             if child.tag in ("joint", "geom", "site", "mesh"):
-                own[child.tag] = own.get(child.tag, {}) | child.attributes
-        classes |= {name: own, MAIN: own} if node.parent is root else {name: own}
+                defaults[child.tag] = defaults.get(child.tag, {}) | child.attributes
+        classes |= {name: defaults, MAIN: defaults} if node.parent is root else {name: defaults}
         pending += [(inner, inner.attributes.get("class", ""), name) for inner in node.all("default")]
     return classes
 
 
 def turn_z_to(direction: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return the smallest rotation that turns the z axis into a direction."""
+    """Return the smallest rotation that turns the z axis into a direction.
+
+    Args:
+        direction: Vector of any length.
+    """
     return pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction).toRotationMatrix()
 
 
@@ -54,11 +64,11 @@ class _Reader:
 
     Attributes:
         links: Links read so far.
-        joints: In file order.
+        joints: Joints read so far, in file order.
         visuals: Link -> `<visual>` and `<collision>` elements of a URDF.
         ref: Joint -> value in the pose that the file describes [rad or m].
         angle: Factor from the file's angles to rad.
-        eulerseq: Axes of Euler angles; small letters turn with the body, capitals do not.
+        eulerseq: Axes of Euler angles; small letters rotate with the body, capitals do not.
     """
 
     def __init__(self, root: XmlNode, scene: bool = False):
@@ -69,12 +79,12 @@ class _Reader:
         coordinate = self.settings.get("coordinate", "local")
         is_known = angle in ("degree", "radian") and len(self.eulerseq) == 3 and not set(self.eulerseq) - set("xyzXYZ")
         if not is_known or coordinate != "local":
-            seen = f"<compiler>: angle={angle!r}, eulerseq={self.eulerseq!r}, coordinate={coordinate!r}"
-            fix = "degree or radian, three axes, and local are read; correct them, or save the file by MuJoCo"
-            raise root.log.refusal("mjcf-compiler", root.all("compiler")[0].line, f"{seen}; {fix}")
+            finding = f"<compiler>: angle={angle!r}, eulerseq={self.eulerseq!r}, coordinate={coordinate!r}"
+            fix = "degree or radian, three axes, and local are supported; correct them, or save the file with MuJoCo"
+            raise root.log.refusal("mjcf-compiler", root.all("compiler")[0].line, f"{finding}; {fix}")
         self.angle = math.pi / 180.0 if angle == "degree" else 1.0
         assets = [self._full(mesh, MAIN) for asset in root.all("asset") for mesh in asset.all("mesh")]
-        # without a name a mesh has the name of its file, whichever way its folders are written
+        # a mesh without a name has the name of its file, with slashes or backslashes before it
         stems = [PureWindowsPath(mesh.attributes.get("file", "")).stem for mesh in assets]
         self.meshes = {mesh.attributes.get("name") or stem: mesh for mesh, stem in zip(assets, stems, strict=True)}
         self.links, self.joints = [UrdfLink(WORLD, root)], list[UrdfJoint]()
@@ -97,26 +107,27 @@ class _Reader:
         """
         T = np.eye(4)
         T[:3, 3] = near_vector(node, "pos")
-        given = [key for key in ORIENTATIONS if key in node.attributes]
-        seen = f"its orientation is given by {' and '.join(given)}"
-        node.require(len(given) <= 1, "mjcf-orientation", seen=seen, fix="delete the others")
-        for kind in given:
+        kinds = [key for key in ORIENTATIONS if key in node.attributes]
+        finding = f"its orientation is given by {' and '.join(kinds)}"
+        node.require(len(kinds) <= 1, "mjcf-orientation", seen=finding, fix="delete the others")
+        for kind in kinds:
             T[:3, :3] = self._rotation(kind, np.array(node.vector(kind, ORIENTATIONS[kind])), node)
         return T
 
     def _rotation(self, kind: str, numbers: np.ndarray, node: XmlNode) -> Float[np.ndarray, "3 3"]:
+        """Return the rotation matrix of an orientation attribute."""
         if kind == "euler":
             R = np.eye(3)
             for letter, angle in zip(self.eulerseq, numbers * self.angle, strict=True):
-                turn = pin.exp3(angle * np.eye(3)["xyz".index(letter.lower())])
-                R = R @ turn if letter.islower() else turn @ R
+                rotation = pin.exp3(angle * np.eye(3)["xyz".index(letter.lower())])
+                R = R @ rotation if letter.islower() else rotation @ R
             return R
         direction = numbers[:3] if kind == "axisangle" else numbers
         if kind == "xyaxes":
             direction = np.cross(numbers[:3], numbers[3:])
         length = float(np.linalg.norm(direction))
-        seen = f"{kind} {numbers.tolist()} gives no direction"
-        node.require(length >= 1e-9, "mjcf-orientation", seen=seen, fix="correct it")
+        finding = f"{kind} {numbers.tolist()} gives no direction"
+        node.require(length >= 1e-9, "mjcf-orientation", seen=finding, fix="correct it")
         if kind == "quat":
             w, x, y, z = numbers / length
             return pin.Quaternion(w, x, y, z).toRotationMatrix()
@@ -130,7 +141,7 @@ class _Reader:
     def _read_inside(self, world: XmlNode) -> None:
         """Read the sites, shapes and bodies of the world, then those of each body."""
         pending = [(world, WORLD, MAIN)]
-        for node, link, childclass in pending:  # which grows meanwhile
+        for node, link, childclass in pending:  # the list grows during the loop
             for site in [self._full(s, childclass) for s in node.all("site")]:
                 if site.attributes.get("name") and "fromto" not in site.attributes:
                     name = read_name(site)
@@ -147,6 +158,7 @@ class _Reader:
                 pending.append((body, name, inner))
 
     def _body(self, body: XmlNode, name: str, parent: str, childclass: str) -> None:
+        """Read a body with its inertia and its joints."""
         T, link = self._pose(body), UrdfLink(name, body)
         nodes = [c for c in body.children if c.tag in ("joint", "freejoint")]
         if (inertial := body.first("inertial")) is not None:
@@ -166,9 +178,9 @@ class _Reader:
             child = name if is_last and not any(anchor) else f"{name}__after_{joint_name}"
             joint = UrdfJoint(joint_name, full, "floating", parent, child)
             if node.tag == "freejoint" or full.attributes.get("type") == "free":
-                T = np.eye(4)  # its coordinates are those of the body in the world
+                T = np.eye(4)  # its coordinates are the pose of the body in the world
             else:
-                joint, T = self._moving(joint, T, anchor)
+                joint, T = self._complete_joint(joint, T, anchor)
             self.joints.append(joint)
             if child != name:
                 self.links.append(UrdfLink(child, body))
@@ -178,41 +190,41 @@ class _Reader:
             parent = child
         self.links.append(link)
 
-    def _moving(self, joint: UrdfJoint, T: Matrix4, anchor: tuple[float, ...]) -> tuple[UrdfJoint, Matrix4]:
-        """Complete a joint at a pose in its parent; return the pose of the next one in its child, too."""
+    def _complete_joint(self, joint: UrdfJoint, T: Matrix4, anchor: tuple[float, ...]) -> tuple[UrdfJoint, Matrix4]:
+        """Complete a joint at a pose in its parent; also return the pose of the next joint in its child."""
         node, kind = joint.node, joint.node.attributes.get("type", "hinge")
         if kind not in TYPES:
             fix = "replace it by three hinges" if kind == "ball" else "correct the type"
-            seen = f"its type is {shortened(kind)!r}; hinge, slide or free is expected"
-            raise node.refusal("joint-type", f"{seen}; {fix}")
+            finding = f"its type is {shorten(kind)!r}; hinge, slide or free is expected"
+            raise node.refusal("joint-type", f"{finding}; {fix}")
         axis = urdf.unit_axis(node.vector("axis", 3) or (0.0, 0.0, 1.0), node)
         scale = self.angle if kind == "hinge" else 1.0
         self.ref[joint.name] = ref = node.number("ref", 0.0) * scale
         to_anchor, back, zero = np.eye(4), np.eye(4), urdf.motion_along(TYPES[kind], axis, -ref)
         to_anchor[:3, 3], back[:3, 3] = anchor, [-c for c in anchor]
-        given, limited = node.vector("range", 2), node.attributes.get("limited", "auto")
+        ends, limited = node.vector("range", 2), node.attributes.get("limited", "auto")
         if limited == "false" or (limited != "true" and self.settings.get("autolimits") == "false"):
-            given = None
-        elif given is not None and limited != "true" and given[0] >= given[1]:
-            if any(given):  # 0 0 is how a class's range is taken back
-                node.warn(f"its range {given[0]:g} ... {given[1]:g} is no limit, as in MuJoCo; swap the two for one")
-            given = None
-        lower, upper = (-math.inf, math.inf) if given is None else (given[0] * scale, given[1] * scale)
+            ends = None
+        elif ends is not None and limited != "true" and ends[0] >= ends[1]:
+            if any(ends):  # 0 0 cancels the range of a class
+                node.warn(f"its range {ends[0]:g} ... {ends[1]:g} is ignored, as in MuJoCo; swap the two for a limit")
+            ends = None
+        lower, upper = (-math.inf, math.inf) if ends is None else (ends[0] * scale, ends[1] * scale)
         limit, pose = urdf.UrdfLimit(lower, upper, math.inf), as_pose(T @ to_anchor @ zero)
         return joint._replace(type=TYPES[kind], pose=pose, axis=axis, limit=limit), back
 
     def _shapes(self, geoms: list[XmlNode]) -> list[str]:
-        """Return the shapes of a body as URDF text: to draw, and for collisions, which are drawn ones where none is.
+        """Return the shapes of a body as URDF text: drawn ones, and collision shapes, or else the drawn ones again.
 
-        Planes, fields and what cannot be read are left out. Of a scene it is what can be touched.
+        Planes, fields and unreadable shapes are left out. In a scene, only the shapes that can be touched count.
         """
         touched = [g for g in geoms if any(g.attributes.get(c) != "0" for c in ("contype", "conaffinity"))]
-        drawn = [g for g in geoms if g.attributes.get("group", "0") not in ("3", "4", "5")]  # of collision shapes
+        drawn = [g for g in geoms if g.attributes.get("group", "0") not in ("3", "4", "5")]  # not of collision groups
         shapes = {"visual": touched} if self.scene else {"visual": drawn, "collision": touched or drawn}
         return [self._element(tag, geom) for tag, some in shapes.items() for geom in some]
 
     def _element(self, tag: str, geom: XmlNode) -> str:
-        """Return a shape as an element of a URDF; of a robot, nothing for what cannot be read."""
+        """Return a shape as an element of a URDF; in a robot, an empty text for an unreadable shape."""
         try:
             shape, T = self._shape(geom)
             colour = geom.vector("rgba", 4)
@@ -220,20 +232,21 @@ class _Reader:
             if self.scene:
                 raise
             return ""
-        rgba = "" if colour is None else f'<material name=""><color rgba="{urdf.spaced(colour)}"/></material>'
+        rgba = "" if colour is None else f'<material name=""><color rgba="{urdf.join_numbers(colour)}"/></material>'
         head = f"<{tag} name={quoteattr(geom.attributes.get('name', ''))}>{urdf.origin_text(as_pose(T))}"
         return f"{head}<geometry>{shape}</geometry>{rgba}</{tag}>"
 
     def _shape(self, geom: XmlNode) -> tuple[str, Matrix4]:
+        """Return a shape as URDF text, and its pose in the body."""
         T = self._pose(geom)
-        # MuJoCo fits a body to the mesh where another type is given
+        # a mesh with another type, to which MuJoCo would fit a primitive, stays a mesh
         kind = "mesh" if "mesh" in geom.attributes else geom.attributes.get("type", "sphere")
         if kind == "mesh":
             asset = self.meshes.get(geom.attributes.get("mesh", ""), geom)
             geom.require("file" in asset.attributes, "mjcf-element", kind=kind)
             folder = self.settings.get("meshdir", self.settings.get("assetdir", ""))
             file = f"{folder.rstrip('/')}/{asset.attributes['file']}" if folder else asset.attributes["file"]
-            scale = urdf.spaced(asset.vector("scale", 3) or (1.0, 1.0, 1.0))
+            scale = urdf.join_numbers(asset.vector("scale", 3) or (1.0, 1.0, 1.0))
             return f'<mesh filename={quoteattr(file)} scale="{scale}"/>', T
         words = geom.attributes.get("size", "").split()
         a, b, c = (*(geom.vector("size", len(words)) or ()), *ZERO)[:3]
@@ -244,8 +257,8 @@ class _Reader:
             half = c = 0.5 * float(np.linalg.norm(along))
             T[:3, :3], T[:3, 3] = turn_z_to(along), 0.5 * (ends[:3] + ends[3:])
         if kind == "plane" and self.scene:
-            T = T @ urdf.as_matrix(urdf.Pose((0.0, 0.0, -0.5 * PLANE)))
-            kind, a, b, c = "box", 0.5 * PLANE, 0.5 * PLANE, 0.5 * PLANE
+            kind, a, b, c = "box", 10.0, 10.0, 10.0  # [m] half edges
+            T = T @ urdf.as_matrix(urdf.Pose((0.0, 0.0, -c)))
         box = f'<box size="{2 * a!r} {2 * b!r} {2 * c!r}"/>'
         shapes = {"sphere": f'<sphere radius="{a!r}"/>', "box": box, "ellipsoid": box}
         shapes |= {tag: f'<{tag} radius="{a!r}" length="{2 * half!r}"/>' for tag in ("capsule", "cylinder")}
@@ -253,7 +266,7 @@ class _Reader:
         return shapes[kind], T
 
     def _couple(self, root: XmlNode) -> None:
-        """Let joints follow others, by the linear `<equality><joint>`; offsets count from the reference pose.
+        """Make mimic joints from the linear `<equality><joint>`; offsets count from the reference pose.
 
         Raises:
             RobotError: Code `mjcf-coupling`.
@@ -264,8 +277,8 @@ class _Reader:
             if node.attributes.get("active") == "false":
                 continue
             if node.tag != "joint":
-                seen = f"<equality><{shortened(node.tag)}> is ignored"
-                root.log.warn(node.line, f"{seen}: closed chains are not supported")
+                finding = f"<equality><{shorten(node.tag)}> is ignored"
+                root.log.warn(node.line, f"{finding}: closed chains are not supported")
                 continue
             words = (node.attributes.get("polycoef", "0 1 0 0 0").split() + ["0"] * 5)[:5]
             node = replace(node, attributes={"polycoef": " ".join(words), "name": first})
@@ -285,7 +298,7 @@ def validate_mjcf(root: XmlNode, locked: Collection[str] = (), *, scene: bool = 
     Args:
         root: Its root element.
         locked: Joints that will not move.
-        scene: Whether the shapes wanted are those that can be touched, with the world's own; a plane becomes a box.
+        scene: True to return only shapes that can be touched, with the world's own; a plane becomes a box.
 
     Returns:
         The validated description, and the URDF of that robot, with its shapes.
@@ -295,14 +308,14 @@ def validate_mjcf(root: XmlNode, locked: Collection[str] = (), *, scene: bool = 
             `mjcf-coupling`.
     """
     pending = [root]
-    for node in pending:  # which grows meanwhile
+    for node in pending:  # the list grows during the loop
         if node.tag in ("include", "attach", "replicate", "composite", "flexcomp", "frame"):
-            fix = "plain bodies are expected; let MuJoCo write the file out: mj_saveLastXML"
-            raise node.refusal("mjcf-element", f"<{node.tag}> is not read; {fix}")
+            fix = "plain bodies are expected; let MuJoCo write the expanded file: mj_saveLastXML"
+            raise node.refusal("mjcf-element", f"<{node.tag}> is not supported; {fix}")
         pending += node.children
     reader = _Reader(root, scene)
     if any(j.nv == 1 for j in reader.joints):
-        root.log.warn(None, "an MJCF file has no velocity limits; they are taken as unlimited")
+        root.log.warn(None, "an MJCF file has no velocity limits; velocities are unlimited")
     if all(link.inertia is None for link in reader.links):
         sentence = "no body states its mass; masses of shapes are not computed, so there is no centre of mass"
         root.log.warn(None, sentence)

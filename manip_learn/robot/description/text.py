@@ -1,7 +1,7 @@
-"""Text of a robot description, or of another file of somebody else: bytes read without trusting the path, XML and JSON
-without surprises.
+"""Text of a robot description, or of another untrusted file: safe reading of bytes, XML and JSON.
 
-XML has no entities and no doctypes here; its nodes know their line and whose they are, and refusals name both.
+XML has no entities and no doctypes here; its nodes know their line and the link or joint that they belong to, and
+refusals name both.
 """
 
 from __future__ import annotations
@@ -21,53 +21,52 @@ from xml.parsers.expat import ExpatError, errors
 
 from manip_learn.errors import RobotError, advice, closest_names, counted, few
 
-NAMES_SHOWN = 4  # names that a sentence lists
-MAX_WARNINGS = 100  # nobody reads more
-MAX_BYTES = 10_000_000  # of a description; the largest of example-robot-data has 0.2
-MAX_ELEMENTS = 200_000  # of one file, so that memory and time stay small
-DEEPEST = 100  # brackets of JSON or YAML within each other; beyond, parsers take quadratic time or run out of stack
-# no two ways to read the same digits: else a long number with a typing error takes minutes
+NAMES_SHOWN = 4  # largest number of names in a sentence
+MAX_WARNINGS = 100  # largest number of warnings
+MAX_BYTES = 10_000_000  # size of a description; the largest of example-robot-data has 0.2 MB
+MAX_ELEMENTS = 200_000  # elements of one file; limits memory and time
+DEEPEST = 100  # nested brackets of JSON or YAML; beyond, parsers take quadratic time or run out of stack
+# the pattern is unambiguous: otherwise matching a long number with a typing error would take minutes
 NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-LARGEST_READ = 1e100  # squares and products of what is larger overflow
-# what a sentence is about, and what it says
+# parts of a warning: its line and element, and its text
 PLACE = re.compile(r"(?s)(?P<place>(line \d+)?((: |^)(?P<kind>mesh|link|joint|body|site) ('.*?'|\".*?\"))?)(?P<why>.*)")
-# error of the operating system -> code and sentence of a file that cannot be read
+# error of the operating system -> code and sentence for an unreadable file
 UNREADABLE: dict[int, tuple[str, str]] = {
     **dict.fromkeys((errno.ENOENT, errno.ENOTDIR), ("missing", "there is no such file; check the path")),
     errno.EISDIR: ("not-a-file", "not a regular file; it is a folder, name a file in it"),
-    errno.ENXIO: ("not-a-file", "not a regular file, but a device or a pipe as of <(); write it to a file first"),
+    errno.ENXIO: ("not-a-file", "not a regular file, but a device or a pipe such as <(); write it to a file first"),
     errno.EFBIG: ("file-too-large", "the file has {}; is it the right one?"),
-    errno.ELOOP: ("unreadable", "cannot be opened, the link leads to itself; name the file"),
-    **dict.fromkeys((errno.EACCES, errno.EPERM), ("unreadable", "it may not be read; change its permissions")),
+    errno.ELOOP: ("unreadable", "cannot be opened, the symbolic link leads to itself; name the file"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), ("unreadable", "permission denied; change its permissions")),
 }
-# what expat says -> code, and what to do
+# error of expat -> code and remedy
 NOT_XML = {
     errors.XML_ERROR_UNKNOWN_ENCODING: ("encoding", "save the file as UTF-8"),
     errors.XML_ERROR_INCORRECT_ENCODING: ("encoding", "save the file as UTF-8"),
     errors.XML_ERROR_UNDEFINED_ENTITY: ("entity", "only &lt; &gt; &amp; &quot; &apos; are read; write the value out"),
     errors.XML_ERROR_NO_ELEMENTS: ("not-xml", "the file ends before the description does; is it cut off?"),
 }
-# code -> what is seen; what is expected; what to do
+# code -> actual value; expected value; remedy
 RULES = {
     "no-links.macros": "it only defines the macros {names}, no <link>; a robot is expected; load the file that calls "
     "them, usually robot.urdf.xacro, or write three lines that include this file and call the macro",
-    "urdf-version": "it says version {version!r:.80}; 1.0 is read; convert it to URDF 1.0",
+    "urdf-version": "its version is {version!r:.80}; 1.0 is supported; convert it to URDF 1.0",
     "name-missing": 'it has no name; a name is expected; add name="..."',
     "name-long": "its name has {length} characters; at most {most} are expected; shorten it",
-    "name-unprintable": "its name {name!r} holds unprintable characters; rename it",
-    "name-reserved": "the name {name!r} is kept for the fixed world; rename it, e.g. 'world'",
+    "name-unprintable": "its name {name!r} contains unprintable characters; rename it",
+    "name-reserved": "the name {name!r} is reserved for the fixed world; rename it, e.g. 'world'",
     "origin-attribute": "its origin has {seen}; xyz and rpy are read; write rpy",
-    "far-away": "its {tag} {key} is {seen} m; at most 1e+06 m is expected; check the unit",
-    "mass": "its mass is {mass} kg; 0 or more is expected; write the true mass",
+    "far-away": "its {tag} {key} is {seen} m; at most 1e+06 m is allowed; check the unit",
+    "mass": "its mass is {mass} kg; 0 or more is expected; correct the mass",
     "mjcf-class": "<{tag}> has the class {name!r:.80}; one that a <default> defines is expected; correct the name",
-    "mjcf-orientation": "{seen}; one direction, written in one way, is expected; {fix}",
-    "mjcf-coupling": "it is coupled to {other!r} by polycoef {c}; one other joint, once, and two numbers are expected; "
+    "mjcf-orientation": "{seen}; exactly one orientation is expected; {fix}",
+    "mjcf-coupling": "it is coupled to {other!r} by polycoef {c}; one linear coupling to one other joint is expected; "
     "make it linear, or remove it and lock the joint",
-    "mjcf-element": "its shape {kind!r:.80} is not read; a plain body or a mesh file is expected; replace it",
+    "mjcf-element": "its shape {kind!r:.80} is not supported; a primitive or a mesh file is expected; replace it",
     "no-links": "the robot has no <link>; at least one is expected; is it a xacro file, or cut off?",
-    "too-many-dof": 'the robot has {nv} degrees of freedom; at most {most} work; make unused joints type="fixed"',
+    "too-many-dof": 'the robot has {nv} degrees of freedom; the limit is {most}; make unused joints type="fixed"',
     "too-deep": "the tree of links is more than {most} joints deep; merge links that are fixed to each other",
-    "many-roots": "the links {names} have no parent; one such is expected; join {other!r} to the rest, or delete it",
+    "many-roots": "the links {names} have no parent; one root is expected; join {other!r} to the rest, or delete it",
     "detached": "{names} form a loop that is not connected to the root; open the loop and connect it to the rest",
     "joint-link": 'it names no {tag} link; one is expected; add <{tag} link="..."/>',
     "planar-axis": "{seen}; a planar joint needs 0 0 1; turn the joint's origin instead",
@@ -78,10 +77,10 @@ RULES = {
     "limit-degrees": "its limits are {lower:g} ... {upper:g} {unit}{likewise}, more than two turns: they look like "
     "degrees; radians are expected; write {low:.4f} ... {high:.4f}{compiler}, or {otherwise} for many turns",
     "self-loop": "its parent and its child are both {link!r}; two links are expected; correct one of them",
-    "two-parents": "its child {link!r} is also that of joint {other!r}; closed chains are not read: remove one of them",
+    "two-parents": "its child {link!r} already has the joint {other!r}; closed chains are not supported: remove one",
     "mimic-leader": 'its <mimic> names no joint; one is expected; add joint="..." to <mimic>, or delete it',
     "mimic-type": "it is {type}, with {nv} degrees of freedom, in a <mimic>; one is expected; delete the <mimic>",
-    "mimic-multiplier": "it follows {leader!r} by the factor {by:g}; at most 1e+06 works; correct the multiplier",
+    "mimic-multiplier": "it follows {leader!r} by the factor {by:g}; at most 1e+06 is allowed; correct the multiplier",
 }
 
 
@@ -92,7 +91,7 @@ class Diagnostics:
 
     Attributes:
         path: The file.
-        kept: What was warned of, in the order found.
+        kept: The warnings so far, in order.
     """
 
     path: Path
@@ -100,60 +99,113 @@ class Diagnostics:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences, in the order found, each once; after a hundred only their number."""
-        said = list(dict.fromkeys(said_once(self.kept).values()))
-        more = [f"{len(said) - MAX_WARNINGS} more warnings are left out"] if len(said) > MAX_WARNINGS else []
-        return (*said[:MAX_WARNINGS], *more)
+        """The warnings in order, each once; beyond a hundred only their number."""
+        merged = list(dict.fromkeys(merge_similar(self.kept).values()))
+        more = [f"{len(merged) - MAX_WARNINGS} more warnings are left out"] if len(merged) > MAX_WARNINGS else []
+        return (*merged[:MAX_WARNINGS], *more)
 
     def refusal(self, code: str, line: int | None, sentence: str) -> RobotError:
-        """Return the error to raise; the sentence says whose fault it is, the value seen and expected, the remedy."""
+        """Return the error to raise.
+
+        Args:
+            code: Short stable name of the reason.
+            line: Line in the file, counted from 1, or None.
+            sentence: The element, the actual value, the expected value and the remedy.
+        """
         place = f"{self.path}:{line}" if line is not None else f"{self.path}"
         return RobotError(f"{place}: {sentence}", code=code, path=self.path, line=line)
 
     def require(self, is_right: bool, code: str, line: int | None, where: str = "", **values: object) -> None:
-        """Refuse the file in the words of `RULES`, which the values complete, where that rule does not hold."""
+        """Refuse the file with a sentence of `RULES` if its rule is violated.
+
+        Args:
+            is_right: True if the rule holds.
+            code: Key of the rule.
+            line: Line in the file, counted from 1, or None.
+            where: Element at fault, with which the sentence begins.
+            **values: Values for the placeholders of the rule.
+
+        Raises:
+            RobotError: The rule is violated; with that code.
+        """
         if not is_right:
             raise self.refusal(code, line, where + RULES[code].format(**values))
 
     def warn(self, line: int | None, sentence: str) -> None:
-        """Keep a sentence for `Robot.warnings`."""
+        """Add a warning to `Robot.warnings`.
+
+        Args:
+            line: Line in the file, counted from 1, or None.
+            sentence: The warning.
+        """
         self.kept.append(f"line {line}: {sentence}" if line is not None else sentence)
 
 
-def said_once(sentences: Iterable[str]) -> dict[str, str]:
-    """Return what to say for each sentence; those alike but for line, name or mesh numbers share one."""
+def merge_similar(sentences: Iterable[str]) -> dict[str, str]:
+    """Merge sentences that differ only in line, name or numbers about meshes.
+
+    Args:
+        sentences: Warnings.
+
+    Returns:
+        Sentence -> its merged form, which names the first element and the number of the others.
+    """
     alike: dict[tuple[str, str], list[re.Match[str]]] = {}
-    for match in (found for sentence in dict.fromkeys(sentences) if (found := PLACE.fullmatch(sentence))):
+    for match in filter(None, map(PLACE.fullmatch, dict.fromkeys(sentences))):
         why = re.sub(r" [\d.e+]+ ", "", match["why"]) if match["kind"] == "mesh" else match["why"]
         alike.setdefault((match["kind"] or "", why), []).append(match)
-    said: dict[str, str] = {}
+    merged: dict[str, str] = {}
     for first, *others in alike.values():
         joined = f"{first['place']} (and {len(others)} more){first['why']}" if first["place"] and others else ""
-        said |= {match.string: joined or match.string for match in (first, *others)}
-    return said
+        merged |= {match.string: joined or match.string for match in (first, *others)}
+    return merged
 
 
 def quoted(names: Sequence[str]) -> str:
-    """Return the first few names in quotes, with the number of those left out."""
-    return few([repr(shortened(n)) for n in names], NAMES_SHOWN)
+    """Return the first few names in quotes, with the number of the others.
+
+    Args:
+        names: Names; long ones are shortened.
+    """
+    return few([repr(shorten(n)) for n in names], NAMES_SHOWN)
 
 
-def shortened(text: str, length: int = 80) -> str:
-    """Text cut to a length that fits into a sentence."""
+def shorten(text: str, length: int = 80) -> str:
+    """Shorten a text to a length that fits into a sentence.
+
+    Args:
+        text: The text.
+        length: Largest number of characters.
+
+    Returns:
+        The text; a shortened one ends in `...`.
+    """
     return text if len(text) <= length else f"{text[: length - 3]}..."
 
 
-def meant(name: str, known: Iterable[str], otherwise: str) -> str:
-    """The remedy for a misspelt name: `did you mean 'elbow'?`, or the other advice if no known name is near."""
+def suggest_name(name: str, known: Iterable[str], otherwise: str) -> str:
+    """Return the remedy for a misspelt name: `did you mean 'elbow'?`, or other advice if no known name is similar.
+
+    Args:
+        name: The unknown name.
+        known: Names that exist.
+        otherwise: The other advice.
+    """
     near = closest_names(name, known)
     return f"did you mean {quoted(near)}?" if near else otherwise
 
 
 def open_regular_file(path: str | os.PathLike[str]) -> BinaryIO:
-    """Open a regular file that somebody else wrote, without waiting for the writer of a pipe.
+    """Open a regular file of unknown origin for reading, without waiting for the writer of a pipe.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The open binary file.
 
     Raises:
-        OSError: As from `open`; `ENXIO` if it is no regular file, `EINVAL` if no file can have that path.
+        OSError: As from `open`; `ENXIO` if it is not a regular file, `EINVAL` if no file can have that path.
     """
     try:  # opening a pipe would wait for its writer
         file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
@@ -166,7 +218,14 @@ def open_regular_file(path: str | os.PathLike[str]) -> BinaryIO:
 
 
 def read_regular_file(path: str | os.PathLike[str], most: int) -> bytes:
-    """Return the content of a regular file of at most `most` bytes.
+    """Read a regular file of limited size.
+
+    Args:
+        path: The file.
+        most: Largest size [bytes].
+
+    Returns:
+        Its content.
 
     Raises:
         OSError: As from `open_regular_file`; `EFBIG` if it is larger.
@@ -179,31 +238,38 @@ def read_regular_file(path: str | os.PathLike[str], most: int) -> bytes:
 
 
 def unreadable(error: OSError) -> tuple[str, str]:
-    """Return the code and the words for a file that cannot be read: what is in its place, and what to do."""
-    code, said = UNREADABLE.get(error.errno or 0, ("unreadable", "cannot be opened ({}); check the path"))
-    return code, said.format(error.strerror or error)
+    """Return the code and the sentence for a file that cannot be read: the reason and the remedy.
+
+    Args:
+        error: Error of `open_regular_file` or `read_regular_file`.
+    """
+    code, sentence = UNREADABLE.get(error.errno or 0, ("unreadable", "cannot be opened ({}); check the path"))
+    return code, sentence.format(error.strerror or error)
 
 
 def parsed_json(content: bytes | str) -> Any:
-    """Return what a JSON document of somebody else holds.
+    """Return the content of an untrusted JSON document.
+
+    Args:
+        content: The document.
 
     Raises:
-        ValueError: It is no JSON, a key stands twice, or values lie too deep within each other.
+        ValueError: It is not JSON, a key appears twice, or brackets are nested too deeply.
     """
 
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        known = dict(pairs)
-        if len(known) < len(pairs):
-            raise ValueError(f"one of the keys {quoted(list(known))} stands twice")
-        return known
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        content = dict(pairs)
+        if len(content) < len(pairs):
+            raise ValueError(f"one of the keys {quoted(list(content))} stands twice")
+        return content
 
     def depth(value: Any) -> int:
         inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
         return 1 + max(map(depth, inner), default=0)
 
     try:
-        # an integer beyond 64 bits is what it is elsewhere, a float, and infinite where that has no such number
-        value = json.loads(content, object_pairs_hook=once, parse_int=lambda n: int(n) if len(n) < 20 else float(n))
+        # an integer beyond 64 bits becomes a float, as in other parsers, and infinite if it is too large
+        value = json.loads(content, object_pairs_hook=unique, parse_int=lambda n: int(n) if len(n) < 20 else float(n))
         if depth(value) <= DEEPEST:
             return value
     except RecursionError:
@@ -212,7 +278,13 @@ def parsed_json(content: bytes | str) -> Any:
 
 
 def read_description(path: Path) -> bytes:
-    """Return the content of a regular file of at most 10 MB.
+    """Read a regular file of at most 10 MB.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Its content.
 
     Raises:
         RobotError: Codes `missing`, `not-a-file`, `unreadable`, `file-too-large`.
@@ -220,9 +292,9 @@ def read_description(path: Path) -> bytes:
     try:
         return read_regular_file(path, MAX_BYTES)
     except OSError as error:
-        (code, said), inside = unreadable(error), sorted(p.name for p in path.glob("*.urdf")) if path.is_dir() else []
+        (code, words), inside = unreadable(error), sorted(p.name for p in path.glob("*.urdf")) if path.is_dir() else []
         more = f", e.g. {', '.join(inside[:NAMES_SHOWN])}" if inside else ""
-        raise RobotError(f"{path}: {said}{more}", code=code, path=path) from error
+        raise RobotError(f"{path}: {words}{more}", code=code, path=path) from error
 
 
 @final
@@ -233,11 +305,11 @@ class XmlNode:
     Attributes:
         tag: Its tag.
         attributes: Its attributes, as text.
-        line: Line on which it starts; None in text that xacro wrote, whose lines are those of no file.
-        log: Of its file.
-        parent: The element around it.
+        line: Line on which it starts; None in text that xacro wrote, since its lines belong to no file.
+        log: The diagnostics of its file.
+        parent: The element around it; None for the root.
         children: The elements inside.
-        texts: The text between its tags, in pieces, of a `<param>`; the text of other elements is not kept.
+        texts: The text between its tags, in pieces; stored for `<param>` only.
     """
 
     tag: str
@@ -250,48 +322,78 @@ class XmlNode:
 
     @property
     def where(self) -> str:
-        """The link, joint, body or site that it is or belongs to, as messages name it."""
+        """The link, joint, body or site that it is or belongs to, for messages."""
         name = self.attributes.get("name")
         if name and self.tag in ("link", "joint", "body", "site"):
-            return f"{self.tag} {shortened(name)!r}"
+            return f"{self.tag} {shorten(name)!r}"
         return "the robot" if self.parent is None else self.parent.where
 
     def all(self, tag: str) -> list[XmlNode]:
-        """Children with that tag."""
+        """Return the children with a tag.
+
+        Args:
+            tag: The tag.
+        """
         return [c for c in self.children if c.tag == tag]
 
     def first(self, tag: str) -> XmlNode | None:
-        """First child with that tag, or None."""
+        """Return the first child with a tag, or None.
+
+        Args:
+            tag: The tag.
+        """
         return next((c for c in self.children if c.tag == tag), None)
 
     def refusal(self, code: str, sentence: str) -> RobotError:
-        """Return the error to raise; the sentence says the value seen; the value expected; the remedy."""
+        """Return the error to raise.
+
+        Args:
+            code: Short stable name of the reason.
+            sentence: The actual value; the expected value; the remedy.
+        """
         return self.log.refusal(code, self.line, f"{self.where}: {sentence}")
 
     def require(self, is_right: bool, code: str, **values: object) -> None:
-        """Refuse the element in the words of `RULES`, which the values complete, where that rule does not hold.
+        """Refuse the element with a sentence of `RULES` if its rule is violated.
+
+        Args:
+            is_right: True if the rule holds.
+            code: Key of the rule.
+            **values: Values for the placeholders of the rule.
 
         Raises:
-            RobotError: With that code.
+            RobotError: The rule is violated; with that code.
         """
         if not is_right:
             self.log.require(False, code, self.line, f"{self.where}: ", **values)
 
     def warn(self, sentence: str) -> None:
-        """Keep a sentence about it for `Robot.warnings`."""
+        """Add a warning about this element to `Robot.warnings`.
+
+        Args:
+            sentence: The warning.
+        """
         self.log.warn(self.line, f"{self.where}: {sentence}")
 
     def number(self, attribute: str, default: float = math.nan) -> float:
-        """Return the number in an attribute, or the default if there is no such attribute.
+        """Return the number in an attribute.
+
+        Args:
+            attribute: Its name.
+            default: Value if there is no such attribute.
 
         Raises:
             RobotError: Codes `number`, `not-finite`, `xacro-expression`.
         """
         text = self.attributes.get(attribute)
-        return default if text is None else self._parsed(text.strip(), attribute)
+        return default if text is None else self._parse_number(text.strip(), attribute)
 
     def vector(self, attribute: str, size: int) -> tuple[float, ...] | None:
-        """`size` numbers in an attribute; None if there is no such attribute.
+        """Return the numbers in an attribute; None if there is no such attribute.
+
+        Args:
+            attribute: Its name.
+            size: Number of numbers.
 
         Raises:
             RobotError: Codes `number`, `not-finite`, `vector-size`, `xacro-expression`.
@@ -302,34 +404,36 @@ class XmlNode:
         words = text.split()
         if "${" not in text and len(words) != size:
             fix = "separate the numbers by spaces, not by commas" if "," in text else "write one number for each"
-            seen = f'{self.tag} {attribute}="{shortened(text)}" has {counted(len(words), "number")}'
-            raise self.refusal("vector-size", f"{seen}; {size} are expected; {fix}")
-        return tuple(self._parsed(word, attribute) for word in words)
+            finding = f'{self.tag} {attribute}="{shorten(text)}" has {counted(len(words), "number")}'
+            raise self.refusal("vector-size", f"{finding}; {size} are expected; {fix}")
+        return tuple(self._parse_number(word, attribute) for word in words)
 
-    def _parsed(self, text: str, attribute: str) -> float:
+    def _parse_number(self, text: str, attribute: str) -> float:
+        """Return the number of a text, or refuse the text."""
         value = float(text) if NUMBER_TEXT.fullmatch(text) else math.nan
-        if abs(value) <= LARGEST_READ:
+        largest = 1e100  # squares and products of larger numbers overflow
+        if abs(value) <= largest:
             return value
-        code, wanted, fix = "number", "a number is expected", "write digits such as 0.5"
+        code, expected, fix = "number", "a number is expected", "write digits such as 0.5"
         if not math.isnan(value):
-            code, wanted, fix = "not-finite", f"at most {LARGEST_READ:g} is expected", "write the true value"
+            code, expected, fix = "not-finite", f"at most {largest:g} is expected", "write the true value"
         elif "${" in text:
             code, fix = "xacro-expression", "this is xacro, not URDF: name the file *.xacro"
             fix += advice(" and load it with {}", "xacro=True", "--xacro")
         elif text.lower().lstrip("+-") in ("nan", "inf", "infinity", "1.#inf", "1.#qnan"):
-            code, wanted, fix = "not-finite", "a finite number is expected", "write the true value"
+            code, expected, fix = "not-finite", "a finite number is expected", "write the true value"
             fix = 'for a joint without limits write type="continuous"' if self.tag == "limit" else fix
         elif re.fullmatch(r"[+-]?\d+,\d+", text):
             fix = "write a decimal point, not a comma"
-        raise self.refusal(code, f'{self.tag} {attribute}="{shortened(text)}"; {wanted}; {fix}')
+        raise self.refusal(code, f'{self.tag} {attribute}="{shorten(text)}"; {expected}; {fix}')
 
 
 def parse_xml(content: bytes, path: Path) -> XmlNode:
-    """The root element of an XML document; its `log` is that of the file.
+    """Return the root element of an XML document; its `log` collects the warnings of the file.
 
     Args:
         content: The document.
-        path: Where it came from, for the messages.
+        path: File of the document, for the messages.
 
     Raises:
         RobotError: Codes `empty`, `not-xml`, `entity`, `doctype`, `encoding`, `xml-too-deep`, `xml-too-large`.
@@ -345,12 +449,12 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
     def start(tag: str, attributes: dict[str, str]) -> None:
         if len(nodes) >= MAX_ELEMENTS:
             raise refusal("xml-too-large", f"more than {MAX_ELEMENTS} XML elements; split the file")
-        if len(stack) >= 60:  # nested bodies of MJCF need one a joint
+        if len(stack) >= 60:  # nested bodies of MJCF need one level per joint
             raise refusal("xml-too-deep", "XML elements are nested deeper than 60 levels; URDF needs 6")
         for key, value in attributes.items():
             if len(value) > 100_000:  # no robot needs more than a few hundred
-                seen = f"attribute {shortened(key)!r} of <{shortened(tag)}> has {len(value)} characters"
-                raise refusal("xml-too-large", f"{seen}, at most 100000 are read")
+                finding = f"attribute {shorten(key)!r} of <{shorten(tag)}> has {len(value)} characters"
+                raise refusal("xml-too-large", f"{finding}, at most 100000 are read")
         line = parser.CurrentLineNumber if path.suffix != ".xacro" else None
         node = XmlNode(tag, attributes, line, log, stack[-1] if stack else None)
         if stack:
@@ -372,10 +476,10 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
         code, fix = NOT_XML.get(reason, ("not-xml", "repair the XML at this line"))
         begins = content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff"))
         if code == "not-xml" and not begins:
-            fix = "a URDF file begins with '<'; name the robot here, its name or its file, and other files after it"
-        seen = f"not readable as XML ({reason}, column {error.offset + 1})"
-        raise log.refusal(code, error.lineno, f"{seen}; {fix}") from error
-    except (LookupError, ValueError) as error:  # an encoding that Python does not know, or cannot use
-        seen = f"its XML declaration names an encoding that cannot be read ({error})"
-        raise refusal("encoding", f"{seen}; save it as UTF-8") from error
+            fix = "a URDF file begins with '<'; name the robot here, by its name or its file, and other files after it"
+        finding = f"not readable as XML ({reason}, column {error.offset + 1})"
+        raise log.refusal(code, error.lineno, f"{finding}; {fix}") from error
+    except (LookupError, ValueError) as error:  # unknown or unusable encoding
+        finding = f"its XML declaration names an encoding that cannot be read ({error})"
+        raise refusal("encoding", f"{finding}; save it as UTF-8") from error
     return nodes[0]

@@ -1,7 +1,7 @@
-"""Kinematics of a URDF as plain data that knows the elements it was read from: read, checked and written.
+"""Kinematics of a URDF as plain data that knows its XML elements: reading, checks and writing.
 
-Each element is checked where it is read, then all against each other. Nothing reaches Pinocchio, from whatever format,
-that has not been read, counted and checked here.
+Each element is checked when it is read, then all are checked against each other. Descriptions of every format are
+read, counted and checked here before they reach Pinocchio.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from jaxtyping import Float
 
 from manip_learn.errors import advice, closest_names
 from manip_learn.robot.description import text
-from manip_learn.robot.description.text import RULES, Diagnostics, XmlNode, meant, quoted, shortened
+from manip_learn.robot.description.text import RULES, Diagnostics, XmlNode, quoted, shorten, suggest_name
 from manip_learn.robot.joints import Mimic
 
 Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
 X: Vector = (1.0, 0.0, 0.0)
-# of each type of joint
+# type of joint -> degrees of freedom
 DEGREES_OF_FREEDOM = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 Matrix4 = Float[np.ndarray, "4 4"]
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 UNLIMITED = 1_000.0  # [rad or m] larger limits mean "no limit" in practice
-HUGE = 1e300  # what C++ reads as a number and no joint reaches
+HUGE = 1e300  # a number that C++ can read and no joint reaches
 KNOWN_ATTRIBUTES = {
     **{"origin": {"xyz", "rpy"}, "axis": {"xyz"}, "parent": {"link"}, "child": {"link"}},
     "limit": {"lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk"},
@@ -40,11 +40,8 @@ KNOWN_CHILDREN = {
     "link": {"inertial", "visual", "collision", "contact", "self_collision_checking", "sensor", "verbose"},
     "inertial": {"origin", "mass", "inertia"},
 }
-LONGEST_NAME = 200  # [characters] longer ones make no readable sentence
+LONGEST_NAME = 200  # [characters] longer names would make messages unreadable
 RESERVED = ("universe",)
-MAX_LINKS = 1_000  # loading takes seconds for them
-MAX_DEPTH = 500  # Pinocchio recurses, and crashes at some thousands
-MAX_NV = 150  # Pinocchio's memory grows with the cube: 0.22 GB for these
 
 
 @final
@@ -68,7 +65,7 @@ class UrdfLink(NamedTuple):
 
 @final
 class UrdfLimit(NamedTuple):
-    """The `<limit>` of one joint, nan for each number that is not given [rad or m, per second, N m or N]."""
+    """The `<limit>` of one joint, nan for each missing number [rad or m, per second, N m or N]."""
 
     lower: float = math.nan
     upper: float = math.nan
@@ -79,7 +76,7 @@ class UrdfLimit(NamedTuple):
 
 @final
 class UrdfJoint(NamedTuple):
-    """One joint; `axis` is of unit length; `mimic` is as written, its leader may follow another joint."""
+    """One joint; `axis` has unit length; `mimic` is as in the file: its leader may follow another joint."""
 
     name: str
     node: XmlNode
@@ -94,7 +91,7 @@ class UrdfJoint(NamedTuple):
 
     @property
     def nv(self) -> int:
-        """Degrees of freedom, those of mimic joints included."""
+        """Degrees of freedom, including mimic joints."""
         return DEGREES_OF_FREEDOM[self.type]
 
 
@@ -108,7 +105,7 @@ class UrdfFile(NamedTuple):
         joints: In file order.
         root: Name of the root link.
         followers: Mimic joints, each with an independent, moving leader.
-        resting: Position of each mimic joint that follows a fixed joint in the end [rad or m].
+        resting: Position of each mimic joint whose chain of leaders ends at a fixed joint [rad or m].
         warnings: Odd but harmless findings, in sentences.
     """
 
@@ -122,10 +119,14 @@ class UrdfFile(NamedTuple):
 
 
 def as_pose(T: Matrix4) -> Pose:
-    """Return xyz and roll, pitch, yaw of a homogeneous matrix."""
+    """Return xyz and roll, pitch, yaw of a homogeneous matrix.
+
+    Args:
+        T: Homogeneous transform [m].
+    """
     x, y, z = (float(c) for c in T[:3, 3])
     R, level = T[:3, :3], math.hypot(T[0, 0], T[1, 0])
-    # atan2 throughout: exact also where the pitch is a quarter turn
+    # atan2 is exact also at a pitch of a quarter turn
     yaw, roll = math.atan2(R[1, 0], R[0, 0]), math.atan2(R[2, 1], R[2, 2])
     if level <= 1e-9:
         yaw, roll = math.atan2(-R[0, 1], R[1, 1]), 0.0
@@ -133,14 +134,24 @@ def as_pose(T: Matrix4) -> Pose:
 
 
 def as_matrix(pose: Pose) -> Matrix4:
-    """Return the homogeneous matrix of xyz and roll, pitch, yaw."""
+    """Return the homogeneous matrix of xyz and roll, pitch, yaw.
+
+    Args:
+        pose: Translation [m] and angles [rad].
+    """
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*pose.rpy), pose.xyz
     return T
 
 
 def motion_along(kind: str, axis: Vector, position: float) -> Matrix4:
-    """Return the homogeneous matrix of a joint's motion by a position [rad or m] along or about its axis."""
+    """Return the homogeneous matrix of a joint's motion along or about its axis.
+
+    Args:
+        kind: `"prismatic"`, or a type of joint that turns.
+        axis: Unit vector.
+        position: Joint position [rad or m].
+    """
     T, step = np.eye(4), position * np.array(axis)
     if kind == "prismatic":
         T[:3, 3] = step
@@ -154,15 +165,18 @@ def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
 
     Args:
         root: Its root element.
-        locked: Joints that will not move: their limits and what they follow do not matter.
+        locked: Joints that will not move: their limits and leaders do not matter.
+
+    Returns:
+        The validated description.
 
     Raises:
         RobotError: With a `code`, the file, the line, the joint or link, the value seen and the fix.
     """
     if root.tag != "robot":
         kinds = {"sdf": "an SDF file", "mujoco": "an MJCF file", "COLLADA": "a mesh", "launch": "a ROS launch file"}
-        seen = f"the root element is <{shortened(root.tag)}>" + (f", {kinds[root.tag]}" if root.tag in kinds else "")
-        raise root.log.refusal("not-urdf", root.line, f"{seen}; <robot> is expected; convert it to URDF")
+        finding = f"the root element is <{shorten(root.tag)}>" + (f", {kinds[root.tag]}" if root.tag in kinds else "")
+        raise root.log.refusal("not-urdf", root.line, f"{finding}; <robot> is expected; convert it to URDF")
     version = root.attributes.get("version", "1.0").strip()
     root.require(version in ("1", "1.0"), "urdf-version", version=version)
     foreign = [c for c in root.children if c.tag.startswith("xacro:") or c.tag in ("macro", "include")]
@@ -171,9 +185,9 @@ def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
         raise foreign[0].refusal("no-links", RULES["no-links.macros"].format(names=quoted(macros)))
     if foreign:
         fix = "expand it" + advice(", or name the file *.xacro and load it with {}", "xacro=True", "--xacro")
-        seen = f"<{shortened(foreign[0].tag)}> is xacro, not URDF; plain URDF is expected"
-        raise foreign[0].refusal("xacro", f"{seen}; {fix}")
-    _look_through(root)
+        finding = f"<{shorten(foreign[0].tag)}> is xacro, not URDF; plain URDF is expected"
+        raise foreign[0].refusal("xacro", f"{finding}; {fix}")
+    _warn_of_unread(root)
     links = [read_link(node) for node in root.all("link")]
     controls = [joint for block in root.all("ros2_control") for joint in block.all("joint")]
     joints = [read_joint(node, controls) for node in root.all("joint")]
@@ -181,10 +195,15 @@ def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
 
 
 def robot_name(root: XmlNode, attribute: str = "name") -> str:
-    """Return the name of a robot, or the name of its file, with a warning, where it has none that can be printed."""
+    """Return the name of a robot; if it is missing or unprintable, warn and return the name of the file.
+
+    Args:
+        root: The root element.
+        attribute: Attribute with the name: `model` in MJCF.
+    """
     name = root.attributes.get(attribute, "").strip()
     if not name or not name.isprintable() or len(name) > LONGEST_NAME:
-        reason = "has no name" if not name else f"has the unusable name {shortened(name)!r}"
+        reason = "has no name" if not name else f"has the unusable name {shorten(name)!r}"
         name = "".join(c for c in root.log.path.stem if c.isprintable()) or "robot"
         root.log.warn(root.line, f"the robot {reason}; it is called {quoted([name])} after its file")
     return name
@@ -193,24 +212,30 @@ def robot_name(root: XmlNode, attribute: str = "name") -> str:
 def read_link(node: XmlNode) -> UrdfLink:
     """Read a link and its inertia.
 
+    Args:
+        node: Its element.
+
+    Returns:
+        The link.
+
     Raises:
         RobotError: Codes `name-*`, `number`, `not-finite`, `vector-size`, `mass`, `element-twice`.
     """
     name = read_name(node)
-    inertial = _only(_look_through(node), "inertial")
+    inertial = _only(_warn_of_unread(node), "inertial")
     if inertial is None:
         return UrdfLink(name, node)
     mass_node, inertia = _only(inertial, "mass"), _only(inertial, "inertia")
     mass = math.nan if mass_node is None else mass_node.number("value")
     if math.isnan(mass):
-        inertial.warn("its <inertial> gives no mass; 0 kg is taken")
+        inertial.warn("its <inertial> has no mass; 0 kg is used")
         mass = 0.0
     (mass_node or inertial).require(mass >= 0.0, "mass", mass=mass)
     entries = [0.0 if inertia is None else inertia.number(key, 0.0) for key in INERTIA]
     xx, xy, xz, yy, yz, zz = entries
     smallest = float(np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0])
     if inertia is not None and smallest < -1e-9 * max(1.0, *map(abs, entries)):
-        inertia.warn(f"its inertia is not positive ({smallest:.3g} kg m^2); unused here")
+        inertia.warn(f"its inertia is not positive semidefinite ({smallest:.3g} kg m^2); unused here")
     return UrdfLink(name, node, tuple(entries), mass, _pose(inertial))
 
 
@@ -219,39 +244,42 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
 
     Args:
         node: Its element.
-        controls: The `<joint>` elements inside `<ros2_control>`, of all joints.
+        controls: The `<joint>` elements inside `<ros2_control>`, for all joints.
+
+    Returns:
+        The joint.
 
     Raises:
         RobotError: Codes `name-*`, `joint-type`, `joint-link`, `axis-*`, `planar-axis`, `number`, `not-finite`, ...
     """
     name, kind = read_name(node), node.attributes.get("type", "")
-    _look_through(node)
+    _warn_of_unread(node)
     if kind not in DEGREES_OF_FREEDOM:
-        seen = f"its type is {shortened(kind)!r}" if kind else "it has no type"
-        fix = meant(kind.strip().lower(), DEGREES_OF_FREEDOM, "correct the type")
-        raise node.refusal("joint-type", f"{seen}; one of {', '.join(DEGREES_OF_FREEDOM)} is expected; {fix}")
+        finding = f"its type is {shorten(kind)!r}" if kind else "it has no type"
+        fix = suggest_name(kind.strip().lower(), DEGREES_OF_FREEDOM, "correct the type")
+        raise node.refusal("joint-type", f"{finding}; one of {', '.join(DEGREES_OF_FREEDOM)} is expected; {fix}")
     limits, limit = _only(node, "limit"), UrdfLimit()
     follows, mimic = _only(node, "mimic"), None
     if limits is not None:
         limit = UrdfLimit(*map(limits.number, ("lower", "upper", "velocity", "effort")), node=limits)
-        limit = _narrowed(node, limit, [c for c in controls if c.attributes.get("name") == name])
+        limit = _narrow_limit(node, limit, [c for c in controls if c.attributes.get("name") == name])
     ends = []
     for tag in ("parent", "child"):
         end = _only(node, tag)
         ends.append("" if end is None else end.attributes.get("link", ""))
         node.require(ends[-1] != "", "joint-link", tag=tag)
     pose, axis, direction = _pose(node), _only(node, "axis"), X
-    given = None if axis is None else axis.vector("xyz", 3)
+    xyz = None if axis is None else axis.vector("xyz", 3)
     if kind == "planar":
         direction = (0.0, 0.0, 1.0)
-        is_z = given is not None and np.allclose(given, direction, rtol=0.0, atol=1e-9)
-        seen = "it has no axis, which means 1 0 0" if given is None else f"its axis is {given}"
-        (axis or node).require(is_z, "planar-axis", seen=seen)
+        is_z = xyz is not None and np.allclose(xyz, direction, rtol=0.0, atol=1e-9)
+        finding = "it has no axis, which means 1 0 0" if xyz is None else f"its axis is {xyz}"
+        (axis or node).require(is_z, "planar-axis", seen=finding)
     elif kind not in ("fixed", "floating"):
-        if axis is None or given is None:
-            node.warn("it has no axis; 1 0 0 is taken, which is the default of URDF")
+        if axis is None or xyz is None:
+            node.warn("it has no axis; 1 0 0 is used, the default of URDF")
         else:
-            direction = unit_axis(given, axis)
+            direction = unit_axis(xyz, axis)
     if follows is not None:
         leader = follows.attributes.get("joint", "")
         follows.require(leader != "", "mimic-leader")
@@ -259,11 +287,11 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
     return UrdfJoint(name, node, kind, ends[0], ends[1], pose, direction, limit, mimic, follows)
 
 
-def _narrowed(node: XmlNode, limit: UrdfLimit, controls: Sequence[XmlNode]) -> UrdfLimit:
-    """Return the limit, narrowed to the range in which the arm's driver lets the joint move.
+def _narrow_limit(node: XmlNode, limit: UrdfLimit, controls: Sequence[XmlNode]) -> UrdfLimit:
+    """Return the limit, narrowed to the range that the arm's driver allows.
 
-    The safety controller states soft limits, whose default of 0 for both means none; ros2_control parameters of the
-    joint, or `min` and `max` of what it commands. A range that contradicts itself or the limit says nothing.
+    The safety controller has soft limits, whose default of 0 for both means none; ros2_control has parameters of the
+    joint, or `min` and `max` of its command interfaces. A range that contradicts itself or the limit is ignored.
     """
     ranges: list[tuple[str, str, float, float]] = []
     if (safety := _only(node, "safety_controller")) is not None:
@@ -275,7 +303,7 @@ def _narrowed(node: XmlNode, limit: UrdfLimit, controls: Sequence[XmlNode]) -> U
             quantity = "" if holder is control else f"_{holder.attributes.get('name')}"
             for param in holder.all("param"):
                 number, key = "".join(param.texts).strip(), param.attributes.get("name", "").removesuffix("_value")
-                if text.NUMBER_TEXT.fullmatch(number):  # else it was e.g. left over by xacro
+                if text.NUMBER_TEXT.fullmatch(number):  # xacro may leave other texts behind
                     stated[key + quantity] = float(number)
         fastest = min(stated.get("max_velocity", math.inf), -stated.get("min_velocity", -math.inf))
         low, high = (stated.get(f"{end}_position", math.nan) for end in ("min", "max"))
@@ -284,9 +312,9 @@ def _narrowed(node: XmlNode, limit: UrdfLimit, controls: Sequence[XmlNode]) -> U
         is_speed = quantity == "velocities"
         lower, upper = (-limit.velocity, limit.velocity) if is_speed else (limit.lower, limit.upper)
         narrow = max(low, lower), min(high, upper)
-        if low < high and lower < upper and narrow != (lower, upper) and narrow[0] < narrow[1]:  # none of them nan
-            seen = f"its {source} allows {narrow[0]:g} ... {narrow[1]:g} of the {quantity} {lower:g} ... {upper:g}"
-            node.warn(f"{seen}: the narrower ones are used")
+        if low < high and lower < upper and narrow != (lower, upper) and narrow[0] < narrow[1]:  # False for nan
+            finding = f"its {source} allows {narrow[0]:g} ... {narrow[1]:g} of the {quantity} {lower:g} ... {upper:g}"
+            node.warn(f"{finding}: the narrower range is used")
             changed = {"velocity": narrow[1]} if is_speed else {"lower": narrow[0], "upper": narrow[1]}
             limit = limit._replace(**changed)
     return limit
@@ -295,43 +323,55 @@ def _narrowed(node: XmlNode, limit: UrdfLimit, controls: Sequence[XmlNode]) -> U
 def read_name(node: XmlNode) -> str:
     """Return the name of an element.
 
+    Args:
+        node: The element.
+
     Raises:
         RobotError: Codes `name-missing`, `name-long`, `name-unprintable`, `name-reserved`.
     """
     name = node.attributes.get("name", "")
     faults = {"missing": not name.strip(), "long": len(name) > LONGEST_NAME, "unprintable": not name.isprintable()}
     for fault, is_there in (faults | {"reserved": name in RESERVED}).items():
-        said = {"name": name, "length": len(name), "most": LONGEST_NAME}
-        node.log.require(not is_there, f"name-{fault}", node.line, f"<{node.tag}>: ", **said)
+        values = {"name": name, "length": len(name), "most": LONGEST_NAME}
+        node.log.require(not is_there, f"name-{fault}", node.line, f"<{node.tag}>: ", **values)
     if name != name.strip():
-        node.log.warn(node.line, f"{node.tag} {name!r} has spaces around its name, they count")
+        node.log.warn(node.line, f"{node.tag} {name!r} has spaces around its name; they are part of the name")
     return name
 
 
 def near_vector(node: XmlNode, attribute: str) -> Vector:
-    """Return a position [m] in an attribute, zero if there is none.
+    """Return a position in an attribute [m], zero if there is no such attribute.
+
+    Args:
+        node: The element.
+        attribute: Name of the attribute.
 
     Raises:
         RobotError: Codes `number`, `not-finite`, `vector-size`, `far-away`.
     """
     x, y, z = node.vector(attribute, 3) or ZERO
-    # [m] beyond it poses keep less than 1e-9 m
+    # beyond 1e6 m poses are less accurate than 1e-9 m
     node.require(max(abs(x), abs(y), abs(z)) <= 1e6, "far-away", tag=node.tag, key=attribute, seen=(x, y, z))
     return (x, y, z)
 
 
 def _pose(node: XmlNode) -> Pose:
+    """Return the pose of an element's `<origin>`."""
     origin = _only(node, "origin")
     if origin is None:
         return Pose()
     roll, pitch, yaw = origin.vector("rpy", 3) or ZERO
-    if max(abs(roll), abs(pitch), abs(yaw)) > 2.0 * math.pi + 1e-3:  # [rad] files round
-        origin.warn(f"origin rpy is {(roll, pitch, yaw)}, more than a full turn: degrees in place of radians?")
+    if max(abs(roll), abs(pitch), abs(yaw)) > 2.0 * math.pi + 1e-3:  # [rad] margin for rounded files
+        origin.warn(f"origin rpy is {(roll, pitch, yaw)}, more than a full turn: degrees instead of radians?")
     return Pose(near_vector(origin, "xyz"), (roll, pitch, yaw))
 
 
 def unit_axis(xyz: tuple[float, ...], axis: XmlNode) -> Vector:
-    """Return the direction of an axis.
+    """Return the unit vector along an axis.
+
+    Args:
+        xyz: The axis.
+        axis: Its element, for warnings and refusals.
 
     Raises:
         RobotError: Codes `axis-zero`, `axis-norm`.
@@ -346,57 +386,71 @@ def unit_axis(xyz: tuple[float, ...], axis: XmlNode) -> Vector:
 
 
 def _only(node: XmlNode, tag: str) -> XmlNode | None:
-    """Return the child with that tag, looked through; None if there is none."""
-    found = node.all(tag)
-    if len(found) > 1:
-        raise found[1].refusal("element-twice", f"it has more than one <{tag}>; one is expected; delete all but one")
-    return _look_through(found[0]) if found else None
+    """Return the only child with a tag, after a warning about unread parts; None if there is none."""
+    matches = node.all(tag)
+    if len(matches) > 1:
+        raise matches[1].refusal("element-twice", f"it has more than one <{tag}>; one is expected; delete all but one")
+    return _warn_of_unread(matches[0]) if matches else None
 
 
-def _look_through(node: XmlNode) -> XmlNode:
-    """Warn about attributes and elements inside that are not read."""
+def _warn_of_unread(node: XmlNode) -> XmlNode:
+    """Warn about attributes and elements inside that are not read; return the element."""
     unknown = [k for k in node.attributes if k not in KNOWN_ATTRIBUTES.get(node.tag, node.attributes)]
     if unknown:
         is_turned = node.tag == "origin" and any("quat" in k for k in unknown)
         node.require(not is_turned, "origin-attribute", seen=quoted(unknown))
         node.warn(f"<{node.tag}> has {quoted(unknown)}, which is ignored")
-    known = KNOWN_CHILDREN.get(node.tag, ())
-    for child in [c for c in node.children if known and c.tag not in known]:
-        is_told = len(node.log.kept) < text.MAX_WARNINGS
-        near = closest_names(shortened(child.tag).lower(), known, n=1) if is_told else ()
-        child.warn(f"<{shortened(child.tag)}> is ignored" + (f"; did you mean <{near[0]}>?" if near else ""))
+    tags = KNOWN_CHILDREN.get(node.tag, ())
+    for child in [c for c in node.children if tags and c.tag not in tags]:
+        is_reported = len(node.log.kept) < text.MAX_WARNINGS
+        near = closest_names(shorten(child.tag).lower(), tags, n=1) if is_reported else ()
+        child.warn(f"<{shorten(child.tag)}> is ignored" + (f"; did you mean <{near[0]}>?" if near else ""))
     return node
 
 
 def validate_parts(
     name: str, links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], locked: Collection[str], log: Diagnostics
 ) -> UrdfFile:
-    """Check links and joints, from whatever format, against each other: a tree, and what follows what within limits.
+    """Check links and joints of any format against each other: one tree, mimic joints and limits.
+
+    Args:
+        name: Name of the robot.
+        links: All links.
+        joints: All joints.
+        locked: Joints that will not move: their limits and leaders do not matter.
+        log: For warnings and refusals.
+
+    Returns:
+        The validated description.
 
     Raises:
         RobotError: Codes `no-links`, `duplicate-link`, `duplicate-joint`, `unknown-link`, `self-loop`, `two-parents`,
-            `no-root`, `many-roots`, `detached`, `too-many-links`, `too-deep`, `too-many-dof`, `mimic-*`, `limit-*`.
+            `no-root`, `many-roots`, `detached`, `too-many-links`, `too-many-joints`, `too-deep`, `too-many-dof`,
+            `mimic-*`, `limit-*`.
     """
     log.require(len(links) > 0, "no-links", 1)
+    # largest numbers of degrees of freedom (Pinocchio's memory grows with the cube: 0.22 GB for these), of links and of
+    # joints (loading takes seconds for these), and of links in a chain (Pinocchio recurses, and crashes at thousands)
+    most_nv, most_elements, most_depth = 150, 1_000, 500
     nv = sum(j.nv for j in joints)
-    log.require(nv <= MAX_NV, "too-many-dof", None, nv=nv, most=MAX_NV)
+    log.require(nv <= most_nv, "too-many-dof", None, nv=nv, most=most_nv)
     for elements, tag in ((links, "link"), (joints, "joint")):
         first: dict[str, int | None] = {}
         for e in elements:
-            if len(first) >= MAX_LINKS:
-                fix = f"at most {MAX_LINKS} work; leave out what the arm does not need"
-                seen = f"the robot has {len(elements)} <{tag}> elements"
-                raise log.refusal(f"too-many-{tag}s", e.node.line, f"{seen}; {fix}")
+            if len(first) >= most_elements:
+                fix = f"at most {most_elements} work; remove parts that the arm does not need"
+                finding = f"the robot has {len(elements)} <{tag}> elements"
+                raise log.refusal(f"too-many-{tag}s", e.node.line, f"{finding}; {fix}")
             if e.name in first:
                 place = f" on line {first[e.name]}" if first[e.name] else ""
-                seen = f"the name is already used{place}; names must be unique; rename one of the two"
-                raise log.refusal(f"duplicate-{tag}", e.node.line, f"{tag} {e.name!r}: {seen}")
+                finding = f"the name is already used{place}; names must be unique; rename one of the two"
+                raise log.refusal(f"duplicate-{tag}", e.node.line, f"{tag} {e.name!r}: {finding}")
             first[e.name] = e.node.line
     names, above, below = {link.name for link in links}, dict[str, str](), dict[str, list[str]]()
     for j in joints:
         for role, link in (("parent", j.parent), ("child", j.child)):
             if link not in names:
-                fix = meant(link, names, "add the link or correct the name")
+                fix = suggest_name(link, names, "add the link or correct the name")
                 raise j.node.refusal("unknown-link", f"its {role} link {link!r} does not exist; {fix}")
         j.node.require(j.parent != j.child, "self-loop", link=j.child)
         j.node.require(j.child not in above, "two-parents", link=j.child, other=above.get(j.child))
@@ -410,12 +464,12 @@ def validate_parts(
     if len(roots) > 1:
         log.require(False, "many-roots", roots[1].node.line, names=quoted([r.name for r in roots]), other=roots[1].name)
     reached, depth = [roots[0].name], {roots[0].name: 0}
-    for link in reached:  # which grows meanwhile
+    for link in reached:  # the list grows during the loop
         reached += below.get(link, ())
         depth |= dict.fromkeys(below.get(link, ()), depth[link] + 1)
-    log.require(max(depth.values()) <= MAX_DEPTH, "too-deep", None, most=MAX_DEPTH)
-    if lost := [link for link in links if link.name not in depth]:
-        log.require(False, "detached", lost[0].node.line, names=quoted([link.name for link in lost]))
+    log.require(max(depth.values()) <= most_depth, "too-deep", None, most=most_depth)
+    if detached := [link for link in links if link.name not in depth]:
+        log.require(False, "detached", detached[0].node.line, names=quoted([link.name for link in detached]))
     followers, resting = resolve_mimics(joints, locked, log)
     still = {*locked, *resting, *(m.joint for m in followers if m.leader in locked)}
     _check_limits([j for j in joints if j.nv == 1 and j.name not in still], {m.joint: m.leader for m in followers})
@@ -427,16 +481,16 @@ def validate_parts(
 def resolve_mimics(
     joints: Sequence[UrdfJoint], alone: Collection[str], log: Diagnostics
 ) -> tuple[tuple[Mimic, ...], dict[str, float]]:
-    """Follow every chain of mimics to its end, in whatever order the joints come.
+    """Follow every chain of mimics to its end, for any order of the joints.
 
     Args:
         joints: All joints.
-        alone: Joints that are locked by name: what they follow does not matter.
+        alone: Joints that are locked by name: their leaders do not matter.
         log: For warnings and refusals.
 
     Returns:
-        Mimic joints with independent, moving leaders, however long the chains were; and the position of each whose
-        chain ends at a fixed joint [rad or m].
+        Mimic joints with independent, moving leaders, for chains of any length; and the position of each mimic joint
+        whose chain ends at a fixed joint [rad or m].
 
     Raises:
         RobotError: Codes `mimic-unknown`, `mimic-cycle`, `mimic-type`, `mimic-multiplier`.
@@ -449,7 +503,7 @@ def resolve_mimics(
     follows = {name: mimic for name, mimic in follows.items() if name not in alone or mimic.leader in by_name}
     for name in follows:
         leader, multiplier, offset, chain = by_name[name], 1.0, 0.0, list[str]()
-        own = leader.mimic_node or leader.node
+        element = leader.mimic_node or leader.node
         while True:
             chain.append(leader.name)
             leader.node.require(leader.nv <= 1, "mimic-type", type=leader.type, nv=leader.nv)
@@ -459,28 +513,28 @@ def resolve_mimics(
             offset += multiplier * mimic.offset
             multiplier *= mimic.multiplier
             if mimic.leader not in by_name:
-                fix = meant(mimic.leader, by_name, "correct the name, or lock the joint")
-                seen = f"it follows the joint {mimic.leader!r}, which does not exist"
-                raise node.refusal("mimic-unknown", f"{seen}; {fix}")
+                fix = suggest_name(mimic.leader, by_name, "correct the name, or lock the joint")
+                finding = f"it follows the joint {mimic.leader!r}, which does not exist"
+                raise node.refusal("mimic-unknown", f"{finding}; {fix}")
             leader = by_name[mimic.leader]
             if leader.name in chain:
                 path = " -> ".join(map(repr, [*chain, leader.name][:6]))
                 sentence = f"joints follow each other in a loop: {path}; let one of them move by itself"
                 raise log.refusal("mimic-cycle", node.line, f"joint {name!r}: {sentence}")
-        # above it, rounding of the leader is a motion of the follower
+        # for larger multipliers, rounding of the leader's position moves the follower
         is_usable = abs(multiplier) <= 1e6 and math.isfinite(offset)
-        own.require(is_usable, "mimic-multiplier", leader=leader.name, by=multiplier)
-        seen = f"joint {name!r} follows the {leader.type} joint {leader.name!r}"
+        element.require(is_usable, "mimic-multiplier", leader=leader.name, by=multiplier)
+        finding = f"joint {name!r} follows the {leader.type} joint {leader.name!r}"
         if leader.type == "fixed":
             resting[name] = offset
-            log.warn(own.line, f"{seen}; it rests at {offset:g}")
+            log.warn(element.line, f"{finding}; it rests at {offset:g}")
             continue
         followers.append(Mimic(name, leader.name, multiplier, offset))
         if multiplier == 0.0:
-            log.warn(own.line, f"{seen} by the factor 0: it never moves")
+            log.warn(element.line, f"{finding} by the factor 0: it never moves")
         elif leader.type == "continuous" and multiplier != round(multiplier):
             jumps = "it jumps where the leader passes half a turn, unless postures are given as joint positions"
-            log.warn(own.line, f"{seen} by the factor {multiplier:g}: {jumps}")
+            log.warn(element.line, f"{finding} by the factor {multiplier:g}: {jumps}")
     return tuple(followers), resting
 
 
@@ -494,11 +548,11 @@ def _limit_fault(joint: UrdfJoint) -> str:
 
 
 def _check_limits(joints: Sequence[UrdfJoint], leaders: Mapping[str, str]) -> None:
-    """Refuse limits that cannot be intended, warn about those without effect.
+    """Refuse limits that cannot be intended, and warn about limits without effect.
 
     Args:
         joints: Joints that move, of one degree of freedom each.
-        leaders: Follower -> the joint that it follows, which is locked in its place.
+        leaders: Follower -> its leader, which would be locked instead.
     """
     faults = {j.name: _limit_fault(j) for j in joints}
     for joint in joints:
@@ -506,33 +560,33 @@ def _check_limits(joints: Sequence[UrdfJoint], leaders: Mapping[str, str]) -> No
         node, unit, largest = stated or joint.node, "rad" if is_angle else "m", max(abs(lower), abs(upper))
         lacking = [end for end, value in (("lower limit", lower), ("upper limit", upper)) if math.isnan(value)]
         if lacking and joint.type != "continuous":
-            # a default of 0, which the specification has, would be a limit that nobody stated
+            # the specification's default of 0 would be a limit that the file does not state
             missing = lacking[0] if len(lacking) == 1 else "limits"
-            node.warn(f"it has no {missing}, which a {joint.type} joint should; none is taken")
-        elif joint.type != "continuous" and UNLIMITED < largest < math.inf:  # infinity is said by the format
-            node.warn(f"its limit of {largest:.3g} {unit} is taken for no limit")
+            node.warn(f"it has no {missing}, which a {joint.type} joint should have; it is unlimited")
+        elif joint.type != "continuous" and UNLIMITED < largest < math.inf:  # infinity already means no limit
+            node.warn(f"its limit of {largest:.3g} {unit} is ignored as too large; it is unlimited")
         if code := faults[joint.name]:
             names = [name for name, fault in faults.items() if fault == code]
-            said: dict[str, object] = {"lower": lower, "upper": upper, "unit": unit}
-            said |= {"low": math.radians(lower), "high": math.radians(upper)}
-            said["likewise"] = f", as wrong as those of {quoted(names[1:])}" if names[1:] else ""
-            said["locks"] = quoted(list(dict.fromkeys(leaders.get(name, name) for name in names)))
-            said["compiler"] = "" if stated else ', or angle="degree" in <compiler>'  # MJCF has no element <limit>
-            said["otherwise"] = f'type="{"continuous" if is_angle else "fixed"}"' if stated else 'limited="false"'
-            node.require(False, code, **said)
+            facts: dict[str, object] = {"lower": lower, "upper": upper, "unit": unit}
+            facts |= {"low": math.radians(lower), "high": math.radians(upper)}
+            facts["likewise"] = f", and the limits of {quoted(names[1:])} are wrong too" if names[1:] else ""
+            facts["locks"] = quoted(list(dict.fromkeys(leaders.get(name, name) for name in names)))
+            facts["compiler"] = "" if stated else ', or angle="degree" in <compiler>'  # MJCF has no element <limit>
+            facts["otherwise"] = f'type="{"continuous" if is_angle else "fixed"}"' if stated else 'limited="false"'
+            node.require(False, code, **facts)
         if math.isnan(velocity) and (joint.type != "continuous" or stated is not None):
-            node.warn("no velocity limit; it is taken as unlimited")
+            node.warn("no velocity limit; its velocity is unlimited")
         elif velocity <= 0.0:
-            node.warn(f"its velocity limit of {velocity:g} {unit}/s is taken for none stated: it is not limited")
+            node.warn(f"its velocity limit of {velocity:g} {unit}/s is ignored; its velocity is unlimited")
 
 
 def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None) -> str:
-    """Return the plain URDF of links and joints.
+    """Return a plain URDF of links and joints.
 
     Args:
         urdf: A validated description.
-        visuals: Link -> `<visual>` elements to put in, with the `<mimic>` of joints; None for Pinocchio, which needs
-            no visuals and to which mimic joints are joints of their own.
+        visuals: Link -> `<visual>` elements to insert; the `<mimic>` of joints is then written, too. None for
+            Pinocchio: it needs no visuals, and its mimic joints are joints of their own.
     """
     parts = [f"<robot name={quoteattr(urdf.name)}>"]
     for link in urdf.links:
@@ -544,10 +598,10 @@ def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None =
         parts.append(f"<link name={quoteattr(link.name)}>{inside}</link>")
     for joint in urdf.joints:
         limit, more = joint.limit, ""
-        if joint.nv == 1:  # what is not given is nan and compares to nothing
+        if joint.nv == 1:  # comparisons with nan, a missing number, are False
             lower = limit.lower if abs(limit.lower) <= UNLIMITED else -HUGE
             upper = limit.upper if abs(limit.upper) <= UNLIMITED else HUGE
-            if lower >= upper:  # of a locked joint, else validation would have refused it
+            if lower >= upper:  # a locked joint: otherwise validation would have refused it
                 lower, upper = -HUGE, HUGE
             velocity = min(limit.velocity, HUGE) if limit.velocity > 0.0 else HUGE
             effort = limit.effort if limit.effort >= 0.0 else HUGE
@@ -557,16 +611,24 @@ def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None =
         parts.append(
             f'<joint name={quoteattr(joint.name)} type="{joint.type}">{origin_text(joint.pose)}'
             f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>"
-            f'<axis xyz="{spaced(joint.axis)}"/>{more}</joint>'
+            f'<axis xyz="{join_numbers(joint.axis)}"/>{more}</joint>'
         )
     return "\n".join([*parts, "</robot>"])
 
 
-def spaced(numbers: Iterable[float]) -> str:
-    """Numbers as an attribute holds them, to the last bit."""
+def join_numbers(numbers: Iterable[float]) -> str:
+    """Return numbers as the text of an attribute, to the last bit.
+
+    Args:
+        numbers: The numbers.
+    """
     return " ".join(map(repr, numbers))
 
 
 def origin_text(pose: Pose) -> str:
-    """The `<origin>` of a pose."""
-    return f'<origin xyz="{spaced(pose.xyz)}" rpy="{spaced(pose.rpy)}"/>'
+    """Return the `<origin>` element of a pose.
+
+    Args:
+        pose: Translation [m] and angles [rad].
+    """
+    return f'<origin xyz="{join_numbers(pose.xyz)}" rpy="{join_numbers(pose.rpy)}"/>'

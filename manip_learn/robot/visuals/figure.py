@@ -1,6 +1,6 @@
-"""The figure that stands in for a robot without shapes: bones from joint to joint, and how thick they are.
+"""The figure that stands for a robot without shapes: bones from joint to joint, and their thickness.
 
-A bone leaves a joint along its axis and comes to the next one along that one's, as the links of arms do.
+A bone leaves a joint along its axis and arrives at the next joint along the next axis, as the links of arms do.
 """
 
 from __future__ import annotations
@@ -13,11 +13,6 @@ from jaxtyping import Float
 
 from manip_learn.robot.joints import joint_motions
 
-_THICK = 0.043  # radius at the base, share of the reach, as of arms that are sold
-TAPER = 0.55  # radius at the last joint, share of the radius at the base
-TIP = 0.8  # radius at the end, share of the radius at the last joint
-SHORTEST_BONE = 0.2  # length from which there is a bone, share of its radius
-
 
 @final
 class Bone(NamedTuple):
@@ -26,8 +21,8 @@ class Bone(NamedTuple):
     Attributes:
         joint: Pinocchio id of that joint; 0 is the world.
         child: Pinocchio id of the joint that the link leads to; 0 for the end of an arm.
-        ends: shape (2, 3), from that joint's side [m].
-        radii: At both ends [m].
+        ends: shape (2, 3), from the side of that joint [m].
+        radii: Radii at both ends [m].
     """
 
     joint: int
@@ -37,14 +32,15 @@ class Bone(NamedTuple):
 
 
 def bones(model: pin.Model, radius: Float[np.ndarray, " J"]) -> tuple[Bone, ...]:
-    """The bones of all links, those of one link one after the other.
+    """Return the bones of all links, sorted by joint.
 
     Args:
-        model: The robot.
-        radius: At each joint [m].
+        model: Pinocchio model of the robot.
+        radius: Radius of the figure at each joint [m], see `link_radii`.
     """
-    found, axes = list[Bone](), [motion[1] if motion else np.zeros(3) for motion in joint_motions(model)]
-    axes[0] = np.array([0.0, 0.0, 1.0])  # what stands on the floor rises first
+    shortest, tip = 0.2, 0.8  # shortest bone over its radius; radius at the end over the radius at the last joint
+    out, axes = list[Bone](), [motion[1] if motion else np.zeros(3) for motion in joint_motions(model)]
+    axes[0] = np.array([0.0, 0.0, 1.0])  # the link on the floor rises first
     targets = [(int(model.parents[c]), c, model.jointPlacements[c]) for c in range(1, model.njoints)]
     targets += [(i, 0, pin.SE3(np.eye(3), end)) for i, end in link_ends(model).items()]
     for i, child, place in targets:
@@ -52,16 +48,23 @@ def bones(model: pin.Model, radius: Float[np.ndarray, " J"]) -> tuple[Bone, ...]
         first = axes[i] * (end @ axes[i])
         path = [np.zeros(3)]
         for corner in (first, end - last * ((end - first) @ last), end):
-            if np.linalg.norm(corner - path[-1]) > SHORTEST_BONE * radius[i]:
+            if np.linalg.norm(corner - path[-1]) > shortest * radius[i]:
                 path.append(corner)
-        path[1:] = [*path[1:-1], end][: len(path) - 1]  # what is short at the end belongs to the piece before it
-        thick = np.linspace(radius[i], radius[child] if child else TIP * radius[i], len(path))
-        found += [Bone(i, child, np.array(path[k : k + 2]), (thick[k], thick[k + 1])) for k in range(len(path) - 1)]
-    return tuple(sorted(found, key=lambda bone: bone.joint))
+        path[1:] = [*path[1:-1], end][: len(path) - 1]  # a short last piece joins the piece before it
+        thick = np.linspace(radius[i], radius[child] if child else tip * radius[i], len(path))
+        out += [Bone(i, child, np.array(path[k : k + 2]), (thick[k], thick[k + 1])) for k in range(len(path) - 1)]
+    return tuple(sorted(out, key=lambda bone: bone.joint))
 
 
 def link_ends(model: pin.Model) -> dict[int, Float[np.ndarray, " 3"]]:
-    """For joints that carry no other joint: the farthest fixed link on each [m], in the joint's frame."""
+    """Return the farthest fixed link on each joint that carries no other joint [m], in the joint's frame.
+
+    Args:
+        model: Pinocchio model of the robot.
+
+    Returns:
+        Pinocchio id of the joint -> position (3,).
+    """
     inner = set(model.parents[1:])
     ends: dict[int, np.ndarray] = {}
     for i in range(1, model.njoints):
@@ -72,11 +75,17 @@ def link_ends(model: pin.Model) -> dict[int, Float[np.ndarray, " 3"]]:
 
 
 def link_radii(model: pin.Model) -> Float[np.ndarray, " J"]:
-    """Radius of the figure at each joint [m]: in proportion to the robot, slimmer towards the tip."""
-    depth, reach = np.zeros(model.njoints), np.zeros(model.njoints)  # joints, and length of the path, from the base
+    """Return the radius of the figure at each joint [m]: proportional to the robot's reach, smaller towards the tip.
+
+    Args:
+        model: Pinocchio model of the robot.
+    """
+    # radius at the base over the reach, as in real arms; radius at the last joint over the radius at the base
+    thickness, taper = 0.043, 0.55
+    depth, reach = np.zeros(model.njoints), np.zeros(model.njoints)  # number of joints and path length from the base
     for i in range(1, model.njoints):
         depth[i] = depth[model.parents[i]] + 1
         reach[i] = reach[model.parents[i]] + float(np.linalg.norm(model.jointPlacements[i].translation))
     tips = [reach[i] + float(np.linalg.norm(p)) for i, p in link_ends(model).items()]
     scale = max([float(reach.max()), *tips, 1e-3])
-    return _THICK * scale * (1.0 - (1.0 - TAPER) * depth / max(int(depth.max()), 1))
+    return thickness * scale * (1.0 - (1.0 - taper) * depth / max(int(depth.max()), 1))
