@@ -54,7 +54,7 @@ class Desired(NamedTuple):
         is_damped: True if the law is damped: the constraint's smallest singular value is below the threshold.
         damping: lambda of the driven rows; 0 away from singularities.
         bend: c, the excess of the rows' mean velocity over the step over A u; A u = b - c is wanted.
-        own: A(q) of the constraint.
+        rows: A(q) of the constraint.
     """
 
     A: Float[np.ndarray, "s nv"]
@@ -69,7 +69,7 @@ class Desired(NamedTuple):
     is_damped: bool = False
     damping: float = 0.0
     bend: Float[np.ndarray, " s"] | float = 0.0
-    own: Any = None
+    rows: Any = None
 
     @property
     def is_lost(self) -> bool:
@@ -261,7 +261,7 @@ class Law:
                 raise ConfigurationError(f"{words}: {fix}")
             V = V[gains > 0.0]
             escape = None if is_regular else np.zeros(nv)
-            return Desired(rows, b, task, w - V.dot(w).dot(V), escape, mu, smallest, V, Y, own=A)
+            return Desired(rows, b, task, w - V.dot(w).dot(V), escape, mu, smallest, V, Y, rows=A)
         V = Vt[: len(sigma)][sigma > SINGULAR_RATIO * sigma[0]]  # rows that are not lost; the others are rounding only
         share = max(0.0, 1.0 - (least / self.threshold) ** 2)
         # w gets at least SEED_SPEED near a singularity (6e-4 of the threshold), where policies that climb out vanish
@@ -285,7 +285,7 @@ class Law:
         if length > fastest:
             escape = escape * (fastest / length)
         damping = share * math.sqrt(square)
-        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, smallest < self.threshold, damping, own=A)
+        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, smallest < self.threshold, damping, rows=A)
 
     def bend(self, q: np.ndarray, dt: float, A: np.ndarray, u: np.ndarray) -> Float[np.ndarray, " s"]:
         """Return c = (A(q + dt/2 u) - A(q)) u, the excess of the rows' mean velocity over a step over A u.
@@ -312,7 +312,7 @@ class Law:
         speed = math.sqrt(u.dot(u))
         if speed == 0.0:
             return law
-        c = self.bend(q, dt, law.own, u)
+        c = self.bend(q, dt, law.rows, u)
         size, most = math.sqrt(c.dot(c)), 0.5 * STABLE_SLOPE * law.smallest * speed
         c = c if size <= most else c * (most / size)
         return law._replace(task=law.task - c.dot(law.gain), bend=c)
@@ -473,7 +473,7 @@ class Law:
         u, flat = law.velocity, law.A.reshape(-1)
         if not limits.may_approach(float(u.dot(u)), float(flat.dot(flat)), law.smallest, dt):
             return None
-        A, vjp = self.constraint.value_and_vjp(q)  # the rows of the law may be those of an error
+        A, vjp = self.constraint.value_and_vjp(q)  # the rows of the law may be rows of an error
         slope = smallest_gradient(svd(A), vjp)
         bound = approach_bound(law.smallest, slope, limits.acceleration, dt)
         return (slope[None], np.array([-bound])) if bound < math.inf else None
