@@ -254,9 +254,7 @@ class FollowingError:
             Words on a payload that the drives do not know of; empty if there is none.
         """
         f = self._explained(off, self._yields(q))
-        forces = np.array(
-            [f, self.force if self.force.any() else f]
-        )  # the force now, and the force that stopped the arm
+        forces = np.array([f, self.force if self.force.any() else f])  # now, and at the time of the stop
         # a weight is a force of which at least 80 % point down
         weighs, self.sinks = (-forces[:, 2] > np.maximum(LEFT, 0.8 * np.linalg.norm(forces, axis=1))).tolist()
         self.load = weighs * off
@@ -341,21 +339,19 @@ class FollowingError:
         moves, goes = bool(self._velocity.any()), lacking < 0.5
         self._going = moves * min(GOING, max(0.0, self._going + (dt if goes else -dt)))
         self._carried += moves * goes * min(1.0, dt / 0.2) * (force - self._carried)  # averaged over 0.2 s
-        lateral_limit, most = max(self.contact.max_lateral_force, self.resolution), max(self._driven, self.resolution)
-        if force > lateral_limit:
+        lateral, most = max(self.contact.max_lateral_force, self.resolution), max(self._driven, self.resolution)
+        if force > lateral:
             rows = np.zeros((0, len(sent))) if driven is None else driven(measured)
             way, side = self._split(J, rows, servos.raw + further * gains)
             along = f"{way:.0f} N along what is driven"
             # a fifth may seem to be lateral: joints differ, directions are known to 10 degrees
-            if side > lateral_limit + 0.2 * way:
-                across = (
-                    f"{side:.0f} N across what is driven, of {lateral_limit:.0f} allowed (Contact.max_lateral_force)"
-                )
+            if side > lateral + 0.2 * way:
+                across = f"{side:.0f} N across what is driven, of {lateral:.0f} allowed (Contact.max_lateral_force)"
                 return f"{across}: what was learnt lies elsewhere, or something is in the way"
             if way > most:
                 return f"{along}, of {most:.0f} allowed (Contact.max_axial_force): it is locked, or allow more"
             # a hand at rest lacks at least 80 % of its motion; one that lacks more than 125 % was pushed back
-            if 0.8 < lacking < 1.0 / 0.8 and self._going > BRIEFLY and way > self._carried + lateral_limit:
+            if 0.8 < lacking < 1.0 / 0.8 and self._going > BRIEFLY and way > self._carried + lateral:
                 return f"{along}, which was moving with {self._carried:.0f} and has stopped: look what blocks it"
         j = int((np.abs(beside) / self.limit).argmax())
         load, name = abs(float(beside[j] * self._stiffness[j])), self._robot.joint_names[j]

@@ -240,14 +240,11 @@ class Law:
         rows = A if E is None else E
         (s, nv), decomposition = rows.shape, svd(rows)
         U, sigma, Vt = decomposition
-        constraint_sigma = sigma if E is None else svd(A)[1]
-        mu, smallest, least = (
-            (math.prod(constraint_sigma.tolist()), float(constraint_sigma[-1]), float(sigma[-1]))
-            if s <= nv
-            else (0.0,) * 3
-        )
+        own_sigma = sigma if E is None else svd(A)[1]
+        mu = math.prod(own_sigma.tolist()) if s <= nv else 0.0
+        smallest, least = (float(own_sigma[-1]), float(sigma[-1])) if s <= nv else (0.0, 0.0)
         is_damped = self.inverse == "damped"
-        is_regular = s <= nv and all(x[-1] > LEAST_SINGULAR_RATIO * x[0] for x in (constraint_sigma, sigma))
+        is_regular = s <= nv and all(x[-1] > LEAST_SINGULAR_RATIO * x[0] for x in (own_sigma, sigma))
         is_regular = is_regular and not (is_damped and min(smallest, least) < self.threshold)
         if is_regular or not is_damped:
             gains = inverse_singular_values(sigma, rows.shape, "exact" if is_damped else self.inverse)

@@ -168,12 +168,11 @@ class Rollout:
         joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in arrays}
         phases = (*self.phases, *((name, start + shift, end + shift) for name, start, end in other.phases))
         later = ({**way, "begins": None if way["begins"] is None else way["begins"] + shift} for way in other.ways)
-        obstacles = dict[
-            str, Mapping[str, Any]
-        ]()  # of an obstacle in both motions, the entry with the smaller distance
+        # of an obstacle in both motions, the entry with the smaller distance counts
+        avoided = dict[str, Mapping[str, Any]]()
         for thing in sorted((*self.around, *other.around), key=lambda thing: thing.get("nearest", np.inf)):
-            obstacles.setdefault(json.dumps({k: v for k, v in thing.items() if k not in ("nearest", "link")}), thing)
-        parts = {"phases": phases, "ways": (*self.ways, *later), "around": tuple(obstacles.values())}
+            avoided.setdefault(json.dumps({k: v for k, v in thing.items() if k not in ("nearest", "link")}), thing)
+        parts = {"phases": phases, "ways": (*self.ways, *later), "around": tuple(avoided.values())}
         return replace(other, time=time, status=status, **joined, following_error=None, **parts)
 
     def violation(self, constraint: Constraint) -> Float[np.ndarray, " T"]:

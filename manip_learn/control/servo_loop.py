@@ -512,16 +512,12 @@ class ServoLoop:
         if not dt < stale_after:
             words = f"a state is stale after {stale_after:g} s and the period is {dt:g} s"
             raise ConfigurationError(f"{words}: give stale_after={3.0 * dt:g}")
-        loop_robot = robot or getattr(controller, "robot", None)
-        if not isinstance(loop_robot, Robot):
+        arm = robot or getattr(controller, "robot", None)
+        if not isinstance(arm, Robot):
             raise ConfigurationError("the controller has no robot whose limits count: ServoLoop(..., robot=robot)")
-        self.robot, self.dt, self.stale_after = loop_robot, float(dt), float(stale_after)
-        within = (
-            controller
-            if isinstance(controller, LimitedController)
-            else BoundedController(controller, Limits(loop_robot))
-        )
-        base: Limits = limits or within.limits or Limits(loop_robot)
+        self.robot, self.dt, self.stale_after = arm, float(dt), float(stale_after)
+        within = controller if isinstance(controller, LimitedController) else BoundedController(controller, Limits(arm))
+        base: Limits = limits or within.limits or Limits(arm)
         self.limits = limits = base.with_rates(acceleration_limit, jerk_limit)
         self.acceleration_limit, self.jerk_limit = limits.acceleration, limits.jerk
         average = VelocityAverage.at_rest(limits, self.dt)

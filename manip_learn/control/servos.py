@@ -231,14 +231,12 @@ class Servos:
         if not n.any():
             return
         behind = sense * (sent[:, :-1] - y[:, None]) * counts[:, None]
-        residual = (
-            np.sum((behind - behind.sum(axis=0) / np.maximum(n, 1)) ** 2 * counts[:, None], axis=(0, 2)) / n.sum()
-        )
-        best, apart = int(residual.argmin()), np.pad(residual, 2, constant_values=np.inf)
-        is_clear = min(apart[best], apart[best + 4]) - residual[best] > noise + (0.5 * STILL) ** 2
-        if not (is_clear and residual[best] < (3.0 * math.sqrt(noise) + STILL) ** 2 or is_last):
+        rest = np.sum((behind - behind.sum(axis=0) / np.maximum(n, 1)) ** 2 * counts[:, None], axis=(0, 2)) / n.sum()
+        best, apart = int(rest.argmin()), np.pad(rest, 2, constant_values=np.inf)
+        is_clear = min(apart[best], apart[best + 4]) - rest[best] > noise + (0.5 * STILL) ** 2
+        if not (is_clear and rest[best] < (3.0 * math.sqrt(noise) + STILL) ** 2 or is_last):
             return
-        place = _lowest(residual)[0]
+        place = _lowest(rest)[0]
         at = min(int(place), len(self._lags) - 2)
         share, turn, moves = place - at, step[:, at], (step[:, at] != 0.0) & has_moved
         between = (1.0 - share) * sent[:, at] + share * sent[:, at + 1]

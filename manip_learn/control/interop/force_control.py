@@ -105,8 +105,11 @@ def impedance(
     """Return the stiffness K and damping D of a Cartesian impedance controller, shape (6, 6), as plain numbers.
 
     The wrench K dx - D (v, w) acts on the hand's origin along the axes of the robot's base, dx the displacement to its
-    goal and its rotation vector [m, rad]. With M the inertia of the hand at this posture, D = 2 z M^1/2 (M^-1/2 K
-    M^-1/2)^1/2 M^1/2, so that each mode is damped by the ratio z.
+    goal and its rotation vector [m, rad]. With M the inertia of the hand at this posture,
+
+        D = 2 z M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2,
+
+    so that each mode is damped by the ratio z.
 
     Args:
         constraint: The task.
@@ -165,11 +168,9 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
         wide = np.minimum(TOLERANCE[1] + math.pi * np.linalg.norm(free, axis=1), math.pi)
         tolerances = {f"absolute_{n}_axis_tolerance": w for n, w in zip("xyz", wide.tolist(), strict=True)}
         orientation = _xyzw(Rotation.from_matrix(frame.hand[:3, :3]).as_quat())
-        fields = {
-            "orientation": orientation,
-            "parameterization": 1,
-        }  # moveit_msgs/OrientationConstraint.ROTATION_VECTOR
-        content["orientation_constraints"].append(about | fields | tolerances)
+        # parameterization 1: moveit_msgs/OrientationConstraint.ROTATION_VECTOR
+        turns = {"orientation": orientation, "parameterization": 1}
+        content["orientation_constraints"].append(about | turns | tolerances)
     return _comments(frame) + yaml_text(content, indent=1) + "\n"
 
 

@@ -122,13 +122,11 @@ class Course:
             q: Posture.
             distance: Distance along the motion [m or rad], at which the rows should be.
         """
-        here, learnt_constraint = self.motion.origin(q), self.motion.held
+        here, learnt = self.motion.origin(q), self.motion.held
         if self._around is not None:
             return float(np.linalg.norm(self._around.held_error(here)))
         error = self.chart.error(here, (distance,))
-        return float(
-            np.linalg.norm(learnt_constraint.selection @ _weights(learnt_constraint, here, len(error)) @ error)
-        )
+        return float(np.linalg.norm(learnt.selection @ _weights(learnt, here, len(error)) @ error))
 
 
 def _weights(constraint: Constraint, here: Origin, size: int) -> Float[np.ndarray, "p k"]:
@@ -298,10 +296,8 @@ def _along_row(constraint: Constraint, direction: Direction, unit: Unit | None, 
     if np.max(np.abs(weights - np.round(weights))) > 1e-9:
         words = f"combinations of the rows {' '.join(rows.row_names)}"
         raise ConstraintError(f"the constraint holds {words}: FreeDirection needs each held as it is, or not at all")
-    held_rows = [name for name, weight in zip(rows.row_names, np.diag(weights), strict=True) if weight > 0.5]
-    if "spherical" in held_rows or {"slide", "slide-1", "slide-2"} == {
-        *held_rows
-    }:  # a ball turns about any axis, as a hinge
+    names_held = [name for name, weight in zip(rows.row_names, np.diag(weights), strict=True) if weight > 0.5]
+    if "spherical" in names_held or {"slide", "slide-1", "slide-2"} == {*names_held}:  # a ball turns about any axis
         turn = finite(direction, 3)
         if turn is None or not turn.any():
             axis = advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
@@ -309,20 +305,20 @@ def _along_row(constraint: Constraint, direction: Direction, unit: Unit | None, 
             raise (ConstraintError if direction is None else TargetError)(f"{words}{axis}; got {direction!r}")
         rows, direction, unit = rows.changed(axis=turn, pitch=0.0), None, "rad"
     g: Place = rows.geometry  # None of a curve
-    is_firm = any(name.startswith("slide") or name == "screw" for name in held_rows)
+    is_firm = any(name.startswith("slide") or name == "screw" for name in names_held)
     names = ("along",) if g is None else ("turn", "slide") if is_firm else ("tangential", "axial", "radial")
-    rest = [name for name in names if name not in {*held_rows, *(_FIXES.get(name) for name in held_rows)}]
-    driven = _free_row(held_rows, rest, direction, unit)
+    rest = [name for name in names if name not in {*names_held, *(_FIXES.get(name) for name in names_held)}]
+    driven = _free_row(names_held, rest, direction, unit)
     beside = [name for name in rest if name != driven] if straight and not is_firm else []
-    kind = None if g is None else kind_of_rows(held_rows)
-    features = rows.with_rows((*(held_rows if kind is None else kind.rows), *beside, driven))
+    kind = None if g is None else kind_of_rows(names_held)
+    features = rows.with_rows((*(names_held if kind is None else kind.rows), *beside, driven))
     one = np.eye(features.n_rows)
     counts: Unit = "rad" if "[rad]" in _DRIVEN[driven] else "m"
     if g is None:
         chart_at = partial(Mechanism("other", name=CURVE, curve=rows.curve, orientation="fixed").at, within=np.inf)
     elif counts == "rad":
-        pitch = g.pitch if {"screw", "helical"} & {*held_rows} else 0.0
-        spin = _STILL if "turn" in held_rows else g.axis  # a hand that is free to turn about the axis turns with it
+        pitch = g.pitch if {"screw", "helical"} & {*names_held} else 0.0
+        spin = _STILL if "turn" in names_held else g.axis  # a hand that is free to turn about the axis turns with it
         travel = pitch * g.axis + np.cross(g.point, g.axis)
         chart_at = screw(travel, g.axis, spin, is_carried=driven == "turn", centre=g.point)
     else:

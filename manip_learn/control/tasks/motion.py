@@ -125,10 +125,10 @@ class FreeDirection(OneLook):
         way = _number("distance", distance, positive=False)
         self._profile = MotionProfile(way, _number("speed", speed), _number("ramp", ramp))
         self.gain, self.pause = _number("gain", gain), _number("pause", pause) if pause else 0.0
-        self.learnt, self.counts, demonstrated = constraint, 1.0, constraint.shown
+        self.learnt, self.counts, demo = constraint, 1.0, constraint.shown
         held_constraint = constraint.with_orientation() if keep_orientation else _held_by_the_grip(constraint)
-        if as_shown and demonstrated is not None and not demonstrated.is_way:
-            self._motion, self._profile = along_path(held_constraint, demonstrated, self._profile.ramp)
+        if as_shown and demo is not None and not demo.is_way:
+            self._motion, self._profile = along_path(held_constraint, demo, self._profile.ramp)
         else:
             self._motion = driven_motion(held_constraint, direction, unit, straight)
         self.constraint = self._motion.constraint
@@ -141,9 +141,9 @@ class FreeDirection(OneLook):
                 raise ConstraintError(f"{robot.nv} joints cannot move along this and keep the hand's orientation{fix}")
         self._shown: ShownPlaces | None = None
         self.grip_shown: tuple[Float[np.ndarray, "3 3"], float] | None = None
-        if demonstrated is not None and (take_hold or as_shown):
-            self._shown = ShownPlaces(constraint.mechanism, demonstrated, self._motion, as_shown)
-            self.grip_shown = demonstrated.orientation, demonstrated.turned
+        if demo is not None and (take_hold or as_shown):
+            self._shown = ShownPlaces(constraint.mechanism, demo, self._motion, as_shown)
+            self.grip_shown = demo.orientation, demo.turned
         self._start = None if start is None else self._motion.origin(start)
         self.reset()
 
@@ -221,14 +221,14 @@ class FreeDirection(OneLook):
         Args:
             policy: The policy; it is returned unchanged for other orientations.
         """
-        mechanism, demonstrated = self.learnt.mechanism, self.learnt.shown
+        mechanism, demo = self.learnt.mechanism, self.learnt.shown
         rms = 0.0 if mechanism is None or mechanism.grip != "kept" else math.radians(mechanism.orientation_rms or 0.0)
-        if demonstrated is None or not rms or len(demonstrated.hand) != len(demonstrated.path):
+        if demo is None or not rms or len(demo.hand) != len(demo.path):
             return policy
         sense = 1.0 if self._shown is None else self._shown.sense
 
         def orientation() -> Float[np.ndarray, "3 3"]:
-            return demonstrated.turned_at(0.0 if self.way_begins is None else sense * self._place)
+            return demo.turned_at(0.0 if self.way_begins is None else sense * self._place)
 
         return policies.KeptOrientation(policy, self.learnt.features.twist, orientation, rms)
 
@@ -480,22 +480,18 @@ def motion(
     if not isinstance(constraint, Constraint):
         raise TargetError(f"call motion(constraint, distance=... | angle=...): got {an(constraint)} in its place")
     distance, angle = along if distance is None else distance, turn if angle is None else angle
-    demonstrated, mechanism = constraint.shown, constraint.mechanism
+    demo, mechanism = constraint.shown, constraint.mechanism
     word = direction if isinstance(direction, str) and direction in ("shown", "back") else None
-    again, named_direction = distance is None and angle is None, direction if word is None else None
-    if again and isinstance(named_direction, str):
-        raise TargetError(
-            f"the direction is {named_direction!r}, it must be 'shown', as the recordings went, or 'back'"
-        )
+    again, heading = distance is None and angle is None, direction if word is None else None
+    if again and isinstance(heading, str):
+        raise TargetError(f"the direction is {heading!r}, it must be 'shown', as the recordings went, or 'back'")
     if again and (aim := constraint.intention) is not None:
         if not aim.common:
             go = f"the {len(aim.targets)} recordings go to different targets, {aim.spread:.2g} m or rad apart"
             raise TargetError(f"{go}: name one{advice(' with {}', 'PointAttractor(target)', '--target')}")
         return PointAttractor(aim.target, aim.gain)  # type: ignore[return-value]  # of such rows alone
-    if (again and (demonstrated is None or named_direction is not None)) or (
-        distance is not None and angle is not None
-    ):
-        lacking = "the constraint does not know what was shown: " if again and demonstrated is None else ""
+    if (again and (demo is None or heading is not None)) or (distance is not None and angle is not None):
+        lacking = "the constraint does not know what was shown: " if again and demo is None else ""
         how = advice(": {}", "distance=0.3 [m] or angle=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
         raise TargetError(f"{lacking}say how far to go, once{how}")
     unit: Unit = "m" if angle is None else "rad"
@@ -506,26 +502,20 @@ def motion(
     if unit == "m":
         types, does = ("hinge", "screw", "ball"), "turns and does not slide"
         instead = advice(": use {}", "angle= [rad]", "--turn DEGREES")
-    if again and demonstrated is not None:
-        unit, amount = demonstrated.unit, demonstrated.extent
-        speed = amount / max(demonstrated.seconds - RAMP, RAMP) if speed is None else speed
+    if again and demo is not None:
+        unit, amount = demo.unit, demo.extent
+        speed = amount / max(demo.seconds - RAMP, RAMP) if speed is None else speed
     elif mechanism is not None and mechanism.type in types:
         raise ConstraintError(f"what was learnt {does} ({mechanism.sentence}){instead}")
     if speed is None:
         lever = 0.0 if mechanism is None else mechanism.radius or 0.0
         hand_speed = 0.1  # [m/s] default: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
         speed = hand_speed if unit == "m" else hand_speed / max(lever, 0.2)  # no faster with a shorter lever
-    options: dict[str, Any] = {
-        "direction": named_direction,
-        "unit": unit,
-        "straight": True,
-        "take_hold": True,
-        "as_shown": again,
-    }
-    task = FreeDirection(constraint, amount, speed, keep_orientation=keep_orientation, pause=pause, **options)
+    more: dict[str, Any] = {"direction": heading, "unit": unit, "straight": True, "take_hold": True, "as_shown": again}
+    task = FreeDirection(constraint, amount, speed, keep_orientation=keep_orientation, pause=pause, **more)
     if not beyond_shown:
         _check_shown(task)
-    sense = 0.0 if named_direction is not None else shown_sense(demonstrated, task._motion, of_most=again)
+    sense = 0.0 if heading is not None else shown_sense(demo, task._motion, of_most=again)
     if sense == 0.0 and word is not None:
         why = "they went to both sides of where they began, or the constraint was not learnt by this version"
         fix = "leave the direction out, and choose the sign"
@@ -538,20 +528,13 @@ def motion(
 
 def _check_shown(task: FreeDirection) -> None:
     """Refuse a motion that is longer than the demonstrated range, or than the reach of the arm."""
-    demonstrated, twist, distance = task.learnt.shown, task.learnt.features.twist, abs(task.wanted)
-    words = f"the way of {way_in_words(distance, task.unit)} is longer than"
+    demo, twist, total = task.learnt.shown, task.learnt.features.twist, abs(task.wanted)
+    words = f"the way of {way_in_words(total, task.unit)} is longer than"
     beyond = 2e-3 if task.unit == "m" else math.radians(0.2)  # the play of a drawer's rails
-    if (
-        demonstrated is not None
-        and demonstrated.is_way
-        and demonstrated.unit == task.unit
-        and distance > demonstrated.span + beyond
-    ):
+    if demo is not None and demo.is_way and demo.unit == task.unit and total > demo.span + beyond:
         more = advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")
-        raise TargetError(
-            f"{words} what was shown ({way_in_words(demonstrated.span, task.unit)}): ask for no more{more}"
-        )
-    if task.unit == "m" and twist is not None and distance > (most := 2.0 * twist.robot.reach(twist.frame)):
+        raise TargetError(f"{words} what was shown ({way_in_words(demo.span, task.unit)}): ask for no more{more}")
+    if task.unit == "m" and twist is not None and total > (most := 2.0 * twist.robot.reach(twist.frame)):
         raise TargetError(f"{words} the arm can go in any direction ({most:.2g} m): ways are in metres")
 
 
