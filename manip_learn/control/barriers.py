@@ -70,14 +70,14 @@ def approach_bound(smallest: float, slope: Vector, acceleration: Vector, dt: flo
     return 5e-4 * length + approach_rate(smallest, slope, acceleration, dt) if length > 0.0 else math.inf
 
 
-class Standing(Protocol):
+class Obstacles(Protocol):
     """Source of the obstacles around a robot, e.g. a `Scene`."""
 
     def obstacles(self, robot: Robot) -> tuple[Obstacle, ...]:
         """Return the obstacles that the robot's links avoid.
 
         Args:
-            robot: The robot, which the obstacles name the links of that may touch them.
+            robot: The robot; `may_touch` of an obstacle has names of its links.
         """
         ...
 
@@ -89,7 +89,7 @@ def _hulls_of(robot: Robot, shapes: Shapes) -> SelfCollision:
 
 
 @final
-class KeptClear:
+class CollisionAvoidance:
     """Pairs of shapes that stay at a distance from each other.
 
     No pair may be nearer than the clearance, or than it is now if that is less: neither in the next step nor at
@@ -115,7 +115,7 @@ class KeptClear:
         ConfigurationError: The pairs belong to another robot, or the clearance is negative or not finite.
     """
 
-    def __init__(self, robot: Robot, around: SelfCollision | Standing, clearance: float):
+    def __init__(self, robot: Robot, around: SelfCollision | Obstacles, clearance: float):
         if not isinstance(around, SelfCollision):
             shapes = known_shapes(robot)  # capsules along links overlap where these are joined
             around = _hulls_of(robot, shapes).with_obstacles(around.obstacles(robot), own=shapes != "links")
@@ -187,7 +187,7 @@ class KeptClear:
         self._nearest = nearest
         return np.array(rows), np.array(least)
 
-    def was_clear(self, q: Posture, u: Vector) -> bool:
+    def is_latest_clear(self, q: Posture, u: Vector) -> bool:
         """Return True if the newest check without rows was of this velocity at this posture.
 
         Args:
@@ -196,7 +196,7 @@ class KeptClear:
         """
         return np.array_equal(self._clear[0], q) and np.array_equal(self._clear[1], u)
 
-    def words(self) -> str | None:
+    def describe_nearest(self) -> str | None:
         """Return the nearest pair and its distance in words, or None if that pair does not stop the arm."""
         if self._nearest is None or self._nearest[0] > self.clearance + 1e-3:
             return None  # a pair that is a millimetre farther apart has slowed the arm down, but does not stop it
@@ -207,7 +207,7 @@ class KeptClear:
 
 @final
 @dataclass(frozen=True, eq=False)
-class BarriersAt:
+class PostureBarriers:
     """Barriers at one posture.
 
     Attributes:
@@ -294,7 +294,9 @@ class BarriersAt:
 
 @final
 class Barriers:
-    """|J_f(q) u| <= speed, and n^T p_f(q) <= d for each wall (n, d), for the origin p_f of each frame f; `KeptClear`.
+    """Limits of the speed and the position of frames, and collision avoidance.
+
+        |J_f(q) u| <= speed,    n^T p_f(q) <= d    for the origin p_f of each frame f and each wall (n, d)
 
     The ball of velocities is bounded by tangent planes, n^T J u <= speed, where it was exceeded: first at the desired
     velocity, then at each solution, until no more are needed (Kelley, "The cutting-plane method for solving convex
@@ -323,7 +325,7 @@ class Barriers:
         box: ArrayLike | None = None,
         walls: ArrayLike | None = None,
         frames: str | Sequence[str] | None = None,
-        clear: KeptClear | None = None,
+        clear: CollisionAvoidance | None = None,
     ):
         if speed is not None and not (isinstance(speed, int | float) and 0.0 < speed < math.inf):
             raise ConfigurationError(f"tip_speed must be a positive number of metres per second, got {speed!r}")
@@ -345,9 +347,9 @@ class Barriers:
         self.frames = tuple(robot.frame(name) for name in names)
         self.walls = rows / np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
         self.clear, self._robot = clear, robot
-        self._none = BarriersAt(self.speed, (), np.empty((0, robot.nv)), np.empty(0), None)
+        self._none = PostureBarriers(self.speed, (), np.empty((0, robot.nv)), np.empty(0), None)
 
-    def at(self, q: Posture, dt: float, acceleration: Vector, previous: Vector | None) -> BarriersAt:
+    def at(self, q: Posture, dt: float, acceleration: Vector, previous: Vector | None) -> PostureBarriers:
         """Return the barriers at a posture.
 
         Args:
@@ -369,7 +371,7 @@ class Barriers:
         least = -np.array([approach_rate(x, g, acceleration, dt) for x, g in zip(distances.tolist(), G, strict=True)])
         if previous is not None:
             least = np.minimum(least, BRAKING_SHARE * dt * np.abs(G).dot(acceleration) - G.dot(previous))
-        return BarriersAt(self.speed, jacobians, -G, least, clear)
+        return PostureBarriers(self.speed, jacobians, -G, least, clear)
 
     @property
     def pace(self) -> float:

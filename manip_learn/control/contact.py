@@ -17,7 +17,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.control.command import Posture, Vector
 from manip_learn.control.limits import per_joint
-from manip_learn.control.servos import HIDDEN, LATEST, ROUNDING, STILL, Servos, beyond, copied
+from manip_learn.control.servos import HIDDEN, LATEST, ROUNDING, STILL, Servos, shallow_copy, signed_excess
 from manip_learn.control.timing import is_number
 from manip_learn.errors import ConfigurationError, counted, under_new_names
 from manip_learn.robot.robot import Robot
@@ -183,13 +183,13 @@ class FollowingError:
         # for which it has been moving [s], and the force of that motion [N]
         self._pushed, self._weight, self._going, self._carried = zero, 0.0, 0.0, 0.0
 
-    def copied(self) -> FollowingError:
+    def copy(self) -> FollowingError:
         """Return a copy; its parts are never changed in place."""
-        other = copied(self)
-        other.servos = copied(self.servos)
+        other = shallow_copy(self)
+        other.servos = shallow_copy(self.servos)
         return other
 
-    def moved(self, q: Posture, time: float, velocity: Vector) -> None:
+    def record_step(self, q: Posture, time: float, velocity: Vector) -> None:
         """Record a step of the commanded posture.
 
         Args:
@@ -197,12 +197,12 @@ class FollowingError:
             time: Duration of the step [s]; negative if a call came early.
             velocity: Commanded velocity (nv,) [rad/s or m/s].
         """
-        over = self.servos.moved(time * velocity, time)
+        over = self.servos.record_step(time * velocity, time)
         if over:
             self._found = (self._now, *self._found[: math.ceil(LOOK_BACK / self._dt) - 1])
         self._change, self._velocity = self._change + (velocity - self._velocity), velocity
         self._lasted += max(time, 0.0)
-        if over and time > 0.0 and self.servos.has_looked:
+        if over and time > 0.0 and self.servos.is_slow_period:
             # a servo reacts to M a as a spring and a damper: the deflection decays for a while after its largest value
             now = -self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
             # 0.1 s are three times sqrt(2 kg m2 / 2,000 N m/rad)
@@ -224,26 +224,26 @@ class FollowingError:
         by_friction = self.servos.friction * self._pushed / (np.abs(self._pushed) + RESOLUTION)
         return self.distance - self.load + by_friction
 
-    def farthest(self) -> Vector:
+    def largest_relaxation(self) -> Vector:
         """Return the largest relaxation that the measurement supports, shape (nv,) [rad or m].
 
         The measurement may be wrong; the limit is the deflection under the largest allowed force, plus friction, plus
         the commanded motion within the delay.
         """
         largest = max(1.0, self._driven / self.contact.max_lateral_force) * self.limit
-        return largest + self.servos.moved_lately + self.servos.width
+        return largest + self.servos.recent_travel + self.servos.width
 
-    def left(self, q: Posture) -> float:
+    def remaining_force(self, q: Posture) -> float:
         """Return the remaining force on the hand in a measured posture, beyond the force that friction keeps [N].
 
         Args:
             q: Measured posture.
         """
         friction = self.servos.friction
-        off = beyond(self.distance - self.load, -friction, friction)
-        return float(np.linalg.norm(self._force_of(off, self._yields(q))[0]))
+        off = signed_excess(self.distance - self.load, -friction, friction)
+        return float(np.linalg.norm(self._split_weight(off, self._compliance(q))[0]))
 
-    def carry(self, off: Vector, q: Posture) -> str:
+    def accept_weight(self, off: Vector, q: Posture) -> str:
         """Accept distances as the arm's load if a weight explains them.
 
         Args:
@@ -253,7 +253,7 @@ class FollowingError:
         Returns:
             Words on a payload that the drives do not know of; empty if there is none.
         """
-        f = self._explained(off, self._yields(q))
+        f = self._estimate_force(off, self._compliance(q))
         forces = np.array([f, self.force if self.force.any() else f])  # now, and at the time of the stop
         # a weight is a force of which at least 80 % point down
         weighs, self.sinks = (-forces[:, 2] > np.maximum(LEFT, 0.8 * np.linalg.norm(forces, axis=1))).tolist()
@@ -267,7 +267,7 @@ class FollowingError:
         )
         return f"{words}, robot.with_payload({mass}, {self._frame.name!r})"
 
-    def sentence(self, constraint: Constraint | None, q: Posture) -> str:
+    def describe_cause(self, constraint: Constraint | None, q: Posture) -> str:
         """Return a sentence on the blocked row of the constraint, if it is known, the joint, their deviations, and a
         remedy.
 
@@ -302,11 +302,11 @@ class FollowingError:
         """
         servos, was_known, (low, high) = self.servos, self.servos.late is not None, self._gave_way
         self.distance, self.force = self._robot.difference(commanded, measured), np.zeros(3)
-        excess = beyond(servos.excess(self.distance), low - ROUNDING, high + ROUNDING)
+        excess = signed_excess(servos.excess(self.distance), low - ROUNDING, high + ROUNDING)
         self._now, is_known = (excess, self.distance), servos.late is not None
         if is_known and not was_known:
-            self._tell(measured)
-        gone = servos.gone(round(BRIEFLY / self._dt))
+            self._write_notes(measured)
+        gone = servos.travel(round(BRIEFLY / self._dt))
         if self.tripped or servos.repeats:
             return
         # 16 times the limit: the error of 0.2 s of delay at 0.5 rad/s, and of a blocked arm that starts so fast
@@ -326,12 +326,12 @@ class FollowingError:
         """
         servos, dt, ago = self.servos, self._dt, len(self._found)
         before = (self._now, *self._found)[-1]
-        rise, gains, sent = excess - before[0], self.distance - before[1], servos.gone(ago)
+        rise, gains, sent = excess - before[0], self.distance - before[1], servos.travel(ago)
         # it rises for the delay of the measurement and then, ever more slowly, until the arm is at rest
         ahead = servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
         further = min(max(ahead / (math.ceil(LOOK_BACK / dt) * dt), 1.0), 3.0)  # noise grows with it
         J = self._robot.jacobian(measured, self._frame)[:3]
-        self.force, beside = self._force_of(excess + further * rise, J / self._stiffness)
+        self.force, beside = self._split_weight(excess + further * rise, J / self._stiffness)
         force, lacking, step = math.sqrt(self.force.dot(self.force)), math.nan, J.dot(sent)
         # share of the commanded motion that the hand lacks; unknown if the command is only noise, or the delay unknown
         if servos.late is not None and step.any() and sent.dot(sent) > RESOLUTION * RESOLUTION:
@@ -342,7 +342,7 @@ class FollowingError:
         lateral, most = max(self.contact.max_lateral_force, self.resolution), max(self._driven, self.resolution)
         if force > lateral:
             rows = np.zeros((0, len(sent))) if driven is None else driven(measured)
-            way, side = self._split(J, rows, servos.raw + further * gains)
+            way, side = self._split_directions(J, rows, servos.raw + further * gains)
             along = f"{way:.0f} N along what is driven"
             # a fifth may seem to be lateral: joints differ, directions are known to 10 degrees
             if side > lateral + 0.2 * way:
@@ -358,7 +358,7 @@ class FollowingError:
         words = f"joint {name} is pushed by {load:.0f} N m beside what the hand is: look what touches the arm"
         return words if abs(beside[j]) > self.limit[j] else ""
 
-    def _split(self, J: np.ndarray, driven: np.ndarray, off: Vector) -> tuple[float, float]:
+    def _split_directions(self, J: np.ndarray, driven: np.ndarray, off: Vector) -> tuple[float, float]:
         """Return the force on the hand along and across the driven rows [N].
 
         A moving hand presses on a rail because the arm's stiffness differs between directions: that is not a lateral
@@ -378,22 +378,22 @@ class FollowingError:
             side = min(side, float(np.linalg.norm(np.linalg.solve(yields, aside.dot(off)))))
         return way, side
 
-    def _yields(self, q: Posture) -> Float[np.ndarray, "3 nv"]:
+    def _compliance(self, q: Posture) -> Float[np.ndarray, "3 nv"]:
         """Return C = J / stiffness, the deflections of the joints per newton on the hand."""
         return self._robot.jacobian(q, self._frame)[:3] / self._stiffness
 
-    def _explained(self, off: np.ndarray, C: np.ndarray, sees: np.ndarray | float = 1.0) -> np.ndarray:
+    def _estimate_force(self, off: np.ndarray, C: np.ndarray, sees: np.ndarray | float = 1.0) -> np.ndarray:
         """Return the force on the hand that explains distances best, using the joints that `sees` selects."""
         selected = C * sees
         return np.linalg.solve(selected.dot(C.T) + self._damping, selected.dot(off))
 
-    def _force_of(self, excess: np.ndarray, C: np.ndarray) -> tuple[Float[np.ndarray, " 3"], Vector]:
+    def _split_weight(self, excess: np.ndarray, C: np.ndarray) -> tuple[Float[np.ndarray, " 3"], Vector]:
         """Return the force on the hand that explains distances, less a weight, and the distances that it does not
         explain.
         """
         # use joints that have moved, or were hardly commanded to move, or deviate by more than friction explains
         sees = self.servos.seen | (self.servos.most < STILL) | (self.servos.newest != 0.0)
-        f = self._explained(excess, C, sees)
+        f = self._estimate_force(excess, C, sees)
         beside = (excess - f.dot(C)) * sees
         weight = min(max(0.0, -f[2]), self._heaviest)
         if self.servos.moving <= 0.25:  # [s] after which a weight is known
@@ -402,13 +402,13 @@ class FollowingError:
         self._pushed = f.dot(C)
         return f, beside
 
-    def _tell(self, q: np.ndarray) -> None:
+    def _write_notes(self, q: np.ndarray) -> None:
         """Write notes on the servos' properties in the first motion, and on the smallest detectable force."""
-        servos, lateral_limit, C, ms = self.servos, self.contact.max_lateral_force, self._yields(q), 1e3 * self._dt
+        servos, lateral_limit, C, ms = self.servos, self.contact.max_lateral_force, self._compliance(q), 1e3 * self._dt
         # the commanded motion between two new readings is not friction
-        dry = np.maximum(servos.width - np.abs(servos.gone(round(servos.every - 1.0))), 0.0) * servos.seen
+        dry = np.maximum(servos.width - np.abs(servos.travel(round(servos.every - 1.0))), 0.0) * servos.seen
         sizes = np.sqrt(servos.variance), servos.width * servos.seen, dry
-        noise, width, friction = (float(np.linalg.norm(self._explained(np.diag(x), C))) for x in sizes)
+        noise, width, friction = (float(np.linalg.norm(self._estimate_force(np.diag(x), C))) for x in sizes)
         # readings are averaged until noise is a third of the limit. Friction is known to 70 %: it depends on load and
         # speed, and presses the hand itself
         deviations = 9.0  # standard deviations that count as noise: 4, times the square root of 5 for the extrapolation

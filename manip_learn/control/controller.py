@@ -18,7 +18,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Controller, LimitedController, Status, Vector
 from manip_learn.control.law import Law
 from manip_learn.control.limits import Limits
-from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing, policy_of
+from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, as_policy, replace_constraint
 from manip_learn.control.tasks import Hold, Task
 from manip_learn.errors import ConfigurationError, ConstraintError, an
 from manip_learn.linalg import Inverse, finite
@@ -94,7 +94,7 @@ class ResolvedRateController(LimitedController):
         n_held = constraint.n_constraints - len(self.task.driven_rows(constraint))
         if n_held > constraint.nv:
             raise ConstraintError(f"{n_held} rows are held by {constraint.nv} joints: they contradict each other")
-        self.null_policy: NullSpacePolicy = ZeroPolicy(constraint.nv) if null_policy is None else policy_of(null_policy)  # type: ignore[arg-type]
+        self.null_policy: NullSpacePolicy = ZeroPolicy(constraint.nv) if null_policy is None else as_policy(null_policy)  # type: ignore[arg-type]
         self.inverse: Inverse = inverse
         self.threshold, self.damping, self.dt = float(threshold), float(damping), float(dt)
         limits_robot = limits.robot if isinstance(limits, Limits) else None
@@ -167,7 +167,7 @@ class ResolvedRateController(LimitedController):
         rows, policy = task.rows(constraint), self.null_policy
         for before, after in ((self.constraint, rows), (self.learnt, constraint)):
             if before is not after:
-                policy = climbing(policy, before, after)
+                policy = replace_constraint(policy, before, after)
         settings = {"threshold": self.threshold, "damping": self._damping_given, "dt": self.dt, "robot": self.robot}
         return ResolvedRateController(constraint, task, policy, self.inverse, limits=self.limits or False, **settings)
 

@@ -276,12 +276,12 @@ class Pace:
 
 
 @final
-class GivenUp(KeyboardInterrupt):
+class CallAborted(KeyboardInterrupt):
     """A signal during a call of the driver that does not return; its argument is the time since the call [s]."""
 
 
 @final
-class OrderlyEnd:
+class Shutdown:
     """Graceful shutdown: however a cycle ends, by a signal, an exception, or with the interpreter, the arm holds
     itself.
 
@@ -344,7 +344,7 @@ class OrderlyEnd:
         self._called = self._clock.now()
         try:
             yield
-        except GivenUp as error:
+        except CallAborted as error:
             self.failed[call] = f"the driver's {call}() had not returned for {error.args[0]:.2g} s"
         finally:
             self._called = math.inf
@@ -368,7 +368,7 @@ class OrderlyEnd:
         return None
 
     def __enter__(self) -> None:
-        atexit.register(self._interpreter_ends)
+        atexit.register(self._stop_at_exit)
         names = ("SIGINT", "SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
         for number in [number for number in signal.Signals if number.name in names]:  # Windows has no SIGHUP
             before = signal.getsignal(number)  # None for a handler that Python did not install and cannot restore
@@ -388,7 +388,7 @@ class OrderlyEnd:
             self.failed["hold"] = f"the driver's hold() failed: {type(error).__name__}: {error}"
         finally:
             self._over.set()
-            atexit.unregister(self._interpreter_ends)
+            atexit.unregister(self._stop_at_exit)
             for number, handler in self._before.items():
                 signal.signal(number, handler)
         for number in [number for number in self.signals if number != signal.SIGINT][-1:]:
@@ -396,7 +396,7 @@ class OrderlyEnd:
                 raise SystemExit(128 + number)  # the exit code that a shell reports
             handler(number, None)
 
-    def _interpreter_ends(self) -> None:
+    def _stop_at_exit(self) -> None:
         """Brake: the main thread has ended, and this thread will be killed."""
         self.signals.append(signal.SIGINT)
         self.stop("the interpreter ended", True)
@@ -406,7 +406,7 @@ class OrderlyEnd:
         """Stop, and abort a call of the driver that does not return.
 
         Raises:
-            GivenUp: In the call of the driver.
+            CallAborted: In the call of the driver.
         """
         by_hand = number == signal.SIGINT
         again = by_hand and number in self.signals  # a second SIGHUP does not count: kernel and shell may both send one
@@ -414,7 +414,7 @@ class OrderlyEnd:
         self.stop("Ctrl-C" if by_hand else signal.Signals(number).name, True)
         elapsed = self._clock.now() - self._called  # negative if no call is under way
         if elapsed > self._patience or (again and elapsed >= 0.0):
-            raise GivenUp(elapsed)
+            raise CallAborted(elapsed)
 
 
 @final
@@ -423,9 +423,10 @@ class _Cycle:
 
     def __init__(self, loop: ServoLoop, arm: _Arm, clock: Clock):
         self._loop, self._robot, self._arm, self._clock = loop, loop.robot, arm, clock
-        self.ending = OrderlyEnd(arm, loop.stop, loop.stale_after, clock)
+        self.ending = Shutdown(arm, loop.stop, loop.stale_after, clock)
         start = loop.rules.controller.start
-        yields = np.maximum(_DRIFT, loop.state.following.farthest())  # deflections under the largest allowed force
+        # deflections under the largest allowed force
+        yields = np.maximum(_DRIFT, loop.state.following.largest_relaxation())
         self._start, self._within = (loop.position, yields) if start is None else (start, _DRIFT)
         self._samples, self._stride = list[_Sample](), 1  # stride: cycles from one sample to the next
         self._place = np.zeros(loop.robot.nv)  # positions of the first readings, later of the newest command
@@ -452,7 +453,7 @@ class _Cycle:
                 ending.raised = error
                 ending.stop(f"{type(error).__name__}: {error}")
             q = ending.ask("read")
-            if self._doubt(q):  # nothing is sent before a reading is believed
+            if self._describe_doubt(q):  # nothing is sent before a reading is believed
                 if ending.reason:
                     break
                 if pace.simulated:
@@ -461,12 +462,12 @@ class _Cycle:
                 pace.begin()
                 continue
             command = loop.update(q, t)
-            if not ending.reason and (astray := self._goes_astray(q, command.status is Status.FOLLOWING_ERROR)):
+            if not ending.reason and (astray := self._describe_drift(q, command.status is Status.FOLLOWING_ERROR)):
                 ending.stop(astray)
                 break  # no command moves such an arm as intended: only hold() is called
             self._send(t, command)
             pace.cycles += 1
-            stands = self._stands(command)
+            stands = self._is_at_rest(command)
             last = min(last, t + LONGEST_STOP) if ending.reason else math.inf
             if stands or t >= last or "command" in ending.failed:
                 break
@@ -475,7 +476,7 @@ class _Cycle:
         if ending.raised is not None:
             raise ending.raised
 
-    def _doubt(self, q: Any) -> str:
+    def _describe_doubt(self, q: Any) -> str:
         """Return why a first reading is not trusted, in words; empty if it is, or if it is not a posture.
 
         A driver that has no state yet may return zeros, or its last posture: two successive readings must agree, with
@@ -483,12 +484,12 @@ class _Cycle:
         arm ends the run.
         """
         loop, robot, before = self._loop, self._robot, self._place if self._doubted else None
-        if loop.measured is not None or (q := _numbers(robot, q)) is None:
+        if loop.measured is not None or (q := _as_posture(robot, q)) is None:
             return ""
         self._place, words = robot.positions(q), ""
         where = "where the motion starts: bring the arm there, or start from where it stands"
-        away = _apart(robot, self._start, q, self._within, where)
-        if away := away or _apart(robot, before, q, _DRIFT, "a period before: the arm moves"):
+        away = _describe_distance(robot, self._start, q, self._within, where)
+        if away := away or _describe_distance(robot, before, q, _DRIFT, "a period before: the arm moves"):
             words = f"nothing was sent: {away}; or the driver has no state yet, and is to read None"
         elif before is None:
             words = "one reading alone"
@@ -497,13 +498,13 @@ class _Cycle:
         self.ending.stop(outside or (words if is_late else ""))
         return outside or words
 
-    def _goes_astray(self, q: Any, tripped: bool) -> str:
+    def _describe_drift(self, q: Any, tripped: bool) -> str:
         """Return in words that the arm drifts while it is commanded to its own position; empty if it does not.
 
         This happens if a driver reads joints in another order than it commands them, or in another unit or sign. A
         single reading may be wrong, unless the arm is too far from its commanded position: `tripped`.
         """
-        q = _numbers(self._robot, q)
+        q = _as_posture(self._robot, q)
         if q is None or not self._samples:
             return ""
         _, first, _, start = self._samples[0]
@@ -512,7 +513,7 @@ class _Cycle:
         words = f"at first, and was sent by {went:.1g} rad or m at most: {causes}"
         # an arm that was commanded by less than 0.02 rad or m, and has moved four times as far, has moved by itself
         most = max(0.0 if tripped else _DRIFT, 4.0 * went)
-        away = _apart(self._robot, first, q, most, words) if went < 0.02 else ""
+        away = _describe_distance(self._robot, first, q, most, words) if went < 0.02 else ""
         self._astray = self._astray + 1 if away else 0
         return away if self._astray > (not tripped) else ""
 
@@ -534,7 +535,7 @@ class _Cycle:
         if len(self._samples) > SAMPLES:  # of a long run every second, fourth, ...
             self._samples, self._stride = self._samples[::2], 2 * self._stride
 
-    def _stands(self, command: Command) -> bool:
+    def _is_at_rest(self, command: Command) -> bool:
         """Return True if the arm is at rest for a reason to end; set the reason if it is the loop's."""
         loop, ending, patience, period = self._loop, self.ending, self._loop.stale_after, self._pace.period
         stands = not (command.velocity.any() or loop.state.lets_go)
@@ -548,7 +549,7 @@ class _Cycle:
             if is_blocked and len(past) > 2 and all(np.array_equal(q, past[-1]) for q in past):
                 causes = "the driver has gone on returning the same posture, or the arm is off: "
             if not ending.reason:
-                ending.stop(_mixed_up(self._robot, self._samples) + causes + words)
+                ending.stop(_describe_mismatch(self._robot, self._samples) + causes + words)
             ending.reason = ending.reason.replace(self._words or words, words)  # more readings make it more precise
             self._words = words
         return stands and bool(ending.reason)
@@ -562,13 +563,13 @@ class _Cycle:
         return RunRecord(rollout, *numbers, *self.ending.outcome, () if self._told is None else (slips,))
 
 
-def _numbers(robot: Robot, q: Any) -> Posture | None:
+def _as_posture(robot: Robot, q: Any) -> Posture | None:
     """Return a reading if it is as many finite numbers as a posture has, else None."""
     positions = finite(q, robot.nv)
     return finite(q, robot.nq) if positions is None else positions
 
 
-def _apart(robot: Robot, place: Posture | None, q: Posture, most: Vector | float, words: str) -> str:
+def _describe_distance(robot: Robot, place: Posture | None, q: Posture, most: Vector | float, words: str) -> str:
     """Return a joint that is farther from a posture than allowed [rad or m], in words; empty if none is."""
     most = np.maximum(most, np.finfo(float).eps)
     away = np.zeros(1) if place is None else np.abs(robot.difference(place, q)) / most
@@ -578,7 +579,7 @@ def _apart(robot: Robot, place: Posture | None, q: Posture, most: Vector | float
     return f"joint {robot.joint_names[j]} reads {now:.3g} {unit}, and {was:.3g} {unit} {words}"
 
 
-def _mixed_up(robot: Robot, samples: Sequence[_Sample]) -> str:
+def _describe_mismatch(robot: Robot, samples: Sequence[_Sample]) -> str:
     """Return the order, unit or sign of the joints that explains the measured motion, in words; empty if none does."""
     if len(samples) < 3:
         return ""

@@ -238,11 +238,11 @@ def every_joint(robot: Robot) -> Constraint:
     Args:
         robot: The robot.
     """
-    one, rates = np.eye(robot.nv), partial(_same, np.zeros((robot.nv,) * 3))
-    return Constraint(one, CustomFeatures(partial(_same, one), robot.joint_names, derivative=rates, robot=robot))
+    one, rates = np.eye(robot.nv), partial(_constant, np.zeros((robot.nv,) * 3))
+    return Constraint(one, CustomFeatures(partial(_constant, one), robot.joint_names, derivative=rates, robot=robot))
 
 
-def _same(value: np.ndarray, _q: np.ndarray) -> np.ndarray:
+def _constant(value: np.ndarray, _q: np.ndarray) -> np.ndarray:
     return value  # a function at module level can be pickled
 
 
@@ -340,7 +340,7 @@ def _leg(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> tupl
     """Return a path through postures, and the progress along it in time."""
     robot, tip = limits.robot, limits.barriers
 
-    def needed(q: np.ndarray, rates: np.ndarray) -> Posture:
+    def time_at_full_speed(q: np.ndarray, rates: np.ndarray) -> Posture:
         """Return the time that each joint motion takes at a posture, at full speed [s].
 
         Args:
@@ -352,11 +352,11 @@ def _leg(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> tupl
         return np.maximum(times, np.array(fastest) / tip.pace)
 
     steps = np.diff(knots, axis=0)
-    times = np.append(0.0, np.cumsum(needed(knots[:-1] + 0.5 * steps, steps)))
+    times = np.append(0.0, np.cumsum(time_at_full_speed(knots[:-1] + 0.5 * steps, steps)))
     path = CubicSpline(times / times[-1], knots, bc_type="natural")
     fine = np.linspace(0.0, 1.0, 8 * max(4, len(steps)) + 1)  # between these points the law keeps the limits
     # half a second from rest to the speed, as for a `FreeDirection`
-    return path, MotionProfile(1.0, 1.0 / float(np.max(needed(path(fine), path(fine, 1)))), 0.5)
+    return path, MotionProfile(1.0, 1.0 / float(np.max(time_at_full_speed(path(fine), path(fine, 1)))), 0.5)
 
 
 @final

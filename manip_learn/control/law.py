@@ -119,7 +119,7 @@ class Desired(NamedTuple):
         unchanged = Status.DAMPED if self.is_damped else Status.OK
         return unchanged if self.is_damped or not changed else Status.NULL_SCALED if fits else Status.REROUTED
 
-    def as_wished(self, u: Vector, outside: float) -> Command:
+    def unconstrained_command(self, u: Vector, outside: float) -> Command:
         """Return the command u* for the case that no bound changes it.
 
         Args:
@@ -130,7 +130,7 @@ class Desired(NamedTuple):
         parts, status = (self.task, self.null, 1.0, 1.0), self.status(progress, outside, changed=False)
         return Command(u, status, self.mu, self.b, *parts, self.smallest, self.escape, progress, outside)
 
-    def within(self, bounds: Bounds, wish: Vector, u: Vector, cause: int) -> Command:
+    def limited_command(self, bounds: Bounds, wish: Vector, u: Vector, cause: int) -> Command:
         """Return the command for the case that bounds change the law.
 
         Args:
@@ -300,7 +300,7 @@ class Law:
         plain = robot is None or (robot.positions_add_up and len(q) == len(u))
         return (self.constraint(q + step if plain or robot is None else robot.integrate(q, step)) - A).dot(u)
 
-    def _straightened(self, law: Desired, q: np.ndarray, dt: float, u: np.ndarray) -> Desired:
+    def _with_bend(self, law: Desired, q: np.ndarray, dt: float, u: np.ndarray) -> Desired:
         """Return the law with b as the mean velocity of the rows over the step, see the class.
 
         A change of the previous u changes the next u by at most 2 |c| / (sigma |u|) times as much: the bound on |c|
@@ -393,24 +393,24 @@ class Law:
         """
         law = self.desired(q, t, dt, limits)
         if limits is None:
-            return law.as_wished(law.velocity, 0.0)
+            return law.unconstrained_command(law.velocity, 0.0)
         if previous is not None:
-            law = self._straightened(law, q, dt, previous)
+            law = self._with_bend(law, q, dt, previous)
         wish, bounds = law.velocity, limits.bounds(q, dt, previous)
         barriers, barrier = limits.barriers.at(q, dt, limits.acceleration, previous), self._approach(q, dt, law, limits)
         broken, D = barriers.broken(wish), self.task.driven_rows(self.constraint)
         fits, cause = broken is None and bounds.excess(wish) <= FINE, -1 if broken is None else broken[1]
         fits = fits and (barrier is None or float(barrier[0][0].dot(wish)) >= barrier[1][0])
-        rest, drive = _slowed_drive(law, D, limits, barrier)
+        rest, drive = _limit_drive(law, D, limits, barrier)
         if previous is not None and 0 < len(D) < len(law.b):
             share = self._braking_share(law, q, D, rest + drive, previous, limits)
             if share < 1.0:
                 fits, cause, drive = False, ACCELERATION if cause < 0 else cause, share * drive
         if fits:
-            return law.as_wished(bounds.nearest(wish), bounds.outside)
+            return law.unconstrained_command(bounds.nearest(wish), bounds.outside)
         slowed, W = rest + drive, self._metric(law, D, dt, slide)
         u = barriers.solution(slowed, barrier, lambda rows: nearest_within(slowed, W, bounds, rows))
-        return law.within(bounds, wish, u, cause)
+        return law.limited_command(bounds, wish, u, cause)
 
     def _metric(self, law: Desired, D: np.ndarray, dt: float, slide: float) -> Float[np.ndarray, "s nv"]:
         """Return W of the program min |W (u - u*)|^2 + |u - u*|^2, see the class.
@@ -476,7 +476,7 @@ class Law:
         return (slope[None], np.array([-bound])) if bound < math.inf else None
 
 
-def _slowed_drive(law: Desired, D: np.ndarray, limits: Limits, barrier: Barrier | None) -> tuple[Vector, Vector]:
+def _limit_drive(law: Desired, D: np.ndarray, limits: Limits, barrier: Barrier | None) -> tuple[Vector, Vector]:
     """Return the rest of u*, and its part that drives the task, scaled to the velocity limits and the singularity's
     barrier.
 

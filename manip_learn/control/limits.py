@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike
 
-from manip_learn.control.barriers import APPROACH_RATE, BRAKING_SHARE, CLEARANCE, Barriers, KeptClear, Standing
+from manip_learn.control import barriers
+from manip_learn.control.barriers import APPROACH_RATE, BRAKING_SHARE, CLEARANCE, Barriers, Obstacles
 from manip_learn.control.command import ACCELERATION, POSITION, VELOCITY, Posture, Vector
 from manip_learn.errors import ConfigurationError, TargetError
 from manip_learn.robot.collision import SelfCollision
@@ -214,7 +215,7 @@ class Limits:
         tip_box: ArrayLike | None = None,
         tip_walls: ArrayLike | None = None,
         frames: str | Sequence[str] | None = None,
-        clear_of: SelfCollision | Standing | None = None,
+        clear_of: SelfCollision | Obstacles | None = None,
         clearance: float = CLEARANCE,
     ):
         self.robot = robot
@@ -227,7 +228,7 @@ class Limits:
         self.jerk = None if jerk is None else per_joint("jerk limit", jerk, names)
         if not (math.isfinite(margin) and margin >= 0.0):
             raise ConfigurationError(f"margin must be a distance of at least 0, got {margin!r}")
-        clear = None if clear_of is None else KeptClear(robot, clear_of, clearance)
+        clear = None if clear_of is None else barriers.CollisionAvoidance(robot, clear_of, clearance)
         self.barriers = Barriers(robot, tip_speed, tip_box, tip_walls, frames, clear)
         infinite = np.full(robot.nv, np.inf)
         self.lower = robot.position_lower + margin if position else -infinite

@@ -523,7 +523,7 @@ class PolicyFunction(NullSpacePolicy):
         return f"PolicyFunction({getattr(self.function, '__name__', self.function)!s})"
 
 
-def policy_of(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePolicy:
+def as_policy(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePolicy:
     """Return a policy unchanged, and wrap a function as a `PolicyFunction`.
 
     Args:
@@ -532,7 +532,7 @@ def policy_of(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePo
     return policy if isinstance(policy, NullSpacePolicy) else PolicyFunction(policy)
 
 
-def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
+def replace_constraint(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
     """Return a policy with its ascents of one constraint changed to another; other policies are returned unchanged.
 
     Args:
@@ -543,9 +543,9 @@ def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> 
     if isinstance(policy, _Ascent) and policy.constraint is before:
         changed: dict[str, Any] = {"constraint": after}
     elif isinstance(policy, KeptOrientation):
-        changed = {"policy": climbing(policy.policy, before, after)}
+        changed = {"policy": replace_constraint(policy.policy, before, after)}
     elif isinstance(policy, WeightedPolicies):
-        changed = {"policies": tuple(climbing(part, before, after) for part in policy.policies)}
+        changed = {"policies": tuple(replace_constraint(part, before, after) for part in policy.policies)}
     else:
         return policy
     other = copy.copy(policy)

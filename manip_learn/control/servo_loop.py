@@ -27,7 +27,7 @@ from manip_learn.control.controller import BoundedController
 from manip_learn.control.law import next_slide
 from manip_learn.control.limits import Bounds, Limits, farthest_positions, stopping_speed
 from manip_learn.control.reading import Readings
-from manip_learn.control.servos import copied
+from manip_learn.control.servos import shallow_copy
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.control.timing import Timing, VelocityAverage, in_milliseconds, time_of
 from manip_learn.errors import ConfigurationError
@@ -107,10 +107,10 @@ class State:
     payload: str = ""
     hangs: bool = False
 
-    def copied(self) -> State:
+    def copy(self) -> State:
         """Return a copy for the next period; its parts are never changed in place."""
-        other = copied(self)
-        other.following = self.following.copied()
+        other = shallow_copy(self)
+        other.following = self.following.copy()
         return other
 
 
@@ -144,8 +144,8 @@ class LoopRules:
             posture: Commanded posture; None takes the first measured one.
         """
         rest, average = np.zeros(self.robot.nv), VelocityAverage.at_rest(self.limits, self.dt)
-        timing = Timing.begin(self.dt, self.stale_after) if before is None else before.timing.again()
-        return State(self._unknown.copied(), timing, average, rest, rest, posture, posture, alone=posture is None)
+        timing = Timing.begin(self.dt, self.stale_after) if before is None else before.timing.restart()
+        return State(self._unknown.copy(), timing, average, rest, rest, posture, posture, alone=posture is None)
 
     def step(self, state: State, q: Any, t: Any) -> tuple[State, Command]:
         """Return the state and the command of the next period; the given state is not changed.
@@ -158,7 +158,7 @@ class LoopRules:
         Raises:
             ManipLearnError: An error of the controller.
         """
-        after = state.copied()
+        after = state.copy()
         return after, self.advance(after, q, t)
 
     def advance(self, s: State, q: Any, t: Any) -> Command:
@@ -170,9 +170,9 @@ class LoopRules:
             t: Time at which it was measured [s].
         """
         measured, time, timing = self.readings.posture(q), time_of(t), s.timing
-        timing = timing if measured is None else timing.ordered(time)
+        timing = timing if measured is None else timing.detect_reset(time)
         if measured is None or not time >= timing.time:
-            s.timing = timing.without(math.nan if measured is None else time)
+            s.timing = timing.skip_reading(math.nan if measured is None else time)
             s.stopped_by = self.readings.refusal(q) if measured is None else f"no time: {t!r:.40}"
             return self.brake(s, Status.INVALID_INPUT)
         jump = self.readings.jump(s.measured, measured, max(self.dt, time - timing.time))
@@ -184,7 +184,7 @@ class LoopRules:
                 replaced = {"is_stopped": s.is_stopped, "way_back": back, "measured": measured, "alone": True}
                 vars(s).update(vars(new) | replaced)
                 timing = s.timing._replace(time=time)
-            s.timing = timing.without(timing.older)
+            s.timing = timing.skip_reading(timing.older)
             s.refused += self.dt
             s.stopped_by, s.jumped = jump, (jump, time)
             return self.brake(s, Status.INVALID_INPUT)
@@ -199,14 +199,14 @@ class LoopRules:
         if s.reference is None or s.position is None:
             s.reference = s.position = measured
         if s.way_back is not None:
-            self._go_back(s, s.position, s.way_back, measured, period)
+            self._return_to_arm(s, s.position, s.way_back, measured, period)
             return self.brake(s, Status.FOLLOWING_ERROR, period)
         if timing.silent == 0.0:  # an old state has no information on the commands since
             s.following.compare(s.position, measured, self.controller.driven_motions)
         if s.following.tripped:
             # the average would continue to press for its own length
             s.reference, s.velocity = s.position, s.sent
-            return self._unloading(s, s.position, measured, period)
+            return self._relax(s, s.position, measured, period)
         if timing.is_stale:
             s.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
             if in_milliseconds(timing.since, self.dt):
@@ -218,10 +218,10 @@ class LoopRules:
             if s.last.status in STANDING:
                 return self.brake(s, s.last.status)
             same = s.last._replace(velocity=s.velocity)  # goes on, as long as that stays within the limits
-            return self._sent_on(s, _within(same, self._bounds(s, s.reference, self.dt)), self.dt)
-        return self._sent_on(s, self._command(s, s.reference, self.clock(s, time), period), period)
+            return self._send_command(s, _clip_command(same, self._bounds(s, s.reference, self.dt)), self.dt)
+        return self._send_command(s, self._command(s, s.reference, self.clock(s, time), period), period)
 
-    def _go_back(self, s: State, sent: Posture, way: WayBack, measured: Posture, dt: float) -> None:
+    def _return_to_arm(self, s: State, sent: Posture, way: WayBack, measured: Posture, dt: float) -> None:
         """Move the posture that is sent to the first measured position of the arm, less its load: newer readings add
         noise.
 
@@ -273,9 +273,9 @@ class LoopRules:
         """
         if s.timing.is_regular:
             return self.limits.bounds(q, held, s.velocity)
-        return self._careful(s, q, s.timing.longest).after(s.velocity, self.limits.acceleration * held)
+        return self._safe_bounds(s, q, s.timing.longest).after(s.velocity, self.limits.acceleration * held)
 
-    def _careful(self, s: State, q: np.ndarray, late: float) -> Bounds:
+    def _safe_bounds(self, s: State, q: np.ndarray, late: float) -> Bounds:
         """Return bounds from which a joint stops however late the calls are, without acceleration limits."""
         return self.limits.bounds(q, late, None, s.timing.usual / late)
 
@@ -287,14 +287,14 @@ class LoopRules:
         command, clear = self.controller(q, time, held, s.velocity, s.slide), self.limits.barriers.clear
         s.slide = next_slide(s.slide, command, held)
         if not s.timing.is_regular:
-            command = _within(command, self._bounds(s, q, held))
+            command = _clip_command(command, self._bounds(s, q, held))
         if clear is None:
             return command
         at = q, held, self.limits.acceleration, s.velocity
-        if not clear.was_clear(q, command.velocity) and clear.rows(*at, command.velocity) is not None:
-            command = _held_back(command, self._braking(s, held))._replace(limiting_joint=-1)
+        if not clear.is_latest_clear(q, command.velocity) and clear.rows(*at, command.velocity) is not None:
+            command = _replace_velocity(command, self._braking(s, held))._replace(limiting_joint=-1)
         if command.limiting_joint < 0 and command.status in (Status.POSITION_LIMITED, Status.STALLED):
-            s.stopped_by = clear.words() or s.stopped_by
+            s.stopped_by = clear.describe_nearest() or s.stopped_by
         return command
 
     def brake(self, s: State, status: Status, held: float | None = None) -> Command:
@@ -306,7 +306,7 @@ class LoopRules:
             held: Time for which the command is held [s]; None for the period.
         """
         dt = self.dt if held is None else held
-        return self._beside_the_law(s, self._braking(s, dt), status, dt)
+        return self._command_without_law(s, self._braking(s, dt), status, dt)
 
     def _braking(self, s: State, dt: float) -> np.ndarray:
         """Return the velocity with which the arm brakes for a time [s]: slower towards a limit, but at rest outside
@@ -319,20 +319,20 @@ class LoopRules:
         bounds = bounds._replace(low=np.minimum(bounds.low, 0.0), high=np.maximum(bounds.high, 0.0))
         return self.limits.towards(np.zeros_like(u), u, bounds, dt)
 
-    def _unloading(self, s: State, commanded: np.ndarray, measured: np.ndarray, held: float) -> Command:
+    def _relax(self, s: State, commanded: np.ndarray, measured: np.ndarray, held: float) -> Command:
         """Relax a blocked arm: move to its measured position at the time of the contact, and on until no force is left.
 
         The obstacle springs back with the arm, so that the first measurement does not give the whole distance.
         """
         following, at_rest_after, reached = s.following, 0.05, 1e-9  # [s]; [rad or m] largest distance to a goal
         if s.relief is None:
-            s.pressed, s.renewed, s.rested = (commanded, measured, following.farthest()), 0, 0.0
-            s.moved, s.payload = s.velocity, following.carry(following.servos.at_rest, measured)
-            s.relief, s.lets_go = self._let_go(s, commanded), True
-            self._name_cause(s, measured)
+            s.pressed, s.renewed, s.rested = (commanded, measured, following.largest_relaxation()), 0, 0.0
+            s.moved, s.payload = s.velocity, following.accept_weight(following.servos.at_rest, measured)
+            s.relief, s.lets_go = self._relaxed_posture(s, commanded), True
+            self._set_cause(s, measured)
         elif float(s.velocity.dot(s.moved)) > 0.0:  # it brakes, and each reading makes the cause clearer
-            self._name_cause(s, measured)
-        elif not s.renewed and self._comes_along(s, commanded, measured):
+            self._set_cause(s, measured)
+        elif not s.renewed and self._follows_relaxation(s, commanded, measured):
             s.relief, s.renewed, s.hangs = commanded, RENEWALS, True
         else:
             s.moved = np.zeros_like(s.moved)
@@ -341,30 +341,30 @@ class LoopRules:
         s.rested += held
         since, arrived = s.rested - following.servos.delay, farthest < reached and not s.velocity.any()
         if arrived and since > at_rest_after:
-            s.lets_go = s.renewed < RENEWALS and following.left(measured) > LEFT
+            s.lets_go = s.renewed < RENEWALS and following.remaining_force(measured) > LEFT
             if s.hangs:  # the weight has come to rest
-                s.stopped_by = f"{s.stopped_by}{following.carry(following.distance, measured)}"
+                s.stopped_by = f"{s.stopped_by}{following.accept_weight(following.distance, measured)}"
                 s.hangs = False
         if arrived and not (s.lets_go and since > at_rest_after):
             return self.brake(s, Status.FOLLOWING_ERROR, held)
         s.renewed += arrived
         # the first measurements were of an arm in motion, so the goal is updated; small distances are noise
         if arrived or (farthest > 5e-4 and not s.renewed and since > 0.01):
-            s.relief, s.rested = self._let_go(s, commanded), 0.0
+            s.relief, s.rested = self._relaxed_posture(s, commanded), 0.0
             remaining = self.robot.difference(commanded, s.relief)
             farthest = float(np.abs(remaining).max(initial=0.0))
         # from 60 N to 3 N in 0.12 s, and no slower than 1 mrad/s meanwhile
         wish = remaining * min(1.0 / held, max(25.0, 1e-3 / max(farthest, reached)))
         bounds = self.hardest.bounds(commanded, held, s.velocity)
         velocity = self.hardest.towards(wish, s.velocity, bounds, held)
-        return self._beside_the_law(s, velocity, Status.FOLLOWING_ERROR, held)
+        return self._command_without_law(s, velocity, Status.FOLLOWING_ERROR, held)
 
-    def _name_cause(self, s: State, measured: np.ndarray) -> None:
+    def _set_cause(self, s: State, measured: np.ndarray) -> None:
         """Set the reason of the stop."""
-        words = s.following.sentence(self.controller.constraint, measured) + s.payload
+        words = s.following.describe_cause(self.controller.constraint, measured) + s.payload
         s.stopped_by = f"{s.jumped[0]}; {words}" if s.timing.time - s.jumped[1] <= self.stale_after else words
 
-    def _let_go(self, s: State, commanded: np.ndarray) -> np.ndarray:
+    def _relaxed_posture(self, s: State, commanded: np.ndarray) -> np.ndarray:
         """Return a posture at which the arm presses less, within the largest relaxation."""
         place, _, most = s.pressed
         gone = self.robot.difference(place, commanded) + s.following.relief()
@@ -373,23 +373,23 @@ class LoopRules:
             s.renewed = RENEWALS
         return np.array(self.robot.integrate(place, way))
 
-    def _comes_along(self, s: State, commanded: np.ndarray, measured: np.ndarray) -> bool:
+    def _follows_relaxation(self, s: State, commanded: np.ndarray, measured: np.ndarray) -> bool:
         """Return True if an arm that is pulled down sinks as far as it relaxes: a weight pulls it, and nothing blocks
         it.
         """
         place, pressed, _ = s.pressed
         following, servos = s.following, s.following.servos
-        gone = self.robot.difference(place, commanded) - servos.gone(round(servos.delay / self.dt))
+        gone = self.robot.difference(place, commanded) - servos.travel(round(servos.delay / self.dt))
         came, square = self.robot.difference(pressed, measured), float(gone.dot(gone))
         # a relaxation of less than 2 mrad or mm is not conclusive
         return following.sinks and square > 2e-3 * 2e-3 and float(came.dot(gone)) > 0.9 * square
 
-    def _beside_the_law(self, s: State, u: np.ndarray, status: Status, held: float) -> Command:
+    def _command_without_law(self, s: State, u: np.ndarray, status: Status, held: float) -> Command:
         names = ("manipulability", "task_velocity", "smallest_singular_value")
         values = {} if s.last is None else {name: getattr(s.last, name) for name in names}
-        return self._sent_on(s, Command.of_joints(u, status, task_scale=0.0, progress=0.0, **values), held)
+        return self._send_command(s, Command.of_joints(u, status, task_scale=0.0, progress=0.0, **values), held)
 
-    def _sent_on(self, s: State, command: Command, held: float) -> Command:
+    def _send_command(self, s: State, command: Command, held: float) -> Command:
         """Average the velocity, and move the commanded posture on by one period."""
         # copies: the caller may write into the arrays of the command
         before, sent = s.velocity, s.sent
@@ -403,7 +403,8 @@ class LoopRules:
             late = s.timing.longest
             if s.runs_on and late > s.timing.usual and s.position is not None:
                 # the mean needs a fixed number of calls to come to rest: position limits have precedence over it
-                slower = self._careful(s, s.position, late).after(sent, self.limits.acceleration * held).nearest(s.sent)
+                bounds = self._safe_bounds(s, s.position, late)
+                slower = bounds.after(sent, self.limits.acceleration * held).nearest(s.sent)
                 moved, s.sent = moved - (s.sent - slower), slower
         self._advance(s, held, moved)
         own = {name: np.array(getattr(command, name)) for name in ("task_velocity", "task_part", "null_part")}
@@ -413,7 +414,7 @@ class LoopRules:
         """Move the commanded posture on by a time [s]."""
         if s.reference is None or s.position is None:
             return
-        s.following.moved(s.position, time, s.sent)
+        s.following.record_step(s.position, time, s.sent)
         s.commanded += time
         if velocity.any() or s.sent.any():
             together = s.position is s.reference and s.average is None
@@ -421,13 +422,13 @@ class LoopRules:
             s.position = s.reference if together else self.robot.integrate(s.position, time * s.sent)
 
 
-def _within(command: Command, bounds: Bounds) -> Command:
+def _clip_command(command: Command, bounds: Bounds) -> Command:
     """Return a command clipped to bounds."""
     admitted = bounds.admit(command.velocity)
-    return command if admitted else _held_back(command, bounds.nearest(command.velocity))
+    return command if admitted else _replace_velocity(command, bounds.nearest(command.velocity))
 
 
-def _held_back(command: Command, velocity: np.ndarray) -> Command:
+def _replace_velocity(command: Command, velocity: np.ndarray) -> Command:
     """Return a command with another velocity, for a position limit; its status changes if it was less serious."""
     status = min(command.status, Status.POSITION_LIMITED, key=tuple(Status).index)
     return command._replace(velocity=velocity, status=status)
@@ -605,7 +606,7 @@ class ServoLoop:
 
     def _exchange(self, task: Task | None, constraint: Constraint | None) -> None:
         """Continue with another task or another constraint from the present posture and velocity."""
-        law, state = self.rules.controller.law, self._state.copied()
+        law, state = self.rules.controller.law, self._state.copy()
         if law is None:
             kind = type(self.controller).__name__
             raise ConfigurationError(f"only a ResolvedRateController takes another task, not {kind}")
@@ -673,7 +674,7 @@ class ServoLoop:
         Raises:
             ManipLearnError: An error of the controller.
         """
-        before, self._state = self._state, self._state.copied()
+        before, self._state = self._state, self._state.copy()
         self._state.is_stopped = self._is_stopped  # which a signal may change at any time
         command = self.rules.advance(self._state, q, t)
         for note in self._state.following.notes[len(before.following.notes) :]:

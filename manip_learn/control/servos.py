@@ -19,7 +19,7 @@ PACE = 0.002  # [s] spread of the delays of the joints: dampers of 4 N m s/rad a
 ROUNDING = 1e-12  # [rad or m] rounding error of sums of steps
 
 
-def copied(thing: Any) -> Any:
+def shallow_copy(thing: Any) -> Any:
     """Return a shallow copy of an object without slots, in a tenth of the time of `copy.copy`.
 
     Args:
@@ -30,7 +30,7 @@ def copied(thing: Any) -> Any:
     return other
 
 
-def beyond(x: np.ndarray, low: np.ndarray | float, high: np.ndarray | float) -> np.ndarray:
+def signed_excess(x: np.ndarray, low: np.ndarray | float, high: np.ndarray | float) -> np.ndarray:
     """Return the excess of numbers above `high` (positive) or below `low` (negative); 0 between them.
 
     Args:
@@ -101,7 +101,7 @@ class Servos:
         self._window, self._at, self._excess, self.smoothing = (0, longest), 0, zero, dt / (dt + 0.004)
         self.raw, self.most, self.newest, self.repeats = zero, zero, zero, False
 
-    def moved(self, step: Float[np.ndarray, " nv"], time: float) -> bool:
+    def record_step(self, step: Float[np.ndarray, " nv"], time: float) -> bool:
         """Record a step of the commanded posture.
 
         A call that came early reverses a part of the previous step, which the arm may have made.
@@ -123,11 +123,11 @@ class Servos:
         return over
 
     @property
-    def has_looked(self) -> bool:
+    def is_slow_period(self) -> bool:
         """True in the periods in which slow quantities are evaluated, all of them in the same period."""
         return self._over % self._often == 1 % self._often
 
-    def gone(self, periods: int) -> Float[np.ndarray, " nv"]:
+    def travel(self, periods: int) -> Float[np.ndarray, " nv"]:
         """Return the motion of the commanded posture in the last periods [rad or m].
 
         Args:
@@ -136,7 +136,7 @@ class Servos:
         return self._sent[0] - self._sent[min(periods, len(self._sent) - 1)]
 
     @property
-    def moved_lately(self) -> Float[np.ndarray, " nv"]:
+    def recent_travel(self) -> Float[np.ndarray, " nv"]:
         """Motion of the commanded posture within the longest possible delay, shape (nv,) [rad or m]."""
         return np.abs(self._sent[: self._window[1] + 1] - self._sent[0]).max(axis=0)
 
@@ -158,29 +158,29 @@ class Servos:
             sent = self._sent[: self._window[1] + 1]
             # a joint that was not seen to move lags by no more than its commanded motion
             high = np.where(self.seen, self.width, np.minimum(np.abs(sent).max(axis=0), self.width))
-            high = high + np.abs(self.gone(self._pace)) * (PACE / self._dt / self._pace) + ROUNDING
+            high = high + np.abs(self.travel(self._pace)) * (PACE / self._dt / self._pace) + ROUNDING
             raw = y - sent
-            excess = beyond(raw, -high, high)
+            excess = signed_excess(raw, -high, high)
             self._at = int(np.einsum("ij,ij->i", excess, excess).argmin())
             raw, excess = raw[self._at], excess[self._at]
-            self._look(y, sent[self._at])
+            self._update_estimates(y, sent[self._at])
         else:
             c = self._sent[self._at]
             if self._over % self._often == 0:
-                self._look_again(y, c)
+                self._update_range(y, c)
             low, high, path = self._bounds
             raw = y - c
-            excess = beyond(raw, low, high)
+            excess = signed_excess(raw, low, high)
             if excess.dot(excess) > 0.0:  # the delay is uncertain by this part of the path
                 share = float(excess.dot(path)) / max(float(path.dot(path)), ROUNDING * ROUNDING)
                 raw = raw - min(max(share, -0.5), 0.5) * path
-                excess = beyond(raw, low, high)
+                excess = signed_excess(raw, low, high)
         self.raw, self.most, self.newest, self._past = raw, high, excess, (y, *self._past[:3])
         self.repeats = 0 < self._same < 1.5 * self.every - 1.0
         self._excess = self._excess + self.smoothing * (excess - self._excess)
         return self._excess
 
-    def _look_again(self, y: np.ndarray, c: np.ndarray) -> None:
+    def _update_range(self, y: np.ndarray, c: np.ndarray) -> None:
         """Compute the range of distances without a force, and the part of the path for which the delay is uncertain."""
         (least, most), width = self._window, self.width
         path = self._sent[least] - self._sent[most]
@@ -190,12 +190,12 @@ class Servos:
         nearer = np.where((c - self._place) * self._sense > 0.99 * width, self._margin, 0.0)
         low, high = nearer * (self._sense < 0.0) - width, width - nearer * (self._sense > 0.0)
         if not self.seen.all():
-            self._look(y, c)
+            self._update_estimates(y, c)
             reach = np.minimum(np.abs(c) + np.abs(c - self._sent[self._at + self._often]), self.width)
             low, high = np.where(self.seen, low, -reach), np.where(self.seen, high, reach)
         self._bounds = low - spread, high + spread, path
 
-    def _look(self, y: np.ndarray, c: np.ndarray) -> None:
+    def _update_estimates(self, y: np.ndarray, c: np.ndarray) -> None:
         """Update noise, widths and the delay from a reading."""
         if not self.moving:
             self._rests += 1
@@ -236,12 +236,12 @@ class Servos:
         is_clear = min(apart[best], apart[best + 4]) - rest[best] > noise + (0.5 * STILL) ** 2
         if not (is_clear and rest[best] < (3.0 * math.sqrt(noise) + STILL) ** 2 or is_last):
             return
-        place = _lowest(rest)[0]
+        place = _parabola_minimum(rest)[0]
         at = min(int(place), len(self._lags) - 2)
         share, turn, moves = place - at, step[:, at], (step[:, at] != 0.0) & has_moved
         between = (1.0 - share) * sent[:, at] + share * sent[:, at + 1]
         spread = np.abs(sent[:, at] - sent[:, at + 1]) * (PACE / self._dt / float(self._lags[at + 1] - self._lags[at]))
-        self._learn_widths(beyond(turn * (between - y), -spread, spread), turn, moves)
+        self._learn_widths(signed_excess(turn * (between - y), -spread, spread), turn, moves)
         lag = float(np.interp(place, np.arange(len(self._lags)), self._lags))  # periods
         around, self._at, self.late = math.ceil(0.25 * lag) + 1, round(lag), lag * self._dt
         self._window = max(0, self._at - around), min(self._window[1], self._at + around)
@@ -278,7 +278,7 @@ class Servos:
             Its speed along the commanded path as a share of the commanded speed, NaN if the arm does not follow that
             path; and True if no joint moves any more.
         """
-        late, off = self._behind(0)
+        late, off = self._lag(0)
         later = int(late - (self._at if self.late is None else self._window[1]))
         away = self._past[0] - self.at_rest - self._sent[self._at]
         # the speed can be estimated if the delay has grown by three periods, and the distance from the path is no more
@@ -290,16 +290,16 @@ class Servos:
         few, half = 1 + later // 4, later // 2
         moved = np.abs(np.mean(reads[:few], axis=0) - np.mean(reads[-few:], axis=0))
         stands = bool(np.all(moved < NOISES * np.sqrt(self.variance) / math.sqrt(few)))
-        before, then = self._behind(half)[0], self._behind(later)[0]
+        before, then = self._lag(half)[0], self._lag(later)[0]
         first, second = 1.0 - (before - then) / (later - half), 1.0 - (late - before) / half
         stops = later >= 12 and second < 0.7 * first  # as filtered readings do
         return (math.nan if stops else 1.0 - (late - then) / later), stands
 
-    def _behind(self, ago: int) -> tuple[float, float]:
+    def _lag(self, ago: int) -> tuple[float, float]:
         """Return the delay of a reading on the commanded path [periods], and its squared distance from that path."""
         reading = self._reads[ago - 1] if ago else self._past[0]
         away = self._sent[ago:] - (reading - self.at_rest)
-        return _lowest(np.einsum("ij,ij->i", away, away))
+        return _parabola_minimum(np.einsum("ij,ij->i", away, away))
 
     @property
     def delay(self) -> float:
@@ -307,7 +307,7 @@ class Servos:
         return self._at * self._dt + (1.0 / self.smoothing - 1.0) * self._dt
 
 
-def _lowest(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
+def _parabola_minimum(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
     """Return the position and the value of the minimum of the parabola through the least of some values and its
     neighbours.
     """

@@ -104,13 +104,13 @@ def simulate(
     for block in np.split(starts, range(256, len(starts), 256)) if len(starts) else ():
         whole = repeat(None) if native is None else native.rollouts(controller, block, dt, steps, inner)
         for start, rollout in zip(block, whole, strict=False):  # None where single steps are needed
-            rollouts.append(rollout or _stepped(robot, controller, start, steps, dt, inner))
+            rollouts.append(rollout or _rollout(robot, controller, start, steps, dt, inner))
             if table and progress is not None:
                 progress("simulating", len(rollouts) / len(starts))
     return tuple(rollouts) if table else rollouts[0]
 
 
-def _stepped(robot: Robot | None, controller: Any, q: Posture, n: int, dt: float, report: Progress | None) -> Rollout:
+def _rollout(robot: Robot | None, controller: Any, q: Posture, n: int, dt: float, report: Progress | None) -> Rollout:
     """Return the rollout from one start, in n steps; the library's own controllers run in a servo loop."""
     step, task_error = (lambda q, t: controller(q, t, dt)), getattr(controller, "task_error", lambda q, t: np.nan)
     if isinstance(controller, ServoLoop):
@@ -250,15 +250,15 @@ def simulate_way(
     lengths = {min(times * (nominal + slack), longest) for times in (1.0, 2.0, 4.0)}
     for length in sorted(lengths) if duration is None else [duration]:
         rollout = simulate(robot, controller, q0, length, dt, progress=progress)
-        places, end = _places_of(task, rollout)
+        places, end = _measure_progress(task, rollout)
         if end < np.inf:
             break
     rollout = rollout.until(end if duration is None else np.inf)
-    outcome = _way_done(task, rollout, places[: len(rollout)], robot)
+    outcome = _describe_outcome(task, rollout, places[: len(rollout)], robot)
     return replace(rollout, ways=(outcome.to_dict(),)), outcome
 
 
-def _places_of(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray, " T"], float]:
+def _measure_progress(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray, " T"], float]:
     """Return the progress of the motion at each sample [m or rad], NaN before it began, and the time of its end [s].
 
     It ends a moment after it is complete, or when the hand has come to a permanent stop; inf if it goes on.
@@ -279,7 +279,7 @@ def _places_of(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray,
     return places, next(iter([*(time[there] + pause), *time[still]]), np.inf)
 
 
-def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " T"], robot: Robot) -> WayDone:
+def _describe_outcome(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " T"], robot: Robot) -> WayDone:
     """Return the outcome of a motion, from its progress at each sample."""
     time, on = rollout.time, np.flatnonzero(np.isfinite(places))
     there = np.abs(places - task.wanted) <= DONE[task.unit]
@@ -294,7 +294,7 @@ def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, "
         max((task.deviation(rollout.q[i], places[i]) for i in on), default=0.0),
         float(np.min(rollout.manipulability[on if len(on) else [-1]])),
         (robot.joint_names[fastest], float(shares[fastest])),
-        None if there[-1] else _reason(task, rollout, robot),
+        None if there[-1] else _describe_stop(task, rollout, robot),
     )
 
 
@@ -312,7 +312,7 @@ def joint_at_limit(robot: Robot, positions: Vector) -> str | None:
     return None
 
 
-def _reason(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:
+def _describe_stop(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:
     """Return the reason why the arm stops at the end of a rollout, in words."""
     last = rollout.status[-max(1, len(rollout) // 20) :]
     short = "" if task.way_begins is not None else "on its way to the mechanism: "

@@ -91,9 +91,9 @@ class Timing(NamedTuple):
         """
         return cls(dt, stale_after, held=dt, usual=dt, longest=dt)
 
-    def again(self) -> Timing:
+    def restart(self) -> Timing:
         """Return the timing before the first reading of another motion; the period of the calls stays known."""
-        return self.without(math.nan)._replace(time=-math.inf, silent=0.0, waited=0.0)
+        return self.skip_reading(math.nan)._replace(time=-math.inf, silent=0.0, waited=0.0)
 
     @property
     def is_stale(self) -> bool:
@@ -105,7 +105,7 @@ class Timing(NamedTuple):
         """True if calls come one usual period apart."""
         return self.longest == self.usual
 
-    def ordered(self, time: float) -> Timing:
+    def detect_reset(self, time: float) -> Timing:
         """Return this timing with its clock set back, if two successive readings show that it was.
 
         Args:
@@ -114,7 +114,7 @@ class Timing(NamedTuple):
         is_next = time < self.time and self.older < time <= self.older + self.stale_after
         return self._replace(time=-math.inf) if is_next else self
 
-    def without(self, older: float) -> Timing:
+    def skip_reading(self, older: float) -> Timing:
         """Return the timing after a period without a usable reading.
 
         Args:
@@ -133,7 +133,7 @@ class Timing(NamedTuple):
         """
         since, dt = time - self.time, self.dt
         if since <= 0.0:
-            return self.without(self.older)
+            return self.skip_reading(self.older)
         if math.isinf(since):  # the first, or the first of a clock that was set back
             return self._replace(time=time, older=math.nan, since=0.0, silent=0.0, late=0.0, held=dt)
         late = since - commanded

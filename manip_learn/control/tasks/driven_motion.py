@@ -91,7 +91,7 @@ class Course:
         self.motion, self.origin, self.chart = motion, origin, motion.chart_at(origin)
         self._around = None if motion.around is None else motion.around.at(origin, np.inf)
 
-    def look(self, q: ArrayLike, near: float) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+    def evaluate(self, q: ArrayLike, near: float) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
         """Return the distance of the hand from the origin, the tangent of the motion and the deviation of the hand.
 
         Args:
@@ -218,7 +218,7 @@ def driven_motion(constraint: Constraint, direction: Direction, unit: Unit | Non
         return DrivenMotion(*driven, features.coordinates, partial(_Line, f), by_row=True)
     v, w = np.split(f @ np.eye(6)[[AXES.index(name) for name in features.row_names]], 2)
     line = partial(_Line, v) if features.only_linear else screw(v, spin=w)
-    chart_at = partial(_in_hand, v, w) if features.own_axes else line
+    chart_at = partial(_hand_chart, v, w) if features.own_axes else line
     return DrivenMotion(*driven, features.twist.pose, chart_at, by_row=True)
 
 
@@ -234,20 +234,20 @@ def screw(travel: np.ndarray, turn: np.ndarray = _STILL, spin: np.ndarray = _STI
     return partial(Chart, travel=travel[None], turn=turn[None], spin=spin[None], **more)
 
 
-def _in_hand(v: np.ndarray, w: np.ndarray, origin: Origin) -> Chart:
+def _hand_chart(v: np.ndarray, w: np.ndarray, origin: Origin) -> Chart:
     """Return the chart of a hand that moves along its own axes, and turns about them."""
     turn = origin[:3, :3] @ w
     return screw(origin[:3, :3] @ v + np.cross(origin[:3, 3], turn), turn, is_carried=True)(origin)
 
 
-def _outwards(g: Place, origin: Origin) -> Chart:
+def _radial_chart(g: Place, origin: Origin) -> Chart:
     """Return the chart of a hand that moves away from an axis."""
     sides = across(g.axis)
     out = sides.T @ (sides @ (origin[:3, 3] - g.point))
     return screw(out / np.linalg.norm(out))(origin)
 
 
-def _only(free: Any, words: str, python: str, flag: str) -> Any:
+def _single_direction(free: Any, words: str, python: str, flag: str) -> Any:
     """Return the free direction.
 
     Raises:
@@ -276,7 +276,7 @@ def _direction(
     basis = along_axes(free)
     words = "; ".join(sum_in_words(row, names, "+.3g", 1e-3) for row in basis)
     if direction is None:
-        return _only(basis, words, "", ",".join(f"{c:.3g}" for c in basis[0]))
+        return _single_direction(basis, words, "", ",".join(f"{c:.3g}" for c in basis[0]))
     numbers, place = finite(direction, p), finite(direction, 3)
     if place is not None and p > 3 and set(AXES[:3]) <= set(names):
         numbers = place @ [[axis == name for name in names] for axis in AXES[:3]]
@@ -322,7 +322,7 @@ def _along_row(constraint: Constraint, direction: Direction, unit: Unit | None, 
         travel = pitch * g.axis + np.cross(g.point, g.axis)
         chart_at = screw(travel, g.axis, spin, is_carried=driven == "turn", centre=g.point)
     else:
-        chart_at = partial(_outwards, g) if driven == "radial" else screw(g.axis)
+        chart_at = partial(_radial_chart, g) if driven == "radial" else screw(g.axis)
     wide = None if kind is None or straight or kind.kind in ("hinge", "screw") else mechanism_of(kind, g, None)
     selected = Constraint(one, features, constraint.provenance)
     return DrivenMotion(constraint, selected, one[-1], counts, features.twist.pose, chart_at, around=wide)
@@ -336,7 +336,7 @@ def _free_row(held: list[str], rest: list[str], direction: Direction, unit: Unit
         raise ConstraintError(f"the hand does not {_HOW[unit]} anything: {words}")
     words = "; ".join(_DRIVEN[name] for name in free)
     if direction is None:
-        return _only(free, words, repr(free[0]), free[0])
+        return _single_direction(free, words, repr(free[0]), free[0])
     if not (isinstance(direction, str) and direction in free):
         raise TargetError(f"the direction of a mechanism is the name of a row that is free: {words}; got {direction!r}")
     return direction

@@ -18,8 +18,8 @@ from manip_learn.constraint.place import AXES, Chart
 from manip_learn.control import policies
 from manip_learn.control.tasks.driven_motion import Course, Origin, Unit, along_path, driven_motion, way_in_words
 from manip_learn.control.tasks.motion_profile import MotionProfile
-from manip_learn.control.tasks.point_attractor import OneLook, PointAttractor, Task, VelocityAndJacobian
-from manip_learn.control.tasks.shown_places import ShownPlaces, shown_sense, straight
+from manip_learn.control.tasks.point_attractor import PointAttractor, SinglePassTask, Task, VelocityAndJacobian
+from manip_learn.control.tasks.shown_places import DemonstratedStarts, shown_sense, straight
 from manip_learn.errors import ConstraintError, ManipLearnError, TargetError, advice, an
 from manip_learn.linalg import finite
 from manip_learn.robot.robot import Robot
@@ -34,7 +34,7 @@ TAKEN = 2e-4
 
 
 @final
-class FreeDirection(OneLook):
+class FreeDirection(SinglePassTask):
     """Move along a free direction of a constraint by a distance, at a speed, and hold the constrained rows.
 
     A drawer moves by metres along its rail, a door or a screw by radians about its axis (one turn is 2 pi). The speed
@@ -126,7 +126,7 @@ class FreeDirection(OneLook):
         self._profile = MotionProfile(way, _number("speed", speed), _number("ramp", ramp))
         self.gain, self.pause = _number("gain", gain), _number("pause", pause) if pause else 0.0
         self.learnt, self.counts, demo = constraint, 1.0, constraint.shown
-        held_constraint = constraint.with_orientation() if keep_orientation else _held_by_the_grip(constraint)
+        held_constraint = constraint.with_orientation() if keep_orientation else _grip_constraint(constraint)
         if as_shown and demo is not None and not demo.is_way:
             self._motion, self._profile = along_path(held_constraint, demo, self._profile.ramp)
         else:
@@ -139,10 +139,10 @@ class FreeDirection(OneLook):
             if np.linalg.norm(A.dot(np.linalg.lstsq(A, b)[0]) - b) > 1e-6 * np.linalg.norm(b):
                 fix = advice(": leave out {}", "keep_orientation=True", "--keep-orientation")
                 raise ConstraintError(f"{robot.nv} joints cannot move along this and keep the hand's orientation{fix}")
-        self._shown: ShownPlaces | None = None
+        self._shown: DemonstratedStarts | None = None
         self.grip_shown: tuple[Float[np.ndarray, "3 3"], float] | None = None
         if demo is not None and (take_hold or as_shown):
-            self._shown = ShownPlaces(constraint.mechanism, demo, self._motion, as_shown)
+            self._shown = DemonstratedStarts(constraint.mechanism, demo, self._motion, as_shown)
             self.grip_shown = demo.orientation, demo.turned
         self._start = None if start is None else self._motion.origin(start)
         self.reset()
@@ -167,9 +167,9 @@ class FreeDirection(OneLook):
         Args:
             q: Posture.
         """
-        return self._begins(q)[2]
+        return self._find_start(q)[2]
 
-    def _begins(self, q: ArrayLike) -> tuple[Origin, Origin, float]:
+    def _find_start(self, q: ArrayLike) -> tuple[Origin, Origin, float]:
         """Return the pose of the hand, or of `start`, the pose at which the motion begins, and their distance [m]."""
         here = self._motion.origin(q) if self._start is None else self._start
         return here, *((here, 0.0) if self._shown is None else self._shown.nearest(here, self.wanted))
@@ -196,7 +196,7 @@ class FreeDirection(OneLook):
             fewest: Smallest number of entries.
             most: Largest number of entries.
         """
-        chart = self._motion.chart_at(self._begins(start)[1])
+        chart = self._motion.chart_at(self._find_start(start)[1])
         number = min(max(math.ceil(self._profile.duration / period) + 1, fewest), most)
         time = np.linspace(0.0, self._profile.duration, number)
         distance = np.array([self._profile.at(t)[0] for t in time.tolist()])
@@ -254,7 +254,7 @@ class FreeDirection(OneLook):
         Args:
             grasp: Pose of the hand at the grasp (4, 4) in the base frame.
         """
-        return self._with(_shown=None if self._shown is None else self._shown.only(grasp))
+        return self._with(_shown=None if self._shown is None else self._shown.with_grasp(grasp))
 
     def _with(self, **others: Any) -> FreeDirection:
         other = copy.copy(self)
@@ -285,7 +285,7 @@ class FreeDirection(OneLook):
             q: Posture.
             near: Estimate of the progress [m or rad]: of angles a turn apart the nearest one is returned.
         """
-        return 0.0 if self._course is None else self._course.look(q, near)[0]
+        return 0.0 if self._course is None else self._course.evaluate(q, near)[0]
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
         """Return True if the whole distance is covered, and the time of the motion is over.
@@ -330,9 +330,9 @@ class FreeDirection(OneLook):
             q: Posture.
             t: Time [s].
         """
-        course, goal, rate = self._now(q, t)
+        course, goal, rate = self._advance_clock(q, t)
         most = math.inf if self.way_begins is None else self._profile.speed
-        self._place, self._ahead, off = course.look(q, self._place)
+        self._place, self._ahead, off = course.evaluate(q, self._place)
         rate = min(max(rate + self.gain * (goal - self._place), -most), most)
         rows, features = self.constraint.selection, self.constraint.features
         E = features.coordinates_jacobian(q) if features.twist is None else None
@@ -365,16 +365,16 @@ class FreeDirection(OneLook):
             q: Posture.
             t: Time [s].
         """
-        course, _, _ = self._now(q, t)
-        place = course.look(q, self._place)[0]
+        course, _, _ = self._advance_clock(q, t)
+        place = course.evaluate(q, self._place)[0]
         return math.hypot(self.wanted - place, course.deviation(q, place))
 
-    def _now(self, q: ArrayLike, t: float) -> tuple[Course, float, float]:
+    def _advance_clock(self, q: ArrayLike, t: float) -> tuple[Course, float, float]:
         """Return the course of the motion, the intended progress along it [m or rad], and its rate."""
         if t <= self._begun < self._latest:
             self.reset()
         if self._course is None or self._begun == math.inf:
-            start, origin, far = self._begins(q)
+            start, origin, far = self._find_start(q)
             self._begun, self._course = t, Course(self._motion, origin)
             if far > TAKEN:
                 self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp), straight(start, origin)
@@ -383,7 +383,7 @@ class FreeDirection(OneLook):
             profile, chart = self._approach
             late = t - self._begun - profile.duration  # [s]
             near = TAKEN if late < _SETTLING else 2e-3  # smallest distance with a noise of 1e-3 rad on the posture
-            if late < 0.0 or self._shown.apart(self._motion.origin(q), self._course.origin) > near:
+            if late < 0.0 or self._shown.pose_distance(self._motion.origin(q), self._course.origin) > near:
                 share = profile.at(t - self._begun)[0] / profile.distance
                 return Course(self._motion, chart.pose((share,))), 0.0, 0.0
         if self.way_begins is None:
@@ -395,7 +395,7 @@ class FreeDirection(OneLook):
         return f"FreeDirection(distance={p.distance:g} {self.unit}, speed={p.speed:g} {self.unit}/s)"
 
 
-def _held_by_the_grip(constraint: Constraint) -> Constraint:
+def _grip_constraint(constraint: Constraint) -> Constraint:
     """Return all rows that a firm grip holds, if the constraint has only rows of the hand's position; else its own.
 
     Rows that no posture moves are left out: the arm's kinematics hold them.

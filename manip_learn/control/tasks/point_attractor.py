@@ -128,7 +128,7 @@ class Task(ABC):
         return self.velocity(constraint, q, t), self.error_jacobian(constraint, q, t)
 
 
-class OneLook(Task):
+class SinglePassTask(Task):
     """A task whose subclass defines only `velocity_and_jacobian`."""
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
@@ -343,7 +343,7 @@ class PointAttractor(Task):
 
 
 @final
-class Track(OneLook):
+class Track(SinglePassTask):
     """b = gain * Lambda (r*(t) - r(q)) + Lambda dr*/dt: a moving target, followed without lag.
 
     A controller holds b for its period dt. The target's own velocity is therefore the mean one of that time: the rate

@@ -45,7 +45,7 @@ def straight(start: Origin, end: Origin) -> Chart:
 
 
 @final
-class ShownPlaces:
+class DemonstratedStarts:
     """Start poses of the demonstrations, relative to a motion along a free direction.
 
     A firm grip is taken as in the contact at which the hand is, else as in the typical one; a path as it
@@ -76,7 +76,7 @@ class ShownPlaces:
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
         self._room = GRIP / lever  # largest distance of the start from the demonstrated motion, along it [m or rad]
 
-    def only(self, grasp: Origin) -> ShownPlaces:
+    def with_grasp(self, grasp: Origin) -> DemonstratedStarts:
         """Return these start poses, replaced by a single grasp pose.
 
         Args:
@@ -92,7 +92,7 @@ class ShownPlaces:
         """Distance of each start pose from the first one along the free directions [m or rad]."""
         return np.vstack([self._shown.along(np.array([self._begins[0], begin]))[1] for begin in self._begins])
 
-    def apart(self, one: Origin, other: Origin) -> float:
+    def pose_distance(self, one: Origin, other: Origin) -> float:
         """Return the distance of two poses [m]; if orientation counts, an angle counts at the lever of a hand.
 
         Args:
@@ -114,7 +114,7 @@ class ShownPlaces:
             here: Pose of the hand (4, 4) in the base frame.
             distance: Distance of the motion, signed [m or rad].
         """
-        if self._is_on_the_way(here):
+        if self._is_on_motion(here):
             return here, 0.0
         begins, way = self._begins.copy(), self.sense * distance
         if len(begins) > 1 and self._shown.is_way and not self._is_turned:
@@ -122,14 +122,14 @@ class ShownPlaces:
             begins = begins[ends <= max(self._shown.span, ends.min()) + self._room]
         if not self._is_turned:
             begins[:, :3, :3] = here[:3, :3]
-        elif len(begins) > 1 and min(self.apart(here, begin) for begin in begins) > GRIP:  # take the typical one
-            begins = self._shown.chart.grasp[None]
+        elif len(begins) > 1 and min(self.pose_distance(here, begin) for begin in begins) > GRIP:
+            begins = self._shown.chart.grasp[None]  # the typical one
         if way < 0.0:  # back from the end of one of them
             begins = [self._motion.chart_at(begin).pose((-distance,)) for begin in begins]
-        origin = min(begins, key=lambda begin: self.apart(here, begin))
-        return origin, self.apart(here, origin)
+        origin = min(begins, key=lambda begin: self.pose_distance(here, begin))
+        return origin, self.pose_distance(here, origin)
 
-    def _is_on_the_way(self, here: Origin) -> bool:
+    def _is_on_motion(self, here: Origin) -> bool:
         """Return True if the hand is on a demonstrated motion, or between such motions, and may begin there."""
         if self._anew and (self._is_turned or len(self._begins) == 1):
             return False
