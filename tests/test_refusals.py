@@ -68,7 +68,7 @@ TYPED = [
     ("control {drawer} --target 0.1,0.2,0.3 --rows some", "target", "--rows must be all or held, not 'some'"),
     ("control {drawer} --along nothing", "usage", "'--along'"),
     ("control {drawer} --along 0", "target", "0"),
-    ("control {drawer} --along 3", "target", "3 m is longer than what was shown (0.2 ...--beyond-shown"),
+    ("control {drawer} --along 3", "target", "3 m is longer than the demonstrations (0.2 ...--beyond-shown"),
     ("control {drawer} --along 3 --beyond-shown --check --out run.npz", "not-reached", " of 3.000 m: stopped by "),
     ("control {drawer} --along 0.1 --plan --policy zero", "target", "leave --policy"),
     ("control {drawer} --along 0.1 --seed 2", "target", "go with --plan"),

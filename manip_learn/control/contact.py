@@ -170,9 +170,9 @@ class FollowingError:
         if contact.stiffness is None:
             joint = int(np.argmax(self.limit))
             self.notes = (
-                "the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
-                f"{robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of {STIFFNESS:g} "
-                f"N m/rad that is {largest_lateral:g} N on the hand, on stiffer ones more: give Contact(stiffness=...)",
+                "the stiffness of the servos is unknown, so the limits are position errors: the arm stops at the "
+                f"latest if joint {robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of "
+                f"{STIFFNESS:g} N m/rad that is {largest_lateral:g} N, on stiffer ones more: set Contact(stiffness=...)",
             )
         self.distance, self.load, self.force, self.tripped, self.sinks = zero, zero, np.zeros(3), "", False
         # excess and distance of this period, and of the previous periods, newest first
@@ -278,7 +278,7 @@ class FollowingError:
         j = int(np.abs(self.distance).argmax())
         unit = self._robot.joint_units[j]
         turns = other_turns(float(self.distance[j]), unit)
-        words = f"joint {self._robot.joint_names[j]} is {1e3 * self.distance[j]:+.2g} m{unit} from where it was sent"
+        words = f"joint {self._robot.joint_names[j]} is {1e3 * self.distance[j]:+.2g} m{unit} from its command"
         if constraint is not None and not turns:
             off = constraint(q) @ self.distance
             i = int(np.abs(off).argmax())
@@ -311,7 +311,7 @@ class FollowingError:
             return
         # 16 times the limit: the error of 0.2 s of delay at 0.5 rad/s, and of a blocked arm that starts so fast
         if not is_known and np.any(np.abs(self.distance) > 16.0 * self.limit):
-            self.tripped = "the arm has not begun to move: it is blocked or switched off, or give Contact(latency=...)"
+            self.tripped = "the arm has not begun to move: it is blocked or switched off, or set Contact(latency=...)"
         elif excess.dot(excess) > RESOLUTION * RESOLUTION:  # with less no force can be larger than `held`
             self.tripped = self._judge(measured, excess, driven)
         elif is_known and gone.dot(gone) > 4.0 * (RESOLUTION * RESOLUTION + servos.most.dot(servos.most)):
@@ -343,19 +343,21 @@ class FollowingError:
         if force > lateral:
             rows = np.zeros((0, len(sent))) if driven is None else driven(measured)
             way, side = self._split_directions(J, rows, servos.raw + further * gains)
-            along = f"{way:.0f} N along what is driven"
+            along = f"{way:.0f} N along the driven direction"
             # a fifth may seem to be lateral: joints differ, directions are known to 10 degrees
             if side > lateral + 0.2 * way:
-                across = f"{side:.0f} N across what is driven, of {lateral:.0f} allowed (Contact.max_lateral_force)"
-                return f"{across}: what was learnt lies elsewhere, or something is in the way"
+                across = (
+                    f"{side:.0f} N across the driven direction, of {lateral:.0f} allowed (Contact.max_lateral_force)"
+                )
+                return f"{across}: the learnt constraint is misplaced, or something is in the way"
             if way > most:
                 return f"{along}, of {most:.0f} allowed (Contact.max_axial_force): it is locked, or allow more"
             # a hand at rest lacks at least 80 % of its motion; one that lacks more than 125 % was pushed back
             if 0.8 < lacking < 1.0 / 0.8 and self._going > BRIEFLY and way > self._carried + lateral:
-                return f"{along}, which was moving with {self._carried:.0f} and has stopped: look what blocks it"
+                return f"{along}, which moved with {self._carried:.0f} N and has stopped: look for a blockage"
         j = int((np.abs(beside) / self.limit).argmax())
         load, name = abs(float(beside[j] * self._stiffness[j])), self._robot.joint_names[j]
-        words = f"joint {name} is pushed by {load:.0f} N m beside what the hand is: look what touches the arm"
+        words = f"joint {name} carries {load:.0f} N m that no force on the hand explains: look for a contact of the arm"
         return words if abs(beside[j]) > self.limit[j] else ""
 
     def _split_directions(self, J: np.ndarray, driven: np.ndarray, off: Vector) -> tuple[float, float]:
@@ -418,16 +420,16 @@ class FollowingError:
             self.resolution = least
         share, late, seldom = servos.pace()[0], servos.late or 0.0, servos.every >= 2.0
         slow = _CREEPS < share < 0.75
-        cause = "an arm that is slower than it is sent" if slow else "friction, play and noise"
+        cause = "an arm that is slower than its command" if slow else "friction, backlash and noise"
         cause = "readings that come late" if seldom else cause
         notes = {
             _slow(share): slow,
             f"the arm follows {1e3 * late:.0f} ms late": not slow and late > LOOK_BACK,
             f"readings change every {servos.every * ms:.0f} ms, the loop runs at {ms:g} ms": seldom,
-            f"friction and play of the joints take up to {friction:.0f} N on the hand: forces from {least:.0f} N on "
-            "are seen": not slow and friction > lateral_limit,
-            f"max_lateral_force={lateral_limit:g} N cannot be kept: from {cause}, {self.resolution:.0f} N can be told, "
-            "and at that the arm is stopped": self.resolution > lateral_limit,
+            f"friction and backlash of the joints take up to {friction:.0f} N on the hand: forces are detected from "
+            f"{least:.0f} N on": not slow and friction > lateral_limit,
+            f"max_lateral_force={lateral_limit:g} N cannot be kept because of {cause}: the arm stops at "
+            f"{self.resolution:.0f} N, the smallest force that can be detected": self.resolution > lateral_limit,
         }
         self.notes = (*self.notes, *(note for note, applies in notes.items() if applies))
 
@@ -442,7 +444,7 @@ def other_turns(step: float, unit: str) -> str:
     turns = round(step / (2.0 * math.pi))
     if not turns or unit != "rad" or abs(step - 2.0 * math.pi * turns) > 0.1:
         return ""
-    return f", which is {counted(abs(turns), 'full turn')}: the driver counts that joint's angle in other turns"
+    return f", which is {counted(abs(turns), 'full turn')}: the driver counts the turns of that joint differently"
 
 
 def _slow(share: float) -> str:

@@ -268,7 +268,7 @@ class Pace:
             seconds = ComputerClock().now() - self._began
             self.fault = f"the period of {1e3 * period:g} ms cannot be held: cycles begin {1e3 * late:.2g} ms late"
             if in_milliseconds(time, seconds):
-                self.fault += f"; the clock went on by {time:.3g} in {seconds:.1g} s: it is to count seconds"
+                self.fault += f"; the clock advanced by {time:.3g} in {seconds:.1g} s: it must count seconds"
         if self._driver.period != period:
             self.fault = f"the driver's period changed from {1e3 * period:g} to {1e3 * self._driver.period:g} ms"
         self._due += period * (missed + 1)
@@ -490,7 +490,7 @@ class _Cycle:
         where = "where the motion starts: bring the arm there, or start from where it stands"
         away = _describe_distance(robot, self._start, q, self._within, where)
         if away := away or _describe_distance(robot, before, q, _DRIFT, "a period before: the arm moves"):
-            words = f"nothing was sent: {away}; or the driver has no state yet, and is to read None"
+            words = f"nothing was sent: {away}; or the driver has no state yet and should return None"
         elif before is None:
             words = "one reading alone"
         self._doubted += 1
@@ -509,8 +509,8 @@ class _Cycle:
             return ""
         _, first, _, start = self._samples[0]
         went = float(np.abs(self._robot.difference(start, self._place)).max())
-        causes = "it was in motion or is pushed, or the driver reads other joints, units or senses than it commands"
-        words = f"at first, and was sent by {went:.1g} rad or m at most: {causes}"
+        causes = "it was in motion or is pushed, or the driver reads other joints, units or signs than it commands"
+        words = f"at first, with commands of {went:.1g} rad or m at most: {causes}"
         # an arm that was commanded by less than 0.02 rad or m, and has moved four times as far, has moved by itself
         most = max(0.0 if tripped else _DRIFT, 4.0 * went)
         away = _describe_distance(self._robot, first, q, most, words) if went < 0.02 else ""
@@ -544,10 +544,10 @@ class _Cycle:
         # wait for a driver that is not ready yet, and after a single wrong reading
         is_silent &= self._pace.cycles * period >= patience and not 0.0 < loop.state.timing.silent < patience
         if is_blocked or is_silent:
-            words, causes = loop.stopped_by or f"the loop stands: {command.status}", ""
+            words, causes = loop.stopped_by or f"the loop has stopped: {command.status}", ""
             past = [q for _, q, _, _ in self._samples[-int(max(3, 0.02 / (self._stride * period))) :]]
             if is_blocked and len(past) > 2 and all(np.array_equal(q, past[-1]) for q in past):
-                causes = "the driver has gone on returning the same posture, or the arm is off: "
+                causes = "the driver keeps returning the same posture, or the arm is off: "
             if not ending.reason:
                 ending.stop(_describe_mismatch(self._robot, self._samples) + causes + words)
             ending.reason = ending.reason.replace(self._words or words, words)  # more readings make it more precise
@@ -558,7 +558,7 @@ class _Cycle:
         """Return the record of the run."""
         loop, pace = self._loop, self._pace
         rollout = rollout_of(loop.robot, loop, [(t, q, c, loop.task_error(q, t)) for t, q, c, _ in self._samples])
-        slips = "whether a handle stayed in the fingers is not known, positions do not tell it: look at the fixture"
+        slips = "positions do not show whether the handle stayed in the fingers: look at the fixture"
         numbers = pace.cycles, pace.overruns, pace.longest_delay
         return RunRecord(rollout, *numbers, *self.ending.outcome, () if self._told is None else (slips,))
 
@@ -597,12 +597,12 @@ def _describe_mismatch(robot: Robot, samples: Sequence[_Sample]) -> str:
         if (rest := float(residual[pairs].sum())) >= best:
             continue
         best, moved = rest, [(i, j) for i, j in zip(*pairs, strict=True) if measured_squares[i] > rest]
-        messages = [f"{names[i]} moves as {names[j]} is sent" for i, j in moved if i != j]
-        messages += [f"{names[i]} moves the other way round" for i, j in moved if products[i, j] < 0.0]
-        messages += [f"{scale:.3g} times as far as it is sent, as if in {unit} on one way"] if unit else []
+        messages = [f"{names[i]} moves as {names[j]} is commanded" for i, j in moved if i != j]
+        messages += [f"{names[i]} moves in the opposite sense" for i, j in moved if products[i, j] < 0.0]
+        messages += [f"{scale:.3g} times as far as commanded, as if in {unit} in one direction"] if unit else []
         explanation = "; ".join(messages)
-    look = "look how the driver orders its joints, and in which units and senses"
-    return f"the arm moves otherwise than it is sent ({explanation}): {look}; " if explanation else ""
+    look = "check the joint order, units and signs of the driver"
+    return f"the arm does not move as commanded ({explanation}): {look}; " if explanation else ""
 
 
 @final

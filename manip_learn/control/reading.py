@@ -73,7 +73,7 @@ class Readings:
             return ""
         j = int((np.abs(step) / farthest).argmax())
         name, moved = robot.joint_names[j], f"{step[j]:+.3g} {robot.joint_units[j]}"
-        words = f"joint {name} was read {moved} from where it was {1e3 * since:.3g} ms before"
+        words = f"joint {name} reads {moved} from its position {1e3 * since:.3g} ms before"
         if np.all(np.abs(np.diff([np.sort(robot.positions(x)) for x in (before, q)], axis=0)) <= np.sort(farthest)):
-            return f"{words}: the joints come in another order"
+            return f"{words}: the joints are in another order"
         return words + other_turns(float(step[j]), robot.joint_units[j])

@@ -210,7 +210,7 @@ class LoopRules:
         if timing.is_stale:
             s.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
             if in_milliseconds(timing.since, self.dt):
-                s.stopped_by += f"; the time went on by {timing.since:g}, in milliseconds? It is to be in seconds"
+                s.stopped_by += f"; the time advanced by {timing.since:g}, in milliseconds? It must be in seconds"
             return self.brake(s, Status.STALE, period)
         if s.is_stopped:
             return self.brake(s, Status.STOPPED, period)
@@ -512,7 +512,7 @@ class ServoLoop:
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
         if not dt < stale_after:
             words = f"a state is stale after {stale_after:g} s and the period is {dt:g} s"
-            raise ConfigurationError(f"{words}: give stale_after={3.0 * dt:g}")
+            raise ConfigurationError(f"{words}: set stale_after={3.0 * dt:g}")
         arm = robot or getattr(controller, "robot", None)
         if not isinstance(arm, Robot):
             raise ConfigurationError("the controller has no robot whose limits count: ServoLoop(..., robot=robot)")
@@ -611,7 +611,7 @@ class ServoLoop:
             kind = type(self.controller).__name__
             raise ConfigurationError(f"only a ResolvedRateController takes another task, not {kind}")
         if constraint is not None and constraint.robot is not law.learnt.robot:
-            raise ConfigurationError("the constraint belongs to another robot than that of the loop")
+            raise ConfigurationError("the constraint belongs to another robot than the loop")
         law = law.with_task(law.task if task is None else task, law.learnt if constraint is None else constraint)
         if state.reference is not None:
             law(state.reference, 0.0, self.dt)  # a misfit is refused while the old law is still in force

@@ -244,7 +244,7 @@ def simulate_way(
     """
     task = controller.task
     if not isinstance(task, FreeDirection):
-        raise ConfigurationError(f"the task must be a way along what is free, as motion() makes it, not {task!r}")
+        raise ConfigurationError(f"expected the task returned by motion(), got {task!r}")
     nominal, slack = task.duration_from(robot.checked_posture(q0)), 1.5  # [s] slack: beyond the undisturbed duration
     longest = max(4.0 * nominal, nominal + slack)  # [s] after which it counts as stopped
     lengths = {min(times * (nominal + slack), longest) for times in (1.0, 2.0, 4.0)}

@@ -316,7 +316,7 @@ class FreeDirection(SinglePassTask):
             ConstraintError: Another constraint than the task's.
         """
         if constraint is not self.learnt and constraint is not self.constraint:
-            raise ConstraintError("the task moves along another constraint: give both the same one")
+            raise ConstraintError("the task moves along another constraint: pass the same one to both")
         return self.constraint
 
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
@@ -491,9 +491,9 @@ def motion(
             raise TargetError(f"{go}: name one{advice(' with {}', 'PointAttractor(target)', '--target')}")
         return PointAttractor(aim.target, aim.gain)  # type: ignore[return-value]  # of such rows alone
     if (again and (demo is None or heading is not None)) or (distance is not None and angle is not None):
-        lacking = "the constraint does not know what was shown: " if again and demo is None else ""
+        lacking = "the constraint has no demonstrated motion: " if again and demo is None else ""
         how = advice(": {}", "distance=0.3 [m] or angle=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
-        raise TargetError(f"{lacking}say how far to go, once{how}")
+        raise TargetError(f"{lacking}give one distance or angle{how}")
     unit: Unit = "m" if angle is None else "rad"
     amount: Any = distance if angle is None else angle
     # mechanisms that do not move by this unit, their motion, and the argument for it
@@ -506,7 +506,7 @@ def motion(
         unit, amount = demo.unit, demo.extent
         speed = amount / max(demo.seconds - RAMP, RAMP) if speed is None else speed
     elif mechanism is not None and mechanism.type in types:
-        raise ConstraintError(f"what was learnt {does} ({mechanism.sentence}){instead}")
+        raise ConstraintError(f"the learnt mechanism {does} ({mechanism.sentence}){instead}")
     if speed is None:
         lever = 0.0 if mechanism is None else mechanism.radius or 0.0
         hand_speed = 0.1  # [m/s] default: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
@@ -519,7 +519,7 @@ def motion(
     if sense == 0.0 and word is not None:
         why = "they went to both sides of where they began, or the constraint was not learnt by this version"
         fix = "leave the direction out, and choose the sign"
-        raise ConstraintError(f"the recordings do not say which way is the one shown: {why}; {fix}")
+        raise ConstraintError(f"the recordings do not define a positive sense: {why}; {fix}")
     if (sense < 0.0) != (word == "back"):
         task = task.with_distance(-task.wanted)  # the opposite sense, which counts as positive
         task.counts = -1.0
@@ -529,13 +529,13 @@ def motion(
 def _check_shown(task: FreeDirection) -> None:
     """Refuse a motion that is longer than the demonstrated range, or than the reach of the arm."""
     demo, twist, total = task.learnt.shown, task.learnt.features.twist, abs(task.wanted)
-    words = f"the way of {way_in_words(total, task.unit)} is longer than"
+    words = f"a motion of {way_in_words(total, task.unit)} is longer than"
     beyond = 2e-3 if task.unit == "m" else math.radians(0.2)  # the play of a drawer's rails
     if demo is not None and demo.is_way and demo.unit == task.unit and total > demo.span + beyond:
         more = advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")
-        raise TargetError(f"{words} what was shown ({way_in_words(demo.span, task.unit)}): ask for no more{more}")
+        raise TargetError(f"{words} the demonstrations ({way_in_words(demo.span, task.unit)}): shorten it{more}")
     if task.unit == "m" and twist is not None and total > (most := 2.0 * twist.robot.reach(twist.frame)):
-        raise TargetError(f"{words} the arm can go in any direction ({most:.2g} m): ways are in metres")
+        raise TargetError(f"{words} the reach of the arm in any direction ({most:.2g} m): distances are in metres")
 
 
 def motion_to(
@@ -563,18 +563,20 @@ def motion_to(
     mechanism, twist = constraint.mechanism, constraint.features.twist
     if mechanism is None or mechanism.kind not in ("hinge", "screw"):
         how = advice(" with {}", "motion(constraint, distance=... | angle=...)", "--along or --turn")
-        raise ConstraintError(f"what was learnt turns about no one axis, towards a point: say how far to go{how}")
+        raise ConstraintError(
+            f"the learnt task has no single rotation axis to reach a point: give a distance or angle{how}"
+        )
     if (place := finite(point, 3)) is None:
         raise TargetError(f"the point must be three finite numbers (x, y, z) [m], got {point!r}")
     there = np.eye(4)
     there[:3, 3] = place
     angle = float(mechanism.by_place().at(twist.pose(q), np.inf).coordinates(there)[0])
     if abs(angle) < 1e-6:
-        raise TargetError("the hand is as near to the point as the mechanism allows: name another")
+        raise TargetError("the hand is as near to the point as the mechanism allows: choose another point")
     task = motion(constraint, angle=angle, speed=speed, keep_orientation=keep_orientation, beyond_shown=True)
     task = task.with_distance(angle)  # about the axis, whatever the demonstrated sense
     if (far := task.hold(q)) > 0.0:
-        how = advice(", or say how far with {}, which goes there first", "motion(constraint, angle=...)", "--turn")
+        how = advice(", or use {}, which moves there first", "motion(constraint, angle=...)", "--turn")
         raise TargetError(f"the hand is {far:.3g} m away from the {mechanism.type}: start on it{how}")
     return task
 
