@@ -159,9 +159,9 @@ class FollowingError:
         self._frame, rng = robot.frame(frame or default_tip(robot)), np.random.default_rng(0)
         # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
         rows = [robot.jacobian(robot.random_configuration(rng), self._frame)[:3] for _ in range(200)]
-        largest_lateral = contact.max_lateral_force
-        self.limit = largest_lateral * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
-        self._damping = (RESOLUTION / largest_lateral) ** 2 * np.eye(3)
+        lateral = contact.max_lateral_force
+        self.limit = lateral * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
+        self._damping = (RESOLUTION / lateral) ** 2 * np.eye(3)
         latency = LATEST if isinstance(contact.latency, str) else float(contact.latency)
         # the state, whose parts are replaced, never changed in place
         zero = np.zeros(robot.nv)
@@ -172,7 +172,7 @@ class FollowingError:
             self.notes = (
                 "the stiffness of the servos is unknown, so the limits are position errors: the arm stops at the "
                 f"latest if joint {robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of "
-                f"{STIFFNESS:g} N m/rad that is {largest_lateral:g} N, on stiffer ones more: set Contact(stiffness=...)",
+                f"{STIFFNESS:g} N m/rad that is {lateral:g} N, on stiffer ones more: set Contact(stiffness=...)",
             )
         self.distance, self.load, self.force, self.tripped, self.sinks = zero, zero, np.zeros(3), "", False
         # excess and distance of this period, and of the previous periods, newest first
