@@ -17,7 +17,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.control.command import Posture, Vector
 from manip_learn.control.limits import per_joint
-from manip_learn.control.servos import HIDDEN, LATEST, ROUNDING, STILL, Servos, shallow_copy, signed_excess
+from manip_learn.control.servos import HIDDEN, MAX_LATENCY, ROUNDING, STILL, Servos, shallow_copy, signed_excess
 from manip_learn.control.timing import is_number
 from manip_learn.errors import ConfigurationError, counted, under_new_names
 from manip_learn.robot.robot import Robot
@@ -30,7 +30,7 @@ LEFT = 3.0  # [N] largest remaining force on the hand of an arm that has relaxed
 RESOLUTION = 2.5e-4
 LOOK_BACK = 0.01  # [s] over which the rise of a force is measured, and by which it is extrapolated at least
 # [s] of motion after which a hand counts as moving, and memory of that motion: stick-slip alternates faster
-BRIEFLY, GOING = 0.1, 0.5
+MOTION_ONSET, MOTION_MEMORY = 0.1, 0.5
 _FORMER = {"held": "max_lateral_force", "driven": "max_axial_force"}  # former names of arguments, valid until 0.4
 
 
@@ -106,7 +106,7 @@ class Contact:
         return self.max_axial_force
 
 
-_CREEPS = 0.15  # share of the commanded speed below which an arm may be at rest
+_CREEP_SHARE = 0.15  # share of the commanded speed below which an arm may be at rest
 Directions = Callable[[Posture], Float[np.ndarray, "k nv"]]
 
 
@@ -150,8 +150,8 @@ class FollowingError:
         # settings, which do not change
         self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
         # limit of the axial force, 60 N by default; largest weight that the drives need not know of [N]
-        self._driven = 60.0 if isinstance(contact.max_axial_force, str) else float(contact.max_axial_force)
-        self._heaviest = GRAVITY * max(2.0, robot.payload)
+        self._axial_limit = 60.0 if isinstance(contact.max_axial_force, str) else float(contact.max_axial_force)
+        self._max_weight = GRAVITY * max(2.0, robot.payload)
         stiffness = STIFFNESS if contact.stiffness is None else contact.stiffness
         self._stiffness = per_joint("stiffness", stiffness, robot.joint_names)
         # if the stiffness is unknown, softer servos may deflect more under inertia: ten times at 200 N m/rad
@@ -162,7 +162,7 @@ class FollowingError:
         lateral = contact.max_lateral_force
         self.limit = lateral * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
         self._damping = (RESOLUTION / lateral) ** 2 * np.eye(3)
-        latency = LATEST if isinstance(contact.latency, str) else float(contact.latency)
+        latency = MAX_LATENCY if isinstance(contact.latency, str) else float(contact.latency)
         # the state, whose parts are replaced, never changed in place
         zero = np.zeros(robot.nv)
         self.servos, self.notes = Servos(dt, latency, HIDDEN / self._stiffness), tuple[str, ...]()
@@ -176,12 +176,12 @@ class FollowingError:
             )
         self.distance, self.load, self.force, self.tripped, self.sinks = zero, zero, np.zeros(3), "", False
         # excess and distance of this period, and of the previous periods, newest first
-        self._now, self._found = (zero, zero), tuple[tuple[np.ndarray, np.ndarray], ...]()
+        self._now, self._history = (zero, zero), tuple[tuple[np.ndarray, np.ndarray], ...]()
         # velocity; its change, and the time, since inertia was last evaluated; recent range of deflections by inertia
-        self._velocity, self._change, self._lasted, self._gave_way = zero, zero, 0.0, (zero, zero)
+        self._velocity, self._change, self._elapsed, self._inertial_range = zero, zero, 0.0, (zero, zero)
         # deflection of the joints by the force on the hand [rad or m], and the weight that it seems to carry [N]; time
         # for which it has been moving [s], and the force of that motion [N]
-        self._pushed, self._weight, self._going, self._carried = zero, 0.0, 0.0, 0.0
+        self._deflection, self._weight, self._motion_time, self._moving_force = zero, 0.0, 0.0, 0.0
 
     def copy(self) -> FollowingError:
         """Return a copy; its parts are never changed in place."""
@@ -199,16 +199,16 @@ class FollowingError:
         """
         over = self.servos.record_step(time * velocity, time)
         if over:
-            self._found = (self._now, *self._found[: math.ceil(LOOK_BACK / self._dt) - 1])
+            self._history = (self._now, *self._history[: math.ceil(LOOK_BACK / self._dt) - 1])
         self._change, self._velocity = self._change + (velocity - self._velocity), velocity
-        self._lasted += max(time, 0.0)
+        self._elapsed += max(time, 0.0)
         if over and time > 0.0 and self.servos.is_slow_period:
             # a servo reacts to M a as a spring and a damper: the deflection decays for a while after its largest value
-            now = -self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
+            now = -self._robot.inertial_effort(q, self._change / self._elapsed) / self._inertial
             # 0.1 s are three times sqrt(2 kg m2 / 2,000 N m/rad)
-            lately, (low, high) = math.exp(-self._lasted / 0.1), self._gave_way
-            self._gave_way = np.minimum(lately * low, now), np.maximum(lately * high, now)
-            self._change, self._lasted = np.zeros_like(velocity), 0.0
+            lately, (low, high) = math.exp(-self._elapsed / 0.1), self._inertial_range
+            self._inertial_range = np.minimum(lately * low, now), np.maximum(lately * high, now)
+            self._change, self._elapsed = np.zeros_like(velocity), 0.0
 
     @property
     def largest(self) -> float:
@@ -221,7 +221,7 @@ class FollowingError:
         It leads to the measured posture, less the deflection by the load (a weight presses nothing), and on in the
         sense of the force, by the deflection that friction would keep.
         """
-        by_friction = self.servos.friction * self._pushed / (np.abs(self._pushed) + RESOLUTION)
+        by_friction = self.servos.friction * self._deflection / (np.abs(self._deflection) + RESOLUTION)
         return self.distance - self.load + by_friction
 
     def largest_relaxation(self) -> Vector:
@@ -230,7 +230,7 @@ class FollowingError:
         The measurement may be wrong; the limit is the deflection under the largest allowed force, plus friction, plus
         the commanded motion within the delay.
         """
-        largest = max(1.0, self._driven / self.contact.max_lateral_force) * self.limit
+        largest = max(1.0, self._axial_limit / self.contact.max_lateral_force) * self.limit
         return largest + self.servos.recent_travel + self.servos.width
 
     def remaining_force(self, q: Posture) -> float:
@@ -258,9 +258,9 @@ class FollowingError:
         # a weight is a force of which at least 80 % point down
         weighs, self.sinks = (-forces[:, 2] > np.maximum(LEFT, 0.8 * np.linalg.norm(forces, axis=1))).tolist()
         self.load = weighs * off
-        if not (weighs and self.sinks and -f[2] > self._heaviest):
+        if not (weighs and self.sinks and -f[2] > self._max_weight):
             return ""
-        self._pushed = np.zeros_like(off)
+        self._deflection = np.zeros_like(off)
         mass = "..." if self.contact.stiffness is None else f"{-f[2] / GRAVITY:.2g}"
         words = (
             f"; that looks like a payload of about {mass} kg, which the drives do not know of: load the robot with it"
@@ -287,7 +287,7 @@ class FollowingError:
             parts = sum_in_words(row, constraint.features.row_names, "+.2g", 0.05)
             words = f"row {i + 1} of the constraint ({parts}) is {1e3 * off[i]:+.2g} {unit} off, {words}"
         share, stands = self.servos.pace()
-        if _CREEPS < share < 0.95:
+        if _CREEP_SHARE < share < 0.95:
             return f"{words}{turns}; {_slow(share)}"
         still = "; no joint moves any more: look at brakes, control mode and emergency stop" if stands else ""
         return f"{words}{turns}{still}; {self.tripped}"
@@ -300,13 +300,13 @@ class FollowingError:
             measured: Measured posture.
             driven: Posture -> motions of the joints that the task drives (k, nv); None for none.
         """
-        servos, was_known, (low, high) = self.servos, self.servos.late is not None, self._gave_way
+        servos, was_known, (low, high) = self.servos, self.servos.late is not None, self._inertial_range
         self.distance, self.force = self._robot.difference(commanded, measured), np.zeros(3)
         excess = signed_excess(servos.excess(self.distance), low - ROUNDING, high + ROUNDING)
         self._now, is_known = (excess, self.distance), servos.late is not None
         if is_known and not was_known:
             self._write_notes(measured)
-        gone = servos.travel(round(BRIEFLY / self._dt))
+        gone = servos.travel(round(MOTION_ONSET / self._dt))
         if self.tripped or servos.repeats:
             return
         # 16 times the limit: the error of 0.2 s of delay at 0.5 rad/s, and of a blocked arm that starts so fast
@@ -315,7 +315,8 @@ class FollowingError:
         elif excess.dot(excess) > RESOLUTION * RESOLUTION:  # with less no force can be larger than `held`
             self.tripped = self._judge(measured, excess, driven)
         elif is_known and gone.dot(gone) > 4.0 * (RESOLUTION * RESOLUTION + servos.most.dot(servos.most)):
-            self._going = min(GOING, self._going + self._dt)  # the motion exceeds the undetectable deflections
+            # the motion exceeds the undetectable deflections
+            self._motion_time = min(MOTION_MEMORY, self._motion_time + self._dt)
 
     def _judge(self, measured: np.ndarray, excess: np.ndarray, driven: Directions | None) -> str:
         """Estimate the force on the hand at the time when a brake ordered now takes effect, and compare it with the
@@ -324,8 +325,8 @@ class FollowingError:
         Returns:
             Why the arm must be stopped, in words; empty where it need not.
         """
-        servos, dt, ago = self.servos, self._dt, len(self._found)
-        before = (self._now, *self._found)[-1]
+        servos, dt, ago = self.servos, self._dt, len(self._history)
+        before = (self._now, *self._history)[-1]
         rise, gains, sent = excess - before[0], self.distance - before[1], servos.travel(ago)
         # it rises for the delay of the measurement and then, ever more slowly, until the arm is at rest
         ahead = servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
@@ -337,9 +338,9 @@ class FollowingError:
         if servos.late is not None and step.any() and sent.dot(sent) > RESOLUTION * RESOLUTION:
             lacking = -float(J.dot(gains).dot(step)) / float(step.dot(step))
         moves, goes = bool(self._velocity.any()), lacking < 0.5
-        self._going = moves * min(GOING, max(0.0, self._going + (dt if goes else -dt)))
-        self._carried += moves * goes * min(1.0, dt / 0.2) * (force - self._carried)  # averaged over 0.2 s
-        lateral, most = max(self.contact.max_lateral_force, self.resolution), max(self._driven, self.resolution)
+        self._motion_time = moves * min(MOTION_MEMORY, max(0.0, self._motion_time + (dt if goes else -dt)))
+        self._moving_force += moves * goes * min(1.0, dt / 0.2) * (force - self._moving_force)  # averaged over 0.2 s
+        lateral, most = max(self.contact.max_lateral_force, self.resolution), max(self._axial_limit, self.resolution)
         if force > lateral:
             rows = np.zeros((0, len(sent))) if driven is None else driven(measured)
             way, side = self._split_directions(J, rows, servos.raw + further * gains)
@@ -353,8 +354,8 @@ class FollowingError:
             if way > most:
                 return f"{along}, of {most:.0f} allowed (Contact.max_axial_force): it is locked, or allow more"
             # a hand at rest lacks at least 80 % of its motion; one that lacks more than 125 % was pushed back
-            if 0.8 < lacking < 1.0 / 0.8 and self._going > BRIEFLY and way > self._carried + lateral:
-                return f"{along}, which moved with {self._carried:.0f} N and has stopped: look for a blockage"
+            if 0.8 < lacking < 1.0 / 0.8 and self._motion_time > MOTION_ONSET and way > self._moving_force + lateral:
+                return f"{along}, which moved with {self._moving_force:.0f} N and has stopped: look for a blockage"
         j = int((np.abs(beside) / self.limit).argmax())
         load, name = abs(float(beside[j] * self._stiffness[j])), self._robot.joint_names[j]
         words = f"joint {name} carries {load:.0f} N m that no force on the hand explains: look for a contact of the arm"
@@ -397,11 +398,11 @@ class FollowingError:
         sees = self.servos.seen | (self.servos.most < STILL) | (self.servos.newest != 0.0)
         f = self._estimate_force(excess, C, sees)
         beside = (excess - f.dot(C)) * sees
-        weight = min(max(0.0, -f[2]), self._heaviest)
+        weight = min(max(0.0, -f[2]), self._max_weight)
         if self.servos.moving <= 0.25:  # [s] after which a weight is known
             self._weight = max(self._weight, weight)
         f[2] += min(weight, self._weight)
-        self._pushed = f.dot(C)
+        self._deflection = f.dot(C)
         return f, beside
 
     def _write_notes(self, q: np.ndarray) -> None:
@@ -419,7 +420,7 @@ class FollowingError:
         if isinstance(self.contact.resolution, str):
             self.resolution = least
         share, late, seldom = servos.pace()[0], servos.late or 0.0, servos.every >= 2.0
-        slow = _CREEPS < share < 0.75
+        slow = _CREEP_SHARE < share < 0.75
         cause = "an arm that is slower than its command" if slow else "friction, backlash and noise"
         cause = "readings that come late" if seldom else cause
         notes = {

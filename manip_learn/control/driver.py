@@ -309,11 +309,11 @@ class Shutdown:
 
     def __init__(self, driver: object, brake: Callable[[], object], patience: float, clock: Clock):
         self._driver, self._brake, self._patience, self._clock = driver, brake, patience, clock
-        self.reason, self.ordered, self.holds, self._collected = "", False, True, gc.isenabled()
-        self.failed, self.signals, self._before = dict[str, str](), list[int](), dict[int, Any]()  # handlers before
+        self.reason, self.ordered, self.holds, self._gc_was_on = "", False, True, gc.isenabled()
+        self.failed, self.signals, self._handlers = dict[str, str](), list[int](), dict[int, Any]()  # handlers before
         self.raised: BaseException | None = None
         # time of the driver's call that has not returned yet [s]; event that the cycle is over
-        self._called, self._over = math.inf, threading.Event()
+        self._call_time, self._is_over = math.inf, threading.Event()
 
     def stop(self, reason: str, ordered: bool = False) -> None:
         """Brake, and end when the arm is at rest; the first reason counts.
@@ -341,13 +341,13 @@ class Shutdown:
         Yields:
             Nothing.
         """
-        self._called = self._clock.now()
+        self._call_time = self._clock.now()
         try:
             yield
         except CallAborted as error:
             self.failed[call] = f"the driver's {call}() had not returned for {error.args[0]:.2g} s"
         finally:
-            self._called = math.inf
+            self._call_time = math.inf
 
     def ask(self, call: str, *arguments: Any) -> Any:
         """Return the driver's answer; None if it has no such method, or one that does not return or raises.
@@ -373,12 +373,12 @@ class Shutdown:
         for number in [number for number in signal.Signals if number.name in names]:  # Windows has no SIGHUP
             before = signal.getsignal(number)  # None for a handler that Python did not install and cannot restore
             if before is not None and (before != signal.SIG_IGN or number == signal.SIGINT):
-                self._before[number] = signal.signal(number, self._receive)
+                self._handlers[number] = signal.signal(number, self._receive)
         gc.collect()
         gc.disable()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._collected:
+        if self._gc_was_on:
             gc.enable()
         try:
             if self.holds or kind is not None:
@@ -387,12 +387,12 @@ class Shutdown:
         except Exception as error:  # whatever a driver raises, the record is kept
             self.failed["hold"] = f"the driver's hold() failed: {type(error).__name__}: {error}"
         finally:
-            self._over.set()
+            self._is_over.set()
             atexit.unregister(self._stop_at_exit)
-            for number, handler in self._before.items():
+            for number, handler in self._handlers.items():
                 signal.signal(number, handler)
         for number in [number for number in self.signals if number != signal.SIGINT][-1:]:
-            if not callable(handler := self._before[number]):
+            if not callable(handler := self._handlers[number]):
                 raise SystemExit(128 + number)  # the exit code that a shell reports
             handler(number, None)
 
@@ -400,7 +400,7 @@ class Shutdown:
         """Brake: the main thread has ended, and this thread will be killed."""
         self.signals.append(signal.SIGINT)
         self.stop("the interpreter ended", True)
-        self._over.wait(12.0)  # [s] for the arm to brake and to hold itself
+        self._is_over.wait(12.0)  # [s] for the arm to brake and to hold itself
 
     def _receive(self, number: int, frame: object) -> None:
         """Stop, and abort a call of the driver that does not return.
@@ -412,7 +412,7 @@ class Shutdown:
         again = by_hand and number in self.signals  # a second SIGHUP does not count: kernel and shell may both send one
         self.signals.append(number)
         self.stop("Ctrl-C" if by_hand else signal.Signals(number).name, True)
-        elapsed = self._clock.now() - self._called  # negative if no call is under way
+        elapsed = self._clock.now() - self._call_time  # negative if no call is under way
         if elapsed > self._patience or (again and elapsed >= 0.0):
             raise CallAborted(elapsed)
 
@@ -427,11 +427,12 @@ class _Cycle:
         start = loop.rules.controller.start
         # deflections under the largest allowed force
         yields = np.maximum(_DRIFT, loop.state.following.largest_relaxation())
-        self._start, self._within = (loop.position, yields) if start is None else (start, _DRIFT)
+        self._start, self._start_tolerance = (loop.position, yields) if start is None else (start, _DRIFT)
         self._samples, self._stride = list[_Sample](), 1  # stride: cycles from one sample to the next
         self._place = np.zeros(loop.robot.nv)  # positions of the first readings, later of the newest command
-        self._doubted = self._astray = 0  # number of first readings; successive readings that show a drift of the arm
-        self._words = self._told = ""  # the loop's words on the reason of the stop; newest word to the gripper
+        # number of first readings, and of successive readings that show a drift of the arm
+        self._doubt_count = self._drift_count = 0
+        self._words = self._gripper_word = ""  # the loop's words on the reason of the stop; newest word to the gripper
         self._continuous = np.array([b.kind == "continuous" for b in loop.robot.blocks for _ in b.coordinate_names])
 
     def run(self, duration: float, until: Callable[[], str]) -> None:
@@ -483,18 +484,18 @@ class _Cycle:
         each other and with the start of the motion, or the posture of the last reset. A reading that cannot be of this
         arm ends the run.
         """
-        loop, robot, before = self._loop, self._robot, self._place if self._doubted else None
+        loop, robot, before = self._loop, self._robot, self._place if self._doubt_count else None
         if loop.measured is not None or (q := _as_posture(robot, q)) is None:
             return ""
         self._place, words = robot.positions(q), ""
         where = "where the motion starts: bring the arm there, or start from where it stands"
-        away = _describe_distance(robot, self._start, q, self._within, where)
+        away = _describe_distance(robot, self._start, q, self._start_tolerance, where)
         if away := away or _describe_distance(robot, before, q, _DRIFT, "a period before: the arm moves"):
             words = f"nothing was sent: {away}; or the driver has no state yet and should return None"
         elif before is None:
             words = "one reading alone"
-        self._doubted += 1
-        outside, is_late = far_outside(robot, self._place), self._doubted * self._pace.period > 1.0  # [s]
+        self._doubt_count += 1
+        outside, is_late = far_outside(robot, self._place), self._doubt_count * self._pace.period > 1.0  # [s]
         self.ending.stop(outside or (words if is_late else ""))
         return outside or words
 
@@ -514,8 +515,8 @@ class _Cycle:
         # an arm that was commanded by less than 0.02 rad or m, and has moved four times as far, has moved by itself
         most = max(0.0 if tripped else _DRIFT, 4.0 * went)
         away = _describe_distance(self._robot, first, q, most, words) if went < 0.02 else ""
-        self._astray = self._astray + 1 if away else 0
-        return away if self._astray > (not tripped) else ""
+        self._drift_count = self._drift_count + 1 if away else 0
+        return away if self._drift_count > (not tripped) else ""
 
     def _send(self, t: float, command: Command) -> None:
         """Send the commanded posture and velocity to the driver, and a new word to its gripper, once; note a sample."""
@@ -527,8 +528,8 @@ class _Cycle:
         self._place = x + 2.0 * math.pi * turns  # in the driver's count of turns
         self.ending.ask("command", self._place, command.velocity)
         word = getattr(loop.controller, "gripper", None)
-        if word not in (None, self._told) and not self.ending.reason:
-            self._told = word
+        if word not in (None, self._gripper_word) and not self.ending.reason:
+            self._gripper_word = word
             self.ending.ask("gripper", word)
         if self._pace.cycles % self._stride == 0:
             self._samples.append((t, loop.measured, command, before if self._samples else self._place))
@@ -560,7 +561,7 @@ class _Cycle:
         rollout = rollout_of(loop.robot, loop, [(t, q, c, loop.task_error(q, t)) for t, q, c, _ in self._samples])
         slips = "positions do not show whether the handle stayed in the fingers: look at the fixture"
         numbers = pace.cycles, pace.overruns, pace.longest_delay
-        return RunRecord(rollout, *numbers, *self.ending.outcome, () if self._told is None else (slips,))
+        return RunRecord(rollout, *numbers, *self.ending.outcome, () if self._gripper_word is None else (slips,))
 
 
 def _as_posture(robot: Robot, q: Any) -> Posture | None:
@@ -614,9 +615,9 @@ class _Arm:
     """
 
     def __init__(self, robot: Robot, driver: Any):
-        self._own, self._driver, self.rest = robot.joint_names, driver, dict[str, float]()
+        self._joints, self._driver, self.rest = robot.joint_names, driver, dict[str, float]()
         self._names: tuple[str, ...] = tuple(getattr(driver, "joint_names", None) or ())
-        missing = ", ".join(name for name in self._own if name not in self._names)
+        missing = ", ".join(name for name in self._joints if name not in self._names)
         if self._names and (missing or len(set(self._names)) < len(self._names)):
             wrong = f"missing {missing}" if missing else "one name occurs twice"
             raise ConfigurationError(f"the driver's joints are {', '.join(self._names)}: {wrong}")
@@ -639,11 +640,11 @@ class _Arm:
             q = dict(zip(self._names, q, strict=True))
         if not isinstance(q, Mapping):
             return None if q is None else np.array(q)  # the driver may go on writing into it
-        if missing := [name for name in self._own if name not in q]:
+        if missing := [name for name in self._joints if name not in q]:
             raise ConfigurationError(f"no position of joint {', '.join(missing)}")
         if not self.rest and finite(list(q.values()), len(q)) is not None:
             self.rest = dict(q)
-        return np.array([q[name] for name in self._own], dtype=np.float64)
+        return np.array([q[name] for name in self._joints], dtype=np.float64)
 
     def command(self, q: Vector, u: Vector) -> None:
         """Send positions and velocities of the robot's joints.
@@ -655,5 +656,5 @@ class _Arm:
         self._driver.command(self._sent(q, self.rest), self._sent(u, {}))
 
     def _sent(self, values: Vector, others: Mapping[str, float]) -> Posture:
-        numbers = {**others, **dict(zip(self._own, values, strict=True))}
-        return np.array([numbers.get(name, 0.0) for name in self._names or self._own], dtype=np.float64)
+        numbers = {**others, **dict(zip(self._joints, values, strict=True))}
+        return np.array([numbers.get(name, 0.0) for name in self._names or self._joints], dtype=np.float64)

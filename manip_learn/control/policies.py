@@ -398,7 +398,7 @@ class KeptOrientation(SampledPolicy):
         rms: float,
         gain: float = ASCENT_GAIN,
     ):
-        self.policy, self._features, self._wanted = policy, features, wanted
+        self.policy, self._features, self._orientation = policy, features, wanted
         self.rms, self.gain = _positive("rms", rms), _positive("gain", gain)
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
@@ -409,7 +409,7 @@ class KeptOrientation(SampledPolicy):
         """
         u = self.policy.over_step(q, t, dt)
         J, pose = self._features.twist_rows(q, False)[3:], self._features.pose(q)
-        turn = rotation_vector(self._wanted() @ pose[:3, :3].T)
+        turn = rotation_vector(self._orientation() @ pose[:3, :3].T)
         u = u + (self.gain / self.rms**2) * J.T.dot(turn)
         # the deviation is corrected in at least three cycles, because readings may be two cycles late, and in at least
         # 0.1 s, because faster changes are encoder noise

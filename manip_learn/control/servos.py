@@ -8,13 +8,13 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-LATEST = 0.2  # [s] largest latency of an arm: servoJ of a UR looks ahead by as much, and no arm takes longer
-LATEST_SAMPLE = 50  # samples of the first motion after which the estimates of latency and friction are final
-_APART = 0.01  # [s] between two samples of the first motion, and between two candidate delays
-_FEWEST = 8  # smallest number of samples of a joint for an estimate
+MAX_LATENCY = 0.2  # [s] largest latency of an arm: servoJ of a UR looks ahead by as much, and no arm takes longer
+FINAL_SAMPLES = 50  # samples of the first motion after which the estimates of latency and friction are final
+_SPACING = 0.01  # [s] between two samples of the first motion, and between two candidate delays
+_MIN_SAMPLES = 8  # smallest number of samples of a joint for an estimate
 HIDDEN = 15.0  # [N m or N] largest joint load that friction and backlash may hide: more is a force
 STILL = 2e-4  # [rad or m] largest displacement of a joint at rest, whatever its encoder reads
-NOISES = 6.0  # standard deviations that noise does not exceed in a run of hours
+NOISE_DEVIATIONS = 6.0  # standard deviations that noise does not exceed in a run of hours
 PACE = 0.002  # [s] spread of the delays of the joints: dampers of 4 N m s/rad at 2,000 N m/rad
 ROUNDING = 1e-12  # [rad or m] rounding error of sums of steps
 
@@ -50,8 +50,8 @@ class Servos:
         width = F / k + b / 2    of    c(t - late),
 
     c the commanded path, and nowhere else unless something pushes it. The delay is the same for all joints, so that a
-    delayed posture lies on the commanded path. Until the delay is known, any value up to `LATEST` is possible. It is
-    then estimated from the first motion as the one with the smallest variance of the remaining distances, which give
+    delayed posture lies on the commanded path. Until the delay is known, any value up to `MAX_LATENCY` is possible. It
+    is then estimated from the first motion as the one with the smallest variance of the remaining distances, which give
     the width. Before that, the width of a joint is its commanded motion before it was first seen to move, plus 50 %,
     `hidden` at most.
 
@@ -81,22 +81,23 @@ class Servos:
         # settings, which do not change; the attributes below are the state, whose parts are replaced, never modified
         dry = 6.0  # [N m or N] dry friction of large arms
         self._dt, self._hidden, self._dry = dt, hidden, dry / HIDDEN * hidden
-        self._pace, self._often = max(1, round(PACE / dt)), max(1, round(0.004 / dt))  # slow quantities: every 4 ms
+        # slow quantities are evaluated every 4 ms
+        self._pace, self._slow_stride = max(1, round(PACE / dt)), max(1, round(0.004 / dt))
         longest = math.ceil(latency / dt - 1e-9) + 1
-        lags = np.round(np.arange(0.0, LATEST + 0.5 * _APART, max(_APART, dt)) / dt).astype(np.int64)
+        lags = np.round(np.arange(0.0, MAX_LATENCY + 0.5 * _SPACING, max(_SPACING, dt)) / dt).astype(np.int64)
         self._lags = np.unique(np.minimum(lags, longest))
         # sum of the commanded steps, now and at the end of each past period, newest first; the readings of these
         # periods, and the newest readings
-        zero, rows = np.zeros(len(hidden)), np.zeros((longest + 2 + round(2.0 * LATEST / dt), len(hidden)))
-        self._sent, self._reads, self._past = rows, rows, (zero,)
-        self._since, self._over, self.moving, self._counted = 0.0, 0, 0.0, 0
+        zero, rows = np.zeros(len(hidden)), np.zeros((longest + 2 + round(2.0 * MAX_LATENCY / dt), len(hidden)))
+        self._sent, self._readings, self._past = rows, rows, (zero,)
+        self._since, self._period_count, self.moving, self._moving_periods = 0.0, 0, 0.0, 0
         # position at rest, the mean of so many readings; estimates of the servos
-        self.at_rest, self._rests, self.variance = zero, 0, np.full(len(hidden), 1e-4**2)
+        self.at_rest, self._rest_count, self.variance = zero, 0, np.full(len(hidden), 1e-4**2)
         self.seen, self.width, self.friction, self.late = zero > 0.0, hidden, zero, None
         self._samples: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...] = ()
         # periods since a reading changed, and the largest squared step between two equal readings; squared steps
         # between readings in the first motion
-        self.every, self._same, self._quiet, self._steps = 1.0, 0, -1.0, tuple[float, ...]()
+        self.every, self._same, self._repeat_square, self._steps = 1.0, 0, -1.0, tuple[float, ...]()
         # possible range of the delay, and its estimate [periods]; the excess, a running mean over some periods at 1 kHz
         self._window, self._at, self._excess, self.smoothing = (0, longest), 0, zero, dt / (dt + 0.004)
         self.raw, self.most, self.newest, self.repeats = zero, zero, zero, False
@@ -117,15 +118,15 @@ class Servos:
         over = self._since > 0.99 * self._dt or time < 0.0
         self._sent = np.concatenate(((self._sent[0] + step)[None], self._sent[:-1] if over else self._sent[1:]))
         if over:
-            self._reads = np.concatenate((self._past[0][None], self._reads[:-1]))
-            self._since, self._over, moves = 0.0, self._over + 1, float(step.dot(step)) > 0.0
-            self.moving, self._counted = self.moving + moves * self._dt, self._counted + moves
+            self._readings = np.concatenate((self._past[0][None], self._readings[:-1]))
+            self._since, self._period_count, moves = 0.0, self._period_count + 1, float(step.dot(step)) > 0.0
+            self.moving, self._moving_periods = self.moving + moves * self._dt, self._moving_periods + moves
         return over
 
     @property
     def is_slow_period(self) -> bool:
         """True in the periods in which slow quantities are evaluated, all of them in the same period."""
-        return self._over % self._often == 1 % self._often
+        return self._period_count % self._slow_stride == 1 % self._slow_stride
 
     def travel(self, periods: int) -> Float[np.ndarray, " nv"]:
         """Return the motion of the commanded posture in the last periods [rad or m].
@@ -152,7 +153,7 @@ class Servos:
         y = self._sent[0] + distance
         step = y - self._past[0]
         square = float(step.dot(step))
-        self._same = self._same + 1 if square <= self._quiet else 0
+        self._same = self._same + 1 if square <= self._repeat_square else 0
         if self.late is None:
             self._steps = (*self._steps[1 - len(self._sent) :], square) if self.moving else ()
             sent = self._sent[: self._window[1] + 1]
@@ -166,7 +167,7 @@ class Servos:
             self._update_estimates(y, sent[self._at])
         else:
             c = self._sent[self._at]
-            if self._over % self._often == 0:
+            if self._period_count % self._slow_stride == 0:
                 self._update_range(y, c)
             low, high, path = self._bounds
             raw = y - c
@@ -191,21 +192,21 @@ class Servos:
         low, high = nearer * (self._sense < 0.0) - width, width - nearer * (self._sense > 0.0)
         if not self.seen.all():
             self._update_estimates(y, c)
-            reach = np.minimum(np.abs(c) + np.abs(c - self._sent[self._at + self._often]), self.width)
+            reach = np.minimum(np.abs(c) + np.abs(c - self._sent[self._at + self._slow_stride]), self.width)
             low, high = np.where(self.seen, low, -reach), np.where(self.seen, high, reach)
         self._bounds = low - spread, high + spread, path
 
     def _update_estimates(self, y: np.ndarray, c: np.ndarray) -> None:
         """Update noise, widths and the delay from a reading."""
         if not self.moving:
-            self._rests += 1
-            self.at_rest = self.at_rest + (y - self.at_rest) / self._rests
+            self._rest_count += 1
+            self.at_rest = self.at_rest + (y - self.at_rest) / self._rest_count
         if self.late is None and len(self._past) == 4:
             change = y - self._past[2] + 3.0 * (self._past[1] - self._past[0])
             # the third difference of independent noise has 1 + 9 + 9 + 1 times its variance
             self.variance = self.variance + 0.02 * (change * change / 20.0 - self.variance)
         went = (y - self.at_rest) * np.sign(c)
-        new = ~self.seen & (went > NOISES * np.sqrt(self.variance) + STILL) & (np.abs(c) > STILL)
+        new = ~self.seen & (went > NOISE_DEVIATIONS * np.sqrt(self.variance) + STILL) & (np.abs(c) > STILL)
         if new.any():
             self.friction = np.where(new, np.minimum(np.abs(c) - went, self._hidden).clip(0.0), self.friction)
             self.width = np.where(new, np.minimum(1.5 * self.friction, self._hidden), self.width)
@@ -213,20 +214,20 @@ class Servos:
             if np.any(new & (self.friction > self._dry + STILL)):
                 self.width = self._hidden
             self.seen = self.seen | new
-        if self.late is None and self._counted >= max(1, round(_APART / self._dt)) and self.seen.any():
-            self._counted = 0
+        if self.late is None and self._moving_periods >= max(1, round(_SPACING / self._dt)) and self.seen.any():
+            self._moving_periods = 0
             self._samples = (*self._samples, (y - self.at_rest, self._sent[self._lags], self.seen))
             if len(self._samples) >= 16 and len(self._samples) % 4 == 0:  # 16: the delay may be known
                 self._fit(y)
 
     def _fit(self, now: np.ndarray) -> None:
         """Estimate the delay with the smallest residual variance and the widths with it, once from the first motion."""
-        y, sent, has_moved = (np.array(part[-LATEST_SAMPLE:]) for part in zip(*self._samples, strict=True))
-        is_last, self._samples = len(y) == LATEST_SAMPLE, self._samples[2 - LATEST_SAMPLE :]
+        y, sent, has_moved = (np.array(part[-FINAL_SAMPLES:]) for part in zip(*self._samples, strict=True))
+        is_last, self._samples = len(y) == FINAL_SAMPLES, self._samples[2 - FINAL_SAMPLES :]
         step = np.sign(sent[:, :-1] - sent[:, 1:])
         sense = step[:, :1]
         counts = np.all(step * sense >= 0.0, axis=1) & (sense[:, 0] != 0.0) & has_moved  # joints that never turned back
-        counts &= counts.sum(axis=0) >= _FEWEST
+        counts &= counts.sum(axis=0) >= _MIN_SAMPLES
         n, noise = counts.sum(axis=0), float(np.mean(self.variance))
         if not n.any():
             return
@@ -249,7 +250,7 @@ class Servos:
         # readings come slowly if some steps are much larger than the others, and make up the motion
         steps = np.sqrt(self._steps)
         quiet = 5.0 * float(np.median(steps)) + ROUNDING
-        new, self._quiet = np.flatnonzero(steps > quiet), quiet * quiet
+        new, self._repeat_square = np.flatnonzero(steps > quiet), quiet * quiet
         if len(new) > 2 and float(steps[new].sum()) > 0.5 * float(np.linalg.norm(now - self.at_rest)):
             self.every = float(new[-1] - new[0]) / (len(new) - 1)
 
@@ -258,7 +259,7 @@ class Servos:
         samples.
         """
         more = 0.25  # share by which a width may exceed the widths of the first motion
-        enough, noise = moves.sum(axis=0) >= _FEWEST, np.sqrt(self.variance)
+        enough, noise = moves.sum(axis=0) >= _MIN_SAMPLES, np.sqrt(self.variance)
         lags = np.where(moves | ~enough, lag, np.nan)
         least, middle, most = np.nanquantile(lags, (0.05, 0.5, 0.95), axis=0)
         width = np.maximum(np.maximum(most, -least), 0.0) * (1.0 + more) + noise
@@ -286,10 +287,10 @@ class Servos:
         if later < 3 or off > 0.2**2 * float(away.dot(away)):
             return math.nan, False
         # an arm at rest has been at rest, and a slow arm has been slow, for all of the additional delay
-        reads = np.concatenate((self._past[0][None], self._reads[:later]))
+        reads = np.concatenate((self._past[0][None], self._readings[:later]))
         few, half = 1 + later // 4, later // 2
         moved = np.abs(np.mean(reads[:few], axis=0) - np.mean(reads[-few:], axis=0))
-        stands = bool(np.all(moved < NOISES * np.sqrt(self.variance) / math.sqrt(few)))
+        stands = bool(np.all(moved < NOISE_DEVIATIONS * np.sqrt(self.variance) / math.sqrt(few)))
         before, then = self._lag(half)[0], self._lag(later)[0]
         first, second = 1.0 - (before - then) / (later - half), 1.0 - (late - before) / half
         stops = later >= 12 and second < 0.7 * first  # as filtered readings do
@@ -297,7 +298,7 @@ class Servos:
 
     def _lag(self, ago: int) -> tuple[float, float]:
         """Return the delay of a reading on the commanded path [periods], and its squared distance from that path."""
-        reading = self._reads[ago - 1] if ago else self._past[0]
+        reading = self._readings[ago - 1] if ago else self._past[0]
         away = self._sent[ago:] - (reading - self.at_rest)
         return _parabola_minimum(np.einsum("ij,ij->i", away, away))
 

@@ -30,7 +30,7 @@ APPROACH_SPEED = 0.25  # [m/s] of a hand that approaches the mechanism: the redu
 _SETTLING = 0.5  # [s] longest settling time of the hand at the mechanism: e^-5 of a lag, at gain 10 /s
 # [m] distance at which the hand is at the mechanism: a tenth of the deviation of 2 mm that is allowed during the
 # motion, twice the encoders' noise
-TAKEN = 2e-4
+HOLD_GAP = 2e-4
 
 
 @final
@@ -139,10 +139,10 @@ class FreeDirection(SinglePassTask):
             if np.linalg.norm(A.dot(np.linalg.lstsq(A, b)[0]) - b) > 1e-6 * np.linalg.norm(b):
                 fix = advice(": leave out {}", "keep_orientation=True", "--keep-orientation")
                 raise ConstraintError(f"{robot.nv} joints cannot move along this and keep the hand's orientation{fix}")
-        self._shown: DemonstratedStarts | None = None
+        self._starts: DemonstratedStarts | None = None
         self.grip_shown: tuple[Float[np.ndarray, "3 3"], float] | None = None
         if demo is not None and (take_hold or as_shown):
-            self._shown = DemonstratedStarts(constraint.mechanism, demo, self._motion, as_shown)
+            self._starts = DemonstratedStarts(constraint.mechanism, demo, self._motion, as_shown)
             self.grip_shown = demo.orientation, demo.turned
         self._start = None if start is None else self._motion.origin(start)
         self.reset()
@@ -156,7 +156,7 @@ class FreeDirection(SinglePassTask):
         """Forget the start: the next call is the first one again."""
         self.wanted = self._profile.distance
         self._course = None if self._start is None else Course(self._motion, self._start)
-        self._begun, self._latest = math.inf, -math.inf
+        self._start_time, self._latest = math.inf, -math.inf
         self.way_begins: float | None = None
         self._approach: tuple[MotionProfile, Chart] | None = None
         self._place, self._ahead = 0.0, self._motion.driven
@@ -172,7 +172,7 @@ class FreeDirection(SinglePassTask):
     def _find_start(self, q: ArrayLike) -> tuple[Origin, Origin, float]:
         """Return the pose of the hand, or of `start`, the pose at which the motion begins, and their distance [m]."""
         here = self._motion.origin(q) if self._start is None else self._start
-        return here, *((here, 0.0) if self._shown is None else self._shown.nearest(here, self.wanted))
+        return here, *((here, 0.0) if self._starts is None else self._starts.nearest(here, self.wanted))
 
     def duration_from(self, q: ArrayLike) -> float:
         """Return the duration of the motion from a posture, if no limit slows it down [s].
@@ -181,7 +181,8 @@ class FreeDirection(SinglePassTask):
             q: Posture.
         """
         far = self.hold(q)
-        to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._profile.ramp).duration + _SETTLING
+        ramp = self._profile.ramp
+        to_hold = 0.0 if far <= HOLD_GAP else MotionProfile(far, APPROACH_SPEED, ramp).duration + _SETTLING
         return self.pause + self._profile.duration + to_hold
 
     def table(
@@ -225,7 +226,7 @@ class FreeDirection(SinglePassTask):
         rms = 0.0 if mechanism is None or mechanism.grip != "kept" else math.radians(mechanism.orientation_rms or 0.0)
         if demo is None or not rms or len(demo.hand) != len(demo.path):
             return policy
-        sense = 1.0 if self._shown is None else self._shown.sense
+        sense = 1.0 if self._starts is None else self._starts.sense
 
         def orientation() -> Float[np.ndarray, "3 3"]:
             return demo.turned_at(0.0 if self.way_begins is None else sense * self._place)
@@ -254,7 +255,7 @@ class FreeDirection(SinglePassTask):
         Args:
             grasp: Pose of the hand at the grasp (4, 4) in the base frame.
         """
-        return self._with(_shown=None if self._shown is None else self._shown.with_grasp(grasp))
+        return self._with(_starts=None if self._starts is None else self._starts.with_grasp(grasp))
 
     def _with(self, **others: Any) -> FreeDirection:
         other = copy.copy(self)
@@ -268,7 +269,7 @@ class FreeDirection(SinglePassTask):
         Args:
             q: Posture.
         """
-        return 0.0 if self.way_begins is None and self._begun < math.inf else self.progress_near(q, self._place)
+        return 0.0 if self.way_begins is None and self._start_time < math.inf else self.progress_near(q, self._place)
 
     def meant(self, t: float) -> float:
         """Return the intended progress of the motion at a time [m or rad]; 0 before it began.
@@ -371,20 +372,20 @@ class FreeDirection(SinglePassTask):
 
     def _advance_clock(self, q: ArrayLike, t: float) -> tuple[Course, float, float]:
         """Return the course of the motion, the intended progress along it [m or rad], and its rate."""
-        if t <= self._begun < self._latest:
+        if t <= self._start_time < self._latest:
             self.reset()
-        if self._course is None or self._begun == math.inf:
+        if self._course is None or self._start_time == math.inf:
             start, origin, far = self._find_start(q)
-            self._begun, self._course = t, Course(self._motion, origin)
-            if far > TAKEN:
+            self._start_time, self._course = t, Course(self._motion, origin)
+            if far > HOLD_GAP:
                 self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp), straight(start, origin)
         self._latest = t
-        if self.way_begins is None and self._approach is not None and self._shown is not None:
+        if self.way_begins is None and self._approach is not None and self._starts is not None:
             profile, chart = self._approach
-            late = t - self._begun - profile.duration  # [s]
-            near = TAKEN if late < _SETTLING else 2e-3  # smallest distance with a noise of 1e-3 rad on the posture
-            if late < 0.0 or self._shown.pose_distance(self._motion.origin(q), self._course.origin) > near:
-                share = profile.at(t - self._begun)[0] / profile.distance
+            late = t - self._start_time - profile.duration  # [s]
+            near = HOLD_GAP if late < _SETTLING else 2e-3  # smallest distance with a noise of 1e-3 rad
+            if late < 0.0 or self._starts.pose_distance(self._motion.origin(q), self._course.origin) > near:
+                share = profile.at(t - self._start_time)[0] / profile.distance
                 return Course(self._motion, chart.pose((share,))), 0.0, 0.0
         if self.way_begins is None:
             self.way_begins = t + self.pause

@@ -64,7 +64,7 @@ class DemonstratedStarts:
 
     def __init__(self, mechanism: Mechanism | None, shown: Shown, motion: DrivenMotion, anew: bool):
         self._shown = replace(shown, mechanism=shown.mechanism.by_place())
-        self._motion, self._anew = motion, anew
+        self._motion, self._repeats = motion, anew
         self.sense = shown_sense(shown, motion, of_most=True) or 1.0
         rows: Any = motion.constraint.features
         turning = motion.constraint.selection @ rows.weights_at(shown.chart.grasp[None])[0, :, 3:]
@@ -72,7 +72,7 @@ class DemonstratedStarts:
         is_firm = mechanism is not None and mechanism.orientation != "free"
         self._is_turned = is_firm and bool(np.any(np.abs(turning) > 1e-3))  # learnt rows of positions leak less
         is_apart = (shown.hold is None or self._is_turned) and len(shown.grasps) > 0 and (shown.is_way or not anew)
-        self._begins = shown.grasps if is_apart else shown.chart.grasp[None]
+        self._start_poses = shown.grasps if is_apart else shown.chart.grasp[None]
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
         self._room = GRIP / lever  # largest distance of the start from the demonstrated motion, along it [m or rad]
 
@@ -84,13 +84,13 @@ class DemonstratedStarts:
         """
         other = copy.copy(self)
         vars(other).pop("_ahead", None)
-        other._begins, other._anew = grasp[None], True
+        other._start_poses, other._repeats = grasp[None], True
         return other
 
     @cached_property
     def _ahead(self) -> Float[np.ndarray, "n k"]:
         """Distance of each start pose from the first one along the free directions [m or rad]."""
-        return np.vstack([self._shown.along(np.array([self._begins[0], begin]))[1] for begin in self._begins])
+        return np.vstack([self._shown.along(np.array([self._start_poses[0], begin]))[1] for begin in self._start_poses])
 
     def pose_distance(self, one: Origin, other: Origin) -> float:
         """Return the distance of two poses [m]; if orientation counts, an angle counts at the lever of a hand.
@@ -116,7 +116,7 @@ class DemonstratedStarts:
         """
         if self._is_on_motion(here):
             return here, 0.0
-        begins, way = self._begins.copy(), self.sense * distance
+        begins, way = self._start_poses.copy(), self.sense * distance
         if len(begins) > 1 and self._shown.is_way and not self._is_turned:
             ends = self._ahead[:, 0] - self._ahead[:, 0].min() + abs(way)
             begins = begins[ends <= max(self._shown.span, ends.min()) + self._room]
@@ -131,14 +131,14 @@ class DemonstratedStarts:
 
     def _is_on_motion(self, here: Origin) -> bool:
         """Return True if the hand is on a demonstrated motion, or between such motions, and may begin there."""
-        if self._anew and (self._is_turned or len(self._begins) == 1):
+        if self._repeats and (self._is_turned or len(self._start_poses) == 1):
             return False
-        hand = self._begins[0].copy()
+        hand = self._start_poses[0].copy()
         hand[:3, 3] = here[:3, 3]
-        far, path = self._shown.along(np.array([self._begins[0], hand]))[1], self._shown.path * (not self._anew)
+        far, path = self._shown.along(np.array([self._start_poses[0], hand]))[1], self._shown.path * (not self._repeats)
         low, high = self._ahead.min(0) + path.min(0), self._ahead.max(0) + path.max(0)
         # moved back along the motion: is the hand at a start pose, or between start poses?
-        goal, back = self._shown.place_before(hand, far), zip(self._begins, self._ahead, strict=True)
+        goal, back = self._shown.place_before(hand, far), zip(self._start_poses, self._ahead, strict=True)
         start_places = np.array([self._shown.place_before(begin, ahead) for begin, ahead in back])
         weights = nnls(np.vstack([start_places.T, np.ones(len(start_places))]), np.append(goal, 1.0))[0]
         off = np.linalg.norm(weights @ start_places / max(weights.sum(), GRIP) - goal)
