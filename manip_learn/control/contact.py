@@ -206,8 +206,8 @@ class FollowingError:
             # a servo reacts to M a as a spring and a damper: the deflection decays for a while after its largest value
             now = -self._robot.inertial_effort(q, self._change / self._elapsed) / self._inertial
             # 0.1 s are three times sqrt(2 kg m2 / 2,000 N m/rad)
-            lately, (low, high) = math.exp(-self._elapsed / 0.1), self._inertial_range
-            self._inertial_range = np.minimum(lately * low, now), np.maximum(lately * high, now)
+            decay, (low, high) = math.exp(-self._elapsed / 0.1), self._inertial_range
+            self._inertial_range = np.minimum(decay * low, now), np.maximum(decay * high, now)
             self._change, self._elapsed = np.zeros_like(velocity), 0.0
 
     @property
@@ -306,7 +306,7 @@ class FollowingError:
         self._now, is_known = (excess, self.distance), servos.late is not None
         if is_known and not was_known:
             self._write_notes(measured)
-        gone = servos.travel(round(MOTION_ONSET / self._dt))
+        travel = servos.travel(round(MOTION_ONSET / self._dt))
         if self.tripped or servos.repeats:
             return
         # 16 times the limit: the error of 0.2 s of delay at 0.5 rad/s, and of a blocked arm that starts so fast
@@ -314,7 +314,7 @@ class FollowingError:
             self.tripped = "the arm has not begun to move: it is blocked or switched off, or set Contact(latency=...)"
         elif excess.dot(excess) > RESOLUTION * RESOLUTION:  # with less no force can be larger than `held`
             self.tripped = self._judge(measured, excess, driven)
-        elif is_known and gone.dot(gone) > 4.0 * (RESOLUTION * RESOLUTION + servos.most.dot(servos.most)):
+        elif is_known and travel.dot(travel) > 4.0 * (RESOLUTION * RESOLUTION + servos.most.dot(servos.most)):
             # the motion exceeds the undetectable deflections
             self._motion_time = min(MOTION_MEMORY, self._motion_time + self._dt)
 
@@ -332,14 +332,15 @@ class FollowingError:
         ahead = servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
         further = min(max(ahead / (math.ceil(LOOK_BACK / dt) * dt), 1.0), 3.0)  # noise grows with it
         J = self._robot.jacobian(measured, self._frame)[:3]
-        self.force, beside = self._split_weight(excess + further * rise, J / self._stiffness)
+        self.force, residual = self._split_weight(excess + further * rise, J / self._stiffness)
         force, lacking, step = math.sqrt(self.force.dot(self.force)), math.nan, J.dot(sent)
         # share of the commanded motion that the hand lacks; unknown if the command is only noise, or the delay unknown
         if servos.late is not None and step.any() and sent.dot(sent) > RESOLUTION * RESOLUTION:
             lacking = -float(J.dot(gains).dot(step)) / float(step.dot(step))
-        moves, goes = bool(self._velocity.any()), lacking < 0.5
-        self._motion_time = moves * min(MOTION_MEMORY, max(0.0, self._motion_time + (dt if goes else -dt)))
-        self._moving_force += moves * goes * min(1.0, dt / 0.2) * (force - self._moving_force)  # averaged over 0.2 s
+        moves, is_moving = bool(self._velocity.any()), lacking < 0.5
+        self._motion_time = moves * min(MOTION_MEMORY, max(0.0, self._motion_time + (dt if is_moving else -dt)))
+        # the force of the motion, averaged over 0.2 s
+        self._moving_force += moves * is_moving * min(1.0, dt / 0.2) * (force - self._moving_force)
         lateral, most = max(self.contact.max_lateral_force, self.resolution), max(self._axial_limit, self.resolution)
         if force > lateral:
             rows = np.zeros((0, len(sent))) if driven is None else driven(measured)
@@ -356,10 +357,10 @@ class FollowingError:
             # a hand at rest lacks at least 80 % of its motion; one that lacks more than 125 % was pushed back
             if 0.8 < lacking < 1.0 / 0.8 and self._motion_time > MOTION_ONSET and way > self._moving_force + lateral:
                 return f"{along}, which moved with {self._moving_force:.0f} N and has stopped: look for a blockage"
-        j = int((np.abs(beside) / self.limit).argmax())
-        load, name = abs(float(beside[j] * self._stiffness[j])), self._robot.joint_names[j]
+        j = int((np.abs(residual) / self.limit).argmax())
+        load, name = abs(float(residual[j] * self._stiffness[j])), self._robot.joint_names[j]
         words = f"joint {name} carries {load:.0f} N m that no force on the hand explains: look for a contact of the arm"
-        return words if abs(beside[j]) > self.limit[j] else ""
+        return words if abs(residual[j]) > self.limit[j] else ""
 
     def _split_directions(self, J: np.ndarray, driven: np.ndarray, off: Vector) -> tuple[float, float]:
         """Return the force on the hand along and across the driven rows [N].
@@ -397,13 +398,13 @@ class FollowingError:
         # use joints that have moved, or were hardly commanded to move, or deviate by more than friction explains
         sees = self.servos.seen | (self.servos.most < STILL) | (self.servos.newest != 0.0)
         f = self._estimate_force(excess, C, sees)
-        beside = (excess - f.dot(C)) * sees
+        residual = (excess - f.dot(C)) * sees
         weight = min(max(0.0, -f[2]), self._max_weight)
         if self.servos.moving <= 0.25:  # [s] after which a weight is known
             self._weight = max(self._weight, weight)
         f[2] += min(weight, self._weight)
         self._deflection = f.dot(C)
-        return f, beside
+        return f, residual
 
     def _write_notes(self, q: np.ndarray) -> None:
         """Write notes on the servos' properties in the first motion, and on the smallest detectable force."""
@@ -419,14 +420,14 @@ class FollowingError:
         least, servos.smoothing = max(0.7 * width, deviations * noise / math.sqrt(2.0 * periods)), 1.0 / periods
         if isinstance(self.contact.resolution, str):
             self.resolution = least
-        share, late, seldom = servos.pace()[0], servos.late or 0.0, servos.every >= 2.0
+        share, late, reads_slowly = servos.pace()[0], servos.late or 0.0, servos.every >= 2.0
         slow = _CREEP_SHARE < share < 0.75
         cause = "an arm that is slower than its command" if slow else "friction, backlash and noise"
-        cause = "readings that come late" if seldom else cause
+        cause = "readings that come late" if reads_slowly else cause
         notes = {
             _slow(share): slow,
             f"the arm follows {1e3 * late:.0f} ms late": not slow and late > LOOK_BACK,
-            f"readings change every {servos.every * ms:.0f} ms, the loop runs at {ms:g} ms": seldom,
+            f"readings change every {servos.every * ms:.0f} ms, the loop runs at {ms:g} ms": reads_slowly,
             f"friction and backlash of the joints take up to {friction:.0f} N on the hand: forces are detected from "
             f"{least:.0f} N on": not slow and friction > lateral_limit,
             f"max_lateral_force={lateral_limit:g} N cannot be kept because of {cause}: the arm stops at "

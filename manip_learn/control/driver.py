@@ -509,12 +509,12 @@ class _Cycle:
         if q is None or not self._samples:
             return ""
         _, first, _, start = self._samples[0]
-        went = float(np.abs(self._robot.difference(start, self._place)).max())
+        travel = float(np.abs(self._robot.difference(start, self._place)).max())
         causes = "it was in motion or is pushed, or the driver reads other joints, units or signs than it commands"
-        words = f"at first, with commands of {went:.1g} rad or m at most: {causes}"
+        words = f"at first, with commands of {travel:.1g} rad or m at most: {causes}"
         # an arm that was commanded by less than 0.02 rad or m, and has moved four times as far, has moved by itself
-        most = max(0.0 if tripped else _DRIFT, 4.0 * went)
-        away = _describe_distance(self._robot, first, q, most, words) if went < 0.02 else ""
+        most = max(0.0 if tripped else _DRIFT, 4.0 * travel)
+        away = _describe_distance(self._robot, first, q, most, words) if travel < 0.02 else ""
         self._drift_count = self._drift_count + 1 if away else 0
         return away if self._drift_count > (not tripped) else ""
 
@@ -559,9 +559,9 @@ class _Cycle:
         """Return the record of the run."""
         loop, pace = self._loop, self._pace
         rollout = rollout_of(loop.robot, loop, [(t, q, c, loop.task_error(q, t)) for t, q, c, _ in self._samples])
-        slips = "positions do not show whether the handle stayed in the fingers: look at the fixture"
+        note = "positions do not show whether the handle stayed in the fingers: look at the fixture"
         numbers = pace.cycles, pace.overruns, pace.longest_delay
-        return RunRecord(rollout, *numbers, *self.ending.outcome, () if self._gripper_word is None else (slips,))
+        return RunRecord(rollout, *numbers, *self.ending.outcome, () if self._gripper_word is None else (note,))
 
 
 def _as_posture(robot: Robot, q: Any) -> Posture | None:
@@ -584,8 +584,8 @@ def _describe_mismatch(robot: Robot, samples: Sequence[_Sample]) -> str:
     """Return the order, unit or sign of the joints that explains the measured motion, in words; empty if none does."""
     if len(samples) < 3:
         return ""
-    some = samples[:: len(samples) // 512 + 1]  # more change nothing
-    measured, sent = np.array([robot.positions(q) for _, q, _, _ in some]), np.array([sent for *_, sent in some])
+    subset = samples[:: len(samples) // 512 + 1]  # more samples change nothing
+    measured, sent = np.array([robot.positions(q) for _, q, _, _ in subset]), np.array([sent for *_, sent in subset])
     measured, sent = measured - measured.mean(axis=0), sent - sent.mean(axis=0)
     measured_squares, sent_squares, products = np.sum(measured**2, axis=0), np.sum(sent**2, axis=0), measured.T @ sent
     # an explanation reduces the deviation to a tenth; one that exchanges joints must be better by a thousandth more
@@ -602,8 +602,8 @@ def _describe_mismatch(robot: Robot, samples: Sequence[_Sample]) -> str:
         messages += [f"{names[i]} moves in the opposite sense" for i, j in moved if products[i, j] < 0.0]
         messages += [f"{scale:.3g} times as far as commanded, as if in {unit} in one direction"] if unit else []
         explanation = "; ".join(messages)
-    look = "check the joint order, units and signs of the driver"
-    return f"the arm does not move as commanded ({explanation}): {look}; " if explanation else ""
+    remedy = "check the joint order, units and signs of the driver"
+    return f"the arm does not move as commanded ({explanation}): {remedy}; " if explanation else ""
 
 
 @final

@@ -356,10 +356,10 @@ class Law:
         A^# b and the direction towards the singularity.
         """
         (U, sigma, Vt), square, nv = decomposition, self.damping**2, self.constraint.nv
-        nearly = sigma < self.threshold
+        is_small = sigma < self.threshold
         if len(U) > nv:  # more rows than joints: the singular vectors of zero singular values are rounding only
-            nearly &= sigma > SINGULAR_RATIO * sigma[0]
-        lost = U[:, : len(sigma)][:, nearly]
+            is_small &= sigma > SINGULAR_RATIO * sigma[0]
+        lost = U[:, : len(sigma)][:, is_small]
         pressed = lost.dot(b.dot(lost))
         if not pressed.any():
             return square

@@ -367,9 +367,9 @@ class LoopRules:
     def _relaxed_posture(self, s: State, commanded: np.ndarray) -> np.ndarray:
         """Return a posture at which the arm presses less, within the largest relaxation."""
         place, _, most = s.pressed
-        gone = self.robot.difference(place, commanded) + s.following.relief()
-        way = np.clip(gone, -most, most)
-        if np.any(way != gone):  # no force deflects an arm so far: the measurement is wrong
+        relaxation = self.robot.difference(place, commanded) + s.following.relief()
+        way = np.clip(relaxation, -most, most)
+        if np.any(way != relaxation):  # no force deflects an arm so far: the measurement is wrong
             s.renewed = RENEWALS
         return np.array(self.robot.integrate(place, way))
 
@@ -379,10 +379,10 @@ class LoopRules:
         """
         place, pressed, _ = s.pressed
         following, servos = s.following, s.following.servos
-        gone = self.robot.difference(place, commanded) - servos.travel(round(servos.delay / self.dt))
-        came, square = self.robot.difference(pressed, measured), float(gone.dot(gone))
+        relaxation = self.robot.difference(place, commanded) - servos.travel(round(servos.delay / self.dt))
+        response, square = self.robot.difference(pressed, measured), float(relaxation.dot(relaxation))
         # a relaxation of less than 2 mrad or mm is not conclusive
-        return following.sinks and square > 2e-3 * 2e-3 and float(came.dot(gone)) > 0.9 * square
+        return following.sinks and square > 2e-3 * 2e-3 and float(response.dot(relaxation)) > 0.9 * square
 
     def _command_without_law(self, s: State, u: np.ndarray, status: Status, held: float) -> Command:
         names = ("manipulability", "task_velocity", "smallest_singular_value")

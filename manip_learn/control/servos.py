@@ -205,10 +205,10 @@ class Servos:
             change = y - self._past[2] + 3.0 * (self._past[1] - self._past[0])
             # the third difference of independent noise has 1 + 9 + 9 + 1 times its variance
             self.variance = self.variance + 0.02 * (change * change / 20.0 - self.variance)
-        went = (y - self.at_rest) * np.sign(c)
-        new = ~self.seen & (went > NOISE_DEVIATIONS * np.sqrt(self.variance) + STILL) & (np.abs(c) > STILL)
+        travel = (y - self.at_rest) * np.sign(c)
+        new = ~self.seen & (travel > NOISE_DEVIATIONS * np.sqrt(self.variance) + STILL) & (np.abs(c) > STILL)
         if new.any():
-            self.friction = np.where(new, np.minimum(np.abs(c) - went, self._hidden).clip(0.0), self.friction)
+            self.friction = np.where(new, np.minimum(np.abs(c) - travel, self._hidden).clip(0.0), self.friction)
             self.width = np.where(new, np.minimum(1.5 * self.friction, self._hidden), self.width)
             # a lag beyond friction is backlash, within which the motion of the other joints moves each joint
             if np.any(new & (self.friction > self._dry + STILL)):

@@ -49,8 +49,8 @@ class MotionProfile:
         t = min(max(t, 0.0), duration)
         near = min(t, duration - t)  # [s] from rest
         x = min(near / self.ramp, 1.0)
-        gone = peak * (self.ramp * x**3 * (1.0 - 0.5 * x) + max(near - self.ramp, 0.0))
-        return (gone if near == t else self.distance - gone), peak * x * x * (3.0 - 2.0 * x)
+        covered = peak * (self.ramp * x**3 * (1.0 - 0.5 * x) + max(near - self.ramp, 0.0))
+        return (covered if near == t else self.distance - covered), peak * x * x * (3.0 - 2.0 * x)
 
 
 @final
