@@ -20,12 +20,12 @@ class Status(StrEnum):
     Members are strings: `command.status == "ok"` works, and files hold the words.
 
     Attributes:
-        INVALID_INPUT: The posture or the time is not a number, or the controller failed: the arm brakes and stands
+        INVALID_INPUT: The posture or the time is not a number, or the controller failed: the arm brakes to a stop
             (`ServoLoop`).
-        STALE: No new state for too long: the arm brakes and stands (`ServoLoop`).
-        FOLLOWING_ERROR: The measured posture is too far from the commanded one: the arm brakes and stands
+        STALE: No new state for too long: the arm brakes to a stop (`ServoLoop`).
+        FOLLOWING_ERROR: The measured posture is too far from the commanded one: the arm brakes to a stop
             (`ServoLoop`).
-        STOPPED: `ServoLoop.stop` was called: the arm brakes and stands.
+        STOPPED: `ServoLoop.stop` was called: the arm brakes to a stop.
         OUTSIDE_LIMITS: A joint is outside its position limits, and returns where it can.
         SINGULAR: A task direction is lost at this posture.
         STALLED: The task has not reached its goal and does not approach it: less than 2 % of the requested velocity
@@ -56,7 +56,7 @@ class Status(StrEnum):
 
     @property
     def effect(self) -> Literal["ok", "slowed", "stopped"]:
-        """Effect on the requested motion: it is done as requested, it is slowed down, or the arm stands."""
+        """Effect on the requested motion: it is done as requested, it is slowed down, or the arm stops."""
         if self in (Status.OK, Status.NULL_SCALED, Status.REROUTED):
             return "ok"
         stands = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED, Status.STALLED)

@@ -1,6 +1,4 @@
-"""Following error: the distance between the measured and the commanded posture, and the decision whether it is a
-contact.
-"""
+"""Following error: the distance of the measured from the commanded posture, and the detection of contacts by it."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ from manip_learn.errors import ConfigurationError, counted, under_new_names
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
-STIFFNESS = 2000.0  # [N m/rad or N/m] of a stiff position servo of an arm that works beside people
+STIFFNESS = 2000.0  # [N m/rad or N/m] of a stiff position servo of an arm that works near people
 GRAVITY = 9.81  # [m/s2]
 LEFT = 3.0  # [N] largest remaining force on the hand of an arm that has relaxed
 # [rad or m] unexplained error of a servo after friction, backlash and noise were measured: 0.5 N m at 2,000 N m/rad
@@ -255,7 +253,7 @@ class FollowingError:
         """
         f = self._estimate_force(off, self._compliance(q))
         forces = np.array([f, self.force if self.force.any() else f])  # now, and at the time of the stop
-        # a weight is a force of which at least 80 % point down
+        # a force counts as a weight if at least 80 % of it points down
         weighs, self.sinks = (-forces[:, 2] > np.maximum(LEFT, 0.8 * np.linalg.norm(forces, axis=1))).tolist()
         self.load = weighs * off
         if not (weighs and self.sinks and -f[2] > self._max_weight):

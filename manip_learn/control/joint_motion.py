@@ -72,7 +72,7 @@ class FollowMotion(LimitedController):
         True
     """
 
-    waits: bool = True  # its clock stands while the arm does
+    waits: bool = True  # its clock stops while the arm is at rest
 
     def __init__(self, robot: Robot, motion: Trajectory | Rollout, limits: Limits | None = None, *, ahead: float = 0.0):
         self.robot, self.motion, self.limits, self.ahead = robot, motion, limits or Limits(robot), float(ahead)

@@ -55,23 +55,23 @@ class DemonstratedStarts:
         mechanism: Mechanism that constrains the hand.
         shown: The demonstrated motions.
         motion: The motion along a free direction.
-        anew: True if the hand repeats the demonstration: it moves to a start pose of the contacts even if it is on the
+        repeats: True if the hand repeats the demonstration: it moves to a start pose of the contacts even if it is on the
             mechanism already, and follows the demonstrated path on a surface.
 
     Attributes:
         sense: Sense of the demonstrations along the motion, 1 or -1.
     """
 
-    def __init__(self, mechanism: Mechanism | None, shown: Shown, motion: DrivenMotion, anew: bool):
+    def __init__(self, mechanism: Mechanism | None, shown: Shown, motion: DrivenMotion, repeats: bool):
         self._shown = replace(shown, mechanism=shown.mechanism.by_place())
-        self._motion, self._repeats = motion, anew
+        self._motion, self._repeats = motion, repeats
         self.sense = shown_sense(shown, motion, of_most=True) or 1.0
         rows: Any = motion.constraint.features
         turning = motion.constraint.selection @ rows.weights_at(shown.chart.grasp[None])[0, :, 3:]
         # a firm grip fixes the demonstrated orientation; an orientation kept by habit is free
         is_firm = mechanism is not None and mechanism.orientation != "free"
         self._is_turned = is_firm and bool(np.any(np.abs(turning) > 1e-3))  # learnt rows of positions leak less
-        is_apart = (shown.hold is None or self._is_turned) and len(shown.grasps) > 0 and (shown.is_way or not anew)
+        is_apart = (shown.hold is None or self._is_turned) and len(shown.grasps) > 0 and (shown.is_way or not repeats)
         self._start_poses = shown.grasps if is_apart else shown.chart.grasp[None]
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
         self._room = GRIP / lever  # largest distance of the start from the demonstrated motion, along it [m or rad]
