@@ -301,9 +301,9 @@ class Barriers:
     The ball of velocities is bounded by tangent planes, n^T J u <= speed, where it was exceeded: first at the desired
     velocity, then at each solution, until no more are needed (Kelley, "The cutting-plane method for solving convex
     programs", 1960). The rate at which a frame approaches a wall is at most `approach_rate` of its distance, so that
-    the joints can stop the frame there; a frame beyond a wall returns. One step changes that rate by at most
-    BRAKING_SHARE of the change that the acceleration limits allow all joints together. If the joint bounds leave no
-    velocity that satisfies all rows, the bounds have precedence.
+    the joints can stop the frame there; a frame beyond a wall returns. The rows demand of one step at most
+    BRAKING_SHARE of the change of that rate that the acceleration limits allow all joints together. If the joint bounds
+    leave no velocity that satisfies all rows, the bounds have precedence.
 
     Args:
         robot: The robot.

@@ -309,7 +309,8 @@ class JointMotion(Task):
         return rate + self.gain * self._robot.difference(q, goal)
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
-        """Return True if the motion has arrived, or its time is over by a second: encoder noise may hide the arrival.
+        """Return True if the time of the motion is over and it has arrived, or a second later: encoder noise may hide
+        the arrival.
 
         Args:
             q: Posture.

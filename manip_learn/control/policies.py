@@ -27,9 +27,9 @@ from manip_learn.robot.rotations import rotation_vector
 ASCENT_GAIN = 3.0  # [rad^2/s] default: the highest manipulability of the gains that were compared (docs/control.md)
 SEED_SPEED = 5e-4  # [rad/s] speed at an exact singularity, which the policy may leave in either sense
 # largest growth of the distance to the singularity in one step (ratio): a step away from it cannot overshoot anything.
-# Of 61 exactly singular starts of five arms at rest, 0.25 leaves 61, 56 and 42 within a second at 1, 10 and 20 ms, 1
-# leaves 61, 61 and 58, 1.25 and more leave all; from 1.5 on, arms that are pressed against a singularity oscillate now
-# and then
+# Of 61 exactly singular starts of five arms that hold still, 0.25 leaves 61, 56 and 42 within a second at 1, 10 and
+# 20 ms, 1 leaves 61, 61 and 58, 1.25 and more leave all; from 1.5 on, arms that are pressed against a singularity
+# oscillate now and then
 GROWTH = 1.25
 Decomposition = tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[np.ndarray, "n n"]]
 
@@ -481,7 +481,8 @@ def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Vector:
     _, rates, directions = np.linalg.svd(M.dot(Z.T))
     if not rates[0] > 1e-6 * size:
         Z, (_, rates, directions) = unit(M.shape[1]), np.linalg.svd(M)
-    # several directions may be equally fast, as at the saddle of a planar arm: take the one that moves one joint most
+    # several directions may be equally fast, as at the saddle of a planar arm: take the projection of the first joint
+    # with the largest share
     fastest = directions[: np.count_nonzero(rates >= rates[0] * (1.0 - 1e-9))].dot(Z)
     shares = (fastest * fastest).sum(axis=0)
     joint = int(np.argmax(shares >= shares.max() - 1e-9))

@@ -422,6 +422,7 @@ class _Path:
 
         Args:
             s: The distance along the path, one number [m].
+            _pose: Not used.
         """
         place, tangent = self._at(s[0])
         return np.append(tangent[:3], left_jacobian(place[3:] / _LEVER) @ tangent[3:] / _LEVER)[:, None]

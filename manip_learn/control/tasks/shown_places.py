@@ -55,8 +55,8 @@ class DemonstratedStarts:
         mechanism: Mechanism that constrains the hand.
         shown: The demonstrated motions.
         motion: The motion along a free direction.
-        repeats: True if the hand repeats the demonstration: it moves to a start pose of the contacts even if it is on the
-            mechanism already, and follows the demonstrated path on a surface.
+        repeats: True if the hand repeats the demonstration: it moves to a start pose of the contacts even if it is on
+            the mechanism already, and follows the demonstrated path on a surface.
 
     Attributes:
         sense: Sense of the demonstrations along the motion, 1 or -1.
