@@ -170,7 +170,7 @@ def test_a_line_does_not_turn_and_a_hinge_does_not_slide() -> None:
         ),
         ("door", ConstraintError, r"turns and does not slide \(a hinge: .*\): use angle= \[rad\]", {"along": 0.1}),
         ("table", ConstraintError, "2 directions free .*direction=", {"along": 0.1}),
-        ("drawer", TargetError, "how far to go, once", {"along": 0.1, "turn": 0.2}),
+        ("drawer", TargetError, "one distance or angle", {"along": 0.1, "turn": 0.2}),
     ):
         with pytest.raises(error, match=words):
             ml.motion(learnt(name)[0], **way)

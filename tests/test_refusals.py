@@ -72,7 +72,7 @@ TYPED = [
     ("control {drawer} --along 3 --beyond-shown --check --out run.npz", "not-reached", " of 3.000 m: stopped by "),
     ("control {drawer} --along 0.1 --plan --policy zero", "target", "leave --policy"),
     ("control {drawer} --along 0.1 --seed 2", "target", "go with --plan"),
-    ("control {drawer} --along 0.9 --plan", "target", "longer than what was shown"),
+    ("control {drawer} --along 0.9 --plan", "target", "longer than the demonstrations"),
     ("control {door} --target 0.4,0.1", "target", "three finite numbers"),
     ("replay sawyer nothing.npz", "missing-file", ""),
     ("replay nothing.npz", "missing", "check the path"),

@@ -91,7 +91,7 @@ def test_a_constraint_that_was_not_learnt_is_told_how_far():
     for asked, error, words in (
         ({}, TargetError, "has no demonstrated motion"),
         ({"along": 150.0}, TargetError, "distances are in metres"),
-        ({"along": 0.1, "direction": "shown"}, ConstraintError, "do not say which way"),
+        ({"along": 0.1, "direction": "shown"}, ConstraintError, "do not define a positive sense"),
     ):
         with case(asked), pytest.raises(error, match=words):
             ml.motion(line, **asked)

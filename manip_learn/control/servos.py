@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 MAX_LATENCY = 0.2  # [s] largest latency of an arm: servoJ of a UR looks ahead by as much, and no arm takes longer
-FINAL_SAMPLES = 50  # samples of the first motion after which the estimates of latency and friction are final
 _SPACING = 0.01  # [s] between two samples of the first motion, and between two candidate delays
 _MIN_SAMPLES = 8  # smallest number of samples of a joint for an estimate
 HIDDEN = 15.0  # [N m or N] largest joint load that friction and backlash may hide: more is a force
@@ -222,8 +221,9 @@ class Servos:
 
     def _fit(self, now: np.ndarray) -> None:
         """Estimate the delay with the smallest residual variance and the widths with it, once from the first motion."""
-        y, sent, has_moved = (np.array(part[-FINAL_SAMPLES:]) for part in zip(*self._samples, strict=True))
-        is_last, self._samples = len(y) == FINAL_SAMPLES, self._samples[2 - FINAL_SAMPLES :]
+        n_final = 50  # samples of the first motion after which the estimates of latency and friction are final
+        y, sent, has_moved = (np.array(part[-n_final:]) for part in zip(*self._samples, strict=True))
+        is_last, self._samples = len(y) == n_final, self._samples[2 - n_final :]
         step = np.sign(sent[:, :-1] - sent[:, 1:])
         sense = step[:, :1]
         counts = np.all(step * sense >= 0.0, axis=1) & (sense[:, 0] != 0.0) & has_moved  # joints that never turned back
